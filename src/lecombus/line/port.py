@@ -1,0 +1,98 @@
+"""The seam between the line worker and whatever carries the bytes.
+
+Here live the two protocols (`Port`, which the worker calls, and `Receiver`, which a port calls)
+and the settings a port is opened with. A serial device, a TCP connection and the simulator all
+stand behind the same five calls, so that the worker, its tests and the daemon know none of them.
+
+Theory of operation: a port gives bytes on as they come, in whatever pieces, and never interprets
+them. All calls happen on the one event loop thread. A port that goes away says so by exactly one
+`Receiver.lost`; after `Port.abort` it says nothing at all, neither bytes nor loss.
+
+What must not live here: I/O of any kind, parity making or checking, reconnecting.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+__all__ = ["Direction", "Parity", "Port", "PortOpener", "PortSettings", "Receiver"]
+
+Direction = Literal["adapter", "kernel", "rts"]
+"""Who switches the RS-485 transceiver: the adapter itself, the kernel's driver, or we by RTS."""
+
+Parity = Literal["line", "port"]
+"""Who makes even parity: `line` the daemon, in bit 7 of an 8N1 port; `port` the device (7E1)."""
+
+
+class Receiver(Protocol):
+    """What a port calls when something happens on it; the worker is one."""
+
+    def received(self, data: bytes) -> None:
+        """Take the bytes that came; never empty, in any pieces.
+
+        Args:
+            data: As they stand on the port: bit 7 is parity where `Port.carries_parity`.
+        """
+
+    def lost(self, exc: Exception | None) -> None:
+        """Take note that the port is gone; called at most once, and never after `abort`.
+
+        Args:
+            exc: Why, a `LineLostError` from the ends in this room; None for a clean end.
+        """
+
+
+class Port(Protocol):
+    """An open port: bytes out, and bytes in through the receiver it was opened with."""
+
+    @property
+    def carries_parity(self) -> bool:
+        """Whether bit 7 of every byte, in and out, is even parity (8N1 port).
+
+        False: the device frames 7E1 itself, bytes here have bit 7 clear.
+        """
+
+    def write(self, data: bytes) -> None:
+        """Hand all of `data` to the operating system.
+
+        Args:
+            data: A telegram, with parity in bit 7 where `carries_parity`.
+
+        Raises:
+            LineLostError: The port is gone, now or already. `Receiver.lost` is never called from
+                inside this call; for a loss found here it follows from the loop.
+        """
+
+    def discard_input(self) -> None:
+        """Drop every byte the operating system holds that was not given on yet."""
+
+    def abort(self) -> None:
+        """Close at once, dropping what was not sent; harmless on a closed port."""
+
+    def describe(self) -> str:
+        """Say what this port is, for logs and the API, such as the path and where it leads."""
+
+
+@dataclass(frozen=True, slots=True)
+class PortSettings:
+    """What is needed to open a port.
+
+    Args:
+        url: A device path, `socket://HOST:PORT`, or another scheme an opener knows.
+        baud: Bits a second: 1200, 2400, 4800, 9600 or 19200.
+        direction: Who switches the RS-485 transceiver.
+        parity: Who makes even parity.
+        line: The line's name, for errors and logs.
+    """
+
+    url: str
+    baud: int = 9600
+    direction: Direction = "adapter"
+    parity: Parity = "line"
+    line: str = ""
+
+
+PortOpener = Callable[[PortSettings, Receiver], Awaitable[Port]]
+"""Opens a port by its settings; raises `LineLostError` with the remedy in its message."""
