@@ -1,0 +1,206 @@
+"""What the store hands out: readings with their quality, drive and line states, and their JSON.
+
+Strategy: frozen, slotted snapshots, made when somebody asks and never changed afterwards. Each
+knows its own JSON form (`as_json`), in which a decimal stays a `decimal.Decimal`; whoever writes
+it as text must write it exactly and never by way of a binary float. Times are Unix seconds here
+and become RFC 3339 with milliseconds and `Z` only in the JSON form.
+
+What must not live here: how quality is decided (that is `store`), any input or output, and any
+knowledge of HTTP or Prometheus.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from decimal import Decimal
+from enum import StrEnum
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from lecombus.protocol.addressing import Code
+    from lecombus.protocol.values import Value
+
+__all__ = [
+    "DriveInfo",
+    "DriveState",
+    "Json",
+    "LineInfo",
+    "LineState",
+    "Quality",
+    "Reading",
+    "json_value",
+    "rfc3339",
+]
+
+Json = None | bool | int | Decimal | str | list["Json"] | dict[str, "Json"]
+"""What may stand in a document: no float, so that no decimal is ever rounded by accident."""
+
+
+class Quality(StrEnum):
+    """How far a value may be trusted.
+
+    `GOOD`: read in time. `STALE`: true once, not refreshed in time, or its drive is offline.
+    `BAD`: never read, the last attempt failed, or the line is not there.
+    """
+
+    GOOD = "good"
+    STALE = "stale"
+    BAD = "bad"
+
+
+class DriveState(StrEnum):
+    """How a drive is doing: being audited, answering, answering badly, silent."""
+
+    STARTING = "starting"
+    ONLINE = "online"
+    DEGRADED = "degraded"
+    OFFLINE = "offline"
+
+
+class LineState(StrEnum):
+    """How the line is doing: not opened or shut down, in use, gone and being reopened."""
+
+    CLOSED = "closed"
+    OPEN = "open"
+    LOST = "lost"
+
+
+@lru_cache(maxsize=256)
+def second_text(second: int) -> str:
+    """Return the part of an RFC 3339 time before the fraction; most values share a second."""
+    return time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(second))
+
+
+def rfc3339(time_s: float) -> str:
+    """Return a Unix time as text such as `2026-11-21T10:15:02.113Z`.
+
+    Args:
+        time_s: Seconds since 1970, UTC.
+    """
+    ms = round(time_s * 1000)
+    return f"{second_text(ms // 1000)}.{ms % 1000:03d}Z"
+
+
+def seconds(value_s: float) -> Decimal:
+    """Return a duration for JSON: seconds, to the millisecond."""
+    return Decimal(round(value_s * 1000)).scaleb(-3)
+
+
+def json_value(value: Value) -> Decimal | int | str:
+    """Return a value as JSON knows it: decimals exactly, words as integers, octets as hex."""
+    number = value.number
+    return number.hex() if isinstance(number, bytes) else number
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """One code of one drive, as far as it is known at the moment of asking.
+
+    Args:
+        drive: The drive's name.
+        code: Code and subcode.
+        name: What the family calls it; empty where no description knows it.
+        unit: Its unit, where it has one.
+        format: The wire format's name (`VD`, `VH`, `VS`, `VO`), where it is known.
+        value: The last value read, also when it can no longer be trusted.
+        quality: How far it can be.
+        reason: Why it is not good.
+        time_s: When it was read, Unix seconds.
+        age_s: How long ago that was, seconds.
+    """
+
+    drive: str
+    code: Code
+    name: str
+    unit: str | None
+    format: str | None
+    value: Value | None
+    quality: Quality
+    reason: str | None
+    time_s: float | None
+    age_s: float | None
+
+    def as_json(self) -> dict[str, Json]:
+        """Return the JSON form every face of lecombus gives a value."""
+        value = self.value
+        return {
+            "drive": self.drive,
+            "code": f"C{self.code.number:04d}",
+            "subcode": self.code.subcode,
+            "name": self.name,
+            "value": None if value is None else json_value(value),
+            "raw": None if value is None else value.raw,
+            "format": self.format,
+            "unit": self.unit,
+            "quality": self.quality.value,
+            "reason": self.reason,
+            "time": None if self.time_s is None else rfc3339(self.time_s),
+            "age_s": None if self.age_s is None else seconds(self.age_s),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class DriveInfo:
+    """One drive: where it is, how it is doing and since when.
+
+    Args:
+        name: Its name in the roster.
+        address: 1..99.
+        family: The family's name.
+        state: How it is doing.
+        reason: Why, in words; empty where nothing needs saying.
+        since_s: Since when, Unix seconds.
+        remarks: What stands to be said about it, by subject.
+    """
+
+    name: str
+    address: int
+    family: str
+    state: DriveState
+    reason: str
+    since_s: float
+    remarks: Mapping[str, str]
+
+    def as_json(self) -> dict[str, Json]:
+        """Return the JSON form, without the drive's values."""
+        return {
+            "drive": self.name,
+            "address": self.address,
+            "family": self.family,
+            "state": self.state.value,
+            "reason": self.reason or None,
+            "since": rfc3339(self.since_s),
+            "remarks": dict(self.remarks),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class LineInfo:
+    """The line: how it is doing, since when, and how far its cyclic cadence is stretched.
+
+    Args:
+        state: How it is doing.
+        reason: Why, in words; empty where nothing needs saying.
+        since_s: Since when, Unix seconds.
+        stretch: 1 when every cyclic read keeps its period, 2 when each takes twice as long.
+        remarks: What stands to be said about it, by subject.
+    """
+
+    state: LineState
+    reason: str
+    since_s: float
+    stretch: float
+    remarks: Mapping[str, str]
+
+    def as_json(self) -> dict[str, Json]:
+        """Return the JSON form; the line's name is added by whoever knows it."""
+        return {
+            "state": self.state.value,
+            "reason": self.reason or None,
+            "since": rfc3339(self.since_s),
+            "stretch": seconds(self.stretch),
+            "remarks": dict(self.remarks),
+        }

@@ -1,0 +1,449 @@
+"""What is known about the line, its drives and their values, at any moment.
+
+The line worker writes here (`value_read`, `value_failed`), health and keeper write states and
+remarks, and every face reads. Strategy: one mutable cell per drive and code, so that the write
+behind every exchange is two dictionary look-ups and three assignments; quality, age and time of
+day are worked out only when somebody asks, from the state as it is then. So a value cannot be
+silently old: nobody has to remember to mark it.
+
+How quality is decided, the first that fits:
+
+1. the line is not open: `BAD`, because a dead line never shows fresh values;
+2. never read: `BAD`, "not read yet", or why the attempt failed;
+3. the last attempt failed: `BAD` with its reason; the last value stays visible beside it;
+4. the drive is offline: `STALE`;
+5. older than allowed: `STALE`. A cyclic code may be twice its period (times the present stretch
+   of the cadence) plus 1 s old; any other code 10 s, or what `fresh_for_s` says;
+6. otherwise `GOOD`.
+
+Everything runs on one event loop thread: there are no locks. Memory is bounded: besides the
+cyclic codes a drive keeps at most `ON_DEMAND_LIMIT` codes, the first asked for going first.
+What must not live here: input, output, tasks, HTTP, Prometheus.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final
+
+from lecombus.errors import OperationError
+from lecombus.readings import (
+    DriveInfo,
+    DriveState,
+    LineInfo,
+    LineState,
+    Quality,
+    Reading,
+)
+
+if TYPE_CHECKING:
+    from lecombus.drives import Family
+    from lecombus.protocol.addressing import Code
+    from lecombus.protocol.values import Value
+
+__all__ = [
+    "ON_DEMAND_LIMIT",
+    "DriveChanged",
+    "DriveInfo",
+    "DriveState",
+    "Event",
+    "LineChanged",
+    "LineInfo",
+    "LineState",
+    "Quality",
+    "Reading",
+    "Store",
+    "ValueChanged",
+]
+
+ON_DEMAND_LIMIT: Final = 1000
+"""Codes kept per drive beyond its cyclic ones: a whole backup of a drive fits, a scan does not."""
+
+ON_DEMAND_FRESH_S: Final = 10.0
+"""A value read once is called stale after this: about as long as a person looks at a screen."""
+
+CYCLIC_GRACE_S: Final = 1.0
+"""On top of two periods: a retry and a quarantine do not make a value stale."""
+
+CLOCK_STEP_S: Final = 0.02
+"""The time of day is followed in steps of this, so that a value's time does not flicker."""
+
+
+@dataclass(frozen=True, slots=True)
+class ValueChanged:
+    """A code was read or an attempt failed; `Store.reading` says what is known now."""
+
+    drive: str
+    code: Code
+
+
+@dataclass(frozen=True, slots=True)
+class DriveChanged:
+    """A drive's state, reason or remarks changed."""
+
+    drive: str
+
+
+@dataclass(frozen=True, slots=True)
+class LineChanged:
+    """The line's state, reason or remarks changed."""
+
+
+Event = ValueChanged | DriveChanged | LineChanged
+Subscriber = Callable[[Event], None]
+
+
+@dataclass(slots=True, eq=False)
+class Cell:
+    """What is known of one code of one drive. `value` None: never read."""
+
+    code: Code
+    name: str
+    unit: str | None
+    format: str | None
+    every_s: float | None = None
+    value: Value | None = None
+    at_s: float = 0.0
+    failure: str | None = None
+
+
+@dataclass(slots=True, eq=False)
+class DriveRecord:
+    """What is known of one drive."""
+
+    name: str
+    address: int
+    family: Family
+    since_s: float
+    state: DriveState = DriveState.STARTING
+    reason: str = ""
+    remarks: dict[str, str] = field(default_factory=dict)
+    cells: dict[Code, Cell] = field(default_factory=dict)
+    on_demand: dict[Code, None] = field(default_factory=dict)
+
+
+class Store:
+    """Everything known about one line.
+
+    Args:
+        clock: The monotonic clock that `at_s` of every write is read from, seconds.
+        wall: The time of day, Unix seconds.
+        fresh_for_s: How long a value that is not read cyclically counts as fresh, seconds.
+    """
+
+    def __init__(
+        self,
+        clock: Callable[[], float],
+        wall: Callable[[], float],
+        *,
+        fresh_for_s: float = ON_DEMAND_FRESH_S,
+    ) -> None:
+        self._clock = clock
+        self._wall = wall
+        self._offset_s = wall() - clock()
+        self._fresh_for_s = fresh_for_s
+        self._stretch = 1.0
+        self._drives: dict[str, DriveRecord] = {}
+        self._line_state = LineState.CLOSED
+        self._line_reason = ""
+        self._line_since_s = wall()
+        self._line_remarks: dict[str, str] = {}
+        self._subscribers: tuple[Subscriber, ...] = ()
+
+    # -- what is on the line -------------------------------------------------------------------
+
+    def add_drive(self, name: str, address: int, family: Family) -> None:
+        """Make a drive known.
+
+        What is known of a drive of the same name stays if it is the same device (address and
+        family), so that a reloaded roster does not blank the values.
+        """
+        old = self._drives.get(name)
+        if old is not None and (old.address, old.family.name) == (address, family.name):
+            old.family = family
+            return
+        self._drives[name] = DriveRecord(name, address, family, self._wall())
+        self._publish(DriveChanged(name))
+
+    def remove_drive(self, name: str) -> None:
+        """Forget a drive and its values; unknown names are ignored."""
+        if self._drives.pop(name, None) is not None:
+            self._publish(DriveChanged(name))
+
+    def expect(self, drive: str, code: Code, every_s: float | None) -> None:
+        """Say how often a code is read cyclically, which decides when it is stale.
+
+        Args:
+            drive: The drive's name.
+            code: Code and subcode.
+            every_s: The period, seconds; None when it is no longer read cyclically.
+        """
+        record = self._record(drive)
+        cell = record.cells.get(code) or self._new_cell(record, code)
+        cell.every_s = every_s
+        if every_s is None:
+            record.on_demand[code] = None
+        else:
+            record.on_demand.pop(code, None)
+
+    def set_stretch(self, stretch: float) -> None:
+        """Say how far the cyclic cadence is stretched at present, 1 or more."""
+        self._stretch = max(1.0, stretch)
+
+    # -- what the line worker says ---------------------------------------------------------------
+
+    def value_read(self, drive: str, code: Code, value: Value, at_s: float) -> None:
+        """Keep a value just read. Costs about a microsecond: it stands behind every exchange.
+
+        Args:
+            drive: The drive's name.
+            code: Code and subcode.
+            value: What the drive answered.
+            at_s: When the answer came, by the store's monotonic clock.
+
+        Raises:
+            KeyError: The drive was never added: a programming error.
+        """
+        record = self._drives[drive]
+        cell = record.cells.get(code)
+        if cell is None:
+            cell = self._new_cell(record, code)
+        cell.value = value
+        cell.at_s = at_s
+        cell.failure = None
+        if self._subscribers:
+            self._publish(ValueChanged(drive, code))
+
+    def value_failed(self, drive: str, code: Code, reason: str) -> None:
+        """Keep that an attempt to read failed; the last value stays visible as bad."""
+        record = self._drives[drive]
+        cell = record.cells.get(code)
+        if cell is None:
+            cell = self._new_cell(record, code)
+        cell.failure = reason
+        if self._subscribers:
+            self._publish(ValueChanged(drive, code))
+
+    def drive_state(self, drive: str, state: DriveState, reason: str = "") -> None:
+        """Set how a drive is doing; `since` moves only when the state changes."""
+        record = self._record(drive)
+        if (record.state, record.reason) == (state, reason):
+            return
+        if record.state is not state:
+            record.since_s = self._wall()
+        record.state = state
+        record.reason = reason
+        self._publish(DriveChanged(drive))
+
+    def line_state(self, state: LineState, reason: str = "") -> None:
+        """Set how the line is doing; `since` moves only when the state changes."""
+        if (self._line_state, self._line_reason) == (state, reason):
+            return
+        if self._line_state is not state:
+            self._line_since_s = self._wall()
+        self._line_state = state
+        self._line_reason = reason
+        self._publish(LineChanged())
+
+    def note(self, drive: str, key: str, text: str | None) -> None:
+        """Set or clear a standing remark about a drive, such as a watchdog that differs."""
+        if set_remark(self._record(drive).remarks, key, text):
+            self._publish(DriveChanged(drive))
+
+    def note_line(self, key: str, text: str | None) -> None:
+        """Set or clear a standing remark about the line, such as a stretched cadence."""
+        if set_remark(self._line_remarks, key, text):
+            self._publish(LineChanged())
+
+    # -- what the faces ask ------------------------------------------------------------------------
+
+    def reading(self, drive: str, code: Code) -> Reading | None:
+        """Return what is known of a code, or None if nobody has ever asked the drive for it.
+
+        Raises:
+            OperationError: `no-such-drive`.
+        """
+        record = self._record(drive)
+        cell = record.cells.get(code)
+        return None if cell is None else self._judge(record, cell, self._clock())
+
+    def unread(self, drive: str, code: Code) -> Reading:
+        """Return the reading of a code that was never asked for, without keeping it.
+
+        Raises:
+            OperationError: `no-such-drive`.
+        """
+        record = self._record(drive)
+        return self._judge(record, make_cell(record.family, code), self._clock())
+
+    def readings(self, drive: str, *, cyclic_only: bool = False) -> list[Reading]:
+        """Return everything known of a drive's values, cyclic codes first.
+
+        Args:
+            drive: The drive's name.
+            cyclic_only: Leave out what was read only because somebody asked once.
+
+        Raises:
+            OperationError: `no-such-drive`.
+        """
+        record = self._record(drive)
+        now_s = self._clock()
+        cyclic = [cell for cell in record.cells.values() if cell.every_s is not None]
+        rest = [] if cyclic_only else [record.cells[code] for code in record.on_demand]
+        return [self._judge(record, cell, now_s) for cell in cyclic + rest]
+
+    def drive(self, drive: str) -> DriveInfo:
+        """Return how a drive is doing.
+
+        Raises:
+            OperationError: `no-such-drive`.
+        """
+        return describe(self._record(drive))
+
+    def drives(self) -> list[DriveInfo]:
+        """Return how every drive is doing, in the order they were added."""
+        return [describe(record) for record in self._drives.values()]
+
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the drives, in the order they were added."""
+        return tuple(self._drives)
+
+    def family(self, drive: str) -> Family:
+        """Return the family of a drive.
+
+        Raises:
+            OperationError: `no-such-drive`.
+        """
+        return self._record(drive).family
+
+    def line(self) -> LineInfo:
+        """Return how the line is doing."""
+        return LineInfo(
+            self._line_state,
+            self._line_reason,
+            self._line_since_s,
+            self._stretch,
+            MappingProxyType(dict(self._line_remarks)),
+        )
+
+    def subscribe(self, subscriber: Subscriber) -> None:
+        """Call `subscriber` after every change; it must return at once and never raise."""
+        self._subscribers = (*self._subscribers, subscriber)
+
+    def unsubscribe(self, subscriber: Subscriber) -> None:
+        """Stop calling `subscriber`; unknown ones are ignored."""
+        self._subscribers = tuple(one for one in self._subscribers if one != subscriber)
+
+    # -- inside ------------------------------------------------------------------------------------
+
+    def _publish(self, event: Event) -> None:
+        for subscriber in self._subscribers:
+            subscriber(event)
+
+    def _record(self, drive: str) -> DriveRecord:
+        record = self._drives.get(drive)
+        if record is None:
+            raise no_such_drive(drive, tuple(self._drives))
+        return record
+
+    def _new_cell(self, record: DriveRecord, code: Code) -> Cell:
+        if len(record.on_demand) >= ON_DEMAND_LIMIT:
+            oldest = next(iter(record.on_demand))
+            del record.on_demand[oldest]
+            del record.cells[oldest]
+        cell = make_cell(record.family, code)
+        record.cells[code] = cell
+        record.on_demand[code] = None
+        return cell
+
+    def _judge(self, record: DriveRecord, cell: Cell, now_s: float) -> Reading:
+        value = cell.value
+        age_s = None if value is None else max(0.0, now_s - cell.at_s)
+        quality, reason = self._quality(record, cell, age_s)
+        return Reading(
+            record.name,
+            cell.code,
+            cell.name,
+            cell.unit,
+            cell.format if value is None else value.format.value,
+            value,
+            quality,
+            reason,
+            None if value is None else self._time_of(cell.at_s, now_s),
+            age_s,
+        )
+
+    def _quality(
+        self, record: DriveRecord, cell: Cell, age_s: float | None
+    ) -> tuple[Quality, str | None]:
+        """Decide by the rules of the module's docstring, in their order."""
+        if self._line_state is not LineState.OPEN:
+            return Quality.BAD, with_cause(f"line {self._line_state.value}", self._line_reason)
+        if cell.failure is not None:
+            return Quality.BAD, cell.failure
+        if age_s is None:
+            return Quality.BAD, "not read yet"
+        if record.state is DriveState.OFFLINE:
+            return Quality.STALE, with_cause("drive offline", record.reason)
+        allowed_s = self._fresh_for_s
+        if cell.every_s is not None:
+            allowed_s = 2 * cell.every_s * self._stretch + CYCLIC_GRACE_S
+        if age_s > allowed_s:
+            return Quality.STALE, f"read {age_s:.1f} s ago, {allowed_s:.1f} s allowed"
+        return Quality.GOOD, None
+
+    def _time_of(self, at_s: float, now_s: float) -> float:
+        """Return the time of day of a moment on the monotonic clock, following clock steps."""
+        offset_s = self._wall() - now_s
+        if abs(offset_s - self._offset_s) > CLOCK_STEP_S:
+            self._offset_s = offset_s
+        return at_s + self._offset_s
+
+
+def make_cell(family: Family, code: Code) -> Cell:
+    """Return an empty cell with what the family's description says of the code."""
+    info = family.info(code)
+    if info is None:
+        return Cell(code, "", None, None)
+    return Cell(code, info.name, info.unit, info.format.value)
+
+
+def describe(record: DriveRecord) -> DriveInfo:
+    """Return a snapshot of a drive's record."""
+    return DriveInfo(
+        record.name,
+        record.address,
+        record.family.name,
+        record.state,
+        record.reason,
+        record.since_s,
+        MappingProxyType(dict(record.remarks)),
+    )
+
+
+def set_remark(remarks: dict[str, str], key: str, text: str | None) -> bool:
+    """Set or clear one remark; return whether that changed anything."""
+    if remarks.get(key) == text:
+        return False
+    if text is None:
+        del remarks[key]
+    else:
+        remarks[key] = text
+    return True
+
+
+def with_cause(what: str, cause: str) -> str:
+    """Join what is the case and why, where there is a why."""
+    return f"{what}: {cause}" if cause else what
+
+
+def no_such_drive(name: str, known: tuple[str, ...]) -> OperationError:
+    """Return the error for an unknown drive, with the nearest name there is."""
+    near = get_close_matches(name, known, n=1)
+    remedy = f"did you mean {near[0]}?" if near else f"drives are: {', '.join(known) or 'none'}"
+    return OperationError(
+        f"there is no drive {name}", kind="no-such-drive", drive=name, remedy=remedy
+    )
