@@ -1,0 +1,45 @@
+# make demo    simulated drives of five families with a live view; needs Python 3.11, no hardware
+# make test    everything that CI checks, from nothing (make test ARGS="tests/cli -x" for a part)
+# make check   the part of it that runs no code: lint, format, types, imports
+# make bench   the figures of docs, ours and the peers' in one run
+# make wheel   dist/lecombus-*.whl, built offline from the lock
+# make lock    requirements/*.txt anew from *.in (make lock ARGS=--upgrade for newer versions)
+
+ARGS ?=
+
+.PHONY: demo test check bench wheel lock format clean
+
+demo:
+	@scripts/venv runtime
+	@.venv/bin/lecombus demo $(ARGS)
+
+# pytest comes last and prints last: its closing line says how the whole run ended.
+test:
+	@scripts/venv dev
+	@scripts/debian-packages
+	@scripts/check
+	@.venv/bin/python -m pytest $(ARGS)
+
+check:
+	@scripts/venv dev
+	@scripts/check
+
+bench:
+	@scripts/venv bench
+	@.venv/bin/python tests/benchmarks/run.py $(ARGS)
+
+wheel:
+	@scripts/venv runtime
+	@.venv/bin/python -m pip --disable-pip-version-check --quiet wheel --no-deps --no-index \
+		--no-build-isolation --wheel-dir dist .
+
+lock:
+	@scripts/venv lock
+	@scripts/lock .venv/lock-tools/bin/python $(ARGS)
+
+format:
+	@scripts/venv dev
+	@.venv/bin/ruff check --quiet --fix src tests; .venv/bin/ruff format --quiet src tests
+
+clean:
+	@rm -rf .venv build dist src/*.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
