@@ -1,0 +1,255 @@
+"""Who is spoken to and about what: addresses, codes and their text on the wire.
+
+A code travels in one of two forms. Standard addressing packs 0..6229 into two characters;
+extended addressing spells code and subcode out in seven characters that begin with `!`. The two
+cannot be confused: a standard field begins with 48 or more, `!` is 33. The characters of a field
+are called the code field; an answer repeats the field of the question.
+
+The rule which characters make a field is `fits_field`, and only there: the parser asks it
+character by character, everything else asks it for a whole field. Conversions are tables or
+caches, since they are on the path of every telegram.
+
+Code bank C0249 and input selection C0248 are deliberately absent: lecombus never uses them.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from enum import Enum
+from functools import lru_cache
+from typing import Final
+
+from lecombus.errors import CodeValueError
+
+__all__ = [
+    "EXTENDED_MARK",
+    "HIGHEST_CODE",
+    "HIGHEST_STANDARD_CODE",
+    "HIGHEST_SUBCODE",
+    "Code",
+    "Form",
+    "decode_code",
+    "encode_address",
+    "encode_code",
+    "field_length",
+    "fits_field",
+    "group_reach",
+    "is_code_field",
+    "is_drive_address",
+    "is_group_address",
+]
+
+HIGHEST_STANDARD_CODE: Final = 6229
+"""The last code of standard addressing: `u` DEL."""
+HIGHEST_CODE: Final = 65535
+HIGHEST_SUBCODE: Final = 255
+EXTENDED_MARK: Final = 0x21
+"""`!`, the first character of an extended code field."""
+
+_STANDARD_LENGTH: Final = 2
+_EXTENDED_LENGTH: Final = 7
+_BASE: Final = 48
+_PAGE: Final = 790  # codes of one tens digit of C2: 79 values of C1, ten of C2
+_PARAMETER_OFFSET: Final = 1000  # SMVector: parameter Pnnn is code 1000 + nnn
+_CAPITAL_HEX: Final = b"0123456789ABCDEF"
+_WRITTEN: Final = re.compile(r"(?:[Cc]?(\d{1,5})|[Pp](\d{1,3}))(?:/(\d{1,3}))?", re.ASCII)
+_RIGHT: Final = "write C0150, C150, 150, C0039/1 (code/subcode) or P425"
+
+
+class Form(Enum):
+    """The two ways a code is put on the wire."""
+
+    STANDARD = "standard"
+    EXTENDED = "extended"
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Code:
+    """A code number with its subcode.
+
+    Args:
+        number: 0..65535.
+        subcode: 0..255; 0 also where the code has no subcodes.
+
+    Raises:
+        CodeValueError: One of them lies outside its range.
+
+    Source: EDB2102EN 8.3.1 "Code number (C1, C2)"; CMVLC401A 5.3.
+    """
+
+    number: int
+    subcode: int = 0
+
+    def __post_init__(self) -> None:
+        """Refuse what no telegram can carry."""
+        if not 0 <= self.number <= HIGHEST_CODE:
+            raise CodeValueError(
+                f"there is no code {self.number}: codes run from 0 to {HIGHEST_CODE}",
+                code=str(self.number), value=self.number, low=0, high=HIGHEST_CODE,
+            )  # fmt: skip
+        if not 0 <= self.subcode <= HIGHEST_SUBCODE:
+            raise CodeValueError(
+                f"C{self.number:04d} cannot have subcode {self.subcode}: "
+                f"subcodes run from 0 to {HIGHEST_SUBCODE}",
+                code=f"C{self.number:04d}", value=self.subcode, low=0, high=HIGHEST_SUBCODE,
+            )  # fmt: skip
+
+    def __hash__(self) -> int:
+        """Hash without building a tuple: codes are the keys of every store on the hot path."""
+        return self.number << 8 | self.subcode
+
+    def __str__(self) -> str:
+        """Return `C0150`, or `C0039/1` with a subcode."""
+        return f"C{self.number:04d}/{self.subcode}" if self.subcode else f"C{self.number:04d}"
+
+    @classmethod
+    def parse(cls, text: str) -> Code:
+        """Read a code as people write it.
+
+        Args:
+            text: `C0150`, `C150`, `150`, `C0039/1`, or `P425` for SMVector parameter 425, which
+                is code 1425 (P0..P999).
+
+        Raises:
+            CodeValueError: It is none of these, or out of range; the message says what is right.
+
+        Source: CMVLC401A 9 (codes are parameter numbers plus 1000).
+        """
+        match = _WRITTEN.fullmatch(text)
+        if match is None:
+            raise CodeValueError(f"{text!r} is not a code: {_RIGHT}", code=text, value=text)
+        number, parameter, subcode = match.groups()
+        if parameter is not None:
+            return cls(_PARAMETER_OFFSET + int(parameter), int(subcode or 0))
+        return cls(int(number), int(subcode or 0))
+
+    def knows(self, form: Form) -> bool:
+        """Tell whether this code can be addressed in a form at all."""
+        if form is Form.EXTENDED:
+            return True
+        return self.number <= HIGHEST_STANDARD_CODE and self.subcode == 0
+
+
+def encode_code(code: Code, form: Form) -> bytes:
+    """Return the code field: 2 characters in standard, 7 in extended addressing.
+
+    Raises:
+        CodeValueError: Standard addressing cannot carry this code or subcode.
+
+    Source: EDB2102EN 8.3.1 "Standard addressing", "Extended addressing"; CMVLC401A 5.3.1, 5.3.4.
+    """
+    return _encode_code(code, form)
+
+
+@lru_cache(maxsize=8192)
+def _encode_code(code: Code, form: Form) -> bytes:
+    if form is Form.EXTENDED:
+        return b"!%04X%02X" % (code.number, code.subcode)
+    if not code.knows(form):
+        raise CodeValueError(
+            f"{code} needs extended addressing: standard addressing reaches codes 0 to "
+            f"{HIGHEST_STANDARD_CODE} without subcode",
+            code=str(code), value=code.number, low=0, high=HIGHEST_STANDARD_CODE,
+        )  # fmt: skip
+    page, rest = divmod(code.number, _PAGE)
+    return bytes((rest // 10 + _BASE, rest % 10 + page * 10 + _BASE))
+
+
+def decode_code(field: bytes) -> tuple[Code, Form]:
+    """Return the code a code field names, and the form it is written in.
+
+    Raises:
+        CodeValueError: The characters are not a code field.
+
+    Source: the inverse of `encode_code`.
+    """
+    return _decode_code(field)
+
+
+@lru_cache(maxsize=8192)
+def _decode_code(field: bytes) -> tuple[Code, Form]:
+    if not is_code_field(field):
+        raise CodeValueError(f"{field!r} is not a code field", value=field)
+    if field[0] == EXTENDED_MARK:
+        return Code(int(field[1:5], 16), int(field[5:7], 16)), Form.EXTENDED
+    page, unit = divmod(field[1] - _BASE, 10)
+    return Code(page * _PAGE + (field[0] - _BASE) * 10 + unit), Form.STANDARD
+
+
+def field_length(first: int) -> int:
+    """Return how long the code field is that begins with this character."""
+    return _EXTENDED_LENGTH if first == EXTENDED_MARK else _STANDARD_LENGTH
+
+
+def fits_field(start: bytes | bytearray) -> bool:
+    """Tell whether these characters begin (or are) a code field.
+
+    Standard: C1 holds a tens count of 0..78, C2 a unit and a page of 0..7. On the last page only
+    tens up to 69 are codes (7 * 790 + 699 = 6229). Extended: capital hexadecimal digits.
+
+    Args:
+        start: 1 to 7 characters, 7 bits each.
+    """
+    first = start[0]
+    length = len(start)
+    if first == EXTENDED_MARK:
+        return length <= _EXTENDED_LENGTH and not start[1:].translate(None, _CAPITAL_HEX)
+    if length > _STANDARD_LENGTH or not 48 <= first <= 126:
+        return False
+    return length == 1 or 48 <= start[1] <= 117 or (first <= 117 and 118 <= start[1] <= 127)
+
+
+def is_code_field(field: bytes) -> bool:
+    """Tell whether these characters are exactly one code field."""
+    return len(field) > 1 and len(field) == field_length(field[0]) and fits_field(field)
+
+
+_ADDRESSES: Final = tuple(b"%02d" % address for address in range(100))
+
+
+def encode_address(address: int) -> bytes:
+    """Return AD1 AD2.
+
+    Args:
+        address: 0..99; multiples of ten are groups (`group_reach`).
+
+    Raises:
+        CodeValueError: Two digits cannot carry it.
+
+    Source: EDB2102EN 8.3.1 "Controller address (AD1, AD2)"; CMVLC401A 5.2.
+    """
+    if not 0 <= address <= 99:
+        raise CodeValueError(
+            f"there is no address {address}: addresses run from 0 to 99",
+            value=address, low=0, high=99,
+        )  # fmt: skip
+    return _ADDRESSES[address]
+
+
+def is_drive_address(address: int) -> bool:
+    """Tell whether a single drive can have this address: 1..99 without 10, 20 .. 90."""
+    return 0 < address < 100 and address % 10 != 0
+
+
+def is_group_address(address: int) -> bool:
+    """Tell whether this address reaches a group: 0 all drives, 10, 20 .. 90 one decade each."""
+    return 0 <= address < 100 and address % 10 == 0
+
+
+def group_reach(address: int) -> tuple[int, ...]:
+    """Return the drive addresses that a group address reaches.
+
+    Raises:
+        CodeValueError: It is not a group address.
+
+    Source: EDB2102EN 8.3.4; CMVLC401A table 8.
+    """
+    if not is_group_address(address):
+        raise CodeValueError(
+            f"{address} is not a group address: those are 0 (all) and 10, 20 .. 90",
+            value=address, low=0, high=90,
+        )  # fmt: skip
+    if address == 0:
+        return tuple(filter(is_drive_address, range(100)))
+    return tuple(range(address + 1, address + 10))

@@ -1,0 +1,318 @@
+"""One exchange: a telegram that was sent, and what may be made of the bytes that come after it.
+
+Theory of operation. The worker begins an exchange at the moment it hands a telegram to the port,
+feeds it every byte that arrives with the time of arrival, and asks at the deadline. Between the
+two the exchange is in one phase::
+
+    phase    bytes come                                        deadline passes
+    -------  ------------------------------------------------  ----------------------------
+    ECHO     match sent telegram: stay, all matched: WAIT      ECHO fault (nothing returned)
+             differ: FOREIGN, the echo fault is remembered
+    PROBE    first byte is that of the sent telegram: ECHO     NO_REPLY
+             else: as WAIT
+    WAIT     too early to be an answer: FOREIGN                NO_REPLY
+             the answer asked for: ends, ANSWERED
+             a whole answer to something else: WAIT, counted
+             a bad answer: FOREIGN; the beginning of one: ANSWER
+    ANSWER   as WAIT                                           GARBLED (half an answer)
+    FOREIGN  swallowed; after a pause: WAIT                    GARBLED, or ECHO if remembered
+
+PROBE is how `echo: auto` finds out: the host's telegrams begin with EOT and no answer does, so
+the first byte that returns tells. What cannot be this exchange's answer is never handed up, and
+after a bad answer the exchange goes on listening until its deadline: the right answer may still
+come, and the line must fall silent anyway before anyone speaks (EDB2102EN 8.3.5).
+
+Pure: time is an argument in seconds. Time-outs are given by the caller; retries, quarantine and
+the meaning of an answer belong to the line room.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum, StrEnum
+
+from .parser import AnswerParser
+from .telegrams import (
+    AckAnswer,
+    Answer,
+    BadAnswer,
+    NakAnswer,
+    TransmissionErrorAnswer,
+    UnknownCodeAnswer,
+    ValueAnswer,
+)
+
+__all__ = ["ACK_FIELD", "Ask", "Exchange", "Result", "ResultKind"]
+
+ACK_FIELD = b"\x06"
+"""Stands for "an acknowledgement" where a code field stands for "an answer to that code"."""
+
+MAX_KEPT = 64
+"""Bytes of unusable input kept for error reports."""
+
+EARLIEST_SHARE = 0.9
+"""An answer may begin after this share of the request's wire time: UART clocks differ by 5 %."""
+
+LONGEST_ANSWER_CHARS = 252
+"""STX, an extended code field, a format letter, 240 characters, ETX and BCC, rounded up."""
+
+
+class ResultKind(StrEnum):
+    """How an exchange ended on the wire."""
+
+    ANSWERED = "answered"
+    SENT = "sent"
+    NO_REPLY = "no reply"
+    GARBLED = "garbled"
+    ECHO = "echo"
+    LOST = "line lost"
+
+
+@dataclass(frozen=True, slots=True)
+class Ask:
+    """What is expected after a telegram.
+
+    Args:
+        sent: The telegram's bytes as they go out, parity bits included.
+        field: The code field a read's answer must repeat; `ACK_FIELD` for a write; empty for a
+            multicast, which nobody answers.
+        request_s: Wire time of the telegram, seconds.
+        first_byte_s: The answer must have begun this long after the start, seconds.
+        whole_s: The answer must be complete this long after the start, seconds; for a multicast
+            the time its members are left alone.
+        gap_s: The longest pause inside an answer, seconds.
+        char_s: Wire time of a character, seconds.
+    """
+
+    sent: bytes
+    field: bytes
+    request_s: float
+    first_byte_s: float
+    whole_s: float
+    gap_s: float
+    char_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What an exchange came to.
+
+    Args:
+        kind: How it ended.
+        answer: The drive's answer, when `kind` is ANSWERED.
+        started_s: When the telegram was handed to the port.
+        ended_s: When the answer was complete, or the deadline at which it was given up.
+        fault: Why it failed, in words; empty when it did not.
+        late: Whole answers to something else that came meanwhile.
+        received: The first bytes that could not be used.
+        clean: False when anything but echo and answer was heard.
+    """
+
+    kind: ResultKind
+    started_s: float
+    ended_s: float
+    answer: Answer | None = None
+    fault: str = ""
+    late: int = 0
+    received: bytes = b""
+    clean: bool = True
+
+
+class _Phase(Enum):
+    ECHO = 0
+    PROBE = 1
+    WAIT = 2
+    ANSWER = 3
+    FOREIGN = 4
+
+
+class Exchange:
+    """The state of the exchange under way; one object serves a line for all its exchanges.
+
+    Args:
+        parity: Bytes carry even parity in bit 7.
+        echo: True or False where the roster says so, None to find out.
+    """
+
+    def __init__(self, *, parity: bool, echo: bool | None = None) -> None:
+        self._parser = AnswerParser(parity=parity)
+        self._configured_echo = echo
+        self.echo: bool | None = echo
+        self._phase = _Phase.WAIT
+        self._ask = Ask(b"", b"", 0.0, 0.0, 0.0, 0.0, 0.0)
+        self._started_s = 0.0
+        self._earliest_s = 0.0
+        self._last_byte_s = 0.0
+        self._echo_at = 0
+        self._echo_fault = ""
+        self._fault = ""
+        self._late = 0
+        self._kept = bytearray()
+
+    def forget_echo(self) -> None:
+        """Find out anew whether the line echoes; after every reopening of a port."""
+        self.echo = self._configured_echo
+
+    def begin(self, ask: Ask, now_s: float) -> None:
+        """Start an exchange whose telegram is being handed to the port at `now_s`."""
+        self._ask = ask
+        self._started_s = self._last_byte_s = now_s
+        self._earliest_s = now_s + EARLIEST_SHARE * ask.request_s
+        self._echo_at = 0
+        self._echo_fault = self._fault = ""
+        self._late = 0
+        if self._kept:
+            self._kept.clear()
+        self._parser.reset()
+        if self.echo is None:
+            self._phase = _Phase.PROBE
+        else:
+            self._phase = _Phase.ECHO if self.echo else _Phase.WAIT
+
+    def feed(self, data: bytes, now_s: float) -> Result | None:
+        """Take bytes that arrived.
+
+        Args:
+            data: The bytes, parity bits included.
+            now_s: When they were read.
+
+        Returns:
+            The result when the exchange has ended with its answer, else None.
+        """
+        paused = now_s - self._last_byte_s > self._ask.gap_s
+        self._last_byte_s = now_s
+        if self._phase is _Phase.PROBE or self._phase is _Phase.ECHO:
+            data = self._match_echo(data)
+            if not data:
+                return None
+        if self._phase is _Phase.FOREIGN or self._phase is _Phase.ANSWER:
+            if paused:
+                self._start_over()
+            elif self._phase is _Phase.FOREIGN:
+                self._keep(data)
+                return None
+        if now_s < self._earliest_s or not self._ask.field:
+            self._reject(data, "bytes came that nobody asked for")
+            return None
+        return self._parse(data, now_s)
+
+    def deadline_s(self) -> float:
+        """When to call `expire`: it moves while an answer is coming in."""
+        ask = self._ask
+        if not ask.field:
+            return self._started_s + ask.whole_s
+        first = self._started_s + ask.first_byte_s
+        if self._phase is not _Phase.ANSWER:
+            return first
+        longest = self._started_s + ask.whole_s + LONGEST_ANSWER_CHARS * ask.char_s
+        return max(first, min(self._last_byte_s + ask.gap_s, longest))
+
+    def expire(self, now_s: float) -> Result | None:
+        """End the exchange if its deadline has passed.
+
+        Returns:
+            The result, or None when `deadline_s` has moved on.
+        """
+        if now_s < self.deadline_s():
+            return None
+        kind, fault = self._verdict()
+        return self._result(kind, now_s, None, fault)
+
+    def lost(self, now_s: float) -> Result:
+        """End the exchange because the port went away."""
+        return self._result(ResultKind.LOST, now_s, None, "the line was lost during the exchange")
+
+    def _verdict(self) -> tuple[ResultKind, str]:
+        if self._echo_fault:
+            return ResultKind.ECHO, self._echo_fault
+        if self._phase is _Phase.ECHO:
+            came = f"only {self._echo_at} of {len(self._ask.sent)} bytes" if self._echo_at else "no"
+            return ResultKind.ECHO, f"{came} echo came back: adapter or wire is broken"
+        if not self._ask.field:
+            return ResultKind.SENT, ""
+        if self._phase is _Phase.ANSWER:
+            self._keep(self._parser.pending)
+            return ResultKind.GARBLED, "the answer broke off"
+        if self._fault:
+            return ResultKind.GARBLED, self._fault
+        return ResultKind.NO_REPLY, "no answer in time"
+
+    def _result(
+        self, kind: ResultKind, now_s: float, answer: Answer | None, fault: str = ""
+    ) -> Result:
+        clean = not (self._fault or self._echo_fault or self._late)
+        kept = bytes(self._kept) if self._kept else b""
+        return Result(kind, self._started_s, now_s, answer, fault, self._late, kept, clean)
+
+    def _match_echo(self, data: bytes) -> bytes:
+        sent = self._ask.sent
+        if self._phase is _Phase.PROBE:
+            if data[0] != sent[0]:
+                self._phase = _Phase.WAIT
+                return data
+            self._phase = _Phase.ECHO
+            self.echo = True
+        due = sent[self._echo_at : self._echo_at + len(data)]
+        if data[: len(due)] != due:
+            self._echo_fault = "the echo differs from what was sent: a collision or a broken line"
+            self._phase = _Phase.FOREIGN
+            self._keep(data)
+            return b""
+        self._echo_at += len(due)
+        if self._echo_at == len(sent):
+            self._phase = _Phase.WAIT
+        return data[len(due) :]
+
+    def _parse(self, data: bytes, now_s: float) -> Result | None:
+        while True:
+            answer = self._parser.feed(data)
+            if answer is None:
+                self._phase = _Phase.ANSWER
+                return None
+            if type(answer) is BadAnswer:
+                self._reject(answer.received, f"the answer is bad: {answer.fault.value}")
+                return None
+            if self._fits(answer):
+                return self._accept(answer, now_s)
+            self._late += 1
+            data = self._parser.tail
+            self._parser.reset()
+            self._phase = _Phase.WAIT
+            if not data:
+                return None
+
+    def _fits(self, answer: Answer) -> bool:
+        field = self._ask.field
+        if field == ACK_FIELD:
+            return type(answer) is AckAnswer or type(answer) is NakAnswer
+        if isinstance(answer, ValueAnswer | UnknownCodeAnswer | TransmissionErrorAnswer):
+            return answer.field == field
+        return False
+
+    def _accept(self, answer: Answer, now_s: float) -> Result | None:
+        """End with the answer; an acknowledgement counts only when it stood alone.
+
+        A single byte is easily made by noise, so one inside other bytes proves nothing.
+        """
+        lonely = not self._fault and not self._parser.tail
+        if self._ask.field == ACK_FIELD and not lonely:
+            self._reject(b"", "the acknowledgement came among other bytes")
+            return None
+        if self.echo is None:
+            self.echo = False
+        return self._result(ResultKind.ANSWERED, now_s, answer)
+
+    def _reject(self, data: bytes, fault: str) -> None:
+        self._fault = self._fault or fault
+        self._phase = _Phase.FOREIGN
+        self._keep(data)
+
+    def _start_over(self) -> None:
+        if self._phase is _Phase.ANSWER:
+            self._fault = self._fault or "the answer broke off"
+            self._keep(self._parser.pending)
+        self._parser.reset()
+        self._phase = _Phase.WAIT
+
+    def _keep(self, data: bytes) -> None:
+        self._kept += data[: MAX_KEPT - len(self._kept)]
