@@ -1,0 +1,91 @@
+"""Which late answers may still come, and how the next question avoids being answered by one.
+
+An answer carries no address and an acknowledgement carries nothing at all, so an answer that
+comes after the master has given up on it could pass for the answer to the next question. After
+every exchange that ended without its answer, the answer it would have had stays *in doubt* for
+the time it could still take to arrive. While it does:
+
+* no read is sent whose answer would look the same: the other addressing form is used where the
+  drive knows both (its answer repeats the form), else the read waits;
+* no write is sent while an acknowledgement is in doubt, except a stop, which goes out at once
+  but whose acknowledgement is then not believed.
+
+This module keeps the doubts and answers these questions; it sends nothing and waits for nothing.
+Source: EDB2102EN 8.3 (telegrams without address in the answer), 8.3.5 (time monitoring).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..protocol.addressing import Code, Form, encode_code
+from ..protocol.exchange import ACK_FIELD
+
+__all__ = ["Doubts"]
+
+
+class Doubts:
+    """The answers that may still arrive from exchanges given up.
+
+    Args:
+        window_s: How long after giving up an answer may still come, seconds (0: no doubts at
+            all, for showing what they are good for).
+    """
+
+    def __init__(self, window_s: float) -> None:
+        self.window_s = window_s
+        self._until_s: dict[bytes, float] = {}
+
+    def add(self, field: bytes, now_s: float) -> None:
+        """Note that the answer with this code field (or `ACK_FIELD`) did not come in time."""
+        if self.window_s > 0.0:
+            self._until_s[field] = now_s + self.window_s
+
+    def resolve(self, field: bytes) -> bool:
+        """Note that the late answer to a read has come after all.
+
+        An acknowledgement is never taken as resolved: noise makes a single byte too easily.
+
+        Returns:
+            Whether it had been in doubt.
+        """
+        return field != ACK_FIELD and self._until_s.pop(field, None) is not None
+
+    def blocked_until_s(self, field: bytes, now_s: float) -> float:
+        """When a question with this answer may be sent; `now_s` or earlier: at once."""
+        until = self._until_s.get(field)
+        if until is None:
+            return now_s
+        if until <= now_s:
+            del self._until_s[field]
+        return until
+
+    def form_for(
+        self, code: Code, forms: Sequence[Form], now_s: float
+    ) -> tuple[Form | None, bytes, float]:
+        """Choose the addressing form for a read.
+
+        Args:
+            code: The code to be read.
+            forms: The forms the drive knows, the preferred first.
+            now_s: The time.
+
+        Returns:
+            The form and its code field; or None, an empty field and the time from which a form
+            will be free.
+        """
+        free_at = float("inf")
+        for form in forms:
+            if not code.knows(form):
+                continue
+            field = encode_code(code, form)
+            if not self._until_s:
+                return form, field, now_s
+            until = self.blocked_until_s(field, now_s)
+            if until <= now_s:
+                return form, field, now_s
+            free_at = min(free_at, until)
+        return None, b"", free_at
+
+    def __len__(self) -> int:
+        return len(self._until_s)

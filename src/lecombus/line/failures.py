@@ -1,0 +1,68 @@
+"""From the result of an exchange to the error a caller is given.
+
+Valid but unwelcome answers (NAK, `?`, unknown code) are events in the protocol room; above it
+they are errors that carry what was on the wire.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ..errors import (
+    ChecksumReportedError,
+    EchoError,
+    ExchangeError,
+    ExchangeRecord,
+    GarbledReplyError,
+    NakError,
+    NoReplyError,
+    UnexpectedReplyError,
+    UnknownCodeError,
+)
+from ..protocol.exchange import Result, ResultKind
+from ..protocol.telegrams import NakAnswer, TransmissionErrorAnswer, UnknownCodeAnswer
+
+if TYPE_CHECKING:
+    from .jobs import Station, Step
+
+__all__ = ["error_of"]
+
+_BY_ANSWER: dict[type, tuple[type[ExchangeError], str]] = {
+    NakAnswer: (NakError, "the drive refused the write (NAK): nothing was changed"),
+    TransmissionErrorAnswer: (
+        ChecksumReportedError,
+        "the drive saw a transmission error in the question",
+    ),
+    UnknownCodeAnswer: (UnknownCodeError, "the drive has no such code"),
+}
+
+_BY_KIND: dict[ResultKind, type[ExchangeError]] = {
+    ResultKind.NO_REPLY: NoReplyError,
+    ResultKind.GARBLED: GarbledReplyError,
+    ResultKind.ECHO: EchoError,
+    ResultKind.LOST: NoReplyError,
+}
+
+
+def error_of(station: Station, step: Step, result: Result, attempt: int) -> ExchangeError:
+    """Make the error for an exchange that did not give what was asked for.
+
+    Args:
+        station: The drive.
+        step: What was said.
+        result: How it ended, anything but the wished-for answer.
+        attempt: Which attempt it was, 1 upwards.
+    """
+    cls, text = _BY_ANSWER.get(type(result.answer), (UnexpectedReplyError, ""))
+    if result.answer is None:
+        cls, text = _BY_KIND[result.kind], result.fault
+    record = ExchangeRecord(
+        address=station.address,
+        code=step.code.number,
+        subcode=step.code.subcode,
+        attempt=attempt,
+        elapsed_s=result.ended_s - result.started_s,
+        received=result.received,
+    )
+    where = f"{station.name} (address {station.address}), {step.code}"
+    return cls(f"{where}: {text} (attempt {attempt})", record)

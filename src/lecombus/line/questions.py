@@ -1,0 +1,148 @@
+"""From a job's next step to the telegram that says it, with its time-outs.
+
+Here is decided in which addressing form a step is said, what its answer must look like and how
+long to wait for it; and when it may not be said yet, because an old answer that could pass for
+its own may still come (`doubts`). Read telegrams are made once per drive, code and form, for the
+same few are said for years.
+
+Time-outs: twice the longest response time plus the adapter's latency, from the cost model.
+Source: EDB2102EN 8.3.5; 3.5 for the times.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..drives import Cost, LineTiming, read_cost, write_cost
+from ..protocol.addressing import Code, Form, encode_code
+from ..protocol.exchange import ACK_FIELD, Ask
+from ..protocol.parser import with_parity
+from ..protocol.telegrams import read_telegram, write_telegram
+from ..protocol.timing import write_request_chars
+from .doubts import Doubts
+from .jobs import Job, MulticastJob, ReadJob, Station, Step, StepKind
+
+__all__ = ["Question", "Questions"]
+
+MAX_CACHED = 8192
+"""Read telegrams kept; a line has at most 90 drives with some ten codes each."""
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """A telegram ready to be said.
+
+    Args:
+        ask: Bytes, expected answer, deadlines.
+        quarantine_s: Silence wanted after it if its answer does not come, seconds.
+        hold_s: How long the drive is left alone after it, seconds.
+        thinking_s: For how long nothing can arrive after it was handed over, seconds.
+    """
+
+    ask: Ask
+    quarantine_s: float
+    hold_s: float
+    thinking_s: float
+
+
+class Questions:
+    """Makes the questions of one line.
+
+    Args:
+        timing: Baud rate and latencies.
+        doubts: Which answers may still come.
+    """
+
+    def __init__(self, timing: LineTiming, doubts: Doubts) -> None:
+        self._timing = timing
+        self._doubts = doubts
+        self._reads: dict[tuple[Station, Code, Form], Question] = {}
+        self._parity = True
+        self.gap_s = 5.0 * timing.char_s + timing.adapter_latency_s
+
+    @property
+    def parity(self) -> bool:
+        """Whether telegrams carry even parity in bit 7."""
+        return self._parity
+
+    @parity.setter
+    def parity(self, value: bool) -> None:
+        if value != self._parity:
+            self._reads.clear()
+        self._parity = value
+
+    def ask(self, job: Job, now_s: float, *, urgent: bool) -> Question | float:
+        """Put the job's next step into a telegram.
+
+        Args:
+            job: What is to be done.
+            now_s: The time.
+            urgent: A stop: it goes out whatever may still come.
+
+        Returns:
+            The question, or the time before which it may not be said.
+        """
+        step = job.step
+        if step.kind is StepKind.READ:
+            return self._read(job, step, now_s, urgent)
+        if isinstance(job, MulticastJob):
+            return self._multicast(job, step)
+        free_at = self._doubts.blocked_until_s(ACK_FIELD, now_s)
+        if free_at > now_s and not urgent:
+            return free_at
+        return self._write(job.station, step)
+
+    def _read(self, job: Job, step: Step, now_s: float, urgent: bool) -> Question | float:
+        station = job.station
+        form, _, free_at = self._doubts.form_for(step.code, station.forms, now_s)
+        if form is not None:
+            return self._read_question(station, step.code, form)
+        if isinstance(job, ReadJob):
+            for code in job.instead:
+                form, _, _ = self._doubts.form_for(code, station.forms, now_s)
+                if form is not None:
+                    job.step = Step(StepKind.READ, code)
+                    return self._read_question(station, code, form)
+        return free_at
+
+    def _read_question(self, station: Station, code: Code, form: Form) -> Question:
+        key = (station, code, form)
+        question = self._reads.get(key)
+        if question is None:
+            if len(self._reads) >= MAX_CACHED:
+                self._reads.clear()
+            cost = read_cost(self._timing, station.family, code, form)
+            sent = self._on_the_wire(read_telegram(station.address, code, form))
+            question = self._question(sent, encode_code(code, form), cost, 0.0)
+            self._reads[key] = question
+        return question
+
+    def _write(self, station: Station, step: Step) -> Question:
+        assert step.value is not None
+        form = next(form for form in station.forms if step.code.knows(form))
+        cost = write_cost(self._timing, station.family, step.code, step.value, form)
+        telegram = write_telegram(station.address, step.code, step.value, form)
+        return self._question(self._on_the_wire(telegram), ACK_FIELD, cost, station.hold_s)
+
+    def _multicast(self, job: MulticastJob, step: Step) -> Question:
+        """The slowest member is left its processing time before anything else is said."""
+        assert step.value is not None
+        form = Form.STANDARD if step.code.knows(Form.STANDARD) else Form.EXTENDED
+        telegram = write_telegram(job.station.address, step.code, step.value, form)
+        char_s = self._timing.char_s
+        request_s = write_request_chars(form, len(step.value.raw)) * char_s
+        whole_s = request_s + self._timing.adapter_latency_s + job.processing_s
+        ask = Ask(
+            self._on_the_wire(telegram), b"", request_s, whole_s, whole_s, self.gap_s, char_s
+        )
+        return Question(ask, 0.0, job.station.hold_s, request_s)
+
+    def _question(self, sent: bytes, field: bytes, cost: Cost, hold_s: float) -> Question:
+        ask = Ask(
+            sent, field, cost.request_s, cost.first_byte_s, cost.whole_s, cost.gap_s,
+            self._timing.char_s,
+        )  # fmt: skip
+        return Question(ask, cost.worst_s - cost.whole_s, hold_s, cost.request_s)
+
+    def _on_the_wire(self, telegram: bytes) -> bytes:
+        return with_parity(telegram) if self._parity else telegram

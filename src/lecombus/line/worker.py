@@ -1,0 +1,417 @@
+"""The worker: it owns the port and runs one exchange at a time, for as long as the daemon lives.
+
+Theory of operation. One task goes round: is the line free (turnaround, quarantine), what does the
+schedule want said, say it, wait for the answer or its deadline, tell the schedule and the job,
+and only after the next telegram is out publish the result, so that bookkeeping runs while a drive
+thinks and costs the line nothing.
+
+* An exchange is one future that the receive path completes and one timer; a stall of the whole
+  machine past a deadline does not lose an answer that is already in the kernel, because bytes are
+  looked at before timers.
+* After an exchange without its answer the line is left alone until it has been silent for the
+  time in which the old answer could still come (quarantine); what comes then is counted and
+  thrown away, and the doubt about it lives on in `doubts`. Only a stop breaks a quarantine: it
+  begins with EOT, which silences a drive, and its acknowledgement is proven by reading back.
+* Cancelling a caller never reaches the wire: callers wait on futures, the worker runs in a shield
+  and ends only between two exchanges.
+* When the port is lost every waiting request is ended at once and nothing old is sent again.
+
+What must not live here: who goes first (schedule), what a result means (jobs), what is known
+about the drives (store). Source of the timing rules: EDB2102EN 8.3.5.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+from typing import Protocol
+
+import anyio
+
+from ..drives import LineTiming
+from ..errors import LineClosedError, LineLostError
+from ..protocol.exchange import Exchange, Result, ResultKind
+from ..schedule import Priority, Request, Schedule
+from .connection import Connection
+from .doubts import Doubts
+from .jobs import Job, Step
+from .port import PortOpener, PortSettings
+from .questions import Question, Questions
+from .strays import Strays
+
+__all__ = ["ExchangeReport", "LineWorker", "Observer", "WorkerOptions"]
+
+AFTER_OPEN_S = 0.05
+"""Silence kept after opening a port: what an adapter had buffered comes out and is dropped."""
+
+
+@dataclass(slots=True)
+class ExchangeReport:
+    """One exchange that ended, for whoever keeps the books.
+
+    Args:
+        drive: The drive's (for a multicast the group's) name.
+        step: What was said.
+        result: How it ended.
+        priority: The class it ran in.
+        waited_s: From the moment the schedule took the request to the telegram.
+        quarantined_s: How long the line is left alone because of it.
+    """
+
+    drive: str
+    step: Step
+    result: Result
+    priority: Priority
+    waited_s: float
+    quarantined_s: float
+
+
+class Observer(Protocol):
+    """Whoever wants to know what happens on the line; must return quickly and never raise."""
+
+    def exchange_ended(self, report: ExchangeReport) -> None:
+        """An exchange ended; called while the next drive is already thinking, if there is one."""
+
+    def line_changed(self, up: bool, reason: str) -> None:
+        """The port was opened (`up`) or lost."""
+
+    def thinking(self, for_s: float) -> None:
+        """A telegram went out; nothing can arrive for so many seconds."""
+
+    def stray_bytes(self, data: bytes, late_answer: bool) -> None:
+        """Bytes came outside an exchange; `late_answer`: they were an old answer, whole."""
+
+
+@dataclass(frozen=True, slots=True)
+class WorkerOptions:
+    """How one line is worked.
+
+    Args:
+        turnaround_s: Least pause between the end of an answer and the next telegram, seconds.
+        late_answer_s: How late an answer may still come after it was given up, seconds.
+        stall_s: Silence from all drives after which the port is reopened, seconds; 0: never.
+        echo: Whether the line echoes; None: find out.
+        quarantine: Keep silence after a failed exchange. False only to show what it is good for.
+    """
+
+    turnaround_s: float = 0.002
+    late_answer_s: float = 0.5
+    stall_s: float = 30.0
+    echo: bool | None = None
+    quarantine: bool = True
+
+
+class LineWorker:
+    """Runs the exchanges of one line; create it, then keep `run` running in a task group.
+
+    Args:
+        settings: The port to open.
+        opener: Opens it.
+        schedule: Says who speaks next.
+        timing: Baud rate and latencies for time-outs.
+        options: How the line is worked.
+        observer: Told what happens.
+    """
+
+    def __init__(
+        self,
+        settings: PortSettings,
+        opener: PortOpener,
+        schedule: Schedule,
+        timing: LineTiming,
+        options: WorkerOptions,
+        observer: Observer,
+    ) -> None:
+        self.schedule = schedule
+        self.options = options
+        self.exchanges = 0
+        self._observer = observer
+        self._doubts = Doubts(options.late_answer_s if options.quarantine else 0.0)
+        self._questions = Questions(timing, self._doubts)
+        self._strays = Strays(self._doubts)
+        self._connection = Connection(settings, opener, self)
+        self._exchange = Exchange(parity=True, echo=options.echo)
+        self._reports: list[ExchangeReport] = []
+        self._waiter: asyncio.Future[Result] | None = None
+        self._timer: asyncio.TimerHandle | None = None
+        self._nap: asyncio.Future[None] | None = None
+        self._free_at_s = 0.0
+        self._quiet_until_s = 0.0
+        self._stop_waiting = False
+        self._closing = False
+        self._heard_s = 0.0
+        self._stall_s = options.stall_s
+        self._answered_since_open = False
+
+    # ---- what others call -------------------------------------------------------------------
+
+    @property
+    def is_open(self) -> bool:
+        """Whether there is a port to speak on."""
+        return self._connection.port is not None
+
+    def describe_port(self) -> str:
+        """Name the port for people."""
+        return self._connection.describe()
+
+    def submit(self, request: Request) -> None:
+        """Take a request; its end comes through `request.settle`.
+
+        Raises:
+            LineClosedError: The worker is shutting down.
+            LineLostError: There is no port now; nothing is kept for later.
+            QueueFullError: Too many wait already.
+        """
+        if self._closing:
+            raise LineClosedError("the line is being closed: no more requests are taken")
+        if self._connection.port is None:
+            raise LineLostError(f"{self._connection.why_not()}: nothing was sent")
+        self.schedule.submit(request, asyncio.get_running_loop().time())
+        if request.priority is Priority.STOP:
+            self._stop_waiting = True
+        self.nudge()
+
+    def nudge(self) -> None:
+        """Look at the schedule again: something changed in it."""
+        if self._nap is not None and not self._nap.done():
+            self._nap.set_result(None)
+
+    def close(self) -> None:
+        """End after the exchange under way."""
+        self._closing = True
+        self.nudge()
+
+    async def run(self) -> None:
+        """Work the line until `close` is called or the task is cancelled."""
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(self._close_when_cancelled)
+            with anyio.CancelScope(shield=True):
+                try:
+                    await self._work()
+                finally:
+                    self._connection.drop()
+            tasks.cancel_scope.cancel()
+
+    # ---- what the port calls ----------------------------------------------------------------
+
+    def received(self, data: bytes) -> None:
+        """Take bytes from the port."""
+        now = asyncio.get_running_loop().time()
+        if self._waiter is not None:
+            result = self._exchange.feed(data, now)
+            if result is not None:
+                self._end_exchange(result)
+            return
+        late = self._strays.feed(data)
+        self._observer.stray_bytes(data, late)
+        gap = self._questions.gap_s
+        if late and not len(self._doubts):
+            self._quiet_until_s = min(self._quiet_until_s, now + gap)
+        self._quiet_until_s = max(self._quiet_until_s, now + gap)
+
+    def lost(self, exc: Exception | None) -> None:
+        """Take note that the port is gone."""
+        self._connection.note_loss(exc)
+        if self._waiter is not None:
+            self._end_exchange(self._exchange.lost(asyncio.get_running_loop().time()))
+        self.nudge()
+
+    # ---- the loop ---------------------------------------------------------------------------
+
+    async def _close_when_cancelled(self) -> None:
+        try:
+            await anyio.sleep_forever()
+        finally:
+            self.close()
+
+    async def _work(self) -> None:
+        while not self._closing:
+            if not await self._open():
+                continue
+            await self._serve()
+            self._publish()
+            if not self._closing:
+                self._line_lost()
+
+    async def _open(self) -> bool:
+        """Try to open the port once; on failure wait for the backoff."""
+        loop = asyncio.get_running_loop()
+        if not await self._connection.open():
+            self._observer.line_changed(False, self._connection.why_not())
+            await self._nap_until(loop.time() + self._connection.backoff_s())
+            return False
+        port = self._connection.port
+        assert port is not None
+        self._exchange = Exchange(parity=port.carries_parity, echo=self.options.echo)
+        self._strays.parity = self._questions.parity = port.carries_parity
+        now = loop.time()
+        self._heard_s = now
+        self._answered_since_open = False
+        self._quiet_until_s = now + AFTER_OPEN_S
+        self._observer.line_changed(True, port.describe())
+        return True
+
+    def _line_lost(self) -> None:
+        reason = self._connection.why_not()
+        self._connection.drop()
+        self._stop_waiting = False
+        self._observer.line_changed(False, reason)
+        self.schedule.fail_all(asyncio.get_running_loop().time(), f"{reason}: it was not sent")
+
+    async def _serve(self) -> None:
+        """Run exchanges until the port is lost or the worker is closed."""
+        loop = asyncio.get_running_loop()
+        while not self._closing and not self._connection.is_lost:
+            now = loop.time()
+            if now < self._free_at_s or now < self._quiet_until_s:
+                if await self._stay_quiet(now):
+                    continue
+                now = loop.time()
+            request = self.schedule.next(now)
+            if request is None:
+                self._publish()
+                self._stop_waiting = False
+                await self._nap_until(self.schedule.wake_at_s(now))
+                continue
+            if request.priority is not Priority.STOP:
+                self._stop_waiting = False
+            await self._say(request, now)
+
+    async def _stay_quiet(self, now: float) -> bool:
+        """Keep the turnaround, and the quarantine unless a stop waits; True: ask again."""
+        self._publish()
+        if now < self._free_at_s:
+            await self._nap_until(self._free_at_s, deaf=True)
+            return True
+        if self._stop_waiting:
+            return False
+        await self._nap_until(self._quiet_until_s)
+        return True
+
+    async def _say(self, request: Request, now: float) -> None:
+        """Run the next step of a request as one exchange."""
+        job: Job = request.work  # type: ignore[assignment]
+        question = self._questions.ask(job, now, urgent=request.priority is Priority.STOP)
+        if not isinstance(question, Question):
+            self.schedule.defer(request, question, now)
+            return
+        try:
+            waiter = self._begin(question, now)
+        except LineLostError as exc:
+            self._connection.note_loss(exc)
+            result = self._exchange.lost(now)
+        else:
+            self._publish()
+            self._observer.thinking(question.thinking_s)
+            result = await waiter
+        self._conclude(request, job, question, result)
+
+    def _begin(self, question: Question, now: float) -> asyncio.Future[Result]:
+        port = self._connection.port
+        assert port is not None
+        loop = asyncio.get_running_loop()
+        self._exchange.begin(question.ask, now)
+        port.write(question.ask.sent)
+        self._waiter = waiter = loop.create_future()
+        self._timer = loop.call_at(self._exchange.deadline_s(), self._on_deadline)
+        return waiter
+
+    def _on_deadline(self) -> None:
+        loop = asyncio.get_running_loop()
+        result = self._exchange.expire(loop.time())
+        if result is None:
+            self._timer = loop.call_at(self._exchange.deadline_s(), self._on_deadline)
+        else:
+            self._end_exchange(result)
+
+    def _end_exchange(self, result: Result) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        waiter, self._waiter = self._waiter, None
+        if waiter is not None:
+            waiter.set_result(result)
+
+    def _conclude(self, request: Request, job: Job, question: Question, result: Result) -> None:
+        """Tell schedule, doubts and job; the observer is told after the next telegram."""
+        ended = result.ended_s
+        answered = result.kind is ResultKind.ANSWERED
+        self.exchanges += 1
+        quarantined_s = self._after(question, result)
+        self._reports.append(
+            ExchangeReport(
+                request.drive, job.step, result, request.priority,
+                result.started_s - request.submitted_at_s, quarantined_s,
+            )
+        )  # fmt: skip
+        self.schedule.finished(request, result.started_s, ended + quarantined_s, answered)
+        if question.hold_s and (answered or not question.ask.field):
+            for drive in request.members or (request.drive,):
+                self.schedule.hold(drive, ended + question.hold_s, ended)
+        verdict = job.advance(result)
+        if verdict is None:
+            self.schedule.again(request, ended)
+            self._stop_waiting = self._stop_waiting or request.priority is Priority.STOP
+        else:
+            request.end(*verdict)
+
+    def _after(self, question: Question, result: Result) -> float:
+        """Set from when the line is free again; returns the quarantine in seconds."""
+        ended = result.ended_s
+        self._free_at_s = ended + self.options.turnaround_s
+        if result.kind is ResultKind.ANSWERED:
+            self._heard_s = ended
+            if not self._answered_since_open:
+                self._answered_since_open = True
+                self._stall_s = self.options.stall_s
+                self._connection.settled()
+            return 0.0
+        if result.kind is ResultKind.SENT:
+            return 0.0
+        if result.kind is ResultKind.GARBLED:
+            self._heard_s = ended
+        self._doubts.add(question.ask.field, ended)
+        self._watch_for_stall(ended)
+        if not self.options.quarantine or result.kind is ResultKind.LOST:
+            return 0.0
+        self._strays.begin()
+        self._quiet_until_s = ended + question.quarantine_s
+        return question.quarantine_s
+
+    def _watch_for_stall(self, now: float) -> None:
+        """Reopen a port over which nothing has come for long: some adapters stall silently."""
+        if not self._stall_s or now - self._heard_s < self._stall_s:
+            return
+        silent_s = now - self._heard_s
+        if not self._answered_since_open:
+            self._stall_s = min(self._stall_s * 2.0, 20.0 * self.options.stall_s)
+        self._connection.note_loss(
+            LineLostError(f"no byte from any drive for {silent_s:.0f} s: the port is reopened")
+        )
+
+    def _publish(self) -> None:
+        if not self._reports:
+            return
+        reports, self._reports = self._reports, []
+        for report in reports:
+            self._observer.exchange_ended(report)
+
+    async def _nap_until(self, at_s: float | None, *, deaf: bool = False) -> None:
+        """Sleep until `at_s` or, unless `deaf`, until nudged."""
+        loop = asyncio.get_running_loop()
+        nap: asyncio.Future[None] = loop.create_future()
+        timer = loop.call_at(at_s, _wake, nap) if at_s is not None else None
+        if not deaf:
+            self._nap = nap
+        try:
+            await nap
+        finally:
+            self._nap = None
+            if timer is not None:
+                timer.cancel()
+
+
+def _wake(nap: asyncio.Future[None]) -> None:
+    if not nap.done():
+        nap.set_result(None)
+
