@@ -1,0 +1,169 @@
+"""Samples read off at the moment of rendering: the store's values and the schedule's state.
+
+Strategy: nothing is copied into gauges while the line works. When a page is wanted, the store is
+asked drive by drive and the schedule once, and the lines are written straight. A value that is
+not good is left out, not repeated: a monitoring system must never take an old value for a fresh
+one, and an absent series is what its own staleness rules understand.
+
+What must not live here: counting on the hot path (that is `meters`), and when to render.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from decimal import Decimal
+
+from lecombus.drives import Family
+from lecombus.errors import OperationError
+from lecombus.metrics.meters import label_of
+from lecombus.metrics.text import Block, escape
+from lecombus.schedule.request import Priority
+from lecombus.store import DriveState, LineState, Quality, Reading, Store
+
+__all__ = ["DriveFigures", "Figures", "LineFigures"]
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """What the schedule and the keeper say about themselves at this moment.
+
+    Args:
+        queue_depth: Requests waiting, by class.
+        stretch: How far the cyclic cadence is stretched, 1 or more.
+        lateness_s: How late the latest cyclic read is, seconds.
+        watchdog_margin_s: By drive, time left until its watchdog would fire, seconds.
+        watchdog_misses: By drive, how often a feed came too late.
+    """
+
+    queue_depth: Mapping[Priority, int] = field(default_factory=dict)
+    stretch: float = 1.0
+    lateness_s: float = 0.0
+    watchdog_margin_s: Mapping[str, float] = field(default_factory=dict)
+    watchdog_misses: Mapping[str, int] = field(default_factory=dict)
+
+
+class LineFigures:
+    """The samples that stand for the line as a whole.
+
+    Args:
+        line: The line's name.
+    """
+
+    def __init__(self, line: str) -> None:
+        self._line = f'line="{escape(line)}"'
+        self._up = gauge("line_up", "1 while the port is open.")
+        self._depth = gauge("queue_depth", "Requests waiting, by class.")
+        self._stretch = gauge(
+            "cyclic_stretch_ratio", "1 when every cyclic read keeps its period, 2 at half the rate."
+        )
+        self._late = gauge("cyclic_lateness_seconds", "How late the latest cyclic read is.")
+        self._margin = gauge(
+            "watchdog_margin_seconds", "Time left until the drive's watchdog would fire."
+        )
+        self._misses = Block(
+            "lecombus_watchdog_misses", "counter", "Feeds that came later than the watchdog time."
+        )
+
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        """The families, in the order of the page."""
+        return (self._up, self._depth, self._stretch, self._late, self._margin, self._misses)
+
+    def render(self, store: Store, figures: Figures) -> None:
+        """Write the lines of every family."""
+        line = self._line
+        up = store.line().state is LineState.OPEN
+        self._up.lines.append(f"{self._up.name}{{{line}}} {int(up)}")
+        self._stretch.lines.append(f"{self._stretch.name}{{{line}}} {figures.stretch!r}")
+        self._late.lines.append(f"{self._late.name}{{{line}}} {figures.lateness_s!r}")
+        for priority in Priority:
+            depth = figures.queue_depth.get(priority, 0)
+            label = f'{line},priority="{label_of(priority)}"'
+            self._depth.lines.append(f"{self._depth.name}{{{label}}} {depth}")
+        for drive, margin_s in figures.watchdog_margin_s.items():
+            label = f'{line},drive="{escape(drive)}"'
+            self._margin.lines.append(f"{self._margin.name}{{{label}}} {margin_s!r}")
+        for drive, misses in figures.watchdog_misses.items():
+            label = f'{line},drive="{escape(drive)}"'
+            self._misses.lines.append(f"{self._misses.name}_total{{{label}}} {misses}")
+
+
+class DriveFigures:
+    """The samples that are written drive by drive.
+
+    Args:
+        line: The line's name.
+    """
+
+    def __init__(self, line: str) -> None:
+        self._line = f'line="{escape(line)}"'
+        self._up = gauge("drive_up", "1 while the drive answers (online or degraded).")
+        self._value = gauge(
+            "drive_value",
+            "Cyclic values as last read; a value that is stale or bad is left out.",
+        )
+        self._not_good = gauge(
+            "drive_values_not_good", "Cyclic codes whose value is stale or bad and so left out."
+        )
+        self._bit = gauge(
+            "drive_status_bit", "Bits of the status words the manual names; 1 when set."
+        )
+        self._fault = gauge("drive_fault", "1 while a status word of the drive reports a fault.")
+
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        """The families, in the order of the page."""
+        return (self._up, self._value, self._not_good, self._bit, self._fault)
+
+    def render(self, store: Store, drive: str) -> None:
+        """Write the lines of one drive; one that left the roster meanwhile has none."""
+        try:
+            info = store.drive(drive)
+            family = store.family(drive)
+            readings = store.readings(drive, cyclic_only=True)
+        except OperationError:
+            return
+        label = f'{self._line},drive="{escape(drive)}"'
+        up = store.line().state is LineState.OPEN and info.state in (
+            DriveState.ONLINE,
+            DriveState.DEGRADED,
+        )
+        good = [one for one in readings if one.quality is Quality.GOOD]
+        self._up.lines.append(f"{self._up.name}{{{label}}} {int(up)}")
+        self._not_good.lines.append(f"{self._not_good.name}{{{label}}} {len(readings) - len(good)}")
+        faults: list[bool] = []
+        for reading in good:
+            self._value_line(label, reading)
+            self._word_lines(label, reading, family, faults)
+        if faults:
+            self._fault.lines.append(f"{self._fault.name}{{{label}}} {int(any(faults))}")
+
+    def _value_line(self, label: str, reading: Reading) -> None:
+        assert reading.value is not None
+        number = reading.value.number
+        if isinstance(number, (str, bytes)):
+            return
+        text = format(number, "f") if isinstance(number, Decimal) else str(number)
+        code = f'code="C{reading.code.number:04d}",subcode="{reading.code.subcode}"'
+        named = f'name="{escape(reading.name)}",unit="{escape(reading.unit or "")}"'
+        self._value.lines.append(f"{self._value.name}{{{label},{code},{named}}} {text}")
+
+    def _word_lines(self, label: str, reading: Reading, family: Family, faults: list[bool]) -> None:
+        assert reading.value is not None
+        word = reading.value.number
+        if not isinstance(word, int):
+            return
+        start = f'{self._bit.name}{{{label},code="{reading.code}",bit="'
+        self._bit.lines.extend(
+            f'{start}{escape(name)}"}} {int(on)}'
+            for name, on in family.status_bits(reading.code, word).items()
+        )
+        fault = family.active_fault(reading.code, word)
+        if fault is not None:
+            faults.append(fault)
+
+
+def gauge(name: str, text: str) -> Block:
+    """Return an empty family of gauges."""
+    return Block(f"lecombus_{name}", "gauge", text)

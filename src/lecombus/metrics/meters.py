@@ -1,0 +1,212 @@
+"""What is counted while the line works: the instruments behind every exchange.
+
+Strategy: each instrument is a prometheus_client object in no registry, and every child it can
+ever have is made when the roster is known and kept in a dictionary; so the path behind an
+exchange calls `inc` and `observe` and nothing else, series begin at 0, and their number is
+bounded by the roster. Per-drive counters are one object per drive, so that rendering them can be
+cut between drives.
+
+What must not live here: rendering, the store, anything that waits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+from prometheus_client import Counter, Histogram
+from prometheus_client.metrics import MetricWrapperBase
+
+from lecombus.schedule.request import Outcome, Priority
+
+__all__ = [
+    "EXCHANGE_BUCKETS_S",
+    "TELEGRAM_KINDS",
+    "TELEGRAM_OUTCOMES",
+    "WAIT_BUCKETS_S",
+    "Meters",
+    "label_of",
+]
+
+EXCHANGE_BUCKETS_S: Final = (
+    *(0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.075),
+    *(0.1, 0.15, 0.2, 0.3, 0.5, 1.0, 2.0),
+)
+"""Dense where reads lie at 9600 and 19200 baud (15 to 75 ms), up to a time-out at 1200 baud."""
+
+WAIT_BUCKETS_S: Final = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0)
+
+TELEGRAM_KINDS: Final = ("read", "write")
+TELEGRAM_OUTCOMES: Final = (
+    *("answered", "refused", "no_reply", "garbled", "unexpected", "echo", "line_lost"),
+)
+"""How an exchange with one drive can end on the wire."""
+
+MULTICAST_OUTCOMES: Final = ("sent", "echo", "line_lost")
+
+
+def label_of(priority: Priority) -> str:
+    """Return a class as it stands in a label."""
+    return priority.name.lower()
+
+
+class Meters:
+    """The instruments of one line.
+
+    Args:
+        line: The line's name: the label `line` of every series.
+    """
+
+    def __init__(self, line: str) -> None:
+        self.line = line
+        self._drives: dict[str, tuple[Counter, dict[tuple[str, str], Counter]]] = {}
+        self._exchange, took = self._histograms(
+            "lecombus_exchange_seconds",
+            "From the first byte of a telegram to the end of its answer, or to giving up.",
+            "kind",
+            (*TELEGRAM_KINDS, "multicast"),
+            EXCHANGE_BUCKETS_S,
+        )
+        self._wait, waited = self._histograms(
+            "lecombus_queue_wait_seconds",
+            "How long a request waited before its telegram went out.",
+            "priority",
+            tuple(label_of(one) for one in Priority),
+            WAIT_BUCKETS_S,
+        )
+        self._took = took
+        self._waited = {one: waited[label_of(one)] for one in Priority}
+        self._requests = Counter(
+            "lecombus_requests_total",
+            "Requests by class and how they ended; each ends exactly once.",
+            ("line", "priority", "outcome"),
+            registry=None,
+        )
+        self._ended = {
+            (priority, outcome): self._requests.labels(line, label_of(priority), outcome.value)
+            for priority in Priority
+            for outcome in Outcome
+        }
+        self._plain: list[MetricWrapperBase] = []
+        self._make_plain()
+
+    def _make_plain(self) -> None:
+        """Make the counters that have no label but the line."""
+        self._busy = self._counter(
+            "line_busy_seconds", "Time the line was taken by telegrams, answers and quarantine."
+        )
+        self._opens = self._counter("line_opens", "How often the port was opened.")
+        self.late_answers = self._counter(
+            "late_answers", "Whole answers that came after they were given up; none was used."
+        )
+        self.stray_bytes = self._counter(
+            "stray_bytes", "Bytes that came outside an exchange and were thrown away."
+        )
+        self.echo_mismatches = self._counter(
+            "echo_mismatches", "Echoes that differed from what was sent: collisions, bad wiring."
+        )
+        self.queue_refusals = self._counter(
+            "queue_refusals", "Requests refused because their queue was full."
+        )
+
+    # -- the hot path ---------------------------------------------------------------------------
+
+    def exchange(
+        self,
+        drive: str,
+        kind: str,
+        outcome: str,
+        *,
+        took_s: float,
+        busy_s: float,
+        priority: Priority,
+        waited_s: float,
+    ) -> None:
+        """Count one exchange.
+
+        Args:
+            drive: The drive's name; for a multicast the group's.
+            kind: One of `TELEGRAM_KINDS`, or `multicast`.
+            outcome: One of `TELEGRAM_OUTCOMES`; `sent` for a multicast.
+            took_s: From the first byte to the end of the answer or to giving up, seconds.
+            busy_s: The same with the quarantine after it, seconds.
+            priority: The class of its request.
+            waited_s: How long the request had waited, seconds.
+        """
+        self._drives[drive][1][kind, outcome].inc()
+        self._took[kind].observe(took_s)
+        self._waited[priority].observe(waited_s)
+        self._busy.inc(busy_s)
+        if outcome == "echo":
+            self.echo_mismatches.inc()
+
+    def request_ended(self, priority: Priority, outcome: Outcome) -> None:
+        """Count the end of one request."""
+        self._ended[priority, outcome].inc()
+
+    def port_opened(self) -> None:
+        """Count one opening of the port."""
+        self._opens.inc()
+
+    # -- the roster -----------------------------------------------------------------------------
+
+    def add_drive(self, name: str) -> None:
+        """Make the counters of a drive; one that is known keeps counting."""
+        self._add(name, TELEGRAM_KINDS, TELEGRAM_OUTCOMES)
+
+    def add_group(self, name: str) -> None:
+        """Make the counters of a group that is spoken to by multicast."""
+        self._add(name, ("multicast",), MULTICAST_OUTCOMES)
+
+    def remove(self, name: str) -> None:
+        """Drop the counters of a drive or group that left the roster."""
+        self._drives.pop(name, None)
+
+    def names(self) -> tuple[str, ...]:
+        """Return the drives and groups counted."""
+        return tuple(self._drives)
+
+    # -- for the page ---------------------------------------------------------------------------
+
+    def telegrams(self, name: str) -> MetricWrapperBase | None:
+        """Return the telegram counters of one drive or group."""
+        found = self._drives.get(name)
+        return None if found is None else found[0]
+
+    def of_the_line(self) -> Iterator[MetricWrapperBase]:
+        """Yield the instruments that are not per drive."""
+        yield self._exchange
+        yield self._wait
+        yield self._requests
+        yield from self._plain
+
+    # -- inside ---------------------------------------------------------------------------------
+
+    def _add(self, name: str, kinds: tuple[str, ...], outcomes: tuple[str, ...]) -> None:
+        children = self._drives[name][1] if name in self._drives else {}
+        counter = self._drives[name][0] if name in self._drives else telegram_counter()
+        for kind in kinds:
+            for outcome in outcomes:
+                children[kind, outcome] = counter.labels(self.line, name, kind, outcome)
+        self._drives[name] = (counter, children)
+
+    def _counter(self, name: str, text: str) -> Counter:
+        parent = Counter(f"lecombus_{name}_total", text, ("line",), registry=None)
+        self._plain.append(parent)
+        return parent.labels(self.line)
+
+    def _histograms(
+        self, name: str, text: str, label: str, values: tuple[str, ...], buckets: tuple[float, ...]
+    ) -> tuple[Histogram, dict[str, Histogram]]:
+        parent = Histogram(name, text, ("line", label), registry=None, buckets=buckets)
+        return parent, {value: parent.labels(self.line, value) for value in values}
+
+
+def telegram_counter() -> Counter:
+    """Return the telegram counter of one drive or group."""
+    return Counter(
+        "lecombus_telegrams_total",
+        "Telegrams sent, by drive (a multicast: by group), kind and how the exchange ended.",
+        ("line", "drive", "kind", "outcome"),
+        registry=None,
+    )

@@ -1,0 +1,186 @@
+"""The `/metrics` page: when it is rendered, and in which small pieces.
+
+Strategy: a page of a full line takes milliseconds to render, longer than a telegram may be held
+up. So it is rendered in pieces (one drive, one instrument), each far below a millisecond, at
+most about once a second however many scrape, and preferably while a drive is thinking: a scrape
+only says that it wants a page, and whoever runs the line calls `window` after each telegram. When
+no window comes within `WINDOW_WAIT_S` (an idle or lost line), the scrape renders the pieces
+itself and lets everybody else run between them. A scrape never touches the line.
+
+What must not live here: HTTP, what is counted, how a line is written.
+"""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable, Iterator
+from typing import Final
+
+import anyio
+import anyio.lowlevel
+from prometheus_client import ProcessCollector
+from prometheus_client.metrics import MetricWrapperBase
+
+from lecombus.metrics.figures import DriveFigures, Figures, LineFigures
+from lecombus.metrics.meters import Meters
+from lecombus.metrics.text import Block, escape, join_blocks, sample_lines
+from lecombus.store import Store
+
+__all__ = ["PAGE_KEEPS_S", "PIECE_BUDGET_S", "WINDOW_WAIT_S", "Metrics"]
+
+PAGE_KEEPS_S: Final = 0.9
+"""A page is served again for this long: a scrape each second always gets a new one."""
+
+PIECE_BUDGET_S: Final = 0.0003
+"""When a scrape renders itself, it lets others run after this; a piece may end a little later."""
+
+WINDOW_WAIT_S: Final = 0.05
+"""How long a scrape waits for a thinking drive: about one exchange at 9600 baud."""
+
+WINDOW_MOST_S: Final = 0.003
+"""Used of one window at most, so that a drive that answers early is not kept waiting long."""
+
+
+class Metrics:
+    """Instruments and page of one line.
+
+    Args:
+        line: The line's name.
+        store: Where values and states come from.
+        version: lecombus' version, for `build_info`.
+        clock: A monotonic clock, seconds.
+        figures: Asked once per page for what schedule and keeper say about themselves.
+    """
+
+    def __init__(
+        self,
+        line: str,
+        store: Store,
+        *,
+        version: str,
+        clock: Callable[[], float],
+        figures: Callable[[], Figures] = Figures,
+    ) -> None:
+        self.meters = Meters(line)
+        self.figures = figures
+        self.wanted = False
+        self._line = line
+        self._store = store
+        self._version = version
+        self._clock = clock
+        self._process = ProcessCollector(registry=None)
+        self._work: Iterator[None] | None = None
+        self._blocks: tuple[Block, ...] = ()
+        self._pages: dict[bool, bytes] = {}
+        self._asked_s: float | None = None
+        self._rendered = anyio.Event()
+
+    # -- for whoever runs the line ----------------------------------------------------------------
+
+    def window(self, for_s: float) -> None:
+        """Use a moment in which nothing can arrive; costs nothing when no page is wanted.
+
+        Args:
+            for_s: How long nothing can arrive, seconds. At most half of it is used.
+        """
+        if self.wanted:
+            self.render_step(min(for_s / 2, WINDOW_MOST_S))
+
+    def render_step(self, budget_s: float) -> bool:
+        """Render at least one piece of the wanted page.
+
+        Args:
+            budget_s: No further piece is begun after this, seconds.
+
+        Returns:
+            True when the page is complete (or none is wanted).
+        """
+        if not self.wanted:
+            return True
+        stop_s = self._clock() + budget_s
+        if self._work is None:
+            self._work = self._pieces()
+        for _ in self._work:
+            if self._clock() >= stop_s:
+                return False
+        self._work = None
+        self.wanted = False
+        self._rendered.set()
+        return True
+
+    # -- for whoever serves the page --------------------------------------------------------------
+
+    def ask(self) -> bool:
+        """Ask for a page; return True when there is one that is new enough."""
+        now_s = self._clock()
+        if self.wanted:
+            return False
+        if self._asked_s is not None and now_s - self._asked_s < PAGE_KEEPS_S:
+            return True
+        self._asked_s = now_s
+        self.wanted = True
+        self._rendered = anyio.Event()
+        return False
+
+    async def fresh_page(self, *, openmetrics: bool) -> bytes:
+        """Return a page no older than about a second, without holding anybody up."""
+        if not self.ask():
+            with anyio.move_on_after(WINDOW_WAIT_S):
+                await self._rendered.wait()
+            while not self.render_step(PIECE_BUDGET_S):
+                await anyio.lowlevel.checkpoint()
+        return self.page(openmetrics=openmetrics)
+
+    def page(self, *, openmetrics: bool) -> bytes:
+        """Return the last page rendered; empty before the first."""
+        if openmetrics not in self._pages:
+            self._pages[openmetrics] = join_blocks(self._blocks, openmetrics=openmetrics)
+        return self._pages[openmetrics]
+
+    # -- inside -----------------------------------------------------------------------------------
+
+    def _pieces(self) -> Iterator[None]:
+        """Render a page; everything between two `yield` runs without a break."""
+        line, drives = LineFigures(self._line), DriveFigures(self._line)
+        line.render(self._store, self.figures())
+        yield
+        for name in self._store.names():
+            drives.render(self._store, name)
+            yield
+        blocks = [self._build_info(), *line.blocks, *drives.blocks]
+        telegrams: Block | None = None
+        for name in self.meters.names():
+            telegrams = add_samples(telegrams, self.meters.telegrams(name))
+            yield
+        if telegrams is not None:
+            blocks.append(telegrams)
+        for instrument in self.meters.of_the_line():
+            block = add_samples(None, instrument)
+            assert block is not None
+            blocks.append(block)
+            yield
+        for metric in self._process.collect():
+            kind = str(metric.type)
+            blocks.append(Block(metric.name, kind, metric.documentation, sample_lines(metric)))
+        yield
+        self._blocks = tuple(blocks)
+        self._pages = {}
+
+    def _build_info(self) -> Block:
+        labels = (
+            f'line="{escape(self._line)}",version="{escape(self._version)}",'
+            f'python="{platform.python_version()}"'
+        )
+        name = "lecombus_build_info"
+        return Block(name, "gauge", "1; what is running.", [f"{name}{{{labels}}} 1"])
+
+
+def add_samples(block: Block | None, instrument: MetricWrapperBase | None) -> Block | None:
+    """Add what an instrument collects to a family, which is made when there is none yet."""
+    if instrument is None:
+        return block
+    for metric in instrument.collect():
+        if block is None:
+            block = Block(metric.name, str(metric.type), metric.documentation)
+        block.lines.extend(sample_lines(metric))
+    return block
