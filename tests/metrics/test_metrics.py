@@ -246,7 +246,8 @@ def full_hall() -> Hall:
 def test_both_formats_say_the_same_to_prometheus_own_parsers() -> None:
     hall = full_hall()
     text = families(parse_text(hall.render()))  # type: ignore[no-untyped-call]
-    openmetrics = families(parse_openmetrics(hall.metrics.page(openmetrics=True).decode())  # type: ignore[no-untyped-call])
+    page = hall.metrics.page(openmetrics=True).decode()
+    openmetrics = families(parse_openmetrics(page))  # type: ignore[no-untyped-call]
     assert text == openmetrics
     assert {"lecombus_telegrams", "lecombus_drive_value", "process_cpu_seconds"} <= set(text)
 
