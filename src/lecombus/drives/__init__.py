@@ -1,0 +1,56 @@
+"""What lecombus knows of drives: families from data files, and what follows from them.
+
+Read `family` for the models, `families/*.yaml` for what is known and from which manual, `loading`
+for how the one becomes the other. `words` takes status words apart, `stops` says how a drive is
+stopped and what shows it, `encoding` makes the value that is written, `costs` says how long an
+exchange takes and how long to wait for it.
+
+Pure: no input or output but the packaged data files, no clock, nothing of the line or the store.
+"""
+
+from __future__ import annotations
+
+from .costs import Cost, LineTiming, multicast_cost, read_cost, write_cost
+from .encoding import encode_for
+from .family import AnswerTime, CodeInfo, Family, PlainWhen, WatchdogTraits, WriteClass
+from .loading import FAMILY_NAMES, family, load_family
+from .stops import (
+    StopAction,
+    StopProof,
+    StopRule,
+    confirm_codes,
+    knows_stop,
+    needs_control_word,
+    stop_confirmed,
+    stop_value,
+)
+from .words import FieldReading, WordField, WordInfo
+
+__all__ = [
+    "FAMILY_NAMES",
+    "AnswerTime",
+    "CodeInfo",
+    "Cost",
+    "Family",
+    "FieldReading",
+    "LineTiming",
+    "PlainWhen",
+    "StopAction",
+    "StopProof",
+    "StopRule",
+    "WatchdogTraits",
+    "WordField",
+    "WordInfo",
+    "WriteClass",
+    "confirm_codes",
+    "encode_for",
+    "family",
+    "knows_stop",
+    "load_family",
+    "multicast_cost",
+    "needs_control_word",
+    "read_cost",
+    "stop_confirmed",
+    "stop_value",
+    "write_cost",
+]

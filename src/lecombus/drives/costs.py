@@ -1,0 +1,237 @@
+"""What an exchange costs on the line, and until when its answer may come.
+
+Strategy: wire time follows from baud rate, addressing and value length, thinking time (t3) from
+family and code. The expected cost is both as they usually are; deadlines are made from the
+longest thinking time, twice, as the manual asks ("approx. twice as long as the maximum response
+time"), plus what the adapter and a busy computer add. No constant stands for any of it.
+
+The answer's length is known for a described code only as its usual length, and not at all for an
+undescribed one. So the whole answer gets the longest its format allows, and once more the usual
+one on top: where the length is fixed (C0150) that is twice its wire time.
+
+All of it is asked for on every exchange, so results are kept by timing, family, code and form.
+Waiting before a telegram (turnaround) belongs to whoever sends it; it is no part of a cost.
+
+Source: EDB2102EN 3.5, 8.3.5.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+from lecombus.protocol.addressing import Code, Form
+from lecombus.protocol.timing import (
+    ACK_CHARS,
+    answer_chars,
+    char_time_s,
+    read_request_chars,
+    write_request_chars,
+)
+from lecombus.protocol.values import HIGHEST_VALUE_CHARS, Format, Value
+
+from .family import CodeInfo, Family
+
+__all__ = ["Cost", "LineTiming", "multicast_cost", "read_cost", "write_cost"]
+
+LATENESS_S: Final = 0.020
+"""How late this computer may be: timers up to 4 ms when idle, 20 ms and more on a full box."""
+
+ANSWER_FACTOR: Final = 2
+"""The time-out is about twice the longest response time. Source: EDB2102EN 8.3.5."""
+
+GAP_CHARS: Final = 4
+"""Characters' worth of silence inside an answer that a drive is granted."""
+
+USUAL_UNKNOWN_CHARS: Final = 9
+"""Value length taken where no description tells: that of the manual's tables (EDB2102EN 3.5)."""
+
+LONGEST_CHARS: Final = {Format.VD: 12, Format.VH: 9}
+"""Longest value by format: `-214748.3648`, `H` and 8 digits; the others may have 240 characters."""
+
+CACHE: Final = 8192
+
+
+@dataclass(frozen=True, slots=True)
+class LineTiming:
+    """How fast a line is and what stands between it and us.
+
+    Args:
+        baud: 1200, 2400, 4800, 9600 or 19200 bit/s.
+        turnaround_s: Least pause between an answer's end and the next telegram, seconds; kept by
+            the sender, no part of a cost.
+        adapter_latency_s: What the adapter or device server may add, seconds: about 0.016 for a
+            USB adapter, 0.050 over TCP, 0.005 for the built-in simulator.
+        quarantine_s: How long the line must be silent after an answer that did not come or was
+            garbled, seconds.
+        paced: False where bytes take no time (a simulator without a baud rate).
+    """
+
+    baud: int
+    turnaround_s: float = 0.002
+    adapter_latency_s: float = 0.016
+    quarantine_s: float = 0.5
+    paced: bool = True
+
+    @property
+    def char_s(self) -> float:
+        """Time of one character of ten bits, seconds."""
+        return char_time_s(self.baud) if self.paced else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """The times of one exchange, in seconds; deadlines count from handing over the request.
+
+    Args:
+        expected_s: Request, thinking and answer, as they usually are.
+        first_byte_s: When the answer's first byte must have come.
+        whole_s: When the whole answer must have come.
+        gap_s: The longest silence inside an answer.
+        worst_s: How long one attempt can hold the line, quarantine included.
+        request_s: The request's time on the wire.
+    """
+
+    expected_s: float
+    first_byte_s: float
+    whole_s: float
+    gap_s: float
+    worst_s: float
+    request_s: float
+
+
+def read_cost(
+    timing: LineTiming,
+    family: Family,
+    code: Code,
+    form: Form,
+    answer_time_s: float | None = None,
+) -> Cost:
+    """Cost a read.
+
+    Args:
+        timing: The line.
+        family: The drive's family.
+        code: The code read.
+        form: The addressing form used.
+        answer_time_s: The roster's word on how long this drive thinks, seconds; None leaves it to
+            the family.
+    """
+    return _read_cost(timing, family, code, form, answer_time_s)
+
+
+def write_cost(
+    timing: LineTiming,
+    family: Family,
+    code: Code,
+    value: Value,
+    form: Form,
+    answer_time_s: float | None = None,
+) -> Cost:
+    """Cost a write with its acknowledgement; arguments as for `read_cost`."""
+    return _write_cost(timing, family, code, len(value.raw), form, answer_time_s)
+
+
+def multicast_cost(
+    timing: LineTiming,
+    families: Sequence[Family],
+    code: Code,
+    value: Value,
+    form: Form,
+    answer_time_s: float | None = None,
+) -> Cost:
+    """Cost a write to a group: nobody answers, and the slowest member is left its time.
+
+    The longest thinking time counts, not the usual one: a telegram to a member that is still
+    busy would interrupt what it is doing (communication error 7).
+
+    Args:
+        timing: The line.
+        families: The members' families, at least one.
+        code: The code written.
+        value: The value written.
+        form: The addressing form used.
+        answer_time_s: The longest of the roster's own answer times, seconds, if there are any.
+
+    Returns:
+        A cost whose times are all the same: how long the line is busy and then left alone.
+    """
+    request_s = write_request_chars(form, len(value.raw)) * timing.char_s
+    slowest_s = max(family.longest_answer_time_s(code, write=True) for family in families)
+    whole_s = request_s + max(slowest_s, answer_time_s or 0.0)
+    return Cost(
+        expected_s=whole_s,
+        first_byte_s=whole_s,
+        whole_s=whole_s,
+        gap_s=0.0,
+        worst_s=whole_s,
+        request_s=request_s,
+    )
+
+
+@lru_cache(maxsize=CACHE)
+def _read_cost(
+    timing: LineTiming, family: Family, code: Code, form: Form, answer_time_s: float | None
+) -> Cost:
+    usual, longest = _value_chars(family.info(code))
+    return _cost(
+        timing,
+        request_chars=read_request_chars(form),
+        answer=(answer_chars(form, usual), answer_chars(form, longest)),
+        think=_think(family, code, answer_time_s, write=False),
+    )
+
+
+@lru_cache(maxsize=CACHE)
+def _write_cost(
+    timing: LineTiming,
+    family: Family,
+    code: Code,
+    value_chars: int,
+    form: Form,
+    answer_time_s: float | None,
+) -> Cost:
+    return _cost(
+        timing,
+        request_chars=write_request_chars(form, value_chars),
+        answer=(ACK_CHARS, ACK_CHARS),
+        think=_think(family, code, answer_time_s, write=True),
+    )
+
+
+def _cost(
+    timing: LineTiming, *, request_chars: int, answer: tuple[int, int], think: tuple[float, float]
+) -> Cost:
+    """Put a cost together from (usual, longest) answer lengths and thinking times."""
+    char_s = timing.char_s
+    request_s = request_chars * char_s
+    late_s = timing.adapter_latency_s + LATENESS_S
+    first_byte_s = request_s + ANSWER_FACTOR * think[1] + late_s
+    whole_s = first_byte_s + (answer[0] + answer[1]) * char_s
+    return Cost(
+        expected_s=request_s + think[0] + answer[0] * char_s,
+        first_byte_s=first_byte_s,
+        whole_s=whole_s,
+        gap_s=GAP_CHARS * char_s + late_s,
+        worst_s=whole_s + timing.quarantine_s,
+        request_s=request_s,
+    )
+
+
+def _think(
+    family: Family, code: Code, answer_time_s: float | None, *, write: bool
+) -> tuple[float, float]:
+    if answer_time_s is not None:
+        return answer_time_s, answer_time_s
+    return family.answer_time_s(code, write=write), family.longest_answer_time_s(code, write=write)
+
+
+def _value_chars(info: CodeInfo | None) -> tuple[int, int]:
+    """Give the usual and the longest length of a code's value."""
+    if info is None:
+        return USUAL_UNKNOWN_CHARS, HIGHEST_VALUE_CHARS
+    if info.hex_digits is not None:
+        return info.chars, info.chars
+    return info.chars, LONGEST_CHARS.get(info.format, HIGHEST_VALUE_CHARS)

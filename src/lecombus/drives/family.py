@@ -1,0 +1,222 @@
+"""What lecombus knows of a family of drives, as the rest of the program sees it.
+
+Here live the frozen models: a code with its format and write class, answer times, watchdog
+traits, and the `Family` that holds them with the questions asked of it on the hot path. They are
+built by `loading` from the data files in `families/`; nobody else makes one outside tests.
+
+Strategy: everything is resolved when the file is loaded, so a question is a dictionary access.
+A code without a description is not an error: any code may be read, its write is never repeated
+blindly, and its format follows from the value given.
+
+What must not live here: reading files, telegram times (`costs`), or anything with a clock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+from lecombus.protocol.addressing import Code, Form
+from lecombus.protocol.values import Format, Value
+
+from .stops import StopAction, StopRule
+from .words import FieldReading, WordInfo
+
+__all__ = ["AnswerTime", "CodeInfo", "Family", "PlainWhen", "WatchdogTraits", "WriteClass"]
+
+CONTROLLER_STATUS = "controller_status"
+
+
+class WriteClass(StrEnum):
+    """What repeating a write could do; only PLAIN may be repeated after a failed read-back."""
+
+    PLAIN = "plain"
+    """The value simply is what it is: writing it again changes nothing."""
+    EDGE = "edge"
+    """Acts on the change, such as a TRIP reset."""
+    STEP = "step"
+    """Each write moves something further, such as UP and DOWN."""
+    SAVE = "save"
+    """Stores parameters: wears memory and takes time."""
+    ADDRESS = "address"
+    """Changes the address or the baud rate: the drive then answers elsewhere."""
+    RESET = "reset"
+    """Restarts drive or module and is not acknowledged."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlainWhen:
+    """Values of a delicate code that may be repeated: those with `number & mask == equals`."""
+
+    mask: int
+    equals: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CodeInfo:
+    """One described code.
+
+    Args:
+        code: Its number and subcode.
+        name: Its name, in lower case, as in the manual.
+        unit: Its unit; None for numbers without one.
+        format: Its format on the wire.
+        hex_digits: 2, 4 or 8 for VH; None otherwise.
+        chars: The usual length of its value on the wire, format letter included.
+        write_class: What repeating a write could do.
+        plain_when: Values for which the write is PLAIN all the same.
+        writable: The drive accepts writes at all.
+        motion: Writing it can move the drive: a stop cancels such a write while it waits.
+        source: Manual and section.
+    """
+
+    code: Code
+    name: str
+    unit: str | None
+    format: Format
+    hex_digits: int | None
+    chars: int
+    write_class: WriteClass
+    plain_when: PlainWhen | None
+    writable: bool
+    motion: bool
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class AnswerTime:
+    """How long a drive thinks (t3) about one code.
+
+    Args:
+        read_s: Usual time of a read, seconds.
+        write_s: Usual time of a write, seconds.
+        slow_read_s: Longest time of a read, seconds.
+        slow_write_s: Longest time of a write, seconds.
+        slow_c0001: The value of C0001 at which the longest time is the usual one.
+        source: Manual and section.
+    """
+
+    read_s: float
+    write_s: float
+    slow_read_s: float
+    slow_write_s: float
+    slow_c0001: int | None
+    source: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WatchdogTraits:
+    """How a family's watchdog is set. The time is written in milliseconds.
+
+    Args:
+        time_code: The monitoring time.
+        action_code: What happens when it runs out.
+        actions: The roster's word for each action, with the value written.
+        low_s: Shortest time that can be set, seconds.
+        high_s: Longest time that can be set, seconds.
+        volatile: The setting is gone after a power cycle.
+        source: Manual and section.
+    """
+
+    time_code: Code
+    action_code: Code
+    actions: Mapping[str, int]
+    low_s: float
+    high_s: float
+    volatile: bool
+    source: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Family:
+    """A family of drives: equal only to itself, so that it is a cheap key.
+
+    Args:
+        name: The roster's word for it.
+        title: Its name for people.
+        forms: The addressing forms it knows, the cheaper first.
+        codes: Its described codes.
+        status: The default cyclic reads: code and period in seconds.
+        writable: The codes a roster allows to write unless it says otherwise.
+        watchdog: How its watchdog is set; None where none is known.
+        feed_code: The cheapest useful read: feeds a watchdog, probes an absent drive.
+        hold_after_write_s: How long the module is left alone after a write while its shortened
+            response (C1921 = 1) is on, seconds.
+        identity: Codes that tell what is at the other end.
+        stops: How it is stopped.
+        words: Its status words.
+        answer_times: Answer times of the codes that have their own, by code number.
+        other_answer_time: The answer time of all other codes.
+    """
+
+    name: str
+    title: str
+    forms: tuple[Form, ...]
+    codes: Mapping[Code, CodeInfo]
+    status: tuple[tuple[Code, float], ...]
+    writable: frozenset[Code]
+    watchdog: WatchdogTraits | None
+    feed_code: Code
+    hold_after_write_s: float
+    identity: tuple[Code, ...]
+    stops: Mapping[StopAction, StopRule]
+    words: Mapping[Code, WordInfo]
+    answer_times: Mapping[int, AnswerTime]
+    other_answer_time: AnswerTime
+
+    def info(self, code: Code) -> CodeInfo | None:
+        """Give a code's description; None where there is none (it may be read all the same)."""
+        return self.codes.get(code)
+
+    def answer_time_s(self, code: Code, *, write: bool, c0001: int | None = None) -> float:
+        """Give the usual time the drive thinks before it answers, seconds.
+
+        Args:
+            code: The code; its subcode makes no difference.
+            write: A write rather than a read.
+            c0001: The drive's operating mode (82XX), where it is known.
+        """
+        times = self.answer_times.get(code.number, self.other_answer_time)
+        if c0001 is not None and c0001 == times.slow_c0001:
+            return times.slow_write_s if write else times.slow_read_s
+        return times.write_s if write else times.read_s
+
+    def longest_answer_time_s(self, code: Code, *, write: bool) -> float:
+        """Give the longest time the drive may think: what time-outs are made from, seconds."""
+        times = self.answer_times.get(code.number, self.other_answer_time)
+        return times.slow_write_s if write else times.slow_read_s
+
+    def write_class(self, code: Code, value: Value | None = None) -> WriteClass:
+        """Say what repeating a write could do; without a value, at the worst.
+
+        An undescribed code is EDGE: nothing says that it may be repeated.
+        """
+        info = self.codes.get(code)
+        if info is None:
+            return WriteClass.EDGE
+        rule = info.plain_when
+        if rule is not None and value is not None:
+            number = value.number
+            if not isinstance(number, (str, bytes)) and int(number) & rule.mask == rule.equals:
+                return WriteClass.PLAIN
+        return info.write_class
+
+    def status_bits(self, code: Code, value: int) -> dict[str, bool]:
+        """Name the bits of a status word; empty for a code that is none."""
+        word = self.words.get(code)
+        return word.flags(value) if word is not None else {}
+
+    def status_fields(self, code: Code, value: int) -> dict[str, FieldReading]:
+        """Read the numbers inside a status word; empty for a code that is none."""
+        word = self.words.get(code)
+        return word.readings(value) if word is not None else {}
+
+    def controller_status(self, code: Code, value: int) -> FieldReading | None:
+        """Read the controller status (C0150 bits 8 to 11); None for a word without one."""
+        return self.status_fields(code, value).get(CONTROLLER_STATUS)
+
+    def active_fault(self, code: Code, value: int) -> bool | None:
+        """Say whether a status word reports an active fault; None where it does not say."""
+        word = self.words.get(code)
+        return word.active_fault(value) if word is not None else None

@@ -1,0 +1,278 @@
+"""Building each section of a family description from its table in a data file.
+
+One function a section, each refusing what it cannot mean with file, line and column: an entry
+without source, an unknown format or write class, a bit named twice, a time of zero. How sections
+of several files are put together, and what must hold between sections, is `loading`.
+
+A new property of a code (a range, selection texts, a name in another language) is one more key
+taken in `read_code` and one more field of `CodeInfo`; old data files stay valid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import StrEnum
+from typing import TypeVar
+
+from lecombus.errors import CodeValueError
+from lecombus.protocol.addressing import Code, Form
+from lecombus.protocol.values import HIGHEST_VALUE_CHARS, Format, Value
+
+from .document import Item, Table
+from .family import AnswerTime, CodeInfo, PlainWhen, WatchdogTraits, WriteClass
+from .stops import StopAction, StopProof, StopRule
+from .words import WordField, WordInfo
+
+__all__ = [
+    "read_answer_time",
+    "read_code",
+    "read_code_number",
+    "read_field",
+    "read_form",
+    "read_stop",
+    "read_watchdog",
+    "read_word",
+]
+
+MAX_MS = 600_000
+WORD_MAX = 0xFFFF
+LONGEST_WORD = 0xFFFF_FFFF
+HEX_DIGITS = (2, 4, 8)
+
+TYPICAL_CHARS = {Format.VD: 9, Format.VS: 16, Format.VO: HIGHEST_VALUE_CHARS}
+"""Length of a value where the file does not say: 9 is what the manual's tables of telegram times
+take for a number; 16 is a string of 15, such as a software label (EDB2102EN 3.5, 8.2)."""
+
+ROSTER_ACTIONS = ("none", "inhibit", "quick-stop", "trip")
+
+E = TypeVar("E", bound=StrEnum)
+
+
+def read_code_number(item: Item) -> Code:
+    """Read a code, such as `C0150` or `C0168/1`."""
+    try:
+        return Code.parse(item.text())
+    except CodeValueError as exc:
+        item.fail(str(exc))
+
+
+def read_form(item: Item) -> Form:
+    """Read an addressing form."""
+    forms = {form.value: form for form in Form}
+    form = forms.get(item.text())
+    if form is None:
+        item.fail(f"{item.text()} is no addressing form; {', '.join(forms)} are")
+    return form
+
+
+def read_code(table: Table, manual: str) -> CodeInfo:
+    """Read one entry of `codes`."""
+    code = read_code_number(table.take("code"))
+    unit = table.get("unit")
+    kind = _choice(table.take("format"), Format)
+    write_class = table.get("write_class")
+    chars = table.get("chars")
+    digits = _hex_digits(table, kind)
+    usual = TYPICAL_CHARS.get(kind, 1 + (digits or 0))
+    info = CodeInfo(
+        code=code,
+        name=table.take("name").text(),
+        unit=unit.text() if unit else None,
+        format=kind,
+        hex_digits=digits,
+        chars=chars.integer(1, HIGHEST_VALUE_CHARS) if chars else usual,
+        write_class=_choice(write_class, WriteClass) if write_class else WriteClass.PLAIN,
+        plain_when=_plain_when(table.get("plain_when")),
+        writable=_flag(table, "writable"),
+        motion=_flag(table, "motion"),
+        source=_source(table, manual),
+    )
+    table.done()
+    return info
+
+
+def read_answer_time(table: Table, manual: str) -> tuple[list[Code] | None, AnswerTime]:
+    """Read one entry of `answer_times`.
+
+    Returns:
+        The codes it is for, None for all others, and the times.
+    """
+    codes = table.take("codes")
+    read_s, write_s = _seconds(table.take("read_ms")), _seconds(table.take("write_ms"))
+    slow_read, slow_write = table.get("slow_read_ms"), table.get("slow_write_ms")
+    mode = table.get("slow_when_c0001")
+    times = AnswerTime(
+        read_s=read_s,
+        write_s=write_s,
+        slow_read_s=_seconds(slow_read) if slow_read else read_s,
+        slow_write_s=_seconds(slow_write) if slow_write else write_s,
+        slow_c0001=mode.integer(0, 255) if mode else None,
+        source=_source(table, manual),
+    )
+    if times.slow_read_s < read_s or times.slow_write_s < write_s:
+        table.fail("the slow time is shorter than the usual one")
+    table.done()
+    if codes.is_text():
+        if codes.text() != "others":
+            codes.fail("a list of codes is right here, or: others")
+        return None, times
+    return [read_code_number(item) for item in codes.items()], times
+
+
+def read_watchdog(table: Table, manual: str) -> WatchdogTraits:
+    """Read `watchdog`."""
+    actions: dict[str, int] = {}
+    for key, value in table.take("actions").table().pairs():
+        if key.text() not in ROSTER_ACTIONS:
+            key.fail(f"{key.text()} is no action; {', '.join(ROSTER_ACTIONS)} are")
+        actions[key.text()] = value.integer(0, WORD_MAX)
+    traits = WatchdogTraits(
+        time_code=read_code_number(table.take("time_code")),
+        action_code=read_code_number(table.take("action_code")),
+        actions=actions,
+        low_s=table.take("low_ms").integer(0, MAX_MS) / 1000,
+        high_s=_seconds(table.take("high_ms")),
+        volatile=table.take("volatile").flag(),
+        source=_source(table, manual),
+    )
+    if traits.low_s >= traits.high_s:
+        table.fail("low_ms is not below high_ms")
+    table.done()
+    return traits
+
+
+def read_field(table: Table) -> WordField:
+    """Read a number inside a status word."""
+    bits = table.take("bits").items()
+    if len(bits) != 2:
+        table.fail("bits is the lowest and the highest bit: [8, 11]")
+    low = bits[0].integer(0, 31)
+    texts, fault = table.get("texts"), table.get("fault")
+    field = WordField(
+        name=table.take("name").text(),
+        low=low,
+        high=bits[1].integer(low, 31),
+        texts=_numbered(texts.table(), LONGEST_WORD) if texts else {},
+        fault=frozenset(item.integer(0, LONGEST_WORD) for item in fault.items())
+        if fault
+        else frozenset(),
+    )
+    if not field.fault <= field.texts.keys():
+        table.fail("every number under fault needs a text")
+    table.done()
+    return field
+
+
+def read_word(table: Table, manual: str, shared: Mapping[str, WordField]) -> tuple[Code, WordInfo]:
+    """Read one entry of `words`; its fields stand in it or are named from `fields`."""
+    code = read_code_number(table.take("code"))
+    fields: list[WordField] = []
+    for item in table.take("fields").items():
+        if not item.is_text():
+            fields.append(read_field(item.table()))
+        elif item.text() in shared:
+            fields.append(shared[item.text()])
+        else:
+            item.fail(f"there is no field {item.text()}; {', '.join(shared) or 'none'} are shared")
+    fault_bit = table.get("fault_bit")
+    word = WordInfo(
+        bits=_bits(table.take("bits").table(), fields),
+        fields=tuple(fields),
+        fault_mask=1 << fault_bit.integer(0, 31) if fault_bit else 0,
+        source=_source(table, manual),
+    )
+    table.done()
+    return code, word
+
+
+def read_stop(table: Table, manual: str) -> tuple[StopAction, StopRule]:
+    """Read one entry of `stops`: a value, or bits changed in the control word."""
+    value, set_bits, clear_bits = table.get("value"), table.get("set"), table.get("clear")
+    if (value is None) == (set_bits is None):
+        table.fail("either value or set is right here")
+    proofs: dict[Code, StopProof] = {}
+    for item in table.take("proofs").items():
+        code, proof = _proof(item.table())
+        if code in proofs:
+            item.fail(f"{code} stands here twice", code=str(code))
+        proofs[code] = proof
+    rule = StopRule(
+        code=read_code_number(table.take("code")),
+        value=Value.decimal(value.integer(0, WORD_MAX)) if value else None,
+        set_mask=set_bits.integer(1, WORD_MAX) if set_bits else 0,
+        clear_mask=clear_bits.integer(0, WORD_MAX) if clear_bits else 0,
+        proofs=proofs,
+        source=_source(table, manual),
+    )
+    action = _choice(table.take("action"), StopAction)
+    table.done()
+    return action, rule
+
+
+def _proof(table: Table) -> tuple[Code, StopProof]:
+    mask = table.get("mask")
+    proof = StopProof(
+        mask=mask.integer(1, WORD_MAX) if mask else None,
+        equals=table.take("equals").integer(0, WORD_MAX),
+    )
+    code = read_code_number(table.take("code"))
+    table.done()
+    return code, proof
+
+
+def _plain_when(item: Item | None) -> PlainWhen | None:
+    if item is None:
+        return None
+    table = item.table()
+    rule = PlainWhen(
+        mask=table.take("mask").integer(1, WORD_MAX),
+        equals=table.take("equals").integer(0, WORD_MAX),
+    )
+    table.done()
+    return rule
+
+
+def _hex_digits(table: Table, kind: Format) -> int | None:
+    item = table.get("hex_digits")
+    if (item is not None) != (kind is Format.VH):
+        table.fail("hex_digits belongs to format VH, and only there")
+    if item is None:
+        return None
+    digits = item.integer(2, 8)
+    if digits not in HEX_DIGITS:
+        item.fail(f"{digits} hexadecimal digits are not sent; 2, 4 or 8 are")
+    return digits
+
+
+def _bits(table: Table, fields: list[WordField]) -> tuple[tuple[str, int], ...]:
+    numbered = _numbered(table, 31)
+    if len(set(numbered.values())) < len(numbered):
+        table.fail("two bits have one name")
+    for field in fields:
+        if any(field.low <= bit <= field.high for bit in numbered):
+            table.fail(f"a bit of {field.name} has a name of its own")
+    return tuple((name, 1 << bit) for bit, name in sorted(numbered.items()))
+
+
+def _numbered(table: Table, high: int) -> dict[int, str]:
+    return {key.integer(0, high): value.text() for key, value in table.pairs()}
+
+
+def _choice(item: Item, choices: type[E]) -> E:
+    try:
+        return choices(item.text())
+    except ValueError:
+        item.fail(f"{item.text()} is not known here; {', '.join(choices)} are")
+
+
+def _flag(table: Table, key: str) -> bool:
+    item = table.get(key)
+    return item.flag() if item else False
+
+
+def _seconds(item: Item) -> float:
+    return item.integer(1, MAX_MS) / 1000
+
+
+def _source(table: Table, manual: str) -> str:
+    return f"{manual} {table.take('source').text()}".strip()

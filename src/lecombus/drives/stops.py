@@ -1,0 +1,159 @@
+"""Stopping a drive: which code is written with which value, and what shows that it was taken.
+
+Strategy: the rules are data (`StopRule` in the family's file). Inhibit writes C0040 = 0 on every
+described family; quick stop sets bit 3 of the control word C0135 and must know the word it
+changes: a word made up from nothing could lift an inhibit (bit 9), change the direction or the
+parameter set. TRIP reset (bit 11) is always cleared, because writing it again could be the edge
+that resets a fault. A family without a description knows no stop, and says so.
+
+An acknowledgement is not an effect. `stop_confirmed` looks at what was read back and says no
+more than the manual does: that the drive reports the inhibit or the quick stop, or holds the
+command; never that the motor stands still. When to send, repeat and escalate belongs elsewhere.
+
+Source: EDB2102EN 8.2 (C0040, C0068, C0135, C0150); CMVLC401A 4.2 (P420), table 9.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+from lecombus.errors import OperationError
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+
+if TYPE_CHECKING:
+    from .family import Family
+
+__all__ = [
+    "StopAction",
+    "StopProof",
+    "StopRule",
+    "confirm_codes",
+    "knows_stop",
+    "needs_control_word",
+    "stop_confirmed",
+    "stop_value",
+]
+
+WORD_MAX = 0xFFFF
+
+
+class StopAction(StrEnum):
+    """What stopping can mean."""
+
+    QUICK_STOP = "quick-stop"
+    INHIBIT = "inhibit"
+
+
+@dataclass(frozen=True, slots=True)
+class StopProof:
+    """A value that shows a stop was taken: `value & mask == equals`.
+
+    Args:
+        mask: The bits looked at; None compares the whole number.
+        equals: What they must be.
+    """
+
+    mask: int | None
+    equals: int
+
+    def holds(self, value: Value) -> bool:
+        """Say whether a value that was read back shows the stop."""
+        number = value.number
+        if self.mask is None:
+            return number == self.equals
+        return isinstance(number, int) and number & self.mask == self.equals
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StopRule:
+    """How one family is stopped in one way.
+
+    Args:
+        code: The code written.
+        value: The value written; None when bits of the control word are changed instead.
+        set_mask: Bits set in the control word.
+        clear_mask: Bits cleared in the control word.
+        proofs: Codes to read back, the most telling first, with what they must show.
+        source: Manual and section.
+    """
+
+    code: Code
+    value: Value | None
+    set_mask: int
+    clear_mask: int
+    proofs: Mapping[Code, StopProof]
+    source: str
+
+
+def knows_stop(family: Family, action: StopAction) -> bool:
+    """Say whether the family's description tells how to stop it in this way."""
+    return action in family.stops
+
+
+def needs_control_word(family: Family, action: StopAction) -> bool:
+    """Say whether `stop_value` must be given the drive's present control word (C0135)."""
+    rule = family.stops.get(action)
+    return rule is not None and rule.value is None
+
+
+def stop_value(family: Family, action: StopAction, control_word: int | None) -> tuple[Code, Value]:
+    """Say what to write to stop a drive.
+
+    Args:
+        family: The drive's family.
+        action: How it shall stop.
+        control_word: Its present control word, 0..FFFFh, as last read or written; None where it
+            is not known or not needed.
+
+    Raises:
+        OperationError: kind `no-stop`: the description knows no such stop; kind
+            `no-control-word`: the control word is needed and not known.
+    """
+    rule = _rule(family, action)
+    if rule.value is not None:
+        return rule.code, rule.value
+    if control_word is None:
+        raise OperationError(
+            f"{action} changes bits of {rule.code}, whose present value is not known",
+            kind="no-control-word",
+            code=str(rule.code),
+            remedy=f"read {rule.code} first, or use inhibit, which needs no control word",
+        )
+    assert 0 <= control_word <= WORD_MAX, control_word
+    word = (control_word | rule.set_mask) & ~rule.clear_mask
+    return rule.code, Value.hexadecimal(word, 4)
+
+
+def confirm_codes(family: Family, action: StopAction) -> tuple[Code, ...]:
+    """Name the codes whose value shows that a stop was taken, the most telling first.
+
+    Raises:
+        OperationError: kind `no-stop`.
+    """
+    return tuple(_rule(family, action).proofs)
+
+
+def stop_confirmed(family: Family, action: StopAction, code: Code, value: Value) -> bool:
+    """Say whether a value read after a stop shows that the drive took it.
+
+    False also stands for "this code says nothing of it": see `confirm_codes`.
+    """
+    rule = family.stops.get(action)
+    proof = rule.proofs.get(code) if rule is not None else None
+    return proof is not None and proof.holds(value)
+
+
+def _rule(family: Family, action: StopAction) -> StopRule:
+    rule = family.stops.get(action)
+    if rule is None:
+        raise OperationError(
+            f"no {action} is known for a drive of family {family.name}",
+            kind="no-stop",
+            remedy="write the code that stops this device, or give the drive its family in the "
+            "roster",
+        )
+    return rule

@@ -1,0 +1,95 @@
+"""Status words: what the bits and fields of C0150 and C0068 are called, and how to take them apart.
+
+Strategy: a word is described by data (`WordInfo`, loaded from the family's file) and decoded by
+one short loop. A bit has a name only where the manual gives it one meaning: bits that the drive
+lets its user assign (8200 vector C0417, 93XX signal configurations) stay unnamed and do not
+appear. A field of several bits gives a number and, where the manual lists it, a text; a number
+that the manual does not list is shown as a number and nothing is concluded from it.
+
+Nothing here decides what a bit means for the operation of a line; in particular nothing derives
+"running" from any of them (EDB2102EN 8.2, CMVLC401A table 9).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+__all__ = ["FieldReading", "WordField", "WordInfo"]
+
+
+@dataclass(frozen=True, slots=True)
+class FieldReading:
+    """One field of a status word, read.
+
+    Args:
+        number: The field's number as the drive sent it.
+        text: What the manual says the number means; empty where it says nothing.
+    """
+
+    number: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WordField:
+    """A number inside a status word.
+
+    Args:
+        name: The field's name, such as `controller_status`.
+        low: Its lowest bit, 0..31.
+        high: Its highest bit, `low`..31.
+        texts: What the manual says each number means.
+        fault: The numbers that mean an active fault; empty where the field says nothing of it.
+    """
+
+    name: str
+    low: int
+    high: int
+    texts: Mapping[int, str]
+    fault: frozenset[int] = frozenset()
+
+    def read(self, word: int) -> FieldReading:
+        """Take this field out of a word."""
+        number = word >> self.low & (1 << (self.high - self.low + 1)) - 1
+        return FieldReading(number, self.texts.get(number, ""))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WordInfo:
+    """The description of one status word of one family.
+
+    Args:
+        bits: Name and mask of every bit that has one fixed meaning.
+        fields: The numbers inside the word.
+        fault_mask: The bit that is set while a fault is active; 0 where there is none.
+        source: Manual and section.
+    """
+
+    bits: tuple[tuple[str, int], ...]
+    fields: tuple[WordField, ...]
+    fault_mask: int
+    source: str
+
+    def flags(self, word: int) -> dict[str, bool]:
+        """Name every described bit and say whether it is set."""
+        return {name: bool(word & mask) for name, mask in self.bits}
+
+    def readings(self, word: int) -> dict[str, FieldReading]:
+        """Read every described field."""
+        return {field.name: field.read(word) for field in self.fields}
+
+    def active_fault(self, word: int) -> bool | None:
+        """Say whether the word reports an active fault.
+
+        Returns:
+            True or False where the manual says so; None where this word says nothing of it, or
+            shows a number that the manual does not list.
+        """
+        if self.fault_mask:
+            return bool(word & self.fault_mask)
+        for field in self.fields:
+            if field.fault:
+                number = field.read(word).number
+                return number in field.fault if number in field.texts else None
+        return None
