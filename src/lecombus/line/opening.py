@@ -1,0 +1,95 @@
+"""Which end of the port seam a URL leads to.
+
+Strategy: a table from scheme to opener; what has no scheme is a device path. The daemon adds
+`sim:` by giving its own opener. `url_mistake` says what is wrong with a URL before anything is
+opened, so that a roster with a wrong one is refused instead of tried for ever.
+
+`rfc2217://` is refused on purpose, see `RFC2217_REFUSAL`: the line's settings never change while
+it runs, so a device server set to them once needs no remote control, and Telnet escaping would
+sit in every telegram for nothing.
+
+What must not live here: how any of the ends works.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from ..errors import LineLostError
+from .port import Port, PortOpener, PortSettings, Receiver
+from .serial_port import open_serial
+from .tcp_port import host_and_port, open_tcp
+
+__all__ = ["RFC2217_REFUSAL", "SCHEMES", "open_port", "url_mistake"]
+
+SCHEMES = ("socket://HOST:PORT", "sim:")
+"""What a port may be besides a device path, as it is written."""
+
+RFC2217_REFUSAL = (
+    "rfc2217:// is not supported: a line's settings never change while it runs, so no remote "
+    "control of the port is needed. Have the device server pass raw bytes at 8 data bits, no "
+    "parity, 1 stop bit, and use socket://{where}. For ser2net: `accepter: tcp,{port}` and "
+    "`connector: serialdev,/dev/ttyUSB0,{baud}n81,local` (8N1: parity is made here); a server that "
+    "can only do 7E1 works with `parity: port`"
+)
+"""Why not, and what to use instead."""
+
+
+async def open_port(settings: PortSettings, receiver: Receiver) -> Port:
+    """Open the port that a URL names.
+
+    Args:
+        settings: Its URL and how to open it.
+        receiver: Who is told of bytes and of the loss.
+
+    Raises:
+        LineLostError: It cannot be opened; the message says why and what to do.
+    """
+    mistake = url_mistake(settings.url, baud=settings.baud)
+    if mistake is not None:
+        raise LineLostError(mistake, line=settings.line)
+    return await _OPENERS.get(_scheme(settings.url), open_serial)(settings, receiver)
+
+
+def url_mistake(url: str, *, baud: int = 9600, others: tuple[str, ...] = ()) -> str | None:
+    """Say what is wrong with a port's URL and what would be right.
+
+    Args:
+        url: The URL or device path.
+        baud: Bits a second, for the example in the message.
+        others: Further schemes that the caller opens itself, such as `sim`.
+
+    Returns:
+        The mistake; None if there is none that shows without opening it.
+    """
+    scheme = _scheme(url)
+    if scheme in others:
+        return None
+    if scheme == "rfc2217":
+        return f"{url}: {_rfc2217_refusal(url, baud)}"
+    if scheme == "socket":
+        try:
+            host_and_port(url)
+        except ValueError as exc:
+            return str(exc)
+    elif scheme or not url.startswith("/"):
+        known = ", ".join(SCHEMES)
+        return f"{url!r} is no port: use a device path such as /dev/serial/by-id/.., or {known}"
+    return None
+
+
+def _rfc2217_refusal(url: str, baud: int) -> str:
+    try:
+        where, port = url.partition("://")[2], host_and_port(url)[1]
+    except ValueError:
+        where, port = "HOST:4001", 4001
+    return RFC2217_REFUSAL.format(where=where, port=port, baud=baud)
+
+
+def _scheme(url: str) -> str:
+    """Give the part before the first colon in lower case; empty for a path."""
+    scheme, colon, _ = url.partition(":")
+    return scheme.lower() if colon and scheme.isalnum() else ""
+
+
+_OPENERS: Mapping[str, PortOpener] = {"socket": open_tcp}

@@ -1,0 +1,187 @@
+"""Opening a serial device: raw, exclusive, with low latency, and with errors that say what to do.
+
+Here live the settings of the device and everything pyserial is used for.
+
+Strategy:
+
+* The device runs 8N1 and bit 7 carries even parity, made and checked elsewhere. With
+  `parity: port` it is set to 7E1, and a character with wrong parity arrives as NUL. A pseudo
+  terminal frames nothing and is always set to 8N1.
+* Raw: no flow control, no translation, no stripping, because a BCC may be any control character.
+* The settings are applied exactly once (see `Device`). VMIN is 1, so that a read of nothing can
+  only mean that the device hung up.
+* Exclusive: `flock` keeps out whoever locks too, TIOCEXCL whoever does not, and who has it open
+  already is found and named.
+
+What must not live here: reading and writing, which belong to the event loop (`serial_port.py`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import logging
+import os
+import termios
+from pathlib import Path
+
+import serial
+from serial.rs485 import RS485Settings
+
+from ..errors import LineLostError
+from . import devices
+from .port import PortSettings
+
+__all__ = ["Device", "open_device", "reason"]
+
+_log = logging.getLogger(__name__)
+
+_RTS_WARNING = (
+    "line=%s port=%s direction: rts switches the transceiver from a program; a drive may answer "
+    "after 1 ms already, which no program can promise to meet: an adapter that switches by "
+    "itself (direction: adapter) or the kernel's driver (direction: kernel) is safe"
+)
+
+
+class Device(serial.Serial):
+    """An open serial device, configured exactly once.
+
+    pyserial configures anew whenever a time-out is assigned, as `SerialTransport` does. That is
+    traffic on a USB adapter for nothing, and fails with EINVAL on a device that ignores a
+    setting; so only the configuration at opening is let through, and completed.
+    """
+
+    def _reconfigure_port(self, force_update: bool = False) -> None:
+        if force_update:
+            super()._reconfigure_port(force_update=True)  # type: ignore[misc]
+            self._complete()
+
+    def _complete(self) -> None:
+        """Set what pyserial leaves as it was, and see that the framing was taken.
+
+        Raises:
+            ValueError: The device does not frame 7E1.
+        """
+        assert self.fd is not None
+        iflag, oflag, cflag, lflag, ispeed, ospeed, cc = termios.tcgetattr(self.fd)
+        seven = self.bytesize == serial.SEVENBITS
+        if seven and (cflag & termios.CSIZE != termios.CS7 or not cflag & termios.PARENB):
+            raise ValueError("the device does not frame 7E1; use `parity: line`")
+        iflag &= ~(termios.BRKINT | termios.IGNPAR)
+        if seven:
+            iflag |= termios.INPCK
+        cflag &= ~termios.HUPCL  # closing must not switch off an adapter fed from DTR or RTS
+        cc[termios.VMIN] = 1
+        attributes = [iflag, oflag, cflag, lflag, ispeed, ospeed, cc]
+        termios.tcsetattr(self.fd, termios.TCSANOW, attributes)
+
+
+def open_device(settings: PortSettings) -> Device:
+    """Open and configure a serial device; blocks for as long as the driver takes over it.
+
+    Args:
+        settings: With the device's path as `url`.
+
+    Raises:
+        LineLostError: It cannot be opened or used as asked; the message says what to do.
+    """
+    pseudo = devices.is_pseudo(settings.url)
+    device = _configured(settings, seven=settings.parity == "port" and not pseudo)
+    try:
+        device.open()
+        if settings.direction == "rts":
+            device.rts = False  # opening ignores a device without RTS, this does not
+    except (OSError, ValueError, termios.error) as exc:
+        device.close()
+        raise LineLostError(_why_not_open(settings, exc), line=settings.line) from exc
+    if not pseudo:
+        _claim(device, settings)
+    _remark(device, settings)
+    return device
+
+
+def _configured(settings: PortSettings, *, seven: bool) -> Device:
+    device = Device(
+        baudrate=settings.baud,
+        bytesize=serial.SEVENBITS if seven else serial.EIGHTBITS,
+        parity=serial.PARITY_EVEN if seven else serial.PARITY_NONE,
+        timeout=0,
+        write_timeout=0,
+        exclusive=True,
+    )
+    if settings.direction != "adapter":
+        device.rts = False  # receiving; only an adapter may take its supply from RTS
+    if settings.direction == "kernel":
+        device.rs485_mode = RS485Settings()
+    device.port = settings.url
+    return device
+
+
+def _claim(device: Device, settings: PortSettings) -> None:
+    """Shut out others, and refuse a device that a program which locks nothing has open.
+
+    A pseudo terminal is left out: a simulator holds the other end of its own device open, and
+    would keep the device shut for ever after a crash of ours.
+    """
+    others = devices.holders(settings.url)
+    others.pop(os.getpid(), None)
+    if others:
+        device.close()
+        raise LineLostError(_in_use(settings.url, others), line=settings.line)
+    with contextlib.suppress(OSError):
+        fcntl.ioctl(device.fileno(), termios.TIOCEXCL)
+
+
+def _remark(device: Device, settings: PortSettings) -> None:
+    """Log what is worth knowing about the device; once for every time it is opened."""
+    line, path = settings.line, settings.url
+    try:
+        device.set_low_latency_mode(True)
+    except (OSError, ValueError) as exc:
+        _log.info("line=%s port=%s has no low latency mode (%s)", line, path, exc)
+    if settings.direction == "rts":
+        _log.warning(_RTS_WARNING, line, path)
+    stable = devices.stable_name(path)
+    if stable is not None and path.startswith("/dev/tty"):
+        text = "line=%s port=%s may be another adapter after replugging; use %s"
+        _log.warning(text, line, path, stable)
+
+
+def _why_not_open(settings: PortSettings, exc: Exception) -> str:
+    """Say why a device cannot be opened and what to do about it."""
+    path, code = settings.url, getattr(exc, "errno", None)
+    if code == errno.ENOENT:
+        now = ", ".join(devices.connected()) or "none"
+        return f"{path}: no such device; is the adapter plugged in? connected now: {now}"
+    if code in (errno.EACCES, errno.EPERM):
+        group = _group(path)
+        return f"{path}: permission denied; the user needs to be in group {group} (usermod -aG)"
+    if code in (errno.EBUSY, errno.EAGAIN):
+        return _in_use(path, devices.holders(path))
+    if settings.direction == "rts" and code in (errno.ENOTTY, errno.EINVAL):
+        return f"{path}: the device has no RTS line; use `direction: adapter`"
+    if "RS485" in str(exc):
+        return (
+            f"{path}: the driver cannot switch an RS-485 transceiver (direction: kernel); use an "
+            "adapter that switches by itself and `direction: adapter`, or `direction: rts`"
+        )
+    return f"{path}: cannot be used as a serial port: {reason(exc)}"
+
+
+def _in_use(path: str, holders: dict[int, str]) -> str:
+    who = ", ".join(holders.values()) or "another user's process"
+    return f"{path}: in use by {who}; stop that first, or let it use another port"
+
+
+def _group(path: str) -> str:
+    try:
+        return Path(path).group()
+    except (OSError, KeyError):
+        return "dialout"
+
+
+def reason(exc: Exception) -> str:
+    """Give an error's text without its number, whichever library raised it."""
+    number = exc.args[0] if exc.args else None
+    return os.strerror(number) if isinstance(number, int) else str(exc)

@@ -1,0 +1,179 @@
+"""The TCP end of the port seam: a device server that passes raw bytes, as `socket://HOST:PORT`.
+
+Strategy: an asyncio protocol whose receiver is told everything. A device server whose power was
+pulled says nothing, so silence is made to end the connection: keepalive probes while nothing is
+sent, TCP_USER_TIMEOUT while something is. Telegrams leave at once (TCP_NODELAY), since a telegram
+held back for the acknowledgement of the one before would cost up to 40 ms.
+
+What must not live here: Telnet and RFC 2217 (refused in `opening.py`), parity, reconnecting.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import socket
+from typing import cast
+from urllib.parse import urlsplit
+
+import anyio
+
+from ..errors import LineLostError
+from .port import PortSettings, Receiver
+
+__all__ = ["CONNECT_TIMEOUT_S", "TcpPort", "host_and_port", "open_tcp"]
+
+CONNECT_TIMEOUT_S = 3.0
+"""A device server on the same site answers in milliseconds; resolving its name may take longer."""
+
+_KEEPALIVE_IDLE_S = 3
+_KEEPALIVE_EVERY_S = 1
+_KEEPALIVE_PROBES = 3
+"""A server that vanished is noticed 6 s after its last sign of life."""
+
+_UNACKNOWLEDGED_MS = 5000
+"""How long bytes may go without an acknowledgement."""
+
+_BACKLOG = 4096
+"""Bytes that may wait here for a server that takes none; a telegram has at most 250."""
+
+_READ_SIZE = 65536
+
+
+class TcpPort(asyncio.Protocol):
+    """A connection to a device server behind the port seam; made by `open_tcp`.
+
+    Args:
+        receiver: Who is told of bytes and of the loss.
+        settings: What it was opened with.
+    """
+
+    def __init__(self, receiver: Receiver, settings: PortSettings) -> None:
+        self._receiver = receiver
+        self._settings = settings
+        self._transport: asyncio.Transport | None = None
+        self._why = ""
+        self._peer = ""
+        self.carries_parity = settings.parity == "line"
+
+    def write(self, data: bytes) -> None:
+        """Hand all of `data` to the connection; see `Port.write`."""
+        transport = self._transport
+        if transport is None or transport.is_closing():
+            raise self._error("the connection is closed")
+        transport.write(data)
+
+    def discard_input(self) -> None:
+        """Drop what has arrived and was not given on; see `Port.discard_input`."""
+        transport = self._transport
+        if transport is None or transport.is_closing():
+            return
+        fd = transport.get_extra_info("socket").fileno()
+        with contextlib.suppress(OSError):  # empty, or broken: then the loop finds out next
+            while os.read(fd, _READ_SIZE):
+                pass
+
+    def abort(self) -> None:
+        """Close at once; see `Port.abort`."""
+        transport, self._transport = self._transport, None
+        if transport is not None:
+            transport.abort()
+
+    def describe(self) -> str:
+        """Say where this leads, such as `socket://server:4001 (192.0.2.7:4001), raw 8N1`."""
+        framing = "8N1" if self.carries_parity else "7E1"
+        return f"{self._settings.url} ({self._peer}), raw, device server frames {framing}"
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Take over the connection; called by the loop."""
+        self._transport = cast("asyncio.Transport", transport)
+        self._transport.set_write_buffer_limits(high=_BACKLOG)
+        host, port, *_ = transport.get_extra_info("peername")
+        self._peer = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+        _watch(transport.get_extra_info("socket"))
+
+    def data_received(self, data: bytes) -> None:
+        """Give bytes on; called by the loop."""
+        if self._transport is not None:
+            self._receiver.received(data)
+
+    def pause_writing(self) -> None:
+        """Give the connection up: the server takes no bytes; called by the loop."""
+        self._why = "the device server takes no more bytes"
+        if self._transport is not None:
+            self._transport.abort()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Tell the receiver, unless it was us who ended it; called once by the loop."""
+        if self._transport is None:
+            return
+        self._transport = None
+        ended = "the device server ended the connection; is another client connected to it?"
+        self._receiver.lost(self._error(self._why or (_reason(exc) if exc else ended)))
+
+    def _error(self, why: str) -> LineLostError:
+        return LineLostError(f"{self._settings.url}: {why}", line=self._settings.line)
+
+
+def host_and_port(url: str) -> tuple[str, int]:
+    """Take `socket://HOST:PORT` apart; an IPv6 address stands in brackets.
+
+    Raises:
+        ValueError: It has another form; the message says which is right.
+    """
+    parts = urlsplit(url)
+    try:
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        host, port = None, None
+    if not host or not port or parts.path or parts.query or parts.fragment or parts.username:
+        raise ValueError(f"{url}: not of the form {parts.scheme}://HOST:PORT, PORT in 1..65535")
+    return host, port
+
+
+async def open_tcp(settings: PortSettings, receiver: Receiver) -> TcpPort:
+    """Connect to a device server.
+
+    Args:
+        settings: With `socket://HOST:PORT` as `url`.
+        receiver: Who is told of bytes and of the loss.
+
+    Raises:
+        LineLostError: It cannot be reached, or the URL is wrong; the message says what to do.
+    """
+    loop = asyncio.get_running_loop()
+    port = TcpPort(receiver, settings)
+    try:
+        host, number = host_and_port(settings.url)
+        with anyio.fail_after(CONNECT_TIMEOUT_S):
+            await loop.create_connection(lambda: port, host, number)
+    except (OSError, ValueError) as exc:  # a time-out is an OSError
+        port.abort()
+        raise LineLostError(_why_not_open(settings.url, exc), line=settings.line) from exc
+    return port
+
+
+def _watch(sock: socket.socket) -> None:
+    """Have the kernel send at once and notice a server that vanished without a word."""
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, _KEEPALIVE_IDLE_S)
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, _KEEPALIVE_EVERY_S)
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, _KEEPALIVE_PROBES)
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNACKNOWLEDGED_MS)
+
+
+def _why_not_open(url: str, exc: Exception) -> str:
+    if isinstance(exc, ConnectionRefusedError):
+        return f"{url}: connection refused; is the device server running and is that its port?"
+    if isinstance(exc, TimeoutError):
+        return f"{url}: no answer within {CONNECT_TIMEOUT_S:g} s; check host and network"
+    if isinstance(exc, socket.gaierror):
+        return f"{url}: the host name cannot be resolved ({exc.strerror}); check it"
+    return str(exc) if isinstance(exc, ValueError) else f"{url}: {_reason(exc)}"
+
+
+def _reason(exc: Exception) -> str:
+    number = getattr(exc, "errno", None)
+    return os.strerror(number) if number else str(exc)
