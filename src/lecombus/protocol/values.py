@@ -192,12 +192,12 @@ class Value:
         Raises:
             ValueFormatError: It is in none of the four formats.
         """
-        return _parse(raw if isinstance(raw, bytes) else raw.encode("ascii", "replace"))
+        # latin-1 takes every byte, and no format takes what is not ASCII.
+        return _parse(raw.decode("latin-1") if isinstance(raw, bytes) else raw)
 
 
 @lru_cache(maxsize=4096)
-def _parse(raw: bytes) -> Value:
-    text = raw.decode("ascii", "replace")
+def _parse(text: str) -> Value:
     letter = text[:1]
     if letter == "H" and _VH.fullmatch(text):
         return Value(Format.VH, text)
