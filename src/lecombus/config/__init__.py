@@ -1,0 +1,39 @@
+"""The roster: what a line consists of, as a person wrote it down, checked to the last key.
+
+`load_roster` reads a file and gives a `Roster` with everything filled in, or raises one
+`RosterError` with every mistake as `FILE:LINE:COLUMN: what is wrong, what would be right`.
+`describe` says what a roster comes to, for `lecombus check`. `roster_json_schema` is what editors
+check a roster with while it is written.
+"""
+
+from lecombus.config.loading import load_roster, parse_roster
+from lecombus.config.mistakes import Mistake, RosterError
+from lecombus.config.models import (
+    ApiEntry,
+    CyclicEntry,
+    DriveEntry,
+    GroupEntry,
+    HttpAddress,
+    LeaseEntry,
+    LineEntry,
+    MqttEntry,
+    Roster,
+    WatchdogEntry,
+)
+
+__all__ = [
+    "ApiEntry",
+    "CyclicEntry",
+    "DriveEntry",
+    "GroupEntry",
+    "HttpAddress",
+    "LeaseEntry",
+    "LineEntry",
+    "Mistake",
+    "MqttEntry",
+    "Roster",
+    "RosterError",
+    "WatchdogEntry",
+    "load_roster",
+    "parse_roster",
+]

@@ -1,0 +1,159 @@
+"""From checked values to the models, with everything filled in that follows from something else.
+
+Only called for a roster without mistakes, so every value is there or has a default.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from lecombus.config.checks import default_socket, drives_of
+from lecombus.config.keys import ALL
+from lecombus.config.models import (
+    ApiEntry,
+    CyclicEntry,
+    DriveEntry,
+    GroupEntry,
+    HttpAddress,
+    LeaseEntry,
+    LineEntry,
+    MqttEntry,
+    Roster,
+    WatchdogEntry,
+)
+from lecombus.config.shapes import Entry, Items
+from lecombus.drives import family
+from lecombus.protocol.addressing import Form
+
+__all__ = ["build_roster", "multicast_address"]
+
+_RENAMED = {
+    "turnaround": "turnaround_s", "adapter_latency": "adapter_latency_s",
+    "late_answer": "late_answer_s", "stall": "stall_s", "time": "time_s", "every": "every_s",
+    "answer_time": "answer_time_s",
+}  # fmt: skip
+_NOT_YET_USED = ("lease", "mqtt", "journal")
+
+
+def build_roster(roster: Entry, file: str) -> Roster:
+    """Return the roster of a file without mistakes."""
+    line = LineEntry(**_fields(roster.get("line")))
+    lease = _lease(roster.get("lease"), LeaseEntry())
+    drives = tuple(_drive(entry, lease) for entry in drives_of(roster))
+    others = {key: roster.get(key) for key in ("on_shutdown", "journal") if key in roster.values}
+    return Roster(
+        file=file, line=line, drives=drives, groups=_groups(roster, drives), lease=lease,
+        api=_api(roster.get("api"), line.name), mqtt=_mqtt(roster.get("mqtt")),
+        not_yet_used=_not_yet_used(roster), **others,
+    )  # fmt: skip
+
+
+def _fields(entry: Entry) -> dict[str, Any]:
+    """Return the values of a mapping by the names of the models' fields."""
+    return {_RENAMED.get(key, key): value for key, value in entry.values.items()}
+
+
+def _lease(entry: Entry | None, default: LeaseEntry) -> LeaseEntry:
+    return default if entry is None else default.model_copy(update=_fields(entry))
+
+
+def _drive(entry: Entry, lease: LeaseEntry) -> DriveEntry:
+    of = family(entry.get("family"))
+    watchdog: Entry | None = entry.get("watchdog")
+    cyclic: Items | None = entry.get("cyclic")
+    status = [CyclicEntry(code=code, every_s=every_s) for code, every_s in of.status]
+    writable: Items | None = entry.get("writable")
+    simple = {key: entry.get(key) for key in ("name", "address", "family")}
+    return DriveEntry(
+        **simple,
+        forms=_forms(entry.get("addressing"), of.forms),
+        watchdog=None if watchdog is None else WatchdogEntry(**_fields(watchdog)),
+        cyclic=tuple(status if cyclic is None
+                     else [CyclicEntry(**_fields(item.value)) for item in cyclic]),
+        writable=of.writable if writable is None else frozenset(item.value for item in writable),
+        answer_time_s=entry.get("answer_time"),
+        accept_software=tuple(item.value for item in entry.get("accept_software", ())),
+        lease=_lease(entry.get("lease"), lease),
+    )  # fmt: skip
+
+
+def _forms(addressing: str | None, of_family: tuple[Form, ...]) -> tuple[Form, ...]:
+    if addressing is None:
+        return of_family
+    return (Form.STANDARD,) if addressing == "standard" else (Form.STANDARD, Form.EXTENDED)
+
+
+def _groups(roster: Entry, drives: Sequence[DriveEntry]) -> dict[str, GroupEntry]:
+    addresses = {drive.name: drive.address for drive in drives}
+    members = {ALL: tuple(addresses)}
+    for at, group in roster.get("groups", ()):
+        members[at.text] = tuple(item.value for item in group.get("members"))
+    return {
+        name: GroupEntry(
+            members=names,
+            multicast_address=multicast_address(
+                [addresses[member] for member in names], addresses.values()
+            ),
+        )
+        for name, names in members.items()
+    }
+
+
+def multicast_address(members: Iterable[int], drives: Iterable[int]) -> int | None:
+    """Return the address that reaches exactly these members among the roster's drives.
+
+    Where all drives stand in one decade, that decade goes before 0: a broadcast would also reach
+    drives on the cable that the roster does not know.
+
+    Args:
+        members: The members' addresses.
+        drives: The addresses of all drives of the roster.
+
+    Returns:
+        10, 20 .. 90 for a decade, 0 for all drives, None if no telegram reaches exactly them.
+
+    Source: EDB2102EN 8.3.1 "Broadcast telegrams"; CMVLC401A 6.3.
+    """
+    wanted = set(members)
+    present = set(drives)
+    decades = {address // 10 * 10 for address in wanted}
+    if len(decades) == 1:
+        decade = decades.pop()
+        # Addresses 1..9 have no multicast of their own: 0 reaches everybody.
+        if decade and wanted == {address for address in present if address // 10 * 10 == decade}:
+            return decade
+    return 0 if wanted and wanted == present else None
+
+
+def _api(entry: Entry | None, line: str) -> ApiEntry:
+    if entry is None:
+        return ApiEntry(socket=default_socket(line))
+    http = entry.get("http")
+    return ApiEntry(
+        socket=entry.get("socket", default_socket(line)),
+        http=None if http is None else HttpAddress(host=http[0], port=http[1]),
+        tokens=entry.get("tokens"),
+    )
+
+
+def _mqtt(entry: Entry | None) -> MqttEntry | None:
+    if entry is None:
+        return None
+    tls = entry.get("tls", True)
+    return MqttEntry(
+        host=entry.get("host"), tls=tls, port=entry.get("port", 8883 if tls else 1883)
+    )
+
+
+def _not_yet_used(roster: Entry) -> tuple[str, ...]:
+    """List the keys given that nothing in this version acts on."""
+    found = [key for key in _NOT_YET_USED if key in roster.values]
+    api = roster.get("api")
+    if isinstance(api, Entry) and "tokens" in api.values:
+        found.append("api.tokens")
+    found.extend(
+        f"drives.{drive.get('name')}.lease" for drive in drives_of(roster)
+        if "lease" in drive.values
+    )  # fmt: skip
+    return tuple(found)

@@ -1,0 +1,188 @@
+"""Rules between the keys of a roster: what is wrong only when two values are seen together.
+
+Each check is given what could be read, however little that is, and notes what is wrong with it; a
+missing or unusable value has been noted already and merely silences the rules that need it.
+
+Drives are judged one by one in `drive_checks`; here stands what concerns the line, the drives
+among each other, groups, and the end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final
+
+from lecombus.config.borders import is_network_port
+from lecombus.config.drive_checks import check_drive, check_lapse
+from lecombus.config.kinds import UNUSABLE
+from lecombus.config.mistakes import Mistakes, did_you_mean, one_of, shown
+from lecombus.config.nodes import Scalar
+from lecombus.config.shapes import Entry, Items
+from lecombus.drives import StopAction, family, knows_stop
+
+__all__ = ["check_roster", "default_socket", "drives_of"]
+
+MOST_DRIVES: Final = {"rs232": 1, "rs485": 31, "fibre": 52}
+"""Source: EDB2102EN 4 (technical data), CMVLC401A 3."""
+MOST_WITH_REPEATERS: Final = 90
+
+
+def default_socket(line: str) -> str:
+    """Return the API's socket for a line, where the roster names none; a name always fits."""
+    return f"/run/lecombus/{line}.sock"
+
+
+def drives_of(roster: Entry) -> list[Entry]:
+    """Return the drives that could be read at all."""
+    drives = roster.get("drives")
+    return [item.value for item in drives] if isinstance(drives, Items) else []
+
+
+def check_roster(roster: Entry, mistakes: Mistakes) -> None:
+    """Note everything that is wrong between the keys of a roster."""
+    drives = drives_of(roster)
+    line = roster.get("line")
+    if isinstance(line, Entry):
+        _check_line(line, mistakes)
+        _check_count(line, roster, mistakes)
+    for drive in drives:
+        check_drive(drive, mistakes)
+    _check_names(drives, mistakes)
+    _check_addresses(drives, mistakes)
+    _check_groups(roster, drives, mistakes)
+    _check_shutdown(roster, drives, mistakes)
+    _check_default_lapse(roster, drives, mistakes)
+
+
+def _check_line(line: Entry, mistakes: Mistakes) -> None:
+    direction = line.get("direction")
+    port = line.get("port", "")
+    if direction in {"kernel", "rts"} and is_network_port(port):
+        what = f"direction {direction} cannot work on {shown(port)}"
+        right = "a device server switches its transceiver itself: write adapter"
+        mistakes.note(line.place("direction"), what, right)
+    if line.get("repeaters") and line.get("medium", "rs485") != "rs485":
+        what = f"medium {line.get('medium')} has no repeaters"
+        mistakes.note(line.place("repeaters"), what, "remove the key, or write medium: rs485")
+
+
+def _check_count(line: Entry, roster: Entry, mistakes: Mistakes) -> None:
+    """Note each drive beyond what the medium takes, at the first one too many."""
+    medium = line.get("medium", None if "medium" in line.nodes else "rs485")
+    if medium is None or not isinstance(roster.get("drives"), Items):
+        return
+    most = MOST_DRIVES[medium]
+    if medium == "rs485" and line.get("repeaters"):
+        most = MOST_WITH_REPEATERS
+    drives = drives_of(roster)
+    if len(drives) <= most:
+        return
+    what = f"there are {len(drives)} drives, but {medium} takes {most}"
+    right = "remove drives or split them over two lines"
+    if medium == "rs485" and most < MOST_WITH_REPEATERS:
+        right = f"split them over two lines, or write repeaters: true for {MOST_WITH_REPEATERS}"
+    if medium == "rs232":
+        right = "keep one drive, or write medium: rs485"
+    mistakes.note(drives[most].node, what, right)
+
+
+def _check_names(drives: list[Entry], mistakes: Mistakes) -> None:
+    first: dict[str, Entry] = {}
+    for drive in drives:
+        name = drive.get("name")
+        if name is None:
+            continue
+        other = first.setdefault(name, drive)
+        if other is not drive:
+            what = f"a drive named {shown(name)} stands in line {other.place('name').line} already"
+            mistakes.note(drive.place("name"), what, "every drive needs a name of its own")
+
+
+def _check_addresses(drives: list[Entry], mistakes: Mistakes) -> None:
+    first: dict[int, Entry] = {}
+    for drive in drives:
+        address = drive.get("address")
+        if address is None:
+            continue
+        other = first.setdefault(address, drive)
+        if other is not drive:
+            named = f"drive {shown(other.get('name', 'without a name'))}"
+            line = other.place("address").line
+            what = f"address {address} is that of {named} in line {line} already"
+            mistakes.note(drive.place("address"), what, _free_address(address, drives))
+
+
+def _free_address(near: int, drives: list[Entry]) -> str:
+    """Return a remedy that names the next free address."""
+    taken = {drive.get("address") for drive in drives}
+    free = [number for number in (*range(near, 100), *range(near, 0, -1))
+            if number % 10 and number not in taken]  # fmt: skip
+    return f"every drive needs its own; {free[0]} is free" if free else "every drive needs its own"
+
+
+def _check_groups(roster: Entry, drives: list[Entry], mistakes: Mistakes) -> None:
+    names = {drive.get("name"): drive for drive in drives if drive.get("name") is not None}
+    for at, group in roster.get("groups", ()):
+        namesake = names.get(at.text)
+        if namesake is not None:
+            what = f"{shown(at.text)} is also a drive (line {namesake.place('name').line})"
+            mistakes.note(at, what, "give the group another name")
+        members = group.get("members")
+        if isinstance(members, Items):
+            # Names that could not be read are known no less: the drive's entry was refused.
+            known = {text for drive in drives if (text := _written_name(drive)) is not None}
+            _check_members(at.text, members, known, mistakes)
+
+
+def _written_name(drive: Entry) -> str | None:
+    node = drive.nodes.get("name")
+    return node.text if isinstance(node, Scalar) else None
+
+
+def _check_members(group: str, members: Items, known: set[str], mistakes: Mistakes) -> None:
+    seen: set[str] = set()
+    for item in members:
+        if item.value in seen:
+            what = f"{shown(item.value)} is a member of {shown(group)} twice"
+            mistakes.note(item.node, what, "keep one of the two")
+        elif item.value not in known:
+            what = f"the group {shown(group)} has the member {shown(item.value)}, which is no drive"
+            drives = f"the drives are {_some(known)}" if known else "name a drive of this roster"
+            mistakes.note(item.node, what, did_you_mean(item.value, known, drives))
+        seen.add(item.value)
+
+
+def _some(names: Iterable[str], most: int = 8) -> str:
+    ordered = sorted(names)
+    return one_of(ordered) if len(ordered) <= most else f"{', '.join(ordered[:most])} .."
+
+
+def _check_shutdown(roster: Entry, drives: list[Entry], mistakes: Mistakes) -> None:
+    action = roster.get("on_shutdown", "nothing")
+    if action == "nothing":
+        return
+    cannot = [drive for drive in drives if drive.get("family") is not None
+              and not knows_stop(family(drive.get("family")), StopAction(action))]  # fmt: skip
+    if not cannot:
+        return
+    first = cannot[0]
+    what = (
+        f"on_shutdown is {action}, but family {first.get('family')} of drive "
+        f"{shown(first.get('name', '?'))} (line {first.node.line}) knows no {action}"
+    )
+    others = [word for word in StopAction if word != action and all(
+        knows_stop(family(drive.get("family")), word) for drive in cannot)]  # fmt: skip
+    mistakes.note(roster.place("on_shutdown"), what, f"write {one_of([*others, 'nothing'])}")
+
+
+def _check_default_lapse(roster: Entry, drives: list[Entry], mistakes: Mistakes) -> None:
+    """Check the default of `lease` against each drive that does not say otherwise."""
+    default = roster.get("lease")
+    required = isinstance(default, Entry) and default.get("required", False)
+    fallback = default.get("on_lapse", "quick-stop") if isinstance(default, Entry) else "quick-stop"
+    for drive in drives:
+        own = drive.get("lease", UNUSABLE)
+        given = own if isinstance(own, Entry) else None
+        needs = given.get("required", required) if given is not None else required
+        if needs and (given is None or "on_lapse" not in given.nodes):
+            check_lapse(drive, fallback, drive.place("lease"), mistakes)

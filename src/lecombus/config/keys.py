@@ -1,0 +1,170 @@
+"""Every key of a roster, what it holds, and its words for editors: the grammar as one table.
+
+Reading (`loading`) and the JSON Schema (`schema`) are both made from `ROSTER`; a key that is added
+here is read, refused, completed and shown in editors. What it does is then up to `checks` and
+`building`.
+
+What must not live here: rules between keys, defaults that depend on something.
+"""
+
+from __future__ import annotations
+
+from typing import Final, get_args
+
+from lecombus.config import models
+from lecombus.config.borders import (
+    LONGEST_SOCKET_PATH,
+    AbsolutePath,
+    Host,
+    HttpPlace,
+    PortPlace,
+)
+from lecombus.config.kinds import (
+    Address,
+    Choice,
+    CodeKind,
+    Duration,
+    Name,
+    Percent,
+    Text,
+    Whole,
+    WholeChoice,
+    YesNo,
+)
+from lecombus.config.shapes import Key, ListOf, NamedEntries, Table
+from lecombus.drives import FAMILY_NAMES
+from lecombus.protocol.timing import BAUDS
+
+__all__ = ["ALL", "CYCLIC_SHORTEST_S", "ROSTER"]
+
+ALL: Final = "all"
+"""The group that always exists."""
+CYCLIC_SHORTEST_S: Final = 0.01
+"""No exchange is shorter at 19200 baud: a status read alone takes 13 ms on the wire."""
+_DAY_S: Final = 86400.0
+_HOUR_S: Final = 3600.0
+
+_DRIVE_NAME: Final = Name("drive", reserved={ALL: "`all` is the group of all drives"})
+_GROUP_NAME: Final = Name("group", reserved={ALL: "`all` always exists; remove it or rename it"})
+_CODE: Final = CodeKind()
+_ECHO: Final = Choice(
+    get_args(models.Echo),
+    also={"true": "yes", "on": "yes", "yes": "yes", "false": "no", "off": "no", "no": "no"},
+)
+_ON_LAPSE: Final = Choice(get_args(models.Lapse))
+
+_LINE: Final = Table("line", (
+    Key("name", Name("line", capitals=True),
+        "Name of the line: metrics label, socket and file names, lecombus@NAME.", required=True),
+    Key("port", PortPlace(),
+        "A device by its stable path (/dev/serial/by-id/..), socket://HOST:PORT, "
+        "rfc2217://HOST:PORT, or sim: for built-in simulated drives.", required=True),
+    Key("baud", WholeChoice(BAUDS), "Bits a second, the same in every drive (C0125, P411).",
+        default=9600),
+    Key("medium", Choice(get_args(models.Medium)),
+        "What the drives hang on. rs485 takes 31 drives (90 with repeaters), rs232 one, fibre 52.",
+        default="rs485"),
+    Key("repeaters", YesNo(), "An rs485 line with repeaters: 90 drives instead of 31.",
+        default=False),
+    Key("direction", Choice(get_args(models.Direction)),
+        "Who switches the RS-485 transceiver: the adapter, the kernel's driver, or lecombus by "
+        "RTS (which cannot promise the 1 ms that drives expect).", default="adapter"),
+    Key("echo", _ECHO, "Whether everything sent comes back; auto finds out.", default="auto"),
+    Key("parity", Choice(get_args(models.Parity)),
+        "Who makes even parity: lecombus on an 8N1 port (line), or a device server that frames "
+        "7E1 (port).", default="line"),
+    Key("turnaround", Duration(0, 1),
+        "Least pause between the end of an answer and the next telegram.", default="2ms"),
+    Key("retries", Whole(0, 10), "Repetitions after a failed exchange, where repeating is safe.",
+        default=2),
+    Key("adapter_latency", Duration(0, 1),
+        "What the adapter adds to an answer. Absent: by the kind of port."),
+    Key("late_answer", Duration(0.01, 10),
+        "How late an answer may still come after a time-out; the line waits that long.",
+        default="500ms"),
+    Key("absent_share", Percent(1, 50),
+        "Largest share of line time spent on drives that do not answer.", default="10%"),
+    Key("stall", Duration(1, _HOUR_S, zero="never"),
+        "Silence of all drives after which the port is reopened; 0 for never.", default="30s"),
+), "The serial line and what it hangs on.")  # fmt: skip
+
+_WATCHDOG: Final = Table("watchdog", (
+    Key("time", Duration(0.001, 100),
+        "Time without a telegram after which the drive acts. 2102 module: 50ms to 65.535s; "
+        "SMVector: up to 65s.", required=True),
+    Key("action", Text("none, inhibit, quick-stop or trip", 20),
+        "What the drive does: none, inhibit, quick-stop, or trip (SMVector).", required=True),
+    Key("configure", YesNo(),
+        "Write time and action into the drive at start and after each power cycle; otherwise "
+        "differences are only reported.", default=False),
+), "The timer in the drive that stops it when the line goes quiet; lecombus feeds it.")  # fmt: skip
+
+_CYCLIC: Final = Table("cyclic read", (
+    Key("code", _CODE, "The code, with its subcode after a slash.", required=True),
+    Key("every", Duration(CYCLIC_SHORTEST_S, _DAY_S), "How often it is read.", required=True),
+))  # fmt: skip
+
+_LEASE: Final = Table("lease", (
+    Key("required", YesNo(), "Whether control of the drive needs a lease.", default=False),
+    Key("time", Duration(0.1, _HOUR_S), "Longest time between two renewals.", default="2s"),
+    Key("on_lapse", _ON_LAPSE,
+        "What happens when it lapses; hold means nothing, and shows as an alarm.",
+        default="quick-stop"),
+), "A client's promise that it is alive (not used by this version).")  # fmt: skip
+
+_DRIVE: Final = Table("drive", (
+    Key("name", _DRIVE_NAME, "Name of the drive in commands, URLs and metrics.", required=True),
+    Key("address", Address(), "1..99 without 10, 20 .. 90 (C0009, P410).", required=True),
+    Key("family", Choice(FAMILY_NAMES),
+        "What it is; generic for any other device that speaks LECOM-A/B.", required=True),
+    Key("watchdog", _WATCHDOG, _WATCHDOG.doc),
+    Key("cyclic", ListOf(_CYCLIC, "the cyclic read"),
+        "What is read all the time. Absent: the family's status set; [] for nothing."),
+    Key("writable", ListOf(_CODE, "the code"),
+        "What may be written. Absent: the family's set; [] for nothing."),
+    Key("allow_address_change", YesNo(),
+        "Take codes into `writable` that change the drive's address or baud rate.",
+        default=False),
+    Key("answer_time", Duration(0.001, 10),
+        "Its processing time, where it differs from its family's."),
+    Key("addressing", Choice(get_args(models.Addressing)),
+        "Code addressing it understands; standard for devices that know no extended addressing. "
+        "Absent: as its family."),
+    Key("accept_software", ListOf(Text("a software version such as 1.30", 20), "the version"),
+        "Software versions (P494 of an SMVector) that may be written to besides the manual's."),
+    Key("lease", _LEASE, _LEASE.doc),
+), "A drive on the line.")  # fmt: skip
+
+_GROUP: Final = Table("group", (
+    Key("members", ListOf(Text("a drive's name", Name.LONGEST), "the member", least=1),
+        "Names of drives. Sent as one telegram where they are exactly the drives of one decade "
+        "of addresses, or all drives.", required=True),
+))  # fmt: skip
+
+_API: Final = Table("api", (
+    Key("socket", AbsolutePath("/run/lecombus/hall-3.sock", LONGEST_SOCKET_PATH),
+        "The Unix socket. Absent: /run/lecombus/NAME.sock with the line's name."),
+    Key("http", HttpPlace(), "Loopback HOST:PORT for HTTP. Absent: none."),
+    Key("tokens", AbsolutePath("/etc/lecombus/tokens"),
+        "File of hashed tokens (not used by this version)."),
+), "Where programs reach the daemon.")  # fmt: skip
+
+_MQTT: Final = Table("mqtt", (
+    Key("host", Host(), "The broker.", required=True),
+    Key("port", Whole(1, 65535), "Absent: 8883 with TLS, 1883 without."),
+    Key("tls", YesNo(), "Whether the broker is spoken to by TLS.", default=True),
+), "The message broker (not used by this version).")  # fmt: skip
+
+ROSTER: Final = Table("roster", (
+    Key("line", _LINE, _LINE.doc, required=True),
+    Key("drives", ListOf(_DRIVE, "the drive", least=1), "The drives on the line.", required=True),
+    Key("groups", NamedEntries(_GROUP_NAME, _GROUP),
+        "Drives spoken to together. The group `all` always exists."),
+    Key("lease", _LEASE, "The default for all drives (not used by this version)."),
+    Key("on_shutdown", Choice(get_args(models.OnShutdown)),
+        "What is sent to all drives when the daemon ends.", default="nothing"),
+    Key("api", _API, _API.doc),
+    Key("mqtt", _MQTT, _MQTT.doc),
+    Key("journal", AbsolutePath("/var/lib/lecombus/hall-3.sqlite"),
+        "The record of writes, trips and losses (not used by this version)."),
+), "One line of drives, read by one lecombus process.")  # fmt: skip

@@ -1,0 +1,121 @@
+"""The way in: a file or a text becomes a `Roster`, or one `RosterError` with all that is wrong.
+
+Steps, each in its own module: text to nodes (`composing`), nodes to values (`keys`), values
+against each other (`checks`), values to models (`building`). Only a file that cannot be read and
+text that is no YAML end it early.
+
+What must not live here: any rule of the roster.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from lecombus.config.building import build_roster
+from lecombus.config.checks import check_roster
+from lecombus.config.composing import compose
+from lecombus.config.keys import ROSTER
+from lecombus.config.mistakes import Mistakes, RosterError
+from lecombus.config.models import Roster
+from lecombus.config.nodes import MappingNode, Scalar
+from lecombus.config.shapes import Entry
+
+__all__ = ["load_roster", "parse_roster"]
+
+LARGEST: Final = 1024 * 1024
+"""Largest file read, in bytes; 90 drives with everything spelled out take about 60,000."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Top:
+    """Where a mistake stands that concerns the file as a whole."""
+
+    line: int = 1
+    column: int = 1
+
+
+def load_roster(path: Path) -> Roster:
+    """Read a roster.
+
+    Args:
+        path: The file; mistakes name it as it is given here.
+
+    Raises:
+        RosterError: It cannot be read or used; carries every mistake.
+    """
+    file = str(path)
+    mistakes = Mistakes(file)
+    data = _read(path, mistakes)
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError as exc:
+        before = data[: exc.start]
+        column = len(before[before.rfind(b"\n") + 1 :].decode("utf-8")) + 1
+        spot = _Top(before.count(b"\n") + 1, column)
+        what = f"the byte {data[exc.start]:02X}h is not UTF-8"
+        raise mistakes.fatal(spot, what, "save the file as UTF-8") from exc
+    return parse_roster(text, file)
+
+
+def parse_roster(text: str, file: str) -> Roster:
+    """Read a roster from its text.
+
+    Args:
+        text: The whole file.
+        file: What to call it in mistakes.
+
+    Raises:
+        RosterError: It cannot be used; carries every mistake.
+    """
+    mistakes = Mistakes(file)
+    if len(text) > LARGEST:
+        raise _too_large(mistakes)
+    node = compose(text.removeprefix("\ufeff"), mistakes)
+    if node is None or (isinstance(node, Scalar) and node.is_empty):
+        right = "a roster has at least `line:` and `drives:`"
+        raise mistakes.fatal(_Top(), "the file is empty", right)
+    if not isinstance(node, MappingNode):
+        right = "a roster is a mapping with at least `line:` and `drives:`"
+        raise mistakes.fatal(node, "this is no roster", right)
+    roster = ROSTER.read(node, "the roster", mistakes)
+    assert isinstance(roster, Entry)
+    check_roster(roster, mistakes)
+    if mistakes:
+        raise mistakes.error()
+    return build_roster(roster, file)
+
+
+def _read(path: Path, mistakes: Mistakes) -> bytes:
+    """Return the file's bytes; never waits on a pipe or a device."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        with open(descriptor, "rb") as file:
+            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+                raise mistakes.fatal(_Top(), "this is no regular file", "name a roster file")
+            data = file.read(LARGEST + 1)
+    except OSError as exc:
+        raise mistakes.fatal(_Top(), *_say_os_error(exc)) from exc
+    except ValueError as exc:  # a NUL in the name
+        raise mistakes.fatal(_Top(), "this is no file name", "name a roster file") from exc
+    if len(data) > LARGEST:
+        raise _too_large(mistakes)
+    return data
+
+
+def _too_large(mistakes: Mistakes) -> RosterError:
+    what = f"the file is larger than {LARGEST // 1024} KiB"
+    return mistakes.fatal(_Top(), what, "name a roster file; none is that large")
+
+
+def _say_os_error(error: OSError) -> tuple[str, str]:
+    if isinstance(error, FileNotFoundError):
+        return "there is no such file", "check the path"
+    if isinstance(error, IsADirectoryError):
+        return "this is a directory", "name the roster in it"
+    if isinstance(error, PermissionError):
+        return "the file may not be read", "give this user permission to read it"
+    return f"the file cannot be read: {error.strerror}", "check the path"

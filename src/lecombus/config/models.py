@@ -1,0 +1,213 @@
+"""The roster as the rest of lecombus sees it: frozen, complete, in seconds and codes.
+
+All defaults are filled in, also those that follow from a drive's family; durations are seconds
+(`*_s`), shares are fractions. Whoever holds a `Roster` need not check anything again. Models are
+made by `building` only, from values that were read and checked; pydantic watches over the types.
+
+What must not live here: defaults that depend on a family (see `building`), any reading of YAML.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict
+
+from lecombus.protocol.addressing import Code, Form
+
+__all__ = [
+    "ApiEntry",
+    "CyclicEntry",
+    "Direction",
+    "DriveEntry",
+    "Echo",
+    "GroupEntry",
+    "HttpAddress",
+    "Lapse",
+    "LeaseEntry",
+    "LineEntry",
+    "Medium",
+    "MqttEntry",
+    "OnShutdown",
+    "Parity",
+    "Roster",
+    "WatchdogEntry",
+]
+
+Medium = Literal["rs485", "rs232", "fibre"]
+Direction = Literal["adapter", "kernel", "rts"]
+Echo = Literal["auto", "yes", "no"]
+Parity = Literal["line", "port"]
+Addressing = Literal["both", "standard"]
+Lapse = Literal["quick-stop", "inhibit", "silence", "hold"]
+OnShutdown = Literal["nothing", "quick-stop", "inhibit"]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+
+class LineEntry(_Model):
+    """The line.
+
+    Args:
+        name: Its name: metrics label, socket and file names.
+        port: Device path, `socket://HOST:PORT`, `rfc2217://HOST:PORT` or `sim:`.
+        baud: 1200, 2400, 4800, 9600 or 19200 bit/s.
+        medium: What the drives hang on; bounds their number.
+        repeaters: An RS-485 line with repeaters: 90 drives instead of 31.
+        direction: Who switches the RS-485 transceiver.
+        echo: Whether what is sent comes back; `auto` finds out.
+        parity: Who makes even parity: we in bit 7 (`line`) or a device server (`port`).
+        turnaround_s: Least pause between an answer's end and the next telegram.
+        retries: Repetitions after a failed exchange, 0 to 10.
+        adapter_latency_s: What the adapter adds to an answer; None: by the kind of port.
+        late_answer_s: How late an answer may still come (quarantine after a time-out).
+        absent_share: Largest share of line time for probing absent drives, 0.01 to 0.5.
+        stall_s: Silence of all drives after which the port is reopened; 0: never.
+    """
+
+    name: str
+    port: str
+    baud: int = 9600
+    medium: Medium = "rs485"
+    repeaters: bool = False
+    direction: Direction = "adapter"
+    echo: Echo = "auto"
+    parity: Parity = "line"
+    turnaround_s: float = 0.002
+    retries: int = 2
+    adapter_latency_s: float | None = None
+    late_answer_s: float = 0.5
+    absent_share: float = 0.10
+    stall_s: float = 30.0
+
+
+class WatchdogEntry(_Model):
+    """What a drive's watchdog shall be.
+
+    Args:
+        time_s: Its monitoring time.
+        action: The family's word for what it does (`WatchdogTraits.actions`).
+        configure: Whether lecombus writes it into the drive; otherwise it only compares.
+    """
+
+    time_s: float
+    action: str
+    configure: bool = False
+
+
+class CyclicEntry(_Model):
+    """A code read again and again."""
+
+    code: Code
+    every_s: float
+
+
+class LeaseEntry(_Model):
+    """Whether control of a drive needs a lease, and what its lapse does."""
+
+    required: bool = False
+    time_s: float = 2.0
+    on_lapse: Lapse = "quick-stop"
+
+
+class DriveEntry(_Model):
+    """One drive.
+
+    Args:
+        name: Its name.
+        address: 1..99 without those ending in 0.
+        family: The name of its family.
+        forms: The addressing forms used with it, the cheaper first.
+        watchdog: What its watchdog shall be; None: not looked after.
+        cyclic: What is read all the time; the family's status set unless the roster says.
+        writable: What may be written; the family's set unless the roster says.
+        answer_time_s: Its processing time where it differs from its family's; None: the family's.
+        accept_software: Software identifications accepted besides those of the manual.
+        lease: Whether its control needs a lease.
+    """
+
+    name: str
+    address: int
+    family: str
+    forms: tuple[Form, ...]
+    watchdog: WatchdogEntry | None = None
+    cyclic: tuple[CyclicEntry, ...]
+    writable: frozenset[Code]
+    answer_time_s: float | None = None
+    accept_software: tuple[str, ...] = ()
+    lease: LeaseEntry = LeaseEntry()
+
+
+class GroupEntry(_Model):
+    """Drives spoken to together.
+
+    Args:
+        members: Their names, in the order of the roster's list.
+        multicast_address: 10..90 or 0 if one telegram reaches exactly them; None: one by one.
+    """
+
+    members: tuple[str, ...]
+    multicast_address: int | None = None
+
+
+class HttpAddress(_Model):
+    """A loopback address the API listens on."""
+
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        """Return `HOST:PORT`, as written in a roster."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{host}:{self.port}"
+
+
+class ApiEntry(_Model):
+    """Where the API listens; `http` None: not on TCP."""
+
+    socket: str
+    http: HttpAddress | None = None
+    tokens: str | None = None
+
+
+class MqttEntry(_Model):
+    """The message broker."""
+
+    host: str
+    port: int
+    tls: bool = True
+
+
+class Roster(_Model):
+    """A whole roster.
+
+    Args:
+        file: Where it was read from, as named by the user.
+        line: The line.
+        drives: The drives, in the order of the file.
+        groups: The groups by name; `all` is always one of them.
+        lease: The default for all drives; each drive has its own resolved.
+        on_shutdown: What is done to the drives at the end.
+        api: Where the API listens.
+        mqtt: The message broker; None: none.
+        journal: The journal's file; None: none.
+        not_yet_used: Keys that were given and checked but do nothing in this version.
+    """
+
+    file: str
+    line: LineEntry
+    drives: tuple[DriveEntry, ...]
+    groups: Mapping[str, GroupEntry]
+    lease: LeaseEntry = LeaseEntry()
+    on_shutdown: OnShutdown = "nothing"
+    api: ApiEntry
+    mqtt: MqttEntry | None = None
+    journal: str | None = None
+    not_yet_used: tuple[str, ...] = ()
+
+    def drive(self, name: str) -> DriveEntry | None:
+        """Return a drive by its name."""
+        return next((entry for entry in self.drives if entry.name == name), None)
