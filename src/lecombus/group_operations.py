@@ -1,0 +1,228 @@
+"""Operations on several drives: a group's write, and the stop.
+
+A group goes out as one multicast when its members are exactly the roster's drives of one decade
+or all of them (`config` decides that once, `check` shows it) and every member wants the same
+telegram; otherwise one telegram after another. A multicast has no answer, so its members are
+read back.
+
+A stop is different from everything else: it is sent to drives that are offline too (their answer
+may be lost, not their hearing), it needs no permission, and a multicast that says it to all is
+followed by reading back every member and, where that does not show the stop, by a stop to the
+member alone.
+
+What must not live here: HTTP, telegrams, waiting lists.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Mapping
+from decimal import Decimal
+
+from .config import GroupEntry
+from .drives import (
+    StopAction,
+    knows_stop,
+    needs_control_word,
+    stop_value,
+)
+from .errors import ExchangeError, LineError, OperationError, ScheduleError
+from .line.jobs import Station
+from .operations import Operations
+from .protocol.addressing import Code
+from .protocol.values import Value
+from .reports import GroupReport, How, WriteReport, group_report
+from .requests import Ending
+from .schedule import Outcome, Priority, Request
+from .stations import ignore_end
+
+__all__ = ["GroupOperations"]
+
+logger = logging.getLogger(__name__)
+
+
+class GroupOperations(Operations):
+    """Adds to the operations on one drive those on several."""
+
+    @property
+    def groups(self) -> Mapping[str, GroupEntry]:
+        """The groups, by name."""
+        return self._groups
+
+    async def write_group(
+        self,
+        group: str,
+        code: Code,
+        value: Decimal | int | str,
+        *,
+        expires_s: float | None = None,
+        verify: bool | None = None,
+    ) -> GroupReport:
+        """Write a code of every member of a group.
+
+        Every member is checked before anything is sent to one of them.
+
+        Args:
+            group: The group's name.
+            code: What to write; the roster must allow it for every member.
+            value: As for `write`.
+            expires_s: Not begun after this long, seconds.
+            verify: Read back every member; None: yes for a multicast, which nobody acknowledges.
+
+        Raises:
+            OperationError: No such group, or one member may not be written.
+            LineError: There is no line; nothing was sent.
+            QueueFullError: Too many requests wait; nothing was sent.
+        """
+        entry = self._group(group)
+        stations = tuple(self._requests.station(name) for name in entry.members)
+        wires = [self.permitted(one.name, one, code, value) for one in stations]
+        expires_at_s = None if expires_s is None else self._clock() + expires_s
+        if entry.multicast_address is None or len({wire.raw for wire in wires}) != 1:
+            endings = [
+                self.submit_write(one, code, wire, expires_at_s, verify=bool(verify))
+                for one, wire in zip(stations, wires, strict=True)
+            ]
+            reports = [
+                self.report(one.name, code, *await ending.wait())
+                for one, ending in zip(stations, endings, strict=True)
+            ]
+            return group_report(group, How.ONE_BY_ONE, reports)
+        outcome, reason = await self._multicast(
+            Station(group, entry.multicast_address, stations[0].family, stations[0].forms),
+            stations, code, wires[0], expires_at_s,
+        )  # fmt: skip
+        if outcome is Outcome.DONE and verify is not False:
+            proofs = await asyncio.gather(*(self._proof(one, code, wires[0]) for one in stations))
+            return group_report(group, How.MULTICAST, proofs)
+        told = Outcome.UNKNOWN if outcome is Outcome.DONE else outcome
+        reports = [self.report(one.name, code, told, reason) for one in stations]
+        return group_report(group, How.MULTICAST, reports)
+
+    async def _multicast(
+        self,
+        group: Station,
+        stations: tuple[Station, ...],
+        code: Code,
+        wire: Value,
+        expires_at_s: float | None,
+    ) -> tuple[Outcome, str]:
+        """Send a group's write as one telegram."""
+        infos = [one.family.info(code) for one in stations]
+        motion = any(info is not None and info.motion for info in infos)
+        ending = Ending()
+        request = self._requests.maker.multicast(
+            group, stations, code, wire, Priority.CONTROL if motion else Priority.INTERACTIVE,
+            settle=ending.settle, expires_at_s=expires_at_s,
+        )  # fmt: skip
+        request.motion = motion
+        self._requests.worker.submit(request)
+        return await ending.wait()
+
+    async def _proof(self, station: Station, code: Code, wire: Value) -> WriteReport:
+        """Read a member back after a multicast."""
+        try:
+            found = await self._requests.read(station, code, Priority.INTERACTIVE)
+        except (ExchangeError, LineError, OperationError, ScheduleError) as exc:
+            text = f"it went out as a multicast and could not be read back: {exc}"
+            return self.report(station.name, code, Outcome.UNKNOWN, text)
+        if found.number == wire.number:
+            return self.report(station.name, code, Outcome.VERIFIED, "")
+        text = f"it went out as a multicast, but {code} reads {found.raw}"
+        return self.report(station.name, code, Outcome.REFUSED, text)
+
+    async def stop(self, action: StopAction, target: str) -> GroupReport:
+        """Stop a drive, a group or all, ahead of everything else.
+
+        Args:
+            action: Quick stop or inhibit.
+            target: A drive's or a group's name; `all` is a group.
+
+        Raises:
+            OperationError: No such target, or no drive of it knows this stop.
+            LineError: There is no line; nothing was sent.
+        """
+        stations = tuple(self._requests.station(name) for name in self._targets(target))
+        able = tuple(one for one in stations if knows_stop(one.family, action))
+        if not able:
+            raise OperationError(
+                f"no {action} is known for {target}",
+                kind="no-stop",
+                drive=target,
+                remedy="write the code that stops this device, or name its family in the roster",
+            )
+        logger.warning("event=stop action=%s target=%s", action, target)
+        shared = self._shared_stop(target, stations, able, action)
+        if shared is not None:
+            self._requests.worker.submit(shared)
+        endings = [self._say_stop(one, action, said=shared is not None) for one in able]
+        reports = [
+            self.report(one.name, one.family.stops[action].code, *await ending.wait())
+            for one, ending in zip(able, endings, strict=True)
+        ]
+        reports += [
+            WriteReport(
+                one.name, one.family.feed_code, Outcome.REFUSED,
+                f"no {action} is known for family {one.family.name}: nothing was sent to it",
+            )
+            for one in stations if one not in able
+        ]  # fmt: skip
+        return group_report(target, How.MULTICAST if shared else How.ONE_BY_ONE, reports)
+
+    def _group(self, group: str) -> GroupEntry:
+        entry = self._groups.get(group)
+        if entry is None:
+            raise OperationError(
+                f"there is no group {group!r}",
+                kind="no-such-group",
+                remedy="the groups are: " + ", ".join(self._groups),
+            )
+        return entry
+
+    def _targets(self, target: str) -> tuple[str, ...]:
+        if target in self._entries:
+            return (target,)
+        if target in self._groups:
+            return tuple(self._groups[target].members)
+        raise OperationError(
+            f"there is no drive and no group {target!r}",
+            kind="no-such-drive",
+            drive=target,
+            remedy="they are: " + ", ".join((*self._entries, *self._groups)),
+        )
+
+    def _shared_stop(
+        self,
+        target: str,
+        stations: tuple[Station, ...],
+        able: tuple[Station, ...],
+        action: StopAction,
+    ) -> Request | None:
+        """The one telegram that stops all of them, if there is one."""
+        group = self._groups.get(target)
+        if group is None or group.multicast_address is None or len(able) != len(stations):
+            return None
+        telegrams: dict[tuple[Code, str], tuple[Code, Value]] = {}
+        for one in able:
+            word = self._words.get(one.name)
+            if needs_control_word(one.family, action) and word is None:
+                return None
+            code, value = stop_value(one.family, action, word)
+            telegrams[code, value.raw] = (code, value)
+        if len(telegrams) != 1:
+            return None
+        code, value = next(iter(telegrams.values()))
+        return self._requests.maker.multicast(
+            Station(target, group.multicast_address, able[0].family, able[0].forms),
+            able, code, value, Priority.STOP, settle=ignore_end,
+            stops=tuple(one.name for one in able),
+        )  # fmt: skip
+
+    def _say_stop(self, station: Station, action: StopAction, *, said: bool) -> Ending:
+        ending = Ending()
+        request = self._requests.maker.stop(
+            station, action, word=self._words.get(station.name), said=said, settle=ending.settle
+        )
+        self._requests.worker.submit(request)
+        return ending

@@ -1,0 +1,160 @@
+"""How each drive is doing, judged from what its exchanges come to.
+
+::
+
+    STARTING ──answered, audited──▶ ONLINE ──a failure──▶ DEGRADED ──too many in a row──▶ OFFLINE
+       ▲  ▲                           ▲                      │                              │
+       │  └── line reopened           └──────── answered ────┘                              │
+       └────────────────────────── a probe was answered ────────────────────────────────────┘
+
+A drive is called online only after it has answered *and* been audited (`keeper`); a drive that
+failed twice or more in a row is audited again when it answers, because a short power failure
+looks like that and the 2102 module forgets its settings in one (EDB2102EN 6.3). An offline drive
+is parked in the schedule and only probed, so that it costs the others little.
+
+What must not live here: reading or writing anything; the schedule and the keeper do that.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from .protocol.exchange import ResultKind
+from .readings import DriveState
+from .schedule import Request, Schedule
+from .store import Store
+
+__all__ = ["Health"]
+
+logger = logging.getLogger(__name__)
+
+OFFLINE_AFTER = 4
+"""Failed exchanges in a row: on a line that loses one answer in eight, once in 4000 exchanges."""
+
+OFFLINE_AFTER_STARTING = 2
+"""A drive that has not answered since the start is given up sooner: it is probably not there."""
+
+AUDIT_AFTER = 2
+"""Failures in a row after which a drive is audited again when it answers."""
+
+
+@dataclass(slots=True)
+class _Record:
+    state: DriveState
+    make_probe: Callable[[], Request]
+    misses: int = 0
+
+
+class Health:
+    """Judges the drives of one line.
+
+    Args:
+        schedule: Parks the drives that are offline.
+        store: Told the states.
+        wants_audit: Called with a drive that must be audited before it is called online.
+        clock: Monotonic time, seconds.
+    """
+
+    def __init__(
+        self,
+        schedule: Schedule,
+        store: Store,
+        wants_audit: Callable[[str], None],
+        clock: Callable[[], float],
+    ) -> None:
+        self._schedule = schedule
+        self._store = store
+        self._wants_audit = wants_audit
+        self._clock = clock
+        self._records: dict[str, _Record] = {}
+
+    def add_drive(self, name: str, make_probe: Callable[[], Request]) -> None:
+        """Watch a drive from now on; it starts as STARTING."""
+        self._records[name] = _Record(DriveState.STARTING, make_probe)
+        self._store.drive_state(name, DriveState.STARTING, "not tried yet")
+
+    def remove_drive(self, name: str) -> None:
+        """Watch it no longer."""
+        self._records.pop(name, None)
+
+    def state(self, name: str) -> DriveState:
+        """How a drive is doing."""
+        return self._records[name].state
+
+    def line_opened(self) -> None:
+        """Begin anew with every drive: nobody knows what happened while the line was away."""
+        now = self._clock()
+        for name, record in self._records.items():
+            if record.state is DriveState.OFFLINE:
+                self._schedule.set_probe(name, None, now)
+                self._schedule.unpark(name, now)
+            record.misses = 0
+            self._set(name, record, DriveState.STARTING, "the line was opened: to be audited")
+            self._wants_audit(name)
+
+    def exchange_ended(self, name: str, kind: ResultKind, fault: str) -> None:
+        """Take the end of one exchange with a drive into account.
+
+        Args:
+            name: The drive.
+            kind: How it ended.
+            fault: Why it failed, in words.
+        """
+        record = self._records.get(name)
+        if record is None:
+            return
+        if kind is ResultKind.ANSWERED:
+            if record.misses or record.state is DriveState.OFFLINE:
+                self._answered(name, record)
+        elif kind is not ResultKind.LOST:
+            self._missed(name, record, fault)
+
+    def audited(self, name: str) -> None:
+        """The keeper has found the drive in order, or has put it in order."""
+        record = self._records.get(name)
+        if record is not None and record.state is not DriveState.OFFLINE:
+            self._set(name, record, DriveState.ONLINE, "")
+
+    def audit_failed(self, name: str, reason: str) -> None:
+        """The keeper could not finish its audit; it will try again."""
+        record = self._records.get(name)
+        if record is not None and record.state is not DriveState.OFFLINE:
+            self._set(name, record, record.state, f"not audited: {reason}")
+
+    def _answered(self, name: str, record: _Record) -> None:
+        misses, record.misses = record.misses, 0
+        if record.state is DriveState.OFFLINE:
+            now = self._clock()
+            self._schedule.set_probe(name, None, now)
+            self._schedule.unpark(name, now)
+            self._set(name, record, DriveState.STARTING, "it answers again: being audited")
+            self._wants_audit(name)
+        elif record.state is DriveState.DEGRADED:
+            if misses >= AUDIT_AFTER:
+                self._set(name, record, DriveState.DEGRADED, "it answers again: being audited")
+                self._wants_audit(name)
+            else:
+                self._set(name, record, DriveState.ONLINE, "")
+
+    def _missed(self, name: str, record: _Record, fault: str) -> None:
+        record.misses += 1
+        if record.state is DriveState.OFFLINE:
+            return
+        starting = record.state is DriveState.STARTING
+        if record.misses >= (OFFLINE_AFTER_STARTING if starting else OFFLINE_AFTER):
+            reason = f"{record.misses} exchanges in a row failed, the last one: {fault}"
+            self._set(name, record, DriveState.OFFLINE, reason)
+            now = self._clock()
+            self._schedule.park(name, now, f"{name} is offline: {reason}")
+            self._schedule.set_probe(name, record.make_probe, now)
+        elif not starting:
+            self._set(name, record, DriveState.DEGRADED, fault)
+
+    def _set(self, name: str, record: _Record, state: DriveState, reason: str) -> None:
+        if state is not record.state:
+            log = logger.warning if state is DriveState.OFFLINE else logger.info
+            log("drive=%s event=state from=%s to=%s reason=%s", name, record.state, state, reason)
+        record.state = state
+        self._store.drive_state(name, state, reason)

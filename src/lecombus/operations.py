@@ -1,0 +1,173 @@
+"""What users ask of one drive: read a code, write one. Every face calls this.
+
+Here stands what is true of such wishes whoever has them: which codes may be written, that a
+drive which is offline or not yet audited is not written to, and how a user's value becomes the
+wire's. Operations on several drives, and the stop, stand in `group_operations`.
+
+What must not live here: HTTP, telegrams, waiting lists.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from decimal import Decimal
+
+from .config import DriveEntry, GroupEntry
+from .drives import encode_for
+from .errors import CodeValueError, OperationError
+from .line.jobs import Station
+from .protocol.addressing import Code
+from .protocol.values import Value
+from .readings import DriveState, Reading
+from .reports import WriteReport
+from .requests import Ending, Requests
+from .schedule import Outcome, Priority
+from .store import Store
+from .words import ControlWords
+
+__all__ = ["Operations"]
+
+READ_WITHIN_S = 10.0
+"""A read that could not be begun for this long is given up: whoever asked has gone."""
+
+
+class Operations:
+    """Carries out what users ask for on one line.
+
+    Args:
+        requests: Sends requests.
+        store: What is known.
+        words: The drives' control words as last seen.
+        clock: Monotonic time, seconds.
+    """
+
+    def __init__(
+        self,
+        requests: Requests,
+        store: Store,
+        words: ControlWords,
+        clock: Callable[[], float],
+    ) -> None:
+        self._requests = requests
+        self._store = store
+        self._words = words
+        self._clock = clock
+        self._entries: dict[str, DriveEntry] = {}
+        self._groups: Mapping[str, GroupEntry] = {}
+
+    def set_roster(self, entries: Sequence[DriveEntry], groups: Mapping[str, GroupEntry]) -> None:
+        """Take the roster's drives and groups, at the start and at every reload."""
+        self._entries = {entry.name: entry for entry in entries}
+        self._groups = dict(groups)
+
+    async def read(
+        self,
+        drive: str,
+        code: Code,
+        *,
+        priority: Priority = Priority.INTERACTIVE,
+        timeout_s: float = READ_WITHIN_S,
+    ) -> Reading:
+        """Read a code from the drive now.
+
+        Args:
+            drive: The drive's name.
+            code: What to read; any code may be.
+            priority: The class to run in.
+            timeout_s: Not begun after this long, seconds.
+
+        Raises:
+            OperationError: No such drive, or nothing was sent.
+            ExchangeError: The drive did not answer, or refused.
+            LineError: There is no line.
+            QueueFullError: Too many requests wait.
+        """
+        station = self._requests.station(drive)
+        await self._requests.read(station, code, priority, timeout_s=timeout_s)
+        reading = self._store.reading(drive, code)
+        assert reading is not None, "a read that was done is in the store"
+        return reading
+
+    async def write(
+        self,
+        drive: str,
+        code: Code,
+        value: Decimal | int | str,
+        *,
+        expires_s: float | None = None,
+        verify: bool = False,
+    ) -> WriteReport:
+        """Write a code and say what came of it.
+
+        Args:
+            drive: The drive's name.
+            code: What to write; the roster must allow it.
+            value: A number, or text as on the wire such as `H0008`.
+            expires_s: Not begun after this long, seconds.
+            verify: Read back afterwards.
+
+        Raises:
+            OperationError: It may not be written, or the value is not one for this code.
+            LineError: There is no line; nothing was sent.
+            QueueFullError: Too many requests wait; nothing was sent.
+        """
+        station = self._requests.station(drive)
+        wire = self.permitted(drive, station, code, value)
+        expires_at_s = None if expires_s is None else self._clock() + expires_s
+        ending = self.submit_write(station, code, wire, expires_at_s, verify=verify)
+        return self.report(drive, code, *await ending.wait())
+
+    def submit_write(
+        self,
+        station: Station,
+        code: Code,
+        wire: Value,
+        expires_at_s: float | None,
+        *,
+        verify: bool,
+    ) -> Ending:
+        """Put a permitted write into the line; its end is waited for by the caller."""
+        ending = Ending()
+        request = self._requests.maker.write(
+            station, code, wire, settle=ending.settle, verify=verify, expires_at_s=expires_at_s
+        )
+        self._requests.worker.submit(request)
+        return ending
+
+    # ---- checks -----------------------------------------------------------------------------
+
+    def permitted(
+        self, drive: str, station: Station, code: Code, value: Decimal | int | str
+    ) -> Value:
+        """Give the wire's value for a write that may be made now."""
+        if code not in self._entries[drive].writable:
+            raise OperationError(
+                f"{code} of {drive} is not writable",
+                kind="not-writable",
+                drive=drive,
+                code=str(code),
+                remedy=f"add {code} to this drive's `writable` list in the roster",
+            )
+        state = self._store.drive(drive)
+        if state.state in (DriveState.OFFLINE, DriveState.STARTING):
+            raise OperationError(
+                f"{drive} is {state.state.value}: {state.reason}",
+                kind="offline" if state.state is DriveState.OFFLINE else "starting",
+                drive=drive,
+                code=str(code),
+                remedy="nothing was sent; a drive is written to once it answers and was audited",
+            )
+        try:
+            return encode_for(station.family, code, value)
+        except CodeValueError as exc:
+            raise OperationError(
+                f"{code} of {drive} cannot take {value!s}: {exc}",
+                kind="bad-value",
+                drive=drive,
+                code=str(code),
+                remedy="give a number, or the text as on the wire such as H0008",
+            ) from exc
+
+    def report(self, drive: str, code: Code, outcome: Outcome, reason: str) -> WriteReport:
+        """Say what came of a write, with what is known of the code now."""
+        return WriteReport(drive, code, outcome, reason, self._store.reading(drive, code))

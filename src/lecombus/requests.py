@@ -1,0 +1,189 @@
+"""Putting a request into the line and waiting for its end, for everything inside lecombus.
+
+The keeper and the operations that users start both wait here. Cancelling the wait drops the
+result and never a telegram: a request that still waits in the schedule runs or expires as it
+would have, and the worker never knows who was waiting.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+from .errors import ExchangeError, OperationError
+from .line.jobs import ReadJob, Station, WriteJob
+from .line.worker import LineWorker
+from .protocol.addressing import Code
+from .protocol.values import Value
+from .schedule import Outcome, Priority, Request
+from .stations import RequestMaker
+
+__all__ = ["Ending", "Requests"]
+
+
+class Ending:
+    """Waits for the end of one request: give `settle` to the request, then await `wait`."""
+
+    __slots__ = ("_future",)
+
+    def __init__(self) -> None:
+        self._future: asyncio.Future[tuple[Outcome, str]] = (
+            asyncio.get_running_loop().create_future()
+        )
+
+    def settle(self, outcome: Outcome, reason: str) -> None:
+        """Take the end; a waiter that has gone away is not missed."""
+        if not self._future.done():
+            self._future.set_result((outcome, reason))
+
+    async def wait(self) -> tuple[Outcome, str]:
+        """Return outcome and reason."""
+        return await self._future
+
+
+class Requests:
+    """Sends requests to the drives of one line.
+
+    Args:
+        worker: The line.
+        maker: Makes the requests with their costs.
+        clock: Monotonic time, seconds.
+    """
+
+    def __init__(
+        self, worker: LineWorker, maker: RequestMaker, clock: Callable[[], float]
+    ) -> None:
+        self.worker = worker
+        self.maker = maker
+        self._clock = clock
+        self._stations: dict[str, Station] = {}
+
+    def add_station(self, station: Station) -> None:
+        """Make a drive known."""
+        self._stations[station.name] = station
+
+    replace_station = add_station
+
+    def remove_station(self, name: str) -> None:
+        """Forget a drive."""
+        self._stations.pop(name, None)
+
+    def station(self, name: str) -> Station:
+        """Look a drive up.
+
+        Raises:
+            OperationError: `no-such-drive`.
+        """
+        station = self._stations.get(name)
+        if station is None:
+            raise OperationError(
+                f"there is no drive {name!r} on this line",
+                kind="no-such-drive",
+                drive=name,
+                remedy="the drives are: " + ", ".join(self._stations),
+            )
+        return station
+
+    async def read(
+        self, station: Station, code: Code, priority: Priority, *, timeout_s: float = 10.0
+    ) -> Value:
+        """Read one code now.
+
+        Args:
+            station: The drive.
+            code: What to read.
+            priority: The class to run in.
+            timeout_s: Not begun after this long, seconds.
+
+        Raises:
+            ExchangeError: The drive did not answer, or refused.
+            OperationError: It was never sent: expired, or the drive is offline.
+            LineError: There is no line.
+            QueueFullError: Too many wait.
+        """
+        ending = Ending()
+        request = self.maker.read(
+            station, code, priority, settle=ending.settle, expires_at_s=self._clock() + timeout_s
+        )
+        self.worker.submit(request)
+        outcome, reason = await ending.wait()
+        job = request.work
+        assert isinstance(job, ReadJob)
+        if job.value is not None:
+            return job.value
+        raise job.error or never_sent(outcome, reason, station, code)
+
+    async def write(
+        self,
+        station: Station,
+        code: Code,
+        value: Value,
+        *,
+        verify: bool,
+        expires_at_s: float | None = None,
+    ) -> tuple[Outcome, str]:
+        """Write one code and wait for the outcome.
+
+        Raises:
+            LineError: There is no line; nothing was sent.
+            QueueFullError: Too many wait; nothing was sent.
+        """
+        outcome, reason, _ = await self.write_job(
+            station, code, value, verify=verify, expires_at_s=expires_at_s
+        )
+        return outcome, reason
+
+    async def write_job(
+        self,
+        station: Station,
+        code: Code,
+        value: Value,
+        *,
+        verify: bool,
+        expires_at_s: float | None = None,
+    ) -> tuple[Outcome, str, ExchangeError | None]:
+        """As `write`, with the error the last exchange gave."""
+        ending = Ending()
+        request = self.maker.write(
+            station, code, value, settle=ending.settle, verify=verify, expires_at_s=expires_at_s
+        )
+        self.worker.submit(request)
+        outcome, reason = await ending.wait()
+        job = request.work
+        assert isinstance(job, WriteJob)
+        return outcome, reason, job.error
+
+    def feed_maker(self, name: str) -> Callable[[], Request]:
+        """Give the maker of the cheapest useful read of a drive."""
+
+        def make() -> Request:
+            station = self.station(name)
+            instead = tuple(code for code, _ in station.family.status)
+            return self.maker.read(
+                station, station.family.feed_code, Priority.WATCHDOG, retries=0, instead=instead
+            )
+
+        return make
+
+    def cyclic_maker(self, name: str, code: Code) -> Callable[[], Request]:
+        """Give the maker of a cyclic read; its next slot is its retry."""
+
+        def make() -> Request:
+            return self.maker.read(self.station(name), code, Priority.CYCLIC, retries=0)
+
+        return make
+
+
+def never_sent(outcome: Outcome, reason: str, station: Station, code: Code) -> OperationError:
+    """The error for a request that ended without a telegram of its own."""
+    kind = "expired" if outcome is Outcome.EXPIRED else "offline"
+    remedy = (
+        "ask again, or allow more time"
+        if outcome is Outcome.EXPIRED
+        else "check the drive's supply, its address and the wires; it is probed until it answers"
+    )
+    text = reason or f"the request {outcome}"
+    return OperationError(
+        f"{station.name}, {code}: {text}", kind=kind, drive=station.name, code=str(code),
+        remedy=remedy,
+    )  # fmt: skip

@@ -1,0 +1,155 @@
+"""The roster's drives as the line sees them, and the requests lecombus itself makes to them.
+
+Here roster, descriptions and cost model meet: every request, whoever wants it, is given its cost
+and its worst case here, so that the schedule, the time-outs and later the plan reckon with the
+same numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from .drives import LineTiming, StopAction, read_cost, write_cost
+from .line.jobs import MulticastJob, ReadJob, Station, StopJob, WriteJob
+from .protocol.addressing import Code, Form
+from .protocol.timing import write_request_chars
+from .protocol.values import Value
+from .schedule import Outcome, Priority, Request, Settle
+
+__all__ = ["RequestMaker", "ignore_end"]
+
+
+def ignore_end(outcome: Outcome, reason: str) -> None:
+    """The end of a request nobody waits for: what it brought stands in the store."""
+
+
+@dataclass(frozen=True, slots=True)
+class RequestMaker:
+    """Makes requests with their costs.
+
+    Args:
+        timing: Baud rate and latencies of the line.
+        retries: How often a failed attempt is repeated.
+    """
+
+    timing: LineTiming
+    retries: int
+
+    def read(
+        self,
+        station: Station,
+        code: Code,
+        priority: Priority,
+        *,
+        settle: Settle = ignore_end,
+        retries: int | None = None,
+        instead: tuple[Code, ...] = (),
+        expires_at_s: float | None = None,
+    ) -> Request:
+        """Make a request that reads one code."""
+        cost = read_cost(self.timing, station.family, code, form_of(station, code))
+        job = ReadJob(station, code, self.retries if retries is None else retries, instead)
+        return Request(
+            station.name, priority, cost.expected_s, cost.worst_s, settle, job,
+            expires_at_s=expires_at_s,
+        )  # fmt: skip
+
+    def write(
+        self,
+        station: Station,
+        code: Code,
+        value: Value,
+        *,
+        settle: Settle,
+        verify: bool,
+        expires_at_s: float | None = None,
+    ) -> Request:
+        """Make a request that writes one code.
+
+        What moves the drive runs in the control class; a later setpoint for the same code takes
+        the place of one that still waits.
+        """
+        cost = write_cost(self.timing, station.family, code, value, form_of(station, code))
+        info = station.family.info(code)
+        write_class = station.family.write_class(code, value)
+        job = WriteJob(
+            station, code, value, write_class=write_class, retries=self.retries, verify=verify
+        )
+        motion = info is not None and info.motion
+        setpoint = motion and value.format == "VD" and not is_switch(station, code)
+        return Request(
+            station.name,
+            Priority.CONTROL if motion else Priority.INTERACTIVE,
+            cost.expected_s,
+            cost.worst_s,
+            settle,
+            job,
+            expires_at_s=expires_at_s,
+            supersedes=(station.name, code) if setpoint else None,
+            motion=motion,
+        )
+
+    def stop(
+        self, station: Station, action: StopAction, *, word: int | None, said: bool, settle: Settle
+    ) -> Request:
+        """Make a request that stops one drive and proves it."""
+        job = StopJob(station, action, word=word, retries=self.retries, said=said)
+        cost = read_cost(self.timing, station.family, job.step.code, form_of(station, job.step.code))
+        return Request(
+            station.name, Priority.STOP, cost.expected_s, cost.worst_s, settle, job,
+            stops=(station.name,),
+        )  # fmt: skip
+
+    def multicast(
+        self,
+        group: Station,
+        members: tuple[Station, ...],
+        code: Code,
+        value: Value,
+        priority: Priority,
+        *,
+        settle: Settle,
+        stops: tuple[str, ...] = (),
+        expires_at_s: float | None = None,
+    ) -> Request:
+        """Make a request that writes one code of all members with one telegram."""
+        slowest_s = max(one.family.longest_answer_time_s(code, write=True) for one in members)
+        form = Form.STANDARD if code.knows(Form.STANDARD) else Form.EXTENDED
+        wire_s = write_request_chars(form, len(value.raw)) * self.timing.char_s
+        whole_s = wire_s + slowest_s + self.timing.adapter_latency_s
+        job = MulticastJob(group, code, value, processing_s=slowest_s)
+        return Request(
+            group.name, priority, whole_s, whole_s, settle, job,
+            stops=stops, members=tuple(one.name for one in members), expires_at_s=expires_at_s,
+        )  # fmt: skip
+
+    def probe(self, station: Station) -> Callable[[], Request]:
+        """Give the maker of the read that asks an offline drive whether it is back.
+
+        Its code and form are chosen so that a late answer to it blocks nobody else's reads.
+        """
+        forms = tuple(reversed(station.forms))
+        quiet = Station(station.name, station.address, station.family, forms, station.hold_s)
+        polled = {code for code, _ in station.family.status}
+        rare = [code for code in station.family.identity if code not in polled]
+        code = rare[0] if rare else station.family.feed_code
+
+        def make() -> Request:
+            cost = read_cost(self.timing, quiet.family, code, forms[0])
+            job = ReadJob(quiet, code, 0)
+            return Request(
+                quiet.name, Priority.CYCLIC, cost.expected_s, cost.worst_s, ignore_end, job
+            )
+
+        return make
+
+
+def form_of(station: Station, code: Code) -> Form:
+    """The form a code is usually said in: the first of the station's that can carry it."""
+    return next((form for form in station.forms if code.knows(form)), Form.EXTENDED)
+
+
+def is_switch(station: Station, code: Code) -> bool:
+    """Whether a code switches rather than sets, such as C0040: every write of it counts."""
+    return any(rule.code == code for rule in station.family.stops.values())
