@@ -85,7 +85,7 @@ def test_standard_addressing_refuses_what_it_cannot_reach(code: Code) -> None:
     assert caught.value.high == 6229
 
 
-@pytest.mark.parametrize("number,subcode", [(-1, 0), (65536, 0), (0, -1), (0, 256)])
+@pytest.mark.parametrize(("number", "subcode"), [(-1, 0), (65536, 0), (0, -1), (0, 256)])
 def test_there_is_no_code_outside_the_ranges(number: int, subcode: int) -> None:
     with pytest.raises(CodeValueError):
         Code(number, subcode)
@@ -93,7 +93,8 @@ def test_there_is_no_code_outside_the_ranges(number: int, subcode: int) -> None:
 
 @pytest.mark.parametrize(
     "field",
-    [b"", b"4", b"461", b"vv", b"/0", b"0/", b"\x7f0", b"!03EA0", b"!03EA000", b"!03ea00", b"!03EG00"],
+    [b"", b"4", b"461", b"vv", b"/0", b"0/", b"\x7f0", b"!03EA0", b"!03EA000", b"!03ea00",
+     b"!03EG00"],
 )  # fmt: skip
 def test_what_is_no_field_is_not_decoded(field: bytes) -> None:
     assert not is_code_field(field)
@@ -116,7 +117,7 @@ def test_every_beginning_of_a_field_fits(code: Code, form: Form) -> None:
 
 
 @pytest.mark.parametrize(
-    "text,code",
+    ("text", "code"),
     [
         ("C0150", Code(150)),
         ("C150", Code(150)),

@@ -35,7 +35,7 @@ def test_decimals_are_written_canonically(count: int) -> None:
 
 
 @pytest.mark.parametrize(
-    "given_number,raw",
+    ("given_number", "raw"),
     [
         (0, "0"),
         (-5, "-5"),
@@ -84,7 +84,7 @@ def test_no_decimal_context_of_the_caller_changes_a_number() -> None:
 
 
 @pytest.mark.parametrize(
-    "raw,number",
+    ("raw", "number"),
     [
         ("35.40", Decimal("35.40")),
         ("000035.4", Decimal("35.4")),
@@ -138,7 +138,8 @@ def test_hexadecimals_survive_the_wire_in_every_length(data: st.DataObject, digi
 
 
 @pytest.mark.parametrize(
-    "number,digits", [(256, 2), (-1, 4), (65536, 4), (2**32, 8), (0, 0), (0, 1), (0, 3), (0, 16)]
+    ("number", "digits"),
+    [(256, 2), (-1, 4), (65536, 4), (2**32, 8), (0, 0), (0, 1), (0, 3), (0, 16)],
 )
 def test_hexadecimals_that_do_not_fit_are_refused(number: int, digits: int) -> None:
     with pytest.raises(CodeValueError):
@@ -196,16 +197,22 @@ def test_what_is_no_octet_string_is_not_read(raw: str) -> None:
 def test_any_text_is_a_value_or_a_format_error(raw: bytes | str) -> None:
     try:
         value = Value.parse(raw)
-    except ValueFormatError as error:
-        assert isinstance(error, LecombusError)
-        assert isinstance(error, ValueError)
-    else:
-        assert value.raw.encode() == (raw if isinstance(raw, bytes) else raw.encode())
-        assert isinstance(value.number, Decimal | int | str | bytes)
+    except ValueFormatError:
+        return
+    assert value.raw.encode() == (raw if isinstance(raw, bytes) else raw.encode())
+    assert isinstance(value.number, Decimal | int | str | bytes)
+
+
+def test_a_format_error_is_a_value_error_of_lecombus_with_the_text() -> None:
+    assert issubclass(ValueFormatError, ValueError)
+    assert issubclass(ValueFormatError, LecombusError)
+    with pytest.raises(ValueFormatError) as caught:
+        Value.parse("35,4")
+    assert caught.value.value == "35,4"
 
 
 @pytest.mark.parametrize(
-    "one,other,same",
+    ("one", "other", "same"),
     [
         ("35.4", "35.40", True),
         ("0", "-0.0", True),

@@ -55,8 +55,11 @@ def answer_of(vector: dict[str, Any]) -> Answer:
             return TransmissionErrorAnswer(field_of(vector))
         case "unknown-code":
             return UnknownCodeAnswer(field_of(vector))
+        case "ack":
+            return AckAnswer()
         case kind:
-            return {"ack": AckAnswer(), "nak": NakAnswer()}[kind]
+            assert kind == "nak"
+            return NakAnswer()
 
 
 def request_of(vector: dict[str, Any]) -> HostRequest:

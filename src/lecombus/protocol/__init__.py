@@ -31,7 +31,8 @@ from lecombus.protocol.controls import (
     strip_parity,
     with_parity,
 )
-from lecombus.protocol.parser import TAIL_LIMIT, AnswerParser, RequestParser
+from lecombus.protocol.host_parser import RequestParser
+from lecombus.protocol.parser import TAIL_LIMIT, AnswerParser
 from lecombus.protocol.telegrams import (
     ACK_ANSWER,
     NAK_ANSWER,

@@ -1,10 +1,10 @@
-"""Parsers: bytes in, in any split, events out.
+"""The parser for answers: bytes in, in any split, one event out.
 
 Strategy: parse by position, one character at a time. A telegram's first character decides what it
 is, then come a code field of known length, the value, ETX and the BCC; no character is ever
 searched for, since `?`, `H`, `O` and `S` begin code fields (C150, C240, C310, C350) as well as
 values, and a BCC may look like any control character. Nothing raises on bytes: what is wrong
-becomes a `BadAnswer` or `BadRequest` that says why. Every buffer is bounded.
+becomes a `BadAnswer` that says why. Every buffer is bounded.
 
 An answer mostly arrives whole, in one call. `AnswerParser` then looks at its fixed places at once
 (`_whole`), which is several times faster. That path decides nothing by itself: it only takes what
@@ -19,10 +19,9 @@ from __future__ import annotations
 
 from typing import Final
 
-from lecombus.protocol.addressing import field_length, fits_field, is_code_field
+from lecombus.protocol.addressing import field_length, is_code_field
 from lecombus.protocol.controls import (
     ACK,
-    ENQ,
     EOT,
     ETX,
     NAK,
@@ -31,22 +30,20 @@ from lecombus.protocol.controls import (
     strip_parity,
     with_parity,
 )
+from lecombus.protocol.host_parser import RequestParser
 from lecombus.protocol.telegrams import (
     AckAnswer,
     Answer,
     BadAnswer,
-    BadRequest,
     Fault,
-    HostRequest,
     NakAnswer,
-    ReadRequest,
     TransmissionErrorAnswer,
     UnknownCodeAnswer,
     ValueAnswer,
-    WriteRequest,
 )
+from lecombus.protocol.text import TelegramText
 from lecombus.protocol.timing import MAX_ANSWER_CHARS
-from lecombus.protocol.values import HIGHEST_VALUE_CHARS, Value, ValueFormatError
+from lecombus.protocol.values import Value, ValueFormatError
 
 __all__ = ["TAIL_LIMIT", "AnswerParser", "RequestParser", "strip_parity", "with_parity"]
 
@@ -57,53 +54,6 @@ _ACK_ANSWER: Final = AckAnswer()
 _NAK_ANSWER: Final = NakAnswer()
 _SHORTEST_VALUE_ANSWER: Final = 6  # STX C1 C2 V ETX BCC
 _ERROR_MARK: Final = b"?"
-_DIGITS: Final = frozenset(b"0123456789")
-
-
-class _Text:
-    """What stands after STX, in both directions: code field, value, ETX, BCC."""
-
-    __slots__ = ("body", "ended", "field_chars")
-
-    def __init__(self) -> None:
-        self.body = bytearray()
-        self.field_chars = 0
-        self.ended = False
-
-    def clear(self) -> None:
-        """Begin a new text."""
-        self.body.clear()
-        self.field_chars = 0
-        self.ended = False
-
-    def take(self, char: int) -> Fault | None:
-        """Take the next character before the BCC; tell what is wrong with it."""
-        body = self.body
-        body.append(char)
-        if len(body) == 1:
-            self.field_chars = field_length(char)
-        if len(body) <= self.field_chars:
-            return None if fits_field(body) else Fault.UNEXPECTED
-        if char == ETX:
-            self.ended = True
-            return None
-        if not 0x20 <= char < 0x7F:
-            return Fault.UNEXPECTED
-        return Fault.TOO_LONG if len(body) - self.field_chars > HIGHEST_VALUE_CHARS else None
-
-    def at_value(self) -> bool:
-        """Tell whether the code field is complete and no value has begun."""
-        return len(self.body) == self.field_chars > 0
-
-    @property
-    def field(self) -> bytes:
-        """The code field."""
-        return bytes(self.body[: self.field_chars])
-
-    @property
-    def value(self) -> bytes:
-        """The text between code field and ETX."""
-        return bytes(self.body[self.field_chars : -1])
 
 
 class AnswerParser:
@@ -120,7 +70,7 @@ class AnswerParser:
         self._parity = parity
         self._raw = bytearray()
         self._tail = bytearray()
-        self._text = _Text()
+        self._text = TelegramText()
         self._ended = False
 
     def reset(self) -> None:
@@ -225,115 +175,3 @@ class AnswerParser:
             return ValueAnswer(text.field, Value.parse(text.value))
         except ValueFormatError:
             return BadAnswer(Fault.FORMAT, bytes(self._raw))
-
-
-class RequestParser:
-    """Reads what a host sends, telegram after telegram: for traces, tests and simulated drives.
-
-    An EOT begins a new telegram wherever it stands, except as a BCC: after ETX it is the BCC if it
-    is the right one, and otherwise a new telegram after a bad one. After a bad telegram and
-    between telegrams everything up to the next EOT is skipped, and reported once.
-
-    Args:
-        parity: As for `AnswerParser`.
-    """
-
-    __slots__ = ("_address", "_parity", "_raw", "_skipping", "_text", "_writing")
-
-    def __init__(self, *, parity: bool = False) -> None:
-        self._parity = parity
-        self._raw = bytearray()
-        self._text = _Text()
-        self._address: int | None = None
-        self._writing = False
-        self._skipping = False
-
-    @property
-    def pending(self) -> bytes:
-        """The bytes of the telegram that is not complete yet."""
-        return bytes(self._raw)
-
-    def feed(self, data: bytes) -> list[HostRequest]:
-        """Take the next bytes; return every telegram that became complete or bad by them."""
-        events: list[HostRequest] = []
-        for byte in data:
-            self._take(byte, events)
-        return events
-
-    def _take(self, byte: int, events: list[HostRequest]) -> None:
-        char = byte & 0x7F
-        sound = not (byte.bit_count() & 1 if self._parity else byte > 0x7F)
-        if char == EOT and sound and not (self._text.ended and bcc(self._text.body) == EOT):
-            self._restart(byte, events)
-            return
-        if self._skipping:
-            return
-        self._raw.append(byte)
-        if not sound:
-            self._bad(Fault.PARITY, events)
-        elif len(self._raw) == 1:
-            self._bad(Fault.UNEXPECTED, events)
-        elif len(self._raw) <= 3:
-            self._take_address(char, events)
-        else:
-            self._take_text(char, events)
-
-    def _restart(self, byte: int, events: list[HostRequest]) -> None:
-        if self._text.ended:
-            self._bad(Fault.BCC, events)
-        elif len(self._raw) > 1:  # a bare EOT is no telegram and cuts none
-            self._bad(Fault.INTERRUPTED, events)
-        self._clear()
-        self._raw.append(byte)
-
-    def _take_address(self, char: int, events: list[HostRequest]) -> None:
-        if char not in _DIGITS:
-            self._bad(Fault.UNEXPECTED, events)
-        elif len(self._raw) == 3:
-            self._address = (self._raw[1] & 0x0F) * 10 + (char & 0x0F)
-
-    def _take_text(self, char: int, events: list[HostRequest]) -> None:
-        text = self._text
-        if not self._writing and not text.body and char == STX:
-            self._writing = True
-        elif text.ended:
-            self._finish(char, events)
-        elif not self._writing and text.at_value():
-            if char == ENQ:
-                self._good(ReadRequest(self._addressee(), text.field), events)
-            else:
-                self._bad(Fault.UNEXPECTED, events)
-        elif fault := text.take(char):
-            self._bad(fault, events)
-
-    def _finish(self, got: int, events: list[HostRequest]) -> None:
-        text = self._text
-        if got != bcc(text.body):
-            self._bad(Fault.BCC, events)
-            return
-        try:
-            value = Value.parse(text.value)
-        except ValueFormatError:
-            self._bad(Fault.FORMAT, events)
-            return
-        self._good(WriteRequest(self._addressee(), text.field, value), events)
-
-    def _addressee(self) -> int:
-        assert self._address is not None, "a text begins after the address"
-        return self._address
-
-    def _good(self, request: HostRequest, events: list[HostRequest]) -> None:
-        events.append(request)
-        self._clear()
-
-    def _bad(self, fault: Fault, events: list[HostRequest]) -> None:
-        events.append(BadRequest(fault, bytes(self._raw), self._address))
-        self._clear()
-        self._skipping = True
-
-    def _clear(self) -> None:
-        self._raw.clear()
-        self._text.clear()
-        self._address = None
-        self._writing = False
-        self._skipping = False
