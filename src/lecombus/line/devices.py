@@ -54,7 +54,7 @@ def stable_name(path: str) -> str | None:
     """Find the name under `/dev/serial/by-id` that leads to the same device.
 
     Returns:
-        The stable name; None if there is none, or if `path` is no kernel name of an adapter.
+        The stable name; None if there is none.
     """
     real = real_path(path)
     return next((name for name in connected() if real_path(name) == real), None)

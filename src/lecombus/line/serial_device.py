@@ -143,7 +143,7 @@ def _remark(device: Device, settings: PortSettings) -> None:
     if settings.direction == "rts":
         _log.warning(_RTS_WARNING, line, path)
     stable = devices.stable_name(path)
-    if stable is not None and path.startswith("/dev/tty"):
+    if stable is not None and devices.real_path(path) == path:
         text = "line=%s port=%s may be another adapter after replugging; use %s"
         _log.warning(text, line, path, stable)
 
