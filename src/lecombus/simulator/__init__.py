@@ -1,0 +1,30 @@
+"""Simulated drives: bytes in, bytes out, on a pseudo terminal, a TCP port or in memory.
+
+Start reading at `line.SimLine`. The room has its own tables and its own code, from the manuals, and
+shares only control characters and block check with the master's `protocol/`: a mistake made on both
+sides at once would prove nothing.
+"""
+
+from __future__ import annotations
+
+from lecombus.simulator.drive import LogEntry, SimDrive
+from lecombus.simulator.faults import Faults, LateKind, parse_faults
+from lecombus.simulator.line import SimLine
+from lecombus.simulator.memory import MemoryEnd, MemoryPort
+from lecombus.simulator.pty import PtyEnd
+from lecombus.simulator.tcp import TcpEnd
+from lecombus.simulator.world import build
+
+__all__ = [
+    "Faults",
+    "LateKind",
+    "LogEntry",
+    "MemoryEnd",
+    "MemoryPort",
+    "PtyEnd",
+    "SimDrive",
+    "SimLine",
+    "TcpEnd",
+    "build",
+    "parse_faults",
+]

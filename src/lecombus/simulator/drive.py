@@ -1,0 +1,289 @@
+"""A drive on the line: a model, its address, and how it answers a request.
+
+Strategy: `hear` is given a whole request and the time its last character arrived, and gives the
+answer's characters with the time the drive thinks before it speaks. Writes take effect when they
+are heard, except with the shortened response (C1921), where they come later and may still fail.
+
+Must not live here: when the characters travel, what disturbs them, what a code means.
+"""
+
+from __future__ import annotations
+
+import random
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from lecombus.simulator.families import MODELS
+from lecombus.simulator.families.module2102 import Drive82XX
+from lecombus.simulator.model import Model, Restart
+from lecombus.simulator.parameters import CommError, ExtendedFault, Refusal
+from lecombus.simulator.receiver import Heard
+from lecombus.simulator.wire import ACK, NAK, read_code_field, unknown_code, value_reply
+
+__all__ = ["LogEntry", "Reply", "SimDrive"]
+
+_BAUDS: Final = {"0": 9600, "1": 4800, "2": 2400, "3": 1200, "4": 19200}
+_SHORT_S: Final = 0.002
+"""A shortened response comes at once; the manual gives no figure."""
+
+
+@dataclass(frozen=True, slots=True)
+class LogEntry:
+    """A request that reached the drive.
+
+    Attributes:
+        time_s: When its last character arrived.
+        kind: `read`, `write` or `group`.
+        code: Code number as resolved.
+        subcode: Subcode as resolved.
+        text: The value written, or read.
+        accepted: Whether it was done.
+    """
+
+    time_s: float
+    kind: str
+    code: int
+    subcode: int
+    text: str
+    accepted: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """Seven-bit characters, and after how many seconds the drive begins to send them."""
+
+    data: bytes
+    after_s: float
+
+
+class SimDrive:
+    """One drive.
+
+    Args:
+        address: 1..99, not ending in 0.
+        family: `820x 821x 822x 824x 8200vector 93xx smvector generic`.
+        name: For people.
+        overrides: Values to start with, by code number or (code, subcode), as wire text.
+        spread: How much faster than the manual's time an answer may come, 0..1; random.
+        silent_on_bad_write: Answer a bad write with nothing instead of NAK, as some devices do.
+
+    Attributes:
+        log: The requests heard, oldest first, bounded.
+        model: The drive's inside, for tests.
+        present: Whether it is connected and switched on.
+    """
+
+    def __init__(
+        self,
+        address: int,
+        family: str,
+        name: str = "",
+        overrides: Mapping[int | tuple[int, int], str] | None = None,
+        *,
+        spread: float = 0.0,
+        silent_on_bad_write: bool = False,
+        log_size: int = 20_000,
+    ) -> None:
+        if not 1 <= address <= 99 or address % 10 == 0:
+            raise ValueError(f"address {address} is no drive address (1..99, not ending in 0)")
+        if family not in MODELS:
+            raise ValueError(f"no simulated family {family!r}: one of {', '.join(MODELS)}")
+        self.name = name or f"drive-{address}"
+        self.family = family
+        self.model: Model = MODELS[family]()
+        self.present = True
+        self.log: deque[LogEntry] = deque(maxlen=log_size)
+        self._spread = spread
+        self._silent = silent_on_bad_write
+        self._address = address
+        self.generic = family == "generic"
+        if not self.generic:
+            self.model.params.set(self.model.address_code, str(address))
+        for key, value in (overrides or {}).items():
+            self.model.preset(key, value)
+
+    # Inspection
+
+    @property
+    def address(self) -> int:
+        """The address it listens to; C0009 or P410 changes it."""
+        if self.generic:
+            return self._address
+        return int(self.model.params.text(self.model.address_code))
+
+    def baud(self, line_baud: int) -> int:
+        """The baud rate it speaks; C0125 or P411 once written, before that the line's."""
+        if self.generic:
+            return line_baud
+        key = (self.model.baud_code, 0)
+        if key not in self.model.params.wear:
+            return line_baud
+        return _BAUDS[self.model.params.text(key[0])]
+
+    @property
+    def speed_hz(self) -> float:
+        """The motor's speed as a frequency (93XX: min-1), at the time last advanced to."""
+        return self.model.motor.speed
+
+    @property
+    def watchdog_fired(self) -> int:
+        """How often its watchdog has expired, up to the time last advanced to."""
+        return self.model.watchdog_fired
+
+    @property
+    def wear(self) -> int:
+        """Writes into its EEPROM."""
+        return sum(self.model.params.wear.values())
+
+    def text(self, number: int, subcode: int = 0) -> str:
+        """What a read of a code would give, without a telegram."""
+        return self.model.read(number, subcode)
+
+    # Events
+
+    def advance(self, now_s: float) -> None:
+        """Bring it to a time."""
+        self.model.advance(now_s)
+
+    def trip(self, number: int) -> None:
+        """Let a fault occur."""
+        self.model.trip(number)
+
+    def power_cycle(self, now_s: float, off_s: float | None = None) -> None:
+        """Switch it off and on; module settings are lost."""
+        self.model.power_cycle(now_s, off_s)
+
+    def interrupted(self, error: CommError = CommError.INTERRUPTED) -> None:
+        """A new EOT has cut off what it was doing."""
+        self.model.comm_error = error
+
+    # Telegrams
+
+    def hear(self, heard: Heard, now_s: float, rng: random.Random) -> Reply | None:
+        """Take a request to its own address.
+
+        Args:
+            heard: The request.
+            now_s: When its last character arrived.
+            rng: Decides the spread of the answer time.
+
+        Returns:
+            The answer; None when it stays silent.
+        """
+        self.advance(now_s)
+        model = self.model
+        if now_s < model.deaf_until_s:
+            return None
+        if model.standard_only and heard.field[:1] == b"!":
+            return None
+        if heard.damaged:
+            return self._complain(heard)
+        model.feed(now_s)
+        code = read_code_field(heard.field)
+        number, subcode = self._resolve(code) if code else (-1, 0)
+        before = model.comm_error
+        model.comm_error = before if number == 68 and heard.text is None else CommError.NONE
+        if heard.text is None:
+            return self._spread_out(self._read(heard.field, number, subcode, now_s), rng)
+        return self._spread_out(self._write(heard.text, number, subcode, now_s), rng)
+
+    def hear_group(self, heard: Heard, now_s: float) -> None:
+        """Take a write to a group it belongs to: done or not, never answered, feeds nothing.
+
+        Whether a multicast feeds a watchdog is stated nowhere; the simulator takes the worse case.
+        """
+        self.advance(now_s)
+        if now_s < self.model.deaf_until_s or heard.text is None:
+            return
+        if heard.damaged:
+            self.model.comm_error = CommError.CHECKSUM
+            return
+        code = read_code_field(heard.field)
+        number, subcode = self._resolve(code) if code else (-1, 0)
+        try:
+            self._try_write(heard.text, number, subcode, now_s, "group")
+        except Restart:
+            self.power_cycle(now_s)
+
+    def refuse(self, now_s: float) -> Reply:
+        """Answer NAK for no reason of its own; the fault `nak`."""
+        self.advance(now_s)
+        self.model.feed(now_s)
+        self.model.comm_error = CommError.GENERAL
+        return Reply(bytes((NAK,)), self.model.think_s(-1, write=True, now_s=now_s))
+
+    def _resolve(self, code: tuple[int, int, bool]) -> tuple[int, int]:
+        """Apply code bank and input selection. Source: EDB2102EN 8.3.1, 8.2 (C0248, C0249)."""
+        number, subcode, extended = code
+        if extended or not self.model.banked or number in (248, 249):
+            return number, subcode
+        params = self.model.params
+        return number + 250 * int(params.text(249)), int(params.text(248))
+
+    def _complain(self, heard: Heard) -> Reply:
+        """Parity or block check wrong: `?` to a read, NAK to a write. Source: EDB2102EN 8.3."""
+        self.model.comm_error = CommError.CHECKSUM
+        self.model.extended_fault = ExtendedFault.PARITY
+        data = value_reply(heard.field, "?") if heard.text is None else bytes((NAK,))
+        return Reply(data, self.model.think_s(-1, write=False, now_s=0.0))
+
+    def _read(self, field: bytes, number: int, subcode: int, now_s: float) -> Reply:
+        think_s = self.model.think_s(number, write=False, now_s=now_s)
+        try:
+            text = self.model.read(number, subcode)
+        except Refusal as refusal:
+            self._note(refusal)
+            self.log.append(LogEntry(now_s, "read", number, subcode, "", False))
+            return Reply(unknown_code(field), think_s)
+        self.log.append(LogEntry(now_s, "read", number, subcode, text, True))
+        return Reply(value_reply(field, text), think_s)
+
+    def _write(self, text: str, number: int, subcode: int, now_s: float) -> Reply | None:
+        model = self.model
+        if isinstance(model, Drive82XX) and model.shortened():
+            wait_s = model.shortened_s
+            model.deaf_until_s = now_s + wait_s
+            model.later(
+                now_s + wait_s,
+                lambda: self._finish_later(text, number, subcode, now_s + wait_s),
+            )
+            return Reply(bytes((ACK,)), _SHORT_S)
+        think_s = model.think_s(number, write=True, now_s=now_s)
+        try:
+            done = self._try_write(text, number, subcode, now_s, "write")
+        except Restart:
+            self.power_cycle(now_s)
+            return None
+        if not done and self._silent:
+            return None
+        return Reply(bytes((ACK if done else NAK,)), think_s)
+
+    def _finish_later(self, text: str, number: int, subcode: int, at_s: float) -> None:
+        try:
+            self._try_write(text, number, subcode, at_s, "write")
+        except Restart:
+            self.power_cycle(at_s)
+
+    def _try_write(self, text: str, number: int, subcode: int, now_s: float, kind: str) -> bool:
+        try:
+            self.model.write(number, subcode, text, now_s)
+        except Refusal as refusal:
+            self._note(refusal)
+            self.log.append(LogEntry(now_s, kind, number, subcode, text, False))
+            return False
+        except Restart:
+            self.log.append(LogEntry(now_s, kind, number, subcode, text, True))
+            raise
+        self.log.append(LogEntry(now_s, kind, number, subcode, text, True))
+        return True
+
+    def _note(self, refusal: Refusal) -> None:
+        self.model.comm_error = refusal.error
+        self.model.extended_fault = refusal.fault
+
+    def _spread_out(self, reply: Reply | None, rng: random.Random) -> Reply | None:
+        if reply is None or not self._spread:
+            return reply
+        return Reply(reply.data, reply.after_s * (1.0 - self._spread * rng.random()))

@@ -1,0 +1,203 @@
+"""What can go wrong on a line, as switches that may be turned at any time.
+
+Strategy: `Faults` is a plain record of probabilities (0..1, per telegram) and settings. A line has
+one; a drive may have its own, which then replaces the line's for that drive. `parse_faults` reads
+the short text of the command line, such as `late=0.05:0.5s,noise=0.05,lost=0.02,absent=11+12`.
+
+Damage is at most one character per answer (a flipped bit or another character) or stray characters
+around it, so that parity and block check can always notice it: what gets past both is noticed by no
+master, and a test that demands correct values could only be flaky. Never made, for the same reason:
+an ACK out of a NAK, the reverse, or a stray one of the two.
+
+Must not live here: the doing, which is the line's.
+"""
+
+from __future__ import annotations
+
+import random
+import re
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Final
+
+from lecombus.simulator.wire import ACK, NAK, PARITY_TABLE
+
+__all__ = ["Faults", "LateKind", "flip_parity", "make_noise", "parse_faults"]
+
+
+class LateKind(StrEnum):
+    """Where a late answer is held up.
+
+    `DRIVE`: the drive thinks longer, and a new EOT still makes it drop the answer. `ADAPTER`: it
+    was on the wire in time and reaches the host late, whatever is said meanwhile. `STUBBORN`: the
+    drive speaks late and an EOT does not stop it, so it may speak over others.
+    """
+
+    DRIVE = "drive"
+    ADAPTER = "adapter"
+    STUBBORN = "stubborn"
+
+
+@dataclass(slots=True)
+class Faults:
+    """Faults switched on; everything off by default. Probabilities are per telegram, 0..1.
+
+    Attributes:
+        lost: The drive does what was asked, its answer never arrives.
+        unheard: The drive does not hear the request at all.
+        request_noise: One character of the request is damaged on its way to the drives.
+        late: The answer comes late.
+        late_s: By how much, seconds, least and most.
+        late_kind: Where late answers are held up.
+        noise: The answer is damaged, or stray characters stand before or after it.
+        bad_bcc: The answer's block check is wrong.
+        parity: One character of the answer has bad parity.
+        half: The answer breaks off.
+        nak: A write is refused for no reason.
+        power_cycle: The drive loses its power when asked.
+        power_off_s: How long it is then away, seconds.
+        echo: The host hears itself.
+        bad_echo: One character of the echo of a telegram is wrong.
+        absent: Addresses that do not answer.
+        unplugged: Nothing passes either way.
+    """
+
+    lost: float = 0.0
+    unheard: float = 0.0
+    request_noise: float = 0.0
+    late: float = 0.0
+    late_s: tuple[float, float] = (0.05, 0.5)
+    late_kind: LateKind = LateKind.ADAPTER
+    noise: float = 0.0
+    bad_bcc: float = 0.0
+    parity: float = 0.0
+    half: float = 0.0
+    nak: float = 0.0
+    power_cycle: float = 0.0
+    power_off_s: float = 1.0
+    echo: bool = False
+    bad_echo: float = 0.0
+    absent: set[int] = field(default_factory=set)
+    unplugged: bool = False
+
+
+_CHANCES: Final = (
+    "lost",
+    "unheard",
+    "request_noise",
+    "late",
+    "noise",
+    "bad_bcc",
+    "parity",
+    "half",
+    "nak",
+    "power_cycle",
+    "bad_echo",
+)
+_SWITCHES: Final = ("echo", "unplugged")
+_DURATION: Final = re.compile(r"(\d+(?:\.\d+)?)(ms|s)\Z")
+
+
+def parse_faults(text: str) -> Faults:
+    """Read the command line's short form.
+
+    Args:
+        text: `NAME=CHANCE` items with commas between; `late=CHANCE[:[LEAST-]MOST[:KIND]]`,
+            `power_cycle=CHANCE[:DURATION]`, `absent=11+12`, `echo`, `unplugged`. Empty: no faults.
+
+    Raises:
+        ValueError: An item is not understood; says which and what is right.
+    """
+    faults = Faults()
+    for item in filter(None, (part.strip() for part in text.split(","))):
+        name, _, value = item.partition("=")
+        name = name.strip().replace("-", "_")
+        if name in _SWITCHES and not value:
+            setattr(faults, name, True)
+        elif name == "absent":
+            faults.absent = {_address(part, item) for part in value.split("+")}
+        elif name in _CHANCES:
+            _read_chance(faults, name, value, item)
+        else:
+            names = ", ".join((*_CHANCES, *_SWITCHES, "absent")).replace("_", "-")
+            raise ValueError(f"fault {item!r}: one of {names}")
+    return faults
+
+
+def _read_chance(faults: Faults, name: str, value: str, item: str) -> None:
+    chance, *rest = value.split(":")
+    setattr(faults, name, _chance(chance, item))
+    if name == "late" and rest:
+        least, dash, most = rest.pop(0).partition("-")
+        end_s = _duration(most if dash else least, item)
+        faults.late_s = (_duration(least, item) if dash else min(0.05, end_s), end_s)
+        if rest:
+            faults.late_kind = _kind(rest.pop(0), item)
+    elif name == "power_cycle" and rest:
+        faults.power_off_s = _duration(rest.pop(0), item)
+    if rest:
+        raise ValueError(f"fault {item!r}: too many parts")
+
+
+def _chance(text: str, item: str) -> float:
+    try:
+        chance = float(text)
+    except ValueError:
+        chance = -1.0
+    if not 0.0 <= chance <= 1.0:
+        raise ValueError(f"fault {item!r}: the chance is a number from 0 to 1")
+    return chance
+
+
+def _duration(text: str, item: str) -> float:
+    match = _DURATION.match(text)
+    if match is None:
+        raise ValueError(f"fault {item!r}: a duration looks like 500ms or 0.5s")
+    return float(match[1]) * (0.001 if match[2] == "ms" else 1.0)
+
+
+def _kind(text: str, item: str) -> LateKind:
+    try:
+        return LateKind(text)
+    except ValueError:
+        kinds = ", ".join(LateKind)
+        raise ValueError(f"fault {item!r}: held up where? one of {kinds}") from None
+
+
+def _address(text: str, item: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= 99:
+        raise ValueError(f"fault {item!r}: addresses from 1 to 99 with + between")
+    return int(text)
+
+
+def flip_parity(data: bytes, rng: random.Random) -> bytes:
+    """Spoil the parity bit of one byte."""
+    place = rng.randrange(len(data))
+    return data[:place] + bytes((data[place] ^ 0x80,)) + data[place + 1 :]
+
+
+def make_noise(data: bytes, rng: random.Random, *, parity: bool) -> bytes:
+    """Damage one byte of a telegram, or put stray bytes before or after it.
+
+    Args:
+        data: The bytes as on the wire, with parity where the line carries it.
+        rng: Where chance comes from.
+        parity: Whether stray and replaced bytes get a good parity bit.
+    """
+    kind = rng.randrange(4)
+    if kind == 0:
+        place = rng.randrange(len(data))
+        bit = 1 << rng.randrange(8 if parity else 7)
+        return data[:place] + bytes((data[place] ^ bit,)) + data[place + 1 :]
+    if kind == 1:
+        place = rng.randrange(len(data))
+        return data[:place] + _other(data[place], rng, parity=parity) + data[place + 1 :]
+    stray = b"".join(_other(None, rng, parity=parity) for _ in range(rng.randint(1, 3)))
+    return stray + data if kind == 2 else data + stray
+
+
+def _other(instead_of: int | None, rng: random.Random, *, parity: bool) -> bytes:
+    """Make a random character that is neither ACK, NAK nor the one it replaces."""
+    avoid = {ACK, NAK, None if instead_of is None else instead_of & 0x7F}
+    char = rng.choice([n for n in range(128) if n not in avoid])
+    return bytes((PARITY_TABLE[char] if parity else char,))

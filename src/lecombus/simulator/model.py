@@ -1,0 +1,276 @@
+"""What every simulated drive has in common: control state, motor, watchdog, faults, power.
+
+Strategy: a family subclasses `Model` and says which codes exist, what its control and status
+words mean and how long it thinks. Physical state is computed from time: `advance` moves the motor
+and lets the watchdog expire exactly at its deadline, however late it is called. The control word is
+the one home of inhibit (bit 9) and quick stop (bit 3): C0040, C0135 and the watchdog change it.
+
+Must not live here: telegrams, addressing, faults of the line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import ClassVar, Final
+
+from lecombus.simulator.motor import Motor
+from lecombus.simulator.parameters import (
+    CommError,
+    ExtendedFault,
+    Kept,
+    Parameters,
+    Refusal,
+    Spec,
+)
+from lecombus.simulator.wire import decimal_text, read_decimal
+
+__all__ = ["INHIBIT", "JOG_BITS", "QSP", "REVERSE", "TRIP_RESET", "Model", "Restart", "word_text"]
+
+JOG_BITS: Final = 0x0003
+REVERSE: Final = 0x0004
+QSP: Final = 0x0008
+INHIBIT: Final = 0x0200
+TRIP_RESET: Final = 0x0800
+DC_BRAKE: Final = 0x4000
+"""Bits of C0135 that every family shares. Source: EDB2102EN 8.2; CMVLC401A table 9."""
+
+_AT_ONCE: Final = 1e9
+
+
+class Restart(Exception):  # noqa: N818 - a valid way for a drive to fall silent
+    """The drive restarts instead of answering. Source: EDB2102EN 6.4."""
+
+
+def word_text(word: int) -> str:
+    """Write a 16-bit word as VH text."""
+    return f"H{word & 0xFFFF:04X}"
+
+
+class Model:
+    """A drive without its line.
+
+    Args:
+        specs: The codes of the family.
+
+    Attributes:
+        comm_error: What C0068 bits 4..7 say: the last telegram's fault; a good telegram other than
+            a read of C0068 clears it.
+        fault: The active fault's LECOM number, 0 when none.
+        watchdog_fired: How often the watchdog has expired.
+        deaf_until_s: Before this time the drive hears nothing (start-up, shortened response).
+    """
+
+    family: ClassVar[str]
+    standard_only: ClassVar[bool] = False
+    set_count: ClassVar[int] = 1
+    banked: ClassVar[bool] = True
+    address_code: ClassVar[int] = 9
+    baud_code: ClassVar[int] = 125
+    boot_s: ClassVar[float] = 1.0
+
+    def __init__(self, specs: Iterable[Spec]) -> None:
+        self.params = Parameters(specs, set_count=self.set_count)
+        self.motor = Motor()
+        self.comm_error = CommError.NONE
+        self.extended_fault = ExtendedFault.NONE
+        self.fault = 0
+        self.faults: list[int] = []
+        self.control = 0
+        self.watchdog_fired = 0
+        self.deaf_until_s = 0.0
+        self.readers: dict[int, Callable[[int], str]] = {}
+        self.writers: dict[int, Callable[[str], None]] = {}
+        self._now_s: float | None = None
+        self._fed_at_s = 0.0
+        self._fired = False
+        self._later: list[tuple[float, Callable[[], None]]] = []
+        self._last_write_s = -1.0
+        self._install()
+        self.control = self.start_word()
+
+    # What a family says
+
+    def _install(self) -> None:
+        """Enter the family's computed codes into `readers` and `writers`."""
+
+    def start_word(self) -> int:
+        """The control word after power-on."""
+        return 0
+
+    def think_s(self, number: int, *, write: bool, now_s: float) -> float:
+        """Processing time t3 of an access, seconds."""
+        raise NotImplementedError
+
+    def watchdog_setting(self) -> tuple[float, int]:
+        """The watchdog's time in seconds and its action's number; action 0 is none."""
+        return 0.0, 0
+
+    def expire(self, action: int) -> None:
+        """Do what the watchdog's action number demands."""
+
+    def may_write(self, spec: Spec, text: str) -> None:
+        """Refuse a write that the operating mode or the drive's state forbids.
+
+        Raises:
+            Refusal: It is forbidden.
+        """
+
+    def setpoint(self) -> float:
+        """The signed frequency wanted now, before stops."""
+        return 0.0
+
+    def ramp(self) -> tuple[float, float, float, float]:
+        """(greatest frequency, acceleration s, deceleration s, quick stop s) over that span."""
+        return 50.0, 5.0, 5.0, 5.0
+
+    def stores(self, spec: Spec) -> bool:
+        """Whether an accepted write takes effect; an 820X drops some (EDB2102EN 6.4)."""
+        return True
+
+    # Time
+
+    def advance(self, now_s: float) -> None:
+        """Bring the drive to a time, monotonic seconds."""
+        if self._now_s is None:
+            self._now_s = self._fed_at_s = now_s
+            self.steer()
+        while self._later and self._later[0][0] <= now_s:
+            at_s, action = self._later.pop(0)
+            self._run_to(at_s)
+            action()
+        self._run_to(now_s)
+
+    def _run_to(self, now_s: float) -> None:
+        assert self._now_s is not None
+        time_s, action = self.watchdog_setting()
+        due_s = self._fed_at_s + time_s
+        if action and not self._fired and due_s < now_s:
+            self.motor.advance(max(0.0, due_s - self._now_s))
+            self._now_s = max(self._now_s, due_s)
+            self._fired = True
+            self.watchdog_fired += 1
+            self.expire(action)
+            self.steer()
+        if now_s > self._now_s:
+            self.motor.advance(now_s - self._now_s)
+            self._now_s = now_s
+
+    def feed(self, now_s: float) -> None:
+        """Note a telegram of the host to this drive: the watchdog starts anew."""
+        self._fed_at_s = now_s
+        self._fired = False
+
+    def later(self, at_s: float, action: Callable[[], None]) -> None:
+        """Do something at a later time; times come in rising order."""
+        self._later.append((at_s, action))
+
+    # Codes
+
+    def read(self, number: int, subcode: int) -> str:
+        """Give a code's value as wire text.
+
+        Raises:
+            Refusal: There is no such code.
+        """
+        self.params.find(number, subcode)
+        reader = self.readers.get(number)
+        return reader(subcode) if reader else self.params.text(number, subcode)
+
+    def write(self, number: int, subcode: int, text: str, now_s: float) -> None:
+        """Take a value.
+
+        Raises:
+            Refusal: The drive does not take it.
+            Restart: The drive restarts and never answers.
+        """
+        spec = self.params.find(number, subcode)
+        if not spec.writable:
+            raise Refusal(CommError.NO_ACCESS, ExtendedFault.READ_ONLY)
+        checked = spec.check(text)
+        self.may_write(spec, checked)
+        self._last_write_s = now_s
+        if not self.stores(spec):
+            return
+        self.params.keep(spec, checked)
+        writer = self.writers.get(number)
+        if writer:
+            writer(checked)
+        self.steer()
+
+    # Control
+
+    def steer(self) -> None:
+        """Aim the motor according to control word, setpoint and faults."""
+        if self.fault or self.control & INHIBIT:
+            self.motor.release()
+            return
+        span, up_s, down_s, stop_s = self.ramp()
+        stopped = bool(self.control & (QSP | DC_BRAKE))
+        target = 0.0 if stopped else max(-span, min(span, self.setpoint()))
+        fall_s = stop_s if stopped else down_s
+        self.motor.aim(
+            target,
+            rate_up=span / up_s if up_s else _AT_ONCE,
+            rate_down=span / fall_s if fall_s else _AT_ONCE,
+            span=span,
+        )
+
+    def take_control_word(self, text: str) -> None:
+        """Take C0135 over; the edge of bit 11 resets a TRIP."""
+        word = int(text[1:], 16)
+        edge = word & TRIP_RESET and not self.control & TRIP_RESET
+        self.control = word
+        if edge:
+            self.reset_fault()
+
+    def take_inhibit(self, text: str) -> None:
+        """Take C0040 over: 0 inhibits, 1 enables, whatever the operating mode."""
+        self.control = self.control & ~INHIBIT if text == "1" else self.control | INHIBIT
+
+    def trip(self, number: int) -> None:
+        """Let a fault occur, by its LECOM number; the motor coasts."""
+        self.fault = number
+        self.faults = [number, *self.faults][:8]
+        self.steer()
+
+    def reset_fault(self) -> None:
+        """Acknowledge the fault."""
+        self.fault = 0
+        self.steer()
+
+    def power_cycle(self, now_s: float, off_s: float | None = None) -> None:
+        """Switch off and on again; the drive hears nothing until it has started.
+
+        Args:
+            now_s: When.
+            off_s: How long it hears nothing, seconds; default the family's start-up time.
+        """
+        self.advance(now_s)
+        self.params.power_cycle()
+        self.comm_error = CommError.NONE
+        self.extended_fault = ExtendedFault.NONE
+        self.fault = 0
+        self._later.clear()
+        self.deaf_until_s = now_s + (self.boot_s if off_s is None else off_s)
+        self.feed(self.deaf_until_s)
+        self.motor = Motor()
+        self.control = self.start_word()
+        self.steer()
+
+    def preset(self, key: int | tuple[int, int], value: str) -> None:
+        """Set a code as a person at the keypad would, before or during a test."""
+        number, subcode = key if isinstance(key, tuple) else (key, 0)
+        spec = self.params.find(number, subcode)
+        self.params.set(number, value, subcode)
+        writer = self.writers.get(number)
+        if writer and spec.kept is not Kept.DRIVE:
+            writer(value)
+        if number in (1920, 1424):
+            self.control = self.start_word()
+        self.steer()
+
+    def frequency_text(self, value: float, decimals: int = 1) -> str:
+        """Write a computed frequency as VD text."""
+        number = read_decimal(f"{value:.{decimals}f}")
+        assert number is not None
+        return decimal_text(number)

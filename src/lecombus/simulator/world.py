@@ -1,0 +1,51 @@
+"""Lines made from plain descriptions: what the command line and tests start from.
+
+Must not live here: rosters, which this room does not know; the caller maps them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from lecombus.simulator.drive import SimDrive
+from lecombus.simulator.faults import Faults, parse_faults
+from lecombus.simulator.line import SimLine
+
+__all__ = ["build"]
+
+
+def build(
+    drives: Sequence[tuple[str, int, str]],
+    *,
+    baud: int = 9600,
+    seed: int = 0,
+    faults: Faults | str = "",
+    parity: bool = True,
+    paced: bool = True,
+    spread: float = 0.0,
+    think_scale: float = 1.0,
+) -> SimLine:
+    """Build a line.
+
+    Args:
+        drives: Name, address and family of each.
+        baud: 1200..19200 bit/s.
+        seed: Where all chance starts from.
+        faults: Faults, or their short text (see `parse_faults`).
+        parity: Whether bytes carry even parity in bit 7.
+        paced: Whether characters take their time.
+        spread: How much faster than the manual's time an answer may come, 0..1.
+        think_scale: Factor on processing times.
+
+    Raises:
+        ValueError: A family, an address or a fault is unknown.
+    """
+    return SimLine(
+        [SimDrive(address, family, name, spread=spread) for name, address, family in drives],
+        baud=baud,
+        faults=parse_faults(faults) if isinstance(faults, str) else faults,
+        seed=seed,
+        parity=parity,
+        paced=paced,
+        think_scale=think_scale,
+    )
