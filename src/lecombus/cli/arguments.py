@@ -1,0 +1,139 @@
+"""What several commands take: codes, values, durations, rosters, and where the daemon is.
+
+Each converter turns a word into what the rest of lecombus uses, or says what would be right.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from decimal import Decimal
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from lecombus.config.durations import DurationError, parse_duration
+from lecombus.errors import CodeValueError
+from lecombus.protocol import Code
+
+__all__ = [
+    "CODE",
+    "DURATION",
+    "VALUE",
+    "CommandWithNumbers",
+    "Given",
+    "daemon_options",
+    "json_option",
+    "roster_option",
+]
+
+Given = int | Decimal | str
+"""A value as the user gave it: a number, or text such as H0008 for the daemon to judge."""
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+_NEGATIVE = re.compile(r"-\.?[0-9]")
+_HIDDEN = "\0"
+"""Put before a negative number while click looks for options; no word can contain it."""
+
+
+class CommandWithNumbers(click.Command):
+    """A command that takes `-5` for a number, and not for an option.
+
+    Only words that begin like a number are taken so: a misspelt option is still one.
+    """
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Hide negative numbers from click."""
+        return super().parse_args(ctx, [_hide(word) for word in args])
+
+
+def _hide(word: str) -> str:
+    return _HIDDEN + word if _NEGATIVE.match(word) else word
+
+
+class _CodeType(click.ParamType[Code]):
+    name = "code"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Code:
+        if isinstance(value, Code):
+            return value
+        try:
+            return Code.parse(value.removeprefix(_HIDDEN))
+        except CodeValueError as exc:
+            self.fail(str(exc), param, ctx)
+
+
+class _ValueType(click.ParamType[Given]):
+    name = "value"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> Given:
+        if not isinstance(value, str):
+            return value  # type: ignore[no-any-return]
+        word = value.removeprefix(_HIDDEN).strip()
+        if re.fullmatch(r"[+-]?[0-9]+", word, re.ASCII):
+            return int(word)
+        if re.fullmatch(r"[+-]?([0-9]+\.[0-9]*|\.[0-9]+)", word, re.ASCII):
+            return Decimal(word)
+        if re.fullmatch(r"[+-]?[0-9]+,[0-9]+", word, re.ASCII):
+            self.fail(f"{word} has a decimal comma, write {word.replace(',', '.')}", param, ctx)
+        if not re.fullmatch(r"[HO](?:[0-9A-Fa-f]{2})+", word, re.ASCII):
+            self.fail(
+                f"`{word}` is no value, write a number such as 35.4, a word such as H0008, "
+                "or octets such as O1A2B",
+                param,
+                ctx,
+            )
+        return word[0] + word[1:].upper()
+
+
+class _DurationType(click.ParamType[float]):
+    name = "duration"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        if isinstance(value, float):
+            return value
+        word = value.removeprefix(_HIDDEN)
+        try:
+            return parse_duration(word)
+        except DurationError as exc:
+            self.fail(f"{word} {exc}", param, ctx)
+
+
+CODE = _CodeType()
+VALUE = _ValueType()
+DURATION = _DurationType()
+
+
+def json_option(function: Function) -> Function:
+    """Give a command `--json`."""
+    return click.option("--json", "as_json", is_flag=True, help="Print JSON.")(function)
+
+
+def roster_option(function: Function) -> Function:
+    """Give a command `-c ROSTER`."""
+    return click.option(
+        "-c",
+        "--config",
+        "roster",
+        metavar="ROSTER",
+        required=True,
+        type=click.Path(dir_okay=False, path_type=Path),
+        help="The roster: a YAML file that describes the line.",
+    )(function)
+
+
+def daemon_options(function: Function) -> Function:
+    """Give a command `--socket`, `--url` and `--json`."""
+    function = json_option(function)
+    function = click.option(
+        "--url", metavar="URL", help="The daemon's HTTP address, such as http://127.0.0.1:9740."
+    )(function)
+    return click.option(
+        "--socket", metavar="PATH", help="The daemon's socket; default: the only one there is."
+    )(function)

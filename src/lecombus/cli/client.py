@@ -1,0 +1,243 @@
+"""The daemon, as a command sees it: HTTP over its Unix socket or a URL.
+
+`connect` finds it: `--socket` or `--url`, else LECOMBUS_SOCKET or LECOMBUS_URL, else the only
+socket in /run/lecombus. Answers are kept as the text that came, so that `--json` prints decimals
+exactly as the daemon wrote them. A problem document (RFC 9457) becomes a `CommandError` with the
+exit status that fits; so does every way in which a daemon cannot be reached.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import httpx
+
+from lecombus.cli.exits import CommandError, Exit, Problem
+
+__all__ = ["RUNTIME_DIR", "Answer", "Daemon", "connect", "find_daemon"]
+
+RUNTIME_DIR = Path("/run/lecombus")
+"""Where the daemons of a machine have their sockets, one a line."""
+
+TIMEOUT = httpx.Timeout(10.0, read=60.0)
+"""Seconds; a write to a silent drive or a group read back member by member takes its time."""
+
+_STATUS_OF_KIND: Mapping[str, Exit] = {
+    "no-such-drive": Exit.USAGE,
+    "no-such-group": Exit.USAGE,
+    "no-such-target": Exit.USAGE,
+    "bad-value": Exit.USAGE,
+    "bad-code": Exit.USAGE,
+    "bad-request": Exit.USAGE,
+    "not-writable": Exit.FORBIDDEN,
+    "no-such-code": Exit.FAILED,
+}
+_STATUS_OF_HTTP: Mapping[int, Exit] = {
+    400: Exit.USAGE, 401: Exit.FORBIDDEN, 403: Exit.FORBIDDEN, 404: Exit.USAGE,
+    405: Exit.FORBIDDEN, 422: Exit.USAGE,
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What the daemon answered.
+
+    Args:
+        text: The JSON document as it came.
+        data: The same, read; decimals as `Decimal`.
+    """
+
+    text: str
+    data: Any
+
+
+class Daemon:
+    """A running daemon.
+
+    Args:
+        client: Speaks HTTP with it.
+        where: How it was found, for messages.
+    """
+
+    def __init__(self, client: httpx.Client, where: str) -> None:
+        self._client = client
+        self.where = where
+
+    def get(self, path: str, **params: str) -> Answer:
+        """Ask for a document.
+
+        Raises:
+            CommandError: The daemon cannot be reached, or says no.
+        """
+        return self._call("GET", path, params=params)
+
+    def put(self, path: str, document: Mapping[str, object]) -> Answer:
+        """Write.
+
+        Raises:
+            CommandError: The daemon cannot be reached, or says no without an outcome.
+        """
+        return self._call("PUT", path, document=document)
+
+    def post(self, path: str, document: Mapping[str, object]) -> Answer:
+        """Ask for an action.
+
+        Raises:
+            CommandError: The daemon cannot be reached, or says no without an outcome.
+        """
+        return self._call("POST", path, document=document)
+
+    def _call(
+        self,
+        method: str,
+        path: str,
+        *,
+        params: Mapping[str, str] | None = None,
+        document: Mapping[str, object] | None = None,
+    ) -> Answer:
+        headers = {"content-type": "application/json"} if document is not None else None
+        content = json.dumps(document, default=_number) if document is not None else None
+        try:
+            response = self._client.request(
+                method, path, params=params, content=content, headers=headers
+            )
+        except httpx.HTTPError as exc:
+            raise _unreachable(exc, self.where) from exc
+        data = _read_json(response, self.where)
+        if response.is_success or (isinstance(data, dict) and "outcome" in data):
+            return Answer(response.text, data)
+        raise _refused(response.status_code, data)
+
+
+@contextmanager
+def connect(socket: str | None, url: str | None) -> Iterator[Daemon]:
+    """Connect to the daemon that a command line means.
+
+    Args:
+        socket: What `--socket` says.
+        url: What `--url` says.
+
+    Raises:
+        CommandError: It does not say which daemon, or contradicts itself.
+    """
+    path, base = find_daemon(socket, url)
+    transport = httpx.HTTPTransport(uds=path) if path else None
+    client = httpx.Client(
+        base_url=base or "http://lecombus", transport=transport, timeout=TIMEOUT, trust_env=False
+    )
+    with client:
+        yield Daemon(client, path or base)
+
+
+def find_daemon(socket: str | None, url: str | None) -> tuple[str, str]:
+    """Return the socket's path and the URL, one of them empty.
+
+    Raises:
+        CommandError: Both are given, or none and it is not clear which daemon is meant.
+    """
+    if socket and url:
+        raise CommandError(Exit.USAGE, Problem("--socket and --url are both given", "give one"))
+    if not socket and not url:
+        socket, url = os.environ.get("LECOMBUS_SOCKET"), os.environ.get("LECOMBUS_URL")
+    if socket:
+        return socket, ""
+    if url:
+        return "", _checked_url(url)
+    return str(_only_socket()), ""
+
+
+def _checked_url(url: str) -> str:
+    try:
+        parsed = httpx.URL(url)
+    except httpx.InvalidURL:
+        parsed = httpx.URL()
+    if parsed.scheme in ("http", "https") and parsed.host:
+        return url
+    raise CommandError(
+        Exit.USAGE, Problem(f"`{url}` is no URL", "write it like http://127.0.0.1:9740")
+    )
+
+
+def _only_socket() -> Path:
+    try:
+        sockets = sorted(path for path in RUNTIME_DIR.glob("*.sock") if path.is_socket())
+    except PermissionError as exc:
+        raise _forbidden(str(RUNTIME_DIR)) from exc
+    if len(sockets) == 1:
+        return sockets[0]
+    if not sockets:
+        problem = f"no daemon has its socket in {RUNTIME_DIR}"
+        remedy = "start one (systemctl start lecombus@NAME), or say where it is with --socket"
+        raise CommandError(Exit.UNREACHABLE, Problem(problem, remedy))
+    names = ", ".join(str(path) for path in sockets)
+    remedy = "say which with --socket or LECOMBUS_SOCKET"
+    raise CommandError(Exit.USAGE, Problem(f"more than one daemon runs: {names}", remedy))
+
+
+def _forbidden(where: str) -> CommandError:
+    remedy = "ask for membership of the group lecombus (adduser YOU lecombus), then log in again"
+    return CommandError(Exit.FORBIDDEN, Problem(f"{where} may not be opened", remedy))
+
+
+def _unreachable(exc: httpx.HTTPError, where: str) -> CommandError:
+    if _system_error(exc) in (errno.EACCES, errno.EPERM):
+        return _forbidden(where)
+    if isinstance(exc, httpx.TimeoutException):
+        problem = f"the daemon at {where} does not answer in time"
+        return CommandError(Exit.UNREACHABLE, Problem(problem, "look at its log"))
+    if isinstance(exc, httpx.ReadError | httpx.RemoteProtocolError | httpx.WriteError):
+        problem = f"the daemon at {where} ended before it answered"
+        remedy = "what was asked may have happened; look at its log, then ask again"
+        return CommandError(Exit.UNREACHABLE, Problem(problem, remedy))
+    problem = f"no daemon answers at {where}"
+    remedy = "start it (systemctl status lecombus@NAME tells why it is not running)"
+    return CommandError(Exit.UNREACHABLE, Problem(problem, remedy))
+
+
+def _system_error(exc: BaseException | None) -> int | None:
+    """Return the errno at the bottom of an error's causes."""
+    while exc is not None:
+        if isinstance(exc, OSError) and exc.errno is not None:
+            return exc.errno
+        exc = exc.__cause__ or exc.__context__
+    return None
+
+
+def _read_json(response: httpx.Response, where: str) -> Any:
+    try:
+        return json.loads(response.text, parse_float=Decimal)
+    except ValueError as exc:
+        problem = f"what answers at {where} is not lecombus (HTTP status {response.status_code})"
+        raise CommandError(
+            Exit.UNREACHABLE, Problem(problem, "look at the address and the port")
+        ) from exc
+
+
+def _refused(http_status: int, data: Any) -> CommandError:
+    document: Mapping[str, object] = data if isinstance(data, dict) else {}
+
+    def text(*keys: str) -> str:
+        return next((str(document[key]) for key in keys if document.get(key)), "")
+
+    kind = text("kind") or text("type").rpartition("/")[2]
+    status = _STATUS_OF_KIND.get(kind) or _STATUS_OF_HTTP.get(http_status, Exit.FAILED)
+    problem = text("detail", "title") or f"the daemon refused (HTTP status {http_status})"
+    cause = text("cause")
+    if cause and cause not in problem:
+        problem = f"{problem} ({cause})"
+    return CommandError(status, Problem(problem, text("remedy"), kind, text("drive"), text("code")))
+
+
+def _number(value: object) -> float:
+    """Write a decimal as a JSON number; values have ten digits at most, so none is lost."""
+    if isinstance(value, Decimal):
+        return float(value)
+    raise TypeError(f"{value!r} is no part of a request")

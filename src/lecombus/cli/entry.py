@@ -1,0 +1,146 @@
+"""From the words on the command line to an exit status.
+
+The table of commands names modules, which are imported only when their command is called. Every
+error made on purpose becomes one line per problem on standard error (one JSON document per line
+with `--json`) and the exit status that `exits` defines; only a bug shows a traceback.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+
+import click
+
+from lecombus import __version__
+from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.errors import (
+    CodeValueError,
+    ConfigError,
+    LecombusError,
+)
+
+__all__ = ["COMMANDS", "lecombus", "main"]
+
+COMMANDS = {
+    "demo": "Watch simulated drives of five families, without any hardware.",
+    "run": "Run the line that a roster describes.",
+    "check": "Say what is wrong with a roster, or what it means.",
+    "simulate": "Serve a roster's drives as simulated ones, on a pty or a TCP port.",
+    "read": "Read one code of one drive.",
+    "write": "Write one code of one drive.",
+    "group": "Write one code of every drive of a group.",
+    "stop": "Stop drives at once, before everything else; all of them if none is named.",
+    "status": "Show the line and its drives, or one drive with its values.",
+}
+
+
+class _Commands(click.Group):
+    """Finds a command in the module of its name."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in COMMANDS:
+            return None
+        module = import_module(f"lecombus.cli.{cmd_name}")
+        command: click.Command = module.command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List them without importing any."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+@click.group(
+    cls=_Commands,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog=(
+        "Exit status: 0 done; 1 the drive or the line refused or failed; 2 usage or roster wrong; "
+        "3 daemon not reachable; 4 not permitted."
+    ),
+)
+@click.version_option(__version__, prog_name="lecombus", message="%(prog)s %(version)s")
+def lecombus() -> None:
+    """Speak LECOM-A/B with a line of Lenze drives.
+
+    demo, run, check and simulate work on a roster; read, write, group, stop and status talk to a
+    running daemon. lecombus is not a safety function: have an emergency stop without software.
+    """
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command line.
+
+    Args:
+        argv: The words after the program's name; None: those the program was called with.
+
+    Returns:
+        The exit status.
+    """
+    words = list(sys.argv[1:] if argv is None else argv)
+    try:
+        status = lecombus.main(words, prog_name="lecombus", standalone_mode=False)
+        sys.stdout.flush()
+    except click.Abort:
+        return Exit.INTERRUPTED
+    except BrokenPipeError:
+        _forget_stdout()
+        return Exit.PIPE_CLOSED
+    except click.exceptions.NoArgsIsHelpError as exc:
+        click.echo(exc.format_message(), err=True)
+        return Exit.USAGE
+    except (click.ClickException, CommandError, LecombusError, OSError) as exc:
+        error = _as_command_error(exc)
+        _complain(error, as_json="--json" in words)
+        return error.status
+    return int(status or Exit.DONE)
+
+
+def _as_command_error(exc: Exception) -> CommandError:
+    if isinstance(exc, CommandError):
+        return exc
+    if isinstance(exc, click.ClickException):
+        return CommandError(Exit.USAGE, Problem(exc.format_message(), _how_to_call(exc)))
+    if isinstance(exc, OSError):
+        return _as_system_error(exc)
+    status = Exit.USAGE if isinstance(exc, ConfigError | CodeValueError) else Exit.FAILED
+    remedy = str(getattr(exc, "remedy", ""))
+    lines = str(exc).splitlines() or [type(exc).__name__]
+    return CommandError(status, *(Problem(line, remedy) for line in lines))
+
+
+def _as_system_error(exc: OSError) -> CommandError:
+    status = Exit.FAILED
+    if isinstance(exc, PermissionError):
+        status = Exit.FORBIDDEN
+    elif isinstance(exc, FileNotFoundError | IsADirectoryError):
+        status = Exit.USAGE
+    what = (exc.strerror or type(exc).__name__).lower()
+    return CommandError(status, Problem(f"{exc.filename}: {what}" if exc.filename else what))
+
+
+def _how_to_call(exc: click.ClickException) -> str:
+    ctx = exc.ctx if isinstance(exc, click.UsageError) else None
+    if ctx is None:
+        return ""
+    return f"see {ctx.command_path} --help"
+
+
+def _complain(error: CommandError, *, as_json: bool) -> None:
+    for problem in error.problems:
+        if as_json:
+            document = {"status": int(error.status), **problem.as_json()}
+            click.echo(json.dumps(document, ensure_ascii=False), err=True)
+        else:
+            click.echo(str(problem), err=True)
+
+
+def _forget_stdout() -> None:
+    """Let the interpreter's own last flush go nowhere instead of failing loudly."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

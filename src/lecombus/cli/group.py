@@ -1,0 +1,50 @@
+"""`lecombus group`: one code of every drive of a group."""
+
+from __future__ import annotations
+
+from urllib.parse import quote
+
+import click
+
+from lecombus.cli.arguments import CODE, DURATION, VALUE, CommandWithNumbers, Given, daemon_options
+from lecombus.cli.client import connect
+from lecombus.cli.reports import show_group, status_of
+from lecombus.cli.write import write_document
+from lecombus.protocol import Code
+
+__all__ = ["command"]
+
+
+@click.command("group", cls=CommandWithNumbers)
+@click.argument("group")
+@click.argument("code", type=CODE)
+@click.argument("value", type=VALUE)
+@click.option("--verify", is_flag=True, help="Read it back from every member afterwards.")
+@click.option("--expires", type=DURATION, help="Not sent any more after so long, such as 2s.")
+@daemon_options
+def command(
+    group: str,
+    code: Code,
+    value: Given,
+    verify: bool,
+    expires: float | None,
+    socket: str | None,
+    url: str | None,
+    as_json: bool,
+) -> int:
+    """Write VALUE to CODE of every drive of GROUP; the group `all` is every drive of the roster.
+
+    It goes out as one multicast where the group allows that (`lecombus check` tells), which
+    nobody acknowledges: use --verify to know. Else one write follows the other.
+
+    Exit status 0 only if every member's outcome is done or verified. In a pipe: one line a member
+    with drive, code, outcome, value read back, reason. With --json: the daemon's document,
+    {"how", "outcome", "members": [as write]}.
+    """
+    with connect(socket, url) as daemon:
+        path = f"/v1/groups/{quote(group, safe='')}/codes/{code}"
+        answer = daemon.put(path, write_document(value, expires, verify))
+    if as_json:
+        click.echo(answer.text)
+        return status_of(answer.data)
+    return show_group(answer.data)

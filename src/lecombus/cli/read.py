@@ -1,0 +1,82 @@
+"""`lecombus read`: one code of one drive, through the daemon or through a port of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from urllib.parse import quote
+
+import click
+
+from lecombus.cli.arguments import CODE, daemon_options
+from lecombus.cli.client import connect
+from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.cli.reports import show_reading
+from lecombus.protocol import BAUDS as ALL_BAUDS
+from lecombus.protocol import Code
+
+__all__ = ["command"]
+
+BAUDS = [str(baud) for baud in ALL_BAUDS]
+
+
+@click.command("read")
+@click.argument("words", nargs=-1, metavar="[DRIVE] CODE")
+@click.option("--stored", is_flag=True, help="What the daemon knows; nothing is sent.")
+@click.option("--port", metavar="DEVICE", help="Open this port; no daemon. Needs --address.")
+@click.option("--address", type=click.IntRange(1, 99), help="The drive's address on that port.")
+@click.option("--family", default="generic", show_default=True, help="The drive's family.")
+@click.option("--baud", type=click.Choice(BAUDS), default="9600", show_default=True)
+@daemon_options
+def command(
+    words: Sequence[str],
+    stored: bool,
+    port: str | None,
+    address: int | None,
+    family: str,
+    baud: str,
+    socket: str | None,
+    url: str | None,
+    as_json: bool,
+) -> int:
+    """Read CODE of DRIVE now, or with --stored as the daemon last read it.
+
+    With --port no daemon is needed: `read --port /dev/ttyUSB0 --address 1 C0046`. A port that
+    somebody else has open is refused, and so is one that a daemon uses.
+
+    On a terminal: a line of text. In a pipe: drive, code, value, unit, quality, reason, separated
+    by tabs. With --json: {"drive", "code", "subcode", "name", "value", "raw", "format", "unit",
+    "quality", "reason", "time", "age_s"}. A value of quality bad makes the exit status 1.
+    """
+    if port:
+        from lecombus.cli.direct import read_directly
+
+        code = _only_code(words)
+        if address is None:
+            raise CommandError(Exit.USAGE, Problem("--port needs --address", "give the drive's"))
+        answer_text, reading = read_directly(port, int(baud), address, family, code)
+    else:
+        drive, code = _drive_and_code(words)
+        with connect(socket, url) as daemon:
+            path = f"/v1/drives/{quote(drive, safe='')}/codes/{code}"
+            answer = daemon.get(path) if stored else daemon.get(path, fresh="true")
+        answer_text, reading = answer.text, answer.data
+    if as_json:
+        click.echo(answer_text)
+        return Exit.FAILED if reading.get("quality") == "bad" else Exit.DONE
+    return show_reading(reading)
+
+
+def _only_code(words: Sequence[str]) -> Code:
+    if len(words) != 1:
+        raise CommandError(
+            Exit.USAGE, Problem("with --port only a code is named", "write read --port .. CODE")
+        )
+    return CODE.convert(words[0], None, None)
+
+
+def _drive_and_code(words: Sequence[str]) -> tuple[str, Code]:
+    if len(words) != 2:
+        raise CommandError(
+            Exit.USAGE, Problem("a drive and a code are needed", "write read DRIVE CODE")
+        )
+    return words[0], CODE.convert(words[1], None, None)

@@ -1,0 +1,94 @@
+"""Documents of the daemon as rows: readings, writes, stops, drives.
+
+Every function takes a document as `client` reads it and prints it, or returns the exit status it
+stands for. A key that a document does not have is an empty cell: an older command line can show
+what a newer daemon says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import click
+
+from lecombus.cli.exits import Exit
+from lecombus.cli.screen import age, on_terminal, show_rows, table_text
+
+__all__ = ["Document", "code_of", "show_group", "show_reading", "show_write", "status_of"]
+
+Document = Mapping[str, Any]
+
+_DONE = ("done", "verified")
+
+
+def status_of(report: Document) -> Exit:
+    """Return the exit status of a write's or a group's outcome."""
+    return Exit.DONE if report.get("outcome") in _DONE else Exit.FAILED
+
+
+def code_of(document: Document) -> str:
+    """Return code and subcode as people write them, such as `C0039/1`."""
+    code = table_text(document.get("code"))
+    subcode = document.get("subcode")
+    return f"{code}/{subcode}" if subcode and "/" not in code else code
+
+
+def show_reading(reading: Document) -> Exit:
+    """Print one value; on a terminal as a sentence, in a pipe as cells.
+
+    Returns:
+        FAILED for a value of quality bad.
+    """
+    code, quality = code_of(reading), table_text(reading.get("quality"))
+    value, unit = table_text(reading.get("value")), table_text(reading.get("unit"))
+    reason = table_text(reading.get("reason"))
+    if on_terminal():
+        name = f" ({reading['name']})" if reading.get("name") else ""
+        shown = " ".join(part for part in (value or "no value", unit) if part)
+        line = f"{reading.get('drive', '')} {code}{name}: {shown}"
+        if quality != "good":
+            line += f" [{quality}: {reason}]" if reason else f" [{quality}]"
+        elif reading.get("age_s") is not None and float(reading["age_s"]) >= 1.0:
+            line += f" [{age(reading['age_s'])} old]"
+        click.echo(line.strip())
+    else:
+        cells = (table_text(reading.get("drive")), code, value, unit, quality, reason)
+        show_rows(("drive", "code", "value", "unit", "quality", "reason"), [cells])
+    return Exit.FAILED if quality == "bad" else Exit.DONE
+
+
+def show_write(report: Document) -> Exit:
+    """Print how one write ended.
+
+    Returns:
+        DONE for done and verified, FAILED for everything else.
+    """
+    _show_outcomes([report])
+    return status_of(report)
+
+
+def show_group(report: Document) -> Exit:
+    """Print how a group write or a stop ended, member by member.
+
+    Returns:
+        DONE only if it is done or verified for all of them.
+    """
+    members: Sequence[Document] = report.get("members") or [report]
+    how = {"multicast": "one multicast", "one-by-one": "one write after another"}
+    told = how.get(str(report.get("how")), "")
+    _show_outcomes(members, title=f"as {told}: {report.get('outcome')}" if told else "")
+    return status_of(report)
+
+
+def _show_outcomes(reports: Sequence[Document], title: str = "") -> None:
+    rows = []
+    for report in reports:
+        reading: Document = report.get("reading") or {}
+        unit = table_text(reading.get("unit"))
+        reads = " ".join(filter(None, (table_text(reading.get("value")), unit)))
+        said = [table_text(report.get("reason")), table_text(report.get("cause"))]
+        why = "; ".join(part for part in said if part)
+        drive, outcome = table_text(report.get("drive")), table_text(report.get("outcome"))
+        rows.append((drive, code_of(report), outcome, reads, why))
+    show_rows(("drive", "code", "outcome", "reads", "why"), rows, title=title)

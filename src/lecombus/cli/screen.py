@@ -1,0 +1,82 @@
+"""What goes to standard output: tables for people, tabs for pipes, JSON for programs.
+
+On a terminal a list of rows becomes a table with headings (rich is imported only then). In a pipe
+the same rows are lines of tab-separated cells without headings, so that cut and awk can use them.
+With `--json` exactly one JSON document is printed, with decimals as the daemon wrote them.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+
+import click
+
+__all__ = ["age", "mark", "on_terminal", "show_rows", "table_text"]
+
+_STYLES: Mapping[str, str] = {
+    "good": "green", "online": "green", "open": "green", "done": "green", "verified": "green",
+    "stale": "yellow", "degraded": "yellow", "starting": "yellow", "unknown": "yellow",
+    "bad": "red", "offline": "red", "lost": "red", "closed": "red", "refused": "red",
+    "expired": "red", "superseded": "yellow",
+}  # fmt: skip
+
+
+def on_terminal() -> bool:
+    """Return whether a person is looking."""
+    return sys.stdout.isatty()
+
+
+def show_rows(headings: Sequence[str], rows: Iterable[Sequence[str]], *, title: str = "") -> None:
+    """Print rows: a table on a terminal, tab-separated lines in a pipe.
+
+    Args:
+        headings: One for each column.
+        rows: As many cells as headings in each.
+        title: Stands above the table, on a terminal only.
+    """
+    if on_terminal():
+        _show_table(headings, rows, title)
+        return
+    for row in rows:
+        click.echo("\t".join(" ".join(cell.split()) for cell in row))
+
+
+def table_text(value: object) -> str:
+    """Return a JSON value as a cell; nothing is an empty cell."""
+    if value is None:
+        return ""
+    return str(value)
+
+
+def mark(word: str) -> str:
+    """Return the style of a state, quality or outcome; empty where it has none."""
+    return _STYLES.get(word, "")
+
+
+def age(seconds: object) -> str:
+    """Return an age in words, such as `0.4 s`, `3 min`, `2 h`, `5 d`.
+
+    Args:
+        seconds: A number of seconds as it stands in a document, or None.
+    """
+    if seconds is None:
+        return ""
+    number = float(str(seconds))
+    for factor, unit in ((86400, "d"), (3600, "h"), (60, "min")):
+        if number >= 2 * factor:
+            return f"{number / factor:.0f} {unit}"
+    return f"{number:.1f} s"
+
+
+def _show_table(headings: Sequence[str], rows: Iterable[Sequence[str]], title: str) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=title or None, title_justify="left", box=None, pad_edge=False)
+    for heading in headings:
+        table.add_column(heading, overflow="fold")
+    for row in rows:
+        table.add_row(*(Text(cell, style=mark(cell)) for cell in row))
+    Console(file=sys.stdout).print(table)

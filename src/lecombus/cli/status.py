@@ -1,0 +1,98 @@
+"""`lecombus status`: the line and its drives, or one drive with its values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from urllib.parse import quote
+
+import click
+
+from lecombus.cli.arguments import daemon_options
+from lecombus.cli.client import connect
+from lecombus.cli.exits import Exit
+from lecombus.cli.reports import Document, code_of
+from lecombus.cli.screen import age, on_terminal, show_rows, table_text
+
+__all__ = ["command"]
+
+
+@click.command("status")
+@click.argument("drive", required=False)
+@daemon_options
+def command(drive: str | None, socket: str | None, url: str | None, as_json: bool) -> int:
+    """Show the line and all its drives, or DRIVE with every value that is known of it.
+
+    Nothing is sent to the line. In a pipe: one line a drive (drive, address, family, state,
+    reason), or one a value (code, name, value, unit, quality, age, reason). With --json:
+    {"line": .., "drives": ..}, the daemon's documents, or with DRIVE the drive's document.
+    """
+    with connect(socket, url) as daemon:
+        if drive:
+            answer = daemon.get(f"/v1/drives/{quote(drive, safe='')}")
+            if as_json:
+                click.echo(answer.text)
+            else:
+                _show_drive(answer.data)
+            return Exit.DONE
+        line, drives = daemon.get("/v1/line"), daemon.get("/v1/drives")
+    if as_json:
+        click.echo(f'{{"line": {line.text}, "drives": {drives.text}}}')
+    else:
+        _show_line(line.data, _listed(drives.data, "drives"))
+    return Exit.DONE
+
+
+def _listed(data: Sequence[Document] | Document, key: str) -> Sequence[Document]:
+    """Return the list in a document that is one, or has one under a key."""
+    if isinstance(data, dict):
+        found: Sequence[Document] = data.get(key) or []
+        return found
+    return data  # type: ignore[return-value]
+
+
+def _show_line(line: Document, drives: Sequence[Document]) -> None:
+    title = f"line {line.get('line') or line.get('name') or ''}: {line.get('state')}"
+    if line.get("reason"):
+        title += f", {line['reason']}"
+    stretch = line.get("stretch")
+    if stretch is not None and float(stretch) > 1.0:
+        title += f"; cyclic reads take {stretch} times their period"
+    rows = [
+        (
+            table_text(drive.get("drive") or drive.get("name")),
+            table_text(drive.get("address")),
+            table_text(drive.get("family")),
+            table_text(drive.get("state")),
+            _why(drive),
+        )
+        for drive in drives
+    ]
+    show_rows(("drive", "address", "family", "state", "why"), rows, title=title)
+
+
+def _show_drive(drive: Document) -> None:
+    name = table_text(drive.get("drive") or drive.get("name"))
+    if on_terminal():
+        why = _why(drive)
+        state = table_text(drive.get("state")) + (f", {why}" if why else "")
+        click.echo(f"{name} at address {drive.get('address')} ({drive.get('family')}): {state}")
+    rows = [
+        (
+            code_of(value),
+            table_text(value.get("name")),
+            table_text(value.get("value")),
+            table_text(value.get("unit")),
+            table_text(value.get("quality")),
+            age(value.get("age_s")),
+            table_text(value.get("reason")),
+        )
+        for value in _listed(drive, "values")
+    ]
+    show_rows(("code", "name", "value", "unit", "quality", "age", "why"), rows)
+
+
+def _why(drive: Document) -> str:
+    """Return the reason of a drive's state and everything that stands to be said about it."""
+    remarks: Document = drive.get("remarks") or {}
+    parts = [table_text(drive.get("reason")), *(table_text(text) for text in remarks.values())]
+    return "; ".join(part for part in parts if part)

@@ -1,0 +1,52 @@
+"""`lecombus stop`: the emergency class."""
+
+from __future__ import annotations
+
+import click
+
+from lecombus.cli.arguments import daemon_options
+from lecombus.cli.client import connect
+from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.cli.reports import show_group, status_of
+
+__all__ = ["command"]
+
+
+@click.command("stop")
+@click.argument("target", required=False)
+@click.option("--all", "everything", is_flag=True, help="All drives; the same as no TARGET.")
+@click.option(
+    "--action",
+    type=click.Choice(["quick-stop", "inhibit"]),
+    default="quick-stop",
+    show_default=True,
+    help="quick-stop: down its ramp; inhibit: no torque at once, the motor coasts.",
+)
+@daemon_options
+def command(
+    target: str | None,
+    everything: bool,
+    action: str,
+    socket: str | None,
+    url: str | None,
+    as_json: bool,
+) -> int:
+    """Stop TARGET, a drive or a group, before everything else that waits.
+
+    Without TARGET all drives of the line are stopped: who types `lecombus stop` in a hurry shall
+    not be asked questions. It is read back from every drive. It is no safety function.
+
+    Exit status 0 only if every drive is known to have taken the stop. In a pipe: one line a drive
+    with drive, code, outcome, value read back, reason. With --json: the daemon's document, as for
+    group.
+    """
+    if target and everything:
+        raise CommandError(
+            Exit.USAGE, Problem("a target and --all are both given", "leave one of them out")
+        )
+    with connect(socket, url) as daemon:
+        answer = daemon.post("/v1/stop", {"action": action, "target": target or "all"})
+    if as_json:
+        click.echo(answer.text)
+        return status_of(answer.data)
+    return show_group(answer.data)

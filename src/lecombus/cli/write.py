@@ -1,0 +1,62 @@
+"""`lecombus write`: one code of one drive."""
+
+from __future__ import annotations
+
+from urllib.parse import quote
+
+import click
+
+from lecombus.cli.arguments import CODE, DURATION, VALUE, CommandWithNumbers, Given, daemon_options
+from lecombus.cli.client import connect
+from lecombus.cli.reports import show_write, status_of
+from lecombus.protocol import Code
+
+__all__ = ["command", "write_document"]
+
+
+def write_document(value: Given, expires: float | None, verify: bool) -> dict[str, object]:
+    """Return the body of a write request.
+
+    Args:
+        value: What to write.
+        expires: Seconds after which it shall no longer be sent; None: the daemon's default.
+        verify: Whether to read it back.
+    """
+    document: dict[str, object] = {"value": value, "verify": verify}
+    if expires is not None:
+        document["expires"] = f"{round(expires * 1000)}ms"
+    return document
+
+
+@click.command("write", cls=CommandWithNumbers)
+@click.argument("drive")
+@click.argument("code", type=CODE)
+@click.argument("value", type=VALUE)
+@click.option("--verify", is_flag=True, help="Read it back afterwards.")
+@click.option("--expires", type=DURATION, help="Not sent any more after so long, such as 2s.")
+@daemon_options
+def command(
+    drive: str,
+    code: Code,
+    value: Given,
+    verify: bool,
+    expires: float | None,
+    socket: str | None,
+    url: str | None,
+    as_json: bool,
+) -> int:
+    """Write VALUE to CODE of DRIVE and wait for the outcome.
+
+    VALUE is a number (`write feeder C0046 -5`), a word such as H0008 or octets such as O1A2B.
+
+    The outcome is one of done, verified (exit status 0), refused, expired, superseded, unknown
+    (1: it may have happened). In a pipe: drive, code, outcome, value read back, reason. With
+    --json: the daemon's document, {"drive", "code", "outcome", "reason", "cause", "reading"}.
+    """
+    with connect(socket, url) as daemon:
+        path = f"/v1/drives/{quote(drive, safe='')}/codes/{code}"
+        answer = daemon.put(path, write_document(value, expires, verify))
+    if as_json:
+        click.echo(answer.text)
+        return status_of(answer.data)
+    return show_write(answer.data)

@@ -1,0 +1,165 @@
+"""What deploy/ ships is read here by the programs that will read it on a user's machine."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from support.real_parts import missing, require
+
+pytestmark = pytest.mark.real
+
+DEPLOY = Path(__file__).parents[2] / "deploy"
+UNIT = DEPLOY / "lecombus@.service"
+
+
+def run(*words: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [str(word) for word in words],
+        capture_output=True,
+        text=True,
+        timeout=15,
+        env={**os.environ, "SYSTEMD_COLORS": "0", "LC_ALL": "C"},
+        check=False,
+    )
+
+
+@pytest.fixture
+def unit(tmp_path: Path) -> Path:
+    """The unit with programs that are really here, under an instance's name."""
+    text = UNIT.read_text().replace("/opt/lecombus/bin/lecombus", sys.executable)
+    path = tmp_path / "lecombus@hall-3.service"
+    path.write_text(text)
+    return path
+
+
+def complaints(unit: Path) -> str:
+    """What systemd-analyze says about this unit, without what it says about the machine's own."""
+    done = run(require("systemd-analyze"), "verify", "--man=no", unit)
+    said = (done.stdout + done.stderr).splitlines()
+    return "\n".join(line for line in said if "lecombus" in line)
+
+
+def test_systemd_finds_nothing_wrong_with_the_unit(unit: Path) -> None:
+    assert complaints(unit) == ""
+
+
+@pytest.mark.parametrize(
+    ("good", "bad"),
+    [
+        ("WatchdogSec=10s", "WatchdogSec=often"),
+        ("DevicePolicy=closed", "DevicePolicies=closed"),
+        ("ExecStart=", "ExecStart=/nowhere"),
+    ],
+)
+def test_the_check_of_the_unit_would_see_a_mistake(unit: Path, good: str, bad: str) -> None:
+    unit.write_text(unit.read_text().replace(good, bad, 1))
+    assert complaints(unit) != ""
+
+
+def test_the_unit_exposes_little_of_the_system(unit: Path) -> None:
+    done = run(
+        require("systemd-analyze"),
+        "security",
+        "--offline=yes",
+        "--threshold=20",
+        "--no-pager",
+        unit,
+    )
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr
+
+
+def test_the_unit_gives_serial_ports_and_no_other_device() -> None:
+    allowed = re.findall(r"^DeviceAllow=(.*)$", UNIT.read_text(), re.MULTILINE)
+    assert allowed == ["char-ttyUSB rw", "char-ttyACM rw", "char-ttyS rw"]
+    assert "\nDevicePolicy=closed\n" in UNIT.read_text()
+
+
+def test_systemd_can_make_the_user(tmp_path: Path) -> None:
+    wanted = DEPLOY / "sysusers.d" / "lecombus.conf"
+    (tmp_path / "etc").mkdir()
+    done = run(require("systemd-sysusers"), f"--root={tmp_path}", wanted)
+    assert done.returncode == 0, done.stderr
+    users = (tmp_path / "etc" / "passwd").read_text()
+    assert re.search(
+        r"^lecombus:x:\d+:\d+:LECOM line daemon:/var/lib/lecombus:", users, re.MULTILINE
+    )
+    group = (tmp_path / "etc" / "group").read_text()
+    assert re.search(r"^dialout:x:\d+:lecombus$", group, re.MULTILINE)
+
+
+def udev_complaints(rules: Path) -> str:
+    """What udev says about a rules file: by `verify` where it has that, else by reading it."""
+    udevadm = require("udevadm")
+    if int(re.findall(r"\d+", run(udevadm, "--version").stdout)[0]) >= 254:
+        done = run(udevadm, "verify", "--no-summary", rules)
+        return done.stdout + done.stderr if done.returncode else ""
+    # Before version 254 only a test run reads rules; it gets to see a directory of its own.
+    place = Path("/usr/lib/udev/rules.d")
+    script = 'mount --bind "$1" "$2" && exec "$3" test /sys/class/tty/tty0'
+    done = run("unshare", "--mount", "sh", "-c", script, "sh", rules.parent, place, udevadm)
+    said = done.stdout + done.stderr
+    if f"{place}/{rules.name}" not in said:
+        missing(f"udev's rules can only be read as root here: {said[-200:]}")
+    return "\n".join(line for line in said.splitlines() if f"{rules.name}:" in line)
+
+
+def test_udev_finds_nothing_wrong_with_the_rules(tmp_path: Path) -> None:
+    rules = tmp_path / "60-lecombus.rules"
+    rules.write_text((DEPLOY / "60-lecombus.rules").read_text())
+    assert udev_complaints(rules) == ""
+
+
+@pytest.mark.parametrize("wrong", ['LATENCY=="1"', 'ATTR{latency_timer}="1" GROUP="dialout"'])
+def test_the_check_of_the_rules_would_see_a_mistake(tmp_path: Path, wrong: str) -> None:
+    rules = tmp_path / "60-lecombus.rules"
+    rules.write_text((DEPLOY / "60-lecombus.rules").read_text() + wrong + "\n")
+    assert udev_complaints(rules) != ""
+
+
+def test_prometheus_takes_the_scrape_configuration_and_the_alerts() -> None:
+    done = run(require("promtool"), "check", "config", DEPLOY / "prometheus" / "prometheus.yml")
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"SUCCESS: [1-9]\d* rules found", done.stdout)
+
+
+def test_a_silent_drive_and_a_missed_watchdog_raise_alerts(tmp_path: Path) -> None:
+    """Runs the alerts on made-up series, as promtool's own rule tests."""
+    labels = 'line="hall-3",drive="feeder"'
+    cases = {
+        "rule_files": [str(DEPLOY / "prometheus" / "lecombus.rules.yml")],
+        "evaluation_interval": "5s",
+        "tests": [
+            {
+                "interval": "5s",
+                "input_series": [
+                    {"series": f"lecombus_drive_up{{{labels}}}", "values": "0x60"},
+                    {"series": 'lecombus_drive_up{line="hall-3",drive="belt"}', "values": "1x60"},
+                    {
+                        "series": f"lecombus_watchdog_misses_total{{{labels}}}",
+                        "values": "0x30 1x30",
+                    },
+                ],
+                "promql_expr_test": [
+                    {
+                        "expr": "count by (alertname, drive) (ALERTS{alertstate='firing'})",
+                        "eval_time": "200s",
+                        "exp_samples": [
+                            {"labels": f'{{alertname="{name}", drive="feeder"}}', "value": 1}
+                            for name in ("LecombusDriveSilent", "LecombusWatchdogMissed")
+                        ],
+                    }
+                ],
+            }
+        ],
+    }
+    path = tmp_path / "alerts.yml"
+    path.write_text(json.dumps(cases))
+    done = run(require("promtool"), "test", "rules", path)
+    assert done.returncode == 0, done.stdout + done.stderr

@@ -1,0 +1,152 @@
+"""Promises about the project as a whole that no single room can keep."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+import tomllib
+from importlib.metadata import metadata
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+REQUIREMENTS = ROOT / "requirements"
+LOCKS = sorted(path for path in REQUIREMENTS.glob("*.txt") if path.name != "debian.txt")
+PIN = re.compile(r"^([a-z0-9][a-z0-9._-]*)==(\S+)", re.MULTILINE)
+
+MODULE_LINES = 500
+FUNCTION_LINES = 45
+
+
+def pins(lock: str) -> dict[str, str]:
+    return dict(PIN.findall((REQUIREMENTS / lock).read_text()))
+
+
+def wanted(source: str) -> dict[str, str]:
+    """The packages an .in file names itself, with their conditions."""
+    lines = [line.strip() for line in (REQUIREMENTS / source).read_text().splitlines()]
+    named = [line for line in lines if line and not line.startswith(("#", "-"))]
+    return {normal(re.split(r"[<>=!~]", line)[0]): line for line in named}
+
+
+def normal(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def tracked() -> list[Path]:
+    done = subprocess.run(
+        ["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    paths = [ROOT / name for name in done.stdout.split("\0") if name]
+    return [path for path in paths if path.is_file()]
+
+
+def test_rooms_import_only_what_they_may() -> None:
+    linter = Path(sys.executable).with_name("lint-imports")
+    done = subprocess.run(
+        [linter, "--no-cache"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_package_asks_for_what_the_runtime_lock_is_made_from() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    assert sorted(project["project"]["dependencies"]) == sorted(wanted("runtime.in").values())
+    assert project["build-system"]["requires"] == list(wanted("build.in").values())
+
+
+@pytest.mark.parametrize("lock", LOCKS, ids=lambda path: path.name)
+def test_a_lock_holds_every_package_its_source_names(lock: Path) -> None:
+    assert set(wanted(f"{lock.stem}.in")) <= {normal(name) for name in pins(lock.name)}
+
+
+@pytest.mark.parametrize("lock", LOCKS, ids=lambda path: path.name)
+def test_a_lock_pins_by_hash_and_names_no_index(lock: Path) -> None:
+    text = lock.read_text()
+    assert "://" not in text
+    assert "--index-url" not in text
+    assert "--find-links" not in text
+    for block in re.split(r"\n(?=\S)", text):
+        if block.startswith("#"):
+            continue
+        assert PIN.match(block), block
+        assert "--hash=sha256:" in block, block
+
+
+def test_the_locks_agree_with_each_other() -> None:
+    dev = pins("dev.txt")
+    for lock in ("runtime.txt", "build.txt"):
+        for name, version in pins(lock).items():
+            assert dev.get(name) == version, name
+    for name, version in pins("bench.txt").items():
+        assert dev.get(name, version) == version, name
+
+
+def test_compiled_packages_are_locked_for_other_machines_too() -> None:
+    """A lock made from one machine's own wheels would hold one hash of each."""
+    text = (REQUIREMENTS / "runtime.txt").read_text()
+    for name in ("pydantic-core", "pyyaml"):
+        block = re.search(rf"^{name}==.*?(?=^\S)", text, re.MULTILINE | re.DOTALL)
+        assert block is not None
+        assert block.group().count("--hash=") > 20
+
+
+def test_no_package_we_ship_with_is_under_the_gpl() -> None:
+    for name in pins("runtime.txt"):
+        about = metadata(name)
+        said = [about.get("License-Expression") or about.get("License") or ""]
+        said += [line for line in about.get_all("Classifier") or [] if line.startswith("License")]
+        assert any(said), name
+        assert not re.search(r"\bA?GPL|GNU (?:Affero )?General Public", " ".join(said)), name
+
+
+def test_no_file_names_a_place_that_only_one_machine_has() -> None:
+    place = re.compile(r"/(?:root|work|home/[a-z]+|Users/[a-z]+)/[a-z.]")
+    found = []
+    for path in tracked():
+        try:
+            text = path.read_text()
+        except UnicodeDecodeError:
+            continue
+        for number, line in enumerate(text.splitlines(), 1):
+            if place.search(line):
+                found.append(f"{path.relative_to(ROOT)}:{number}: {line.strip()}")
+    assert found == []
+
+
+def test_modules_stay_readable() -> None:
+    long = {
+        str(path.relative_to(ROOT)): lines
+        for path in (ROOT / "src").rglob("*.py")
+        if (lines := len(path.read_text().splitlines())) > MODULE_LINES
+    }
+    assert long == {}
+
+
+def body_lines(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """How long a function is without its docstring, which may say as much as is needed."""
+    lines = (function.end_lineno or 0) - function.lineno + 1
+    first = function.body[0]
+    if ast.get_docstring(function) is not None:
+        lines -= (first.end_lineno or 0) - first.lineno + 1
+    return lines
+
+
+def test_functions_stay_readable() -> None:
+    long = {
+        f"{path.relative_to(ROOT)}:{node.name}": body_lines(node)
+        for path in (ROOT / "src").rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        and body_lines(node) > FUNCTION_LINES
+    }
+    assert long == {}
+
+
+def test_every_license_text_is_there() -> None:
+    text = (ROOT / "LICENSE").read_text()
+    assert "Apache License" in text
+    assert "END OF TERMS AND CONDITIONS" in text
