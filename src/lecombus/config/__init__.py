@@ -6,6 +6,7 @@
 check a roster with while it is written.
 """
 
+from lecombus.config.describing import DescribedDrive, DescribedGroup, Description, describe
 from lecombus.config.loading import load_roster, parse_roster
 from lecombus.config.mistakes import Mistake, RosterError
 from lecombus.config.models import (
@@ -20,10 +21,15 @@ from lecombus.config.models import (
     Roster,
     WatchdogEntry,
 )
+from lecombus.config.schema import roster_json_schema
+from lecombus.config.timing import line_timing
 
 __all__ = [
     "ApiEntry",
     "CyclicEntry",
+    "DescribedDrive",
+    "DescribedGroup",
+    "Description",
     "DriveEntry",
     "GroupEntry",
     "HttpAddress",
@@ -34,6 +40,9 @@ __all__ = [
     "Roster",
     "RosterError",
     "WatchdogEntry",
+    "describe",
+    "line_timing",
     "load_roster",
     "parse_roster",
+    "roster_json_schema",
 ]

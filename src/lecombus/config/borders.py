@@ -79,7 +79,10 @@ class PortPlace(ScalarKind):
 
     def schema(self) -> dict[str, Any]:
         """See `Kind`."""
-        return {"type": "string", "pattern": r"^(/.*[^/]|(socket|rfc2217)://.+:[0-9]+.*|sim(:.*)?)$"}
+        return {
+            "type": "string",
+            "pattern": r"^(/.*[^/]|(socket|rfc2217)://.+:[0-9]+.*|sim(:.*)?)$",
+        }
 
 
 class HttpPlace(ScalarKind):

@@ -113,7 +113,7 @@ def multicast_address(members: Iterable[int], drives: Iterable[int]) -> int | No
     Returns:
         10, 20 .. 90 for a decade, 0 for all drives, None if no telegram reaches exactly them.
 
-    Source: EDB2102EN 8.3.1 "Broadcast telegrams"; CMVLC401A 6.3.
+    Source: EDB2102EN 8.3.4.
     """
     wanted = set(members)
     present = set(drives)
@@ -141,9 +141,7 @@ def _mqtt(entry: Entry | None) -> MqttEntry | None:
     if entry is None:
         return None
     tls = entry.get("tls", True)
-    return MqttEntry(
-        host=entry.get("host"), tls=tls, port=entry.get("port", 8883 if tls else 1883)
-    )
+    return MqttEntry(host=entry.get("host"), tls=tls, port=entry.get("port", 8883 if tls else 1883))
 
 
 def _not_yet_used(roster: Entry) -> tuple[str, ...]:

@@ -56,7 +56,7 @@ class _Open:
     merges: list[Node] = field(default_factory=list)
 
 
-def compose(text: str, mistakes: Mistakes, *, parser: Any = PARSER) -> Node | None:  # noqa: ANN401
+def compose(text: str, mistakes: Mistakes, *, parser: Any = PARSER) -> Node | None:
     """Read YAML.
 
     Args:
@@ -103,7 +103,7 @@ class _Composer:
         self._anchors: dict[str, Node] = {}
         self._root: Node | None = None
 
-    def run(self, events: Any) -> Node | None:  # noqa: ANN401
+    def run(self, events: Any) -> Node | None:
         """Take every event; see `compose`."""
         while events.check_event():
             event = events.get_event()
@@ -128,14 +128,14 @@ class _Composer:
     def _fatal(self, spot: _Spot, what: str, right: str) -> RosterError:
         return self._mistakes.fatal(spot, what, right)
 
-    def _check_tag(self, event: Any, spot: _Spot) -> None:  # noqa: ANN401
+    def _check_tag(self, event: Any, spot: _Spot) -> None:
         tag = event.tag
         if tag is not None and tag != "!" and not tag.startswith(_HARMLESS_TAG):
             self._mistakes.note(spot, f"the tag {shown(tag)} means nothing here", "remove it")
         elif tag is not None and tag.startswith(f"{_HARMLESS_TAG}python"):
             self._mistakes.note(spot, f"the tag {shown(tag)} is refused", "remove it")
 
-    def _open(self, node: ListNode | MappingNode, event: Any, spot: _Spot) -> None:  # noqa: ANN401
+    def _open(self, node: ListNode | MappingNode, event: Any, spot: _Spot) -> None:
         self._check_tag(event, spot)
         if len(self._stack) >= DEEPEST:
             what = f"lists and mappings nest more than {DEEPEST} deep here"

@@ -45,9 +45,7 @@ def check_lapse(drive: Entry, action: str, place: Place, mistakes: Mistakes) -> 
         mistakes.note(place, what, f"write on_lapse: {one_of([*known, 'silence', 'hold'])}")
 
 
-def _check_watchdog(
-    watchdog: Entry, name: str, traits: WatchdogTraits, mistakes: Mistakes
-) -> None:
+def _check_watchdog(watchdog: Entry, name: str, traits: WatchdogTraits, mistakes: Mistakes) -> None:
     time_s = watchdog.get("time")
     if time_s is not None:
         _check_time(time_s, watchdog.place("time"), name, traits, mistakes)

@@ -72,7 +72,7 @@ class Kind(Protocol):
     def expects(self) -> str:
         """What to give, to stand behind "give": "a duration such as 2s"."""
 
-    def read(self, node: Node, label: str, mistakes: Mistakes) -> Any:  # noqa: ANN401
+    def read(self, node: Node, label: str, mistakes: Mistakes) -> Any:
         """Return the value of a node, or `UNUSABLE` with the mistakes noted.
 
         Args:
@@ -94,14 +94,14 @@ class ScalarKind(ABC):
         """See `Kind`."""
 
     @abstractmethod
-    def convert(self, text: str) -> Any:  # noqa: ANN401
+    def convert(self, text: str) -> Any:
         """Return the value of a text, or raise `Wrong`."""
 
     @abstractmethod
     def schema(self) -> dict[str, Any]:
         """See `Kind`."""
 
-    def read(self, node: Node, label: str, mistakes: Mistakes) -> Any:  # noqa: ANN401
+    def read(self, node: Node, label: str, mistakes: Mistakes) -> Any:
         """See `Kind`."""
         if not isinstance(node, Scalar) or node.is_empty:
             mistakes.note(node, f"{label} is {kind_of(node)}", f"give {self.expects}")
@@ -316,7 +316,7 @@ class WholeChoice(Whole):
 class Address(Whole):
     """A drive's address: 1..99 without those ending in 0, which reach groups.
 
-    Source: EDB2102EN 8.3.1 "Controller address (AD1, AD2)"; CMVLC401A 5.3.
+    Source: EDB2102EN 8.3.1 and 8.3.4 (addresses ending in 0 are reserved for BROADCAST).
     """
 
     def __init__(self) -> None:

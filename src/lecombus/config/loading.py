@@ -92,11 +92,9 @@ def parse_roster(text: str, file: str) -> Roster:
 def _read(path: Path, mistakes: Mistakes) -> bytes:
     """Return the file's bytes; never waits on a pipe or a device."""
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-        with open(descriptor, "rb") as file:
-            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-                raise mistakes.fatal(_Top(), "this is no regular file", "name a roster file")
-            data = file.read(LARGEST + 1)
+        data = _read_regular(path)
+        if data is None:
+            raise mistakes.fatal(_Top(), "this is no regular file", "name a roster file")
     except OSError as exc:
         raise mistakes.fatal(_Top(), *_say_os_error(exc)) from exc
     except ValueError as exc:  # a NUL in the name
@@ -104,6 +102,21 @@ def _read(path: Path, mistakes: Mistakes) -> bytes:
     if len(data) > LARGEST:
         raise _too_large(mistakes)
     return data
+
+
+def _read_regular(path: Path) -> bytes | None:
+    """Return the file's beginning, one byte more than allowed at most; None for no plain file."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        mode = os.fstat(descriptor).st_mode
+        if stat.S_ISDIR(mode):
+            raise IsADirectoryError
+        if not stat.S_ISREG(mode):
+            return None
+        with os.fdopen(descriptor, "rb", closefd=False) as file:
+            return file.read(LARGEST + 1)
+    finally:
+        os.close(descriptor)
 
 
 def _too_large(mistakes: Mistakes) -> RosterError:

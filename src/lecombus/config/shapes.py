@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from lecombus.config.kinds import UNUSABLE, Kind, ScalarKind, Unusable
-from lecombus.config.mistakes import Mistakes, nearest, one_of, shown
+from lecombus.config.mistakes import Mistakes, nearest, shown
 from lecombus.config.nodes import ListNode, MappingNode, Node, Scalar, kind_of
 
 __all__ = ["Entry", "Item", "Items", "Key", "ListOf", "NamedEntries", "Table"]
@@ -55,7 +55,7 @@ class Entry:
     values: dict[str, Any] = field(default_factory=dict)
     nodes: dict[str, Node] = field(default_factory=dict)
 
-    def get(self, key: str, default: Any = None) -> Any:  # noqa: ANN401
+    def get(self, key: str, default: Any = None) -> Any:
         """Return a usable value, or `default`."""
         return self.values.get(key, default)
 
@@ -107,8 +107,10 @@ class Table:
     def expects(self) -> str:
         """See `Kind`."""
         required = [key.name for key in self.keys.values() if key.required]
-        some = required or list(self.keys)[:3]
-        return f"a mapping with {one_of(some) if not required else ' and '.join(some)}"
+        if not required:
+            return f"a mapping with keys such as {next(iter(self.keys))}"
+        *most, last = required
+        return f"a mapping with {', '.join(most)} and {last}" if most else f"a mapping with {last}"
 
     def read(self, node: Node, label: str, mistakes: Mistakes) -> Entry | Unusable:
         """See `Kind`."""
@@ -130,9 +132,7 @@ class Table:
                 mistakes.note(node, what, f"give {key.kind.expects}")
         return entry
 
-    def _meant(
-        self, at: Scalar, node: MappingNode, entry: Entry, mistakes: Mistakes
-    ) -> str | None:
+    def _meant(self, at: Scalar, node: MappingNode, entry: Entry, mistakes: Mistakes) -> str | None:
         """Note an unknown key; return the key it was meant to be, where that is missing."""
         free = [name for name in self.keys if name not in node.items and name not in entry.nodes]
         meant = nearest(at.text, free) or nearest(at.text, self.keys)

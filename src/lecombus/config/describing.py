@@ -1,0 +1,150 @@
+"""What a roster comes to, in words and as data, for `lecombus check`.
+
+Says what cannot be seen in the file: whether a group is one telegram or one write after another,
+what was filled in from a drive's family, how much of the line the cyclic reads take, what is
+suspicious, and what was given but does nothing yet.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from lecombus.config.durations import format_duration
+from lecombus.config.models import DriveEntry, GroupEntry, Roster
+from lecombus.config.suspicions import cyclic_load, find_warnings
+
+__all__ = ["DescribedDrive", "DescribedGroup", "Description", "describe"]
+
+
+@dataclass(frozen=True, slots=True)
+class DescribedDrive:
+    """One row of the drives table; texts are ready to be shown.
+
+    Args:
+        name: The drive's name.
+        address: Its address.
+        family: Its family's name.
+        watchdog: Such as `2s quick-stop, written` or `not looked after`.
+        cyclic: What is read how often, such as `C0150 500ms, C0050 2s`.
+        writable: What may be written, in order.
+    """
+
+    name: str
+    address: int
+    family: str
+    watchdog: str
+    cyclic: str
+    writable: str
+
+
+@dataclass(frozen=True, slots=True)
+class DescribedGroup:
+    """One row of the groups table.
+
+    Args:
+        name: The group's name.
+        members: Its members' names.
+        how: `multicast` or `one-by-one`.
+        multicast_address: The address of the one telegram; None one by one.
+    """
+
+    name: str
+    members: tuple[str, ...]
+    how: str
+    multicast_address: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class Description:
+    """What a roster comes to.
+
+    Args:
+        file: The roster.
+        line: The line in one sentence.
+        cyclic_load: Share of line time the cyclic reads ask for; above 1 they are stretched.
+        drives: The drives in the order of the file.
+        groups: The groups, `all` first.
+        warnings: What is valid but suspicious.
+        not_yet_used: Keys that this version checks but does not use.
+    """
+
+    file: str
+    line: str
+    cyclic_load: float
+    drives: tuple[DescribedDrive, ...]
+    groups: tuple[DescribedGroup, ...]
+    warnings: tuple[str, ...]
+    not_yet_used: tuple[str, ...]
+
+    def lines(self) -> list[str]:
+        """Return the description as plain text for a terminal, without colours."""
+        rows = [(drive.name, str(drive.address), drive.family, drive.watchdog, drive.cyclic)
+                for drive in self.drives]  # fmt: skip
+        found = [self.line, f"cyclic reads take {self.cyclic_load:.0%} of the line", ""]
+        found.extend(_columns([("drive", "address", "family", "watchdog", "cyclic reads"), *rows]))
+        found.append("")
+        found.extend(f"group {group.name}: {_how(group)}" for group in self.groups)
+        found.extend(f"warning: {text}" for text in self.warnings)
+        found.extend(
+            f"not used by this version: {key} (checked, and kept for later)"
+            for key in self.not_yet_used
+        )
+        return found
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the description for `check --json`."""
+        return asdict(self)
+
+
+def describe(roster: Roster) -> Description:
+    """Say what a roster comes to."""
+    line = roster.line
+    return Description(
+        file=roster.file,
+        line=f"line {line.name}: {line.medium} on {line.port}, {line.baud} baud, "
+        f"{len(roster.drives)} drive{'s' if len(roster.drives) != 1 else ''}",
+        cyclic_load=round(cyclic_load(roster), 4),
+        drives=tuple(map(_drive, roster.drives)),
+        groups=tuple(_group(name, group) for name, group in roster.groups.items()),
+        warnings=tuple(find_warnings(roster)),
+        not_yet_used=roster.not_yet_used,
+    )
+
+
+def _drive(drive: DriveEntry) -> DescribedDrive:
+    watchdog = drive.watchdog
+    cyclic = [f"{entry.code} {format_duration(entry.every_s)}" for entry in drive.cyclic]
+    watched = "not looked after"
+    if watchdog is not None:
+        doing = "written" if watchdog.configure else "compared only"
+        watched = f"{format_duration(watchdog.time_s)} {watchdog.action}, {doing}"
+    return DescribedDrive(
+        name=drive.name,
+        address=drive.address,
+        family=drive.family,
+        watchdog=watched,
+        cyclic=", ".join(cyclic) or "nothing",
+        writable=", ".join(map(str, sorted(drive.writable))) or "nothing",
+    )
+
+
+def _group(name: str, group: GroupEntry) -> DescribedGroup:
+    how = "one-by-one" if group.multicast_address is None else "multicast"
+    return DescribedGroup(name, group.members, how, group.multicast_address)
+
+
+def _how(group: DescribedGroup) -> str:
+    count = len(group.members)
+    drives = f"{count} drive{'s' if count != 1 else ''}"
+    if group.multicast_address is None:
+        return f"{drives}, one write after another"
+    return f"{drives}, one multicast telegram to address {group.multicast_address:02d}"
+
+
+def _columns(rows: list[tuple[str, ...]]) -> list[str]:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]

@@ -1,0 +1,40 @@
+"""What the line's keys mean in seconds, for the cost model.
+
+The one place that knows what an adapter adds where the roster does not say.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from lecombus.config.borders import is_network_port
+from lecombus.config.models import LineEntry
+from lecombus.drives import LineTiming
+
+__all__ = ["adapter_latency_s", "line_timing"]
+
+USB_LATENCY_S: Final = 0.016
+"""The latency timer of FTDI adapters as shipped; other adapters stay below."""
+NETWORK_LATENCY_S: Final = 0.050
+"""A device server on the same site, with its own buffering."""
+SIMULATED_LATENCY_S: Final = 0.005
+"""No adapter at all, only a busy computer."""
+
+
+def adapter_latency_s(line: LineEntry) -> float:
+    """Return what the adapter adds to an answer, by the roster or else by the kind of port."""
+    if line.adapter_latency_s is not None:
+        return line.adapter_latency_s
+    if is_network_port(line.port):
+        return NETWORK_LATENCY_S
+    return SIMULATED_LATENCY_S if line.port.startswith("sim:") else USB_LATENCY_S
+
+
+def line_timing(line: LineEntry) -> LineTiming:
+    """Return the line's times for `drives.costs`; late answers are sat out as quarantine."""
+    return LineTiming(
+        baud=line.baud,
+        turnaround_s=line.turnaround_s,
+        adapter_latency_s=adapter_latency_s(line),
+        quarantine_s=line.late_answer_s,
+    )
