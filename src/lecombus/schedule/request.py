@@ -11,8 +11,15 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
+from typing import Any, Final
 
-__all__ = ["Outcome", "Priority", "Request", "Settle"]
+__all__ = ["DEFERRED", "OUT", "QUEUED", "UNDER_WAY", "Outcome", "Priority", "Request", "Settle"]
+
+# Where a request is: not in a schedule, in its lane, waiting for a time, or on the line.
+OUT: Final = 0
+QUEUED: Final = 1
+DEFERRED: Final = 2
+UNDER_WAY: Final = 3
 
 
 class Priority(IntEnum):
@@ -63,6 +70,11 @@ class Request:
         stops: For a stop: the drives whose waiting motion writes it ends.
         members: For a multicast: the drives it reaches.
         submitted_at_s: When the schedule took it.
+        cut_outcome: How it ends when a stop, a later request, a parked drive or a lost line cuts
+            it off between two of its steps. The line sets it as soon as something went out that
+            may have changed the drive (`UNKNOWN`), and again once that was acknowledged (`DONE`).
+
+    The fields after it belong to the schedule; nobody else writes them.
     """
 
     drive: str
@@ -77,7 +89,30 @@ class Request:
     stops: tuple[str, ...] = ()
     members: tuple[str, ...] = ()
     submitted_at_s: float = 0.0
+    cut_outcome: Outcome | None = None
     settled: bool = field(default=False, repr=False)
+    # -- bookkeeping of the schedule ------------------------------------------------------------
+    state: int = field(default=0, init=False, repr=False)  # OUT, QUEUED, DEFERRED, UNDER_WAY
+    serial: int = field(default=0, init=False, repr=False)  # order of submission
+    place: int = field(default=0, init=False, repr=False)  # order within its class
+    cell: list[Any] | None = field(default=None, init=False, repr=False)  # where it stands
+    attempts: int = field(default=0, init=False, repr=False)  # exchanges made for it
+    rooms: int = field(default=0, init=False, repr=False)  # feeds run first so that it fits
+    by_credit: bool = field(default=False, init=False, repr=False)  # went first by its share
+    source: object = field(default=None, init=False, repr=False)  # the entry or probe behind it
+
+    def cut(self, outcome: Outcome, reason: str) -> None:
+        """End it though it may have been sent already.
+
+        `SUPERSEDED` and `REFUSED` promise that nothing was changed. A write of which a step has
+        been on the line cannot promise that: it ends as `cut_outcome` says, or, when nobody said,
+        as `UNKNOWN`.
+        """
+        if self.cut_outcome is not None:
+            outcome = self.cut_outcome
+        elif self.attempts and (self.motion or self.supersedes is not None):
+            outcome = Outcome.UNKNOWN
+        self.end(outcome, reason)
 
     def end(self, outcome: Outcome, reason: str = "") -> None:
         """Settle the request.

@@ -1,0 +1,252 @@
+"""Cyclic requests on an absolute grid that is stretched evenly when the line cannot hold it.
+
+Every entry is due on a grid of its own period on a virtual timeline; real time is virtual time
+plus an offset. As long as the line keeps up the offset stands still, and the k-th slot is due at
+start + k * period exactly: nothing drifts. The entry with the earliest virtual due time goes first.
+
+An entry may be late by one of its own periods; short bursts are caught up. When the first entry
+is later than that, the line is overloaded, and the offset grows by the excess: virtual time runs
+slower, so every cycle is stretched by the same factor and no entry is favoured because of its
+period. What was missed that way is never run twice. The stretch is the ratio of real to virtual
+time over the last ten seconds.
+
+An entry whose drive was set apart (held, parked) skips the slots it missed and keeps its grid; its
+absence must not stretch the cycles of the others.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from heapq import heappop, heappush
+from typing import Final, Protocol
+
+from lecombus.schedule.request import Request
+
+__all__ = ["STRETCH_WINDOW_S", "Cadence", "Cyclic", "Entry"]
+
+STRETCH_WINDOW_S: Final = 10.0
+_SNAPSHOT_EVERY_S: Final = 0.5
+# Stretch when virtual time practically stands still; a figure that can still be shown.
+_STRETCH_MOST: Final = 1000.0
+
+
+@dataclass(slots=True)
+class Cyclic:
+    """Something to be asked of a drive every so often.
+
+    Args:
+        drive: The drive.
+        period_s: How often, seconds, > 0.
+        make: Builds a fresh request, of class `CYCLIC`.
+    """
+
+    drive: str
+    period_s: float
+    make: Callable[[], Request]
+
+
+class Entry:
+    """A cyclic request and its place on the grid; the handle given to whoever added it."""
+
+    __slots__ = ("active", "cyclic", "dropped", "due_v", "request", "served", "skipped", "version")
+
+    def __init__(self, cyclic: Cyclic) -> None:
+        self.cyclic = cyclic
+        self.due_v = 0.0  # virtual time of its next slot
+        self.version = -1  # of its item in the heap; older items are void
+        self.active = True
+        self.request: Request | None = None  # made, but not yet run
+        self.served = 0  # slots run
+        self.skipped = 0  # slots passed over while the drive was set apart
+        self.dropped = 0  # slots that could not be run without making a feed late
+
+    def made(self) -> Request:
+        """Give the request for the slot at hand."""
+        request = self.request
+        if request is None:
+            request = self.request = self.cyclic.make()
+            request.source = self
+        return request
+
+
+class _Apart(Protocol):
+    """What the cadence needs to know of a drive."""
+
+    held: bool
+    entries: list[Entry]
+
+
+class Cadence:
+    """All cyclic entries of a line."""
+
+    __slots__ = (
+        "_heap",
+        "_joining",
+        "_snapshots",
+        "_versions",
+        "by_drive",
+        "late_most_s",
+        "offset_s",
+    )
+
+    def __init__(self) -> None:
+        self.by_drive: dict[str, list[Entry]] = {}
+        self.offset_s = 0.0
+        self.late_most_s = 0.0
+        self._heap: list[tuple[float, int, Entry]] = []
+        self._joining: list[Entry] = []
+        self._versions = 0
+        self._snapshots: deque[tuple[float, float]] = deque()
+
+    def add(self, cyclic: Cyclic) -> Entry:
+        """Take a new entry; it joins, with all others new by then, at the next `head`."""
+        assert cyclic.period_s > 0.0, "a period must be longer than nothing"
+        entry = Entry(cyclic)
+        self.by_drive.setdefault(cyclic.drive, []).append(entry)
+        self._joining.append(entry)
+        return entry
+
+    def remove(self, entry: Entry) -> None:
+        """Forget an entry."""
+        self.leave(entry)
+        self.by_drive[entry.cyclic.drive].remove(entry)
+
+    def leave(self, entry: Entry) -> None:
+        """Take an entry off the timeline; `join` brings it back."""
+        entry.active = False
+        entry.version = -1
+        entry.request = None
+        if entry in self._joining:
+            self._joining.remove(entry)
+
+    def join(self, entry: Entry) -> None:
+        """Bring an entry back at the present virtual time."""
+        if not entry.active:
+            entry.active = True
+            self._joining.append(entry)
+
+    def _push(self, entry: Entry) -> None:
+        self._versions += 1
+        entry.version = self._versions
+        heappush(self._heap, (entry.due_v, self._versions, entry))
+
+    def _let_join(self, now_s: float) -> None:
+        """Put the joining entries on the timeline, those of equal period spread evenly over it."""
+        alike: dict[float, list[Entry]] = {}
+        for entry in self._joining:
+            alike.setdefault(entry.cyclic.period_s, []).append(entry)
+        self._joining.clear()
+        for period_s, entries in alike.items():
+            for number, entry in enumerate(entries):
+                entry.due_v = now_s - self.offset_s + period_s * number / len(entries)
+                self._push(entry)
+
+    def head(self, now_s: float, drives: Mapping[str, _Apart]) -> Entry | None:
+        """Find the entry that is due and goes first; entries of held drives are set apart."""
+        if self._joining:
+            self._let_join(now_s)
+        heap = self._heap
+        while heap:
+            due_v, version, entry = heap[0]
+            if entry.version != version:
+                heappop(heap)
+                continue
+            if due_v + self.offset_s > now_s:
+                return None
+            drive = drives[entry.cyclic.drive]
+            if not drive.held:
+                return entry
+            heappop(heap)
+            entry.version = -1
+            drive.entries.append(entry)
+        return None
+
+    def next_s(self) -> float | None:
+        """Tell when the next slot is due."""
+        heap = self._heap
+        while heap and heap[0][2].version != heap[0][1]:
+            heappop(heap)
+        return heap[0][0] + self.offset_s if heap else None
+
+    def take(self, entry: Entry, now_s: float) -> Request:
+        """Run the slot of an entry now, whether due or early, and set its next one."""
+        request = entry.made()
+        entry.request = None
+        entry.served += 1
+        self._pass_slot(entry, now_s)
+        return request
+
+    def drop(self, entry: Entry, now_s: float) -> None:
+        """Give up the slot at hand: it cannot be run."""
+        entry.request = None
+        entry.dropped += 1
+        self._pass_slot(entry, now_s)
+
+    def _pass_slot(self, entry: Entry, now_s: float) -> None:
+        period_s = entry.cyclic.period_s
+        late_s = now_s - entry.due_v - self.offset_s
+        if late_s > self.late_most_s:
+            self.late_most_s = late_s
+        if late_s > period_s:
+            self._snapshot(now_s)
+            self.offset_s += late_s - period_s
+        entry.due_v += period_s
+        self._push(entry)
+
+    def set_apart(self, entry: Entry) -> None:
+        """Take the entry out until `rejoin`."""
+        entry.version = -1
+
+    def rejoin(self, entry: Entry, now_s: float) -> None:
+        """Put an entry that was set apart back on its own grid, without the slots it missed."""
+        if not entry.active or entry.version >= 0:
+            return
+        period_s = entry.cyclic.period_s
+        missed = int(max(0.0, now_s - self.offset_s - entry.due_v) / period_s)
+        entry.due_v += missed * period_s
+        entry.skipped += missed
+        self._push(entry)
+
+    def early(self, drive: str, now_s: float) -> Entry | None:
+        """Find the drive's slot that is due soonest, to be run early.
+
+        A slot further away than its period is the one after the next: the next has been run
+        early already, and running ahead of the grid again would leave a gap later.
+        """
+        found: Entry | None = None
+        for entry in self.by_drive.get(drive, ()):
+            if (
+                entry.version >= 0
+                and entry.due_v - (now_s - self.offset_s) <= entry.cyclic.period_s
+                and (found is None or entry.due_v < found.due_v)
+            ):
+                found = entry
+        return found
+
+    def _snapshot(self, now_s: float) -> None:
+        """Remember the offset as it was, at most twice a second, for the stretch."""
+        snapshots = self._snapshots
+        if not snapshots or now_s - snapshots[-1][0] >= _SNAPSHOT_EVERY_S:
+            snapshots.append((now_s, self.offset_s))
+            while snapshots[0][0] < now_s - STRETCH_WINDOW_S - _SNAPSHOT_EVERY_S:
+                snapshots.popleft()
+
+    def stretch(self, now_s: float) -> float:
+        """Tell by what factor the cycles were stretched of late; 1.0 when the cadence holds."""
+        growth_s = self._owed(now_s)
+        since = [(at_s, was) for at_s, was in self._snapshots if at_s >= now_s - STRETCH_WINDOW_S]
+        if since:
+            growth_s += self.offset_s - since[0][1]
+        virtual_s = STRETCH_WINDOW_S - growth_s
+        if virtual_s <= STRETCH_WINDOW_S / _STRETCH_MOST:
+            return _STRETCH_MOST
+        return STRETCH_WINDOW_S / virtual_s
+
+    def _owed(self, now_s: float) -> float:
+        """Tell how far the offset would grow if the first entry ran now."""
+        if self.next_s() is None:
+            return 0.0
+        due_v, _, entry = self._heap[0]
+        return max(0.0, now_s - due_v - self.offset_s - entry.cyclic.period_s)

@@ -1,0 +1,269 @@
+"""Watchdog deadlines: which drive must hear something by when, and what may run before that.
+
+A drive's watchdog runs from the last exchange it answered, counted from that exchange's start. A
+feed is due at half the watchdog time, and must be over at nine tenths of it (the hard deadline);
+the rest is kept for clocks, operating systems and the wire.
+
+The slack check. With the feeds sorted by hard deadline, an exchange that can hold the line for w
+seconds may start only if for every feed i: now + w + (cost of feeds 1..i) <= hard_i. So there is a
+latest moment L = min over i of (hard_i - cost of 1..i) at which the line must be free for feeding,
+and the check is now + w <= L. Feeding a drive moves its deadline back and never brings L forward:
+for the fed drive, the sum at its new place equals the old sum of the feed before it, and its
+deadline is later than that one's. An L once computed thus stays a safe bound, and the usual check
+is one comparison; it is computed again, O(n log n), only when the bound is reached.
+
+A feed that can no longer be in time is left out of L: waiting for it would cost the others
+theirs. A drive that does not answer is tried again after half the time that is left, so that it
+cannot keep the line for itself; beyond its deadline it is tried every half watchdog time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from lecombus.schedule.request import Request
+
+__all__ = ["HARD_PART", "SOFT_PART", "Feed", "Feeding", "Feeds"]
+
+SOFT_PART: Final = 0.5  # of the watchdog time: from then on a feed is due
+HARD_PART: Final = 0.9  # of the watchdog time: by then the feed is over
+RETRY_LEAST_S: Final = 0.02  # below this, halving the time left is no longer worth a telegram
+
+
+@dataclass(frozen=True, slots=True)
+class Feeding:
+    """How a drive's watchdog is kept from firing.
+
+    Args:
+        time_s: The watchdog time set in the drive, seconds, > 0.
+        make: Builds the cheapest useful read, of class `WATCHDOG`.
+    """
+
+    time_s: float
+    make: Callable[[], Request]
+
+
+class Feed:
+    """The state of one drive's watchdog as seen from here."""
+
+    __slots__ = (
+        "active",
+        "cost_s",
+        "drive",
+        "due_s",
+        "failures",
+        "fed",
+        "fed_at_s",
+        "feeding",
+        "hard_s",
+        "held_until_s",
+        "lapses",
+        "left_out",
+        "margin_last_s",
+        "margin_least_s",
+        "missed",
+        "misses",
+        "request",
+        "retry_at_s",
+        "time_s",
+        "worst_s",
+    )
+
+    def __init__(self, drive: str, feeding: Feeding, now_s: float) -> None:
+        assert feeding.time_s > 0.0, "a watchdog time must be longer than nothing"
+        self.drive = drive
+        self.feeding = feeding
+        self.time_s = feeding.time_s
+        self.request: Request | None = feeding.make()  # kept for the first feed: it tells the cost
+        self.cost_s = self.request.cost_s
+        self.worst_s = self.request.worst_s
+        self.active = True
+        self.held_until_s = self.retry_at_s = -math.inf
+        self.left_out = False  # of the slack check: too late to be in time
+        self.fed = self.failures = self.misses = self.lapses = 0
+        self.margin_last_s = self.margin_least_s = math.inf
+        self.missed = False  # the present lapse has been counted
+        self._count_from(now_s)
+
+    def _count_from(self, at_s: float) -> None:
+        self.fed_at_s = at_s
+        self.due_s = at_s + self.time_s * SOFT_PART
+        self.hard_s = at_s + self.time_s * HARD_PART
+        self.retry_at_s = -math.inf
+        self.failures = 0
+        self.missed = False
+
+    def restart(self, now_s: float) -> None:
+        """Count anew after a pause, without judging the pause."""
+        self.active = True
+        self._count_from(now_s)
+
+    def reached(self, started_s: float) -> None:
+        """Note that the drive answered an exchange begun at that time."""
+        margin_s = self.fed_at_s + self.time_s - started_s
+        self.margin_last_s = margin_s
+        if margin_s < self.margin_least_s:
+            self.margin_least_s = margin_s
+        if started_s > self.hard_s and not self.missed:
+            self.misses += 1
+        if margin_s < 0.0:
+            self.lapses += 1
+        self.fed += 1
+        self._count_from(started_s)
+
+    def failed(self, now_s: float) -> None:
+        """Note that the drive did not answer, and when to try again."""
+        self.failures += 1
+        left_s = (self.hard_s - now_s) / 2
+        pause_s = left_s if left_s > RETRY_LEAST_S else self.time_s * SOFT_PART
+        self.retry_at_s = now_s + pause_s
+
+    def made(self) -> Request:
+        """Build the feeding request."""
+        request = self.request or self.feeding.make()
+        self.request = None
+        self.cost_s, self.worst_s = request.cost_s, request.worst_s
+        return request
+
+    def next_s(self) -> float:
+        """Tell when it wants to run next."""
+        return max(self.due_s, self.free_s())
+
+    def free_s(self) -> float:
+        """Tell from when on it may be tried: its drive is not held, and not just tried in vain."""
+        return self.held_until_s if self.held_until_s > self.retry_at_s else self.retry_at_s
+
+
+class Feeds:
+    """The watchdogs of all drives of a line."""
+
+    __slots__ = ("_due_from_s", "_latest_end_s", "by_drive")
+
+    def __init__(self) -> None:
+        self.by_drive: dict[str, Feed] = {}
+        self._latest_end_s = math.inf  # a lower bound of L, see above
+        self._due_from_s = math.inf  # a lower bound: no feed is due before
+
+    def changed(self) -> None:
+        """Forget the bounds: a feed was added, taken away, paused or restarted."""
+        self._latest_end_s = self._due_from_s = -math.inf
+
+    def fits(self, now_s: float, worst_s: float, drive: str) -> bool:
+        """Tell whether an exchange with a drive may start now.
+
+        The drive's own deadline does not forbid it, as the exchange feeds it; but its feed stays
+        in the sums of the others, as an exchange that times out feeds nothing.
+        """
+        end_s = now_s + worst_s
+        if end_s <= self._latest_end_s:
+            return True
+        latest_s = others_s = math.inf
+        total_s = 0.0
+        for feed in self._in_order(now_s):
+            total_s += feed.cost_s
+            end_by_s = feed.hard_s - total_s
+            latest_s = min(latest_s, end_by_s)
+            if feed.drive != drive:
+                others_s = min(others_s, end_by_s)
+        self._latest_end_s = latest_s
+        return end_s <= others_s
+
+    def _in_order(self, now_s: float) -> list[Feed]:
+        """Sort the feeds that can still be in time by hard deadline, and count those too late."""
+        found = []
+        for feed in self.by_drive.values():
+            if not feed.active:
+                continue
+            feed.left_out = max(now_s, feed.free_s()) + feed.cost_s > feed.hard_s
+            if not feed.left_out:
+                found.append(feed)
+            elif now_s > feed.hard_s and not feed.missed:
+                feed.missed = True
+                feed.misses += 1
+        found.sort(key=_hard)
+        return found
+
+    def due(self, now_s: float) -> list[Feed]:
+        """List the feeds that are due, the earliest hard deadline first."""
+        if now_s < self._due_from_s:
+            return []
+        found = []
+        earliest_s = math.inf
+        for feed in self.by_drive.values():
+            if feed.active:
+                next_s = feed.next_s()
+                if next_s < earliest_s:
+                    earliest_s = next_s
+                if next_s <= now_s:
+                    found.append(feed)
+        self._due_from_s = earliest_s
+        found.sort(key=_hard)
+        return found
+
+    def next_s(self) -> float | None:
+        """Tell when the next feed is due."""
+        times = [feed.next_s() for feed in self.by_drive.values() if feed.active]
+        return min(times) if times else None
+
+    def room(self, now_s: float, worst_s: float, drive: str) -> Feed | None:
+        """Choose the feed to run first so that an exchange that does not fit may follow.
+
+        Only feeding a drive whose own bound is broken helps: any other feed moves the clock by
+        what it takes off the sum. Of those, the longest watchdog goes first, as it stays fresh
+        longest, if those before it can wait that long; else the earliest deadline goes.
+        """
+        end_s = now_s + worst_s
+        total_s = 0.0
+        earlier_s = math.inf  # by when the line must be free for the feeds before this one
+        first: Feed | None = None
+        best: Feed | None = None
+        for feed in self._in_order(now_s):
+            total_s += feed.cost_s
+            end_by_s = feed.hard_s - total_s
+            if feed.drive != drive and end_s > end_by_s and feed.free_s() <= now_s:
+                first = first or feed
+                safe = now_s + feed.worst_s <= earlier_s
+                if safe and (best is None or feed.time_s > best.time_s):
+                    best = feed
+            earlier_s = min(earlier_s, end_by_s)
+        return best or first
+
+    def retry_s(self, now_s: float) -> float:
+        """Tell when it is worth asking again whether something fits that does not fit now."""
+        least_s = min(feed.time_s for feed in self.by_drive.values())
+        times = [feed.free_s() for feed in self.by_drive.values() if feed.active]
+        return min([at_s for at_s in times if at_s > now_s] + [now_s + least_s / 8])
+
+    def most_s(self, drive: str) -> tuple[float, str]:
+        """Tell how long an exchange with a drive may last at best, and whose watchdog says so.
+
+        At best is right after all drives have been fed in one go, the longest watchdog first.
+        """
+        hard_at: list[tuple[float, Feed]] = []
+        clock_s = 0.0
+        feeds = [feed for feed in self.by_drive.values() if feed.active]
+        for feed in sorted(feeds, key=_time, reverse=True):
+            hard_at.append((clock_s + feed.time_s * HARD_PART, feed))
+            clock_s += feed.cost_s
+        most_s, whose = math.inf, ""
+        total_s = 0.0
+        for hard_s, feed in sorted(hard_at, key=_first):
+            total_s += feed.cost_s
+            if feed.drive != drive and hard_s - total_s - clock_s < most_s:
+                most_s, whose = hard_s - total_s - clock_s, feed.drive
+        return most_s, whose
+
+
+def _hard(feed: Feed) -> float:
+    return feed.hard_s
+
+
+def _time(feed: Feed) -> float:
+    return feed.time_s
+
+
+def _first(pair: tuple[float, Feed]) -> float:
+    return pair[0]

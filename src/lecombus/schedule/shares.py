@@ -1,0 +1,220 @@
+"""Line time that is set aside: for lower classes behind higher ones, and for absent drives.
+
+Classes are served strictly by priority, but three of them are promised a small share of the line
+when they wait behind others. While such a class has something that could go, it earns its share of
+all line time as credit and pays for the line time it uses; once the credit covers its next
+exchange, that one goes first. Credit is capped at a few exchanges and lost when nothing waits, so
+that no class saves up a burst.
+
+Absent drives share one token bucket: it fills with their share of elapsed time and holds one
+probe. A probe starts only when the bucket covers the longest it can take, and pays what it took.
+A full bucket is one probe above the share in any window; so the bucket fills a little slower,
+by one probe per `WINDOW_S`, and the share holds in any window of that length.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from heapq import heappop, heappush
+from typing import Final
+
+from lecombus.schedule.request import Priority, Request
+
+__all__ = ["CLASS_SHARES", "Probe", "Probes", "Shares"]
+
+CLASS_SHARES: Final = {
+    Priority.INTERACTIVE: 0.15,
+    Priority.CYCLIC: 0.20,
+    Priority.BACKGROUND: 0.05,
+}
+CREDIT_EXCHANGES: Final = 4.0  # most credit, in exchanges of the size at hand
+
+WINDOW_S: Final = 30.0
+BACKOFF_LEAST_S: Final = 1.0
+BACKOFF_MOST_S: Final = 30.0
+
+
+class Shares:
+    """The credit of the classes that wait behind others."""
+
+    __slots__ = ("_credit_s", "_last", "_waiting")
+
+    def __init__(self) -> None:
+        self._credit_s = dict.fromkeys(CLASS_SHARES, 0.0)
+        self._waiting: dict[Priority, float] = {}  # class: cost of its head at the last choice
+        self._last: Priority | None = None  # the class that went first by credit just now
+
+    def entitled(self, waiting: dict[Priority, float]) -> Priority | None:
+        """Choose the class that goes first by its credit.
+
+        Args:
+            waiting: The classes that have something that may go, highest first, and the cost of
+                their first request, seconds.
+        """
+        self._waiting = waiting
+        credit = self._credit_s
+        for priority, cost_s in waiting.items():
+            if credit[priority] >= cost_s > 0.0 and not (
+                # Background never takes two exchanges in a row from anyone above it.
+                priority is Priority.BACKGROUND and self._last is Priority.BACKGROUND
+            ):
+                return priority
+        return None
+
+    def book(self, used_by: Priority, by_credit: bool, duration_s: float) -> None:
+        """Book the line time of one exchange.
+
+        Args:
+            used_by: The class it belonged to.
+            by_credit: It went ahead of higher classes by its share.
+            duration_s: How long it took.
+        """
+        self._last = used_by if by_credit else None
+        waiting = self._waiting
+        for priority, share in CLASS_SHARES.items():
+            credit_s = self._credit_s[priority]
+            cost_s = waiting.get(priority)
+            if cost_s is None:
+                credit_s = min(credit_s, 0.0)
+            else:
+                # The cap never takes away credit: heads of different size follow each other.
+                earned_s = credit_s + share * duration_s
+                credit_s = min(earned_s, max(credit_s, CREDIT_EXCHANGES * cost_s))
+            if priority is used_by:
+                # Whoever went by right of its class starts at nothing when it falls behind; who
+                # went by credit and took longer than thought pays that back.
+                credit_s -= duration_s
+                if not by_credit:
+                    credit_s = max(credit_s, 0.0)
+            self._credit_s[priority] = credit_s
+
+
+class Probe:
+    """A look, now and then, whether an absent drive is back."""
+
+    __slots__ = (
+        "active",
+        "backoff_s",
+        "drive",
+        "make",
+        "next_at_s",
+        "refused",
+        "request",
+        "version",
+    )
+
+    def __init__(self, drive: str, make: Callable[[], Request]) -> None:
+        self.drive = drive
+        self.make = make
+        self.active = False
+        self.backoff_s = BACKOFF_LEAST_S
+        self.next_at_s = 0.0
+        self.version = -1  # of its item in the heap
+        self.request: Request | None = None  # made, but not yet run
+        self.refused = 0  # probes that could not be run without making a feed late
+
+    def made(self) -> Request:
+        """Give the request for the next probe."""
+        request = self.request
+        if request is None:
+            request = self.request = self.make()
+            request.source = self
+        return request
+
+
+class Probes:
+    """All probes of a line and the bucket that pays for them.
+
+    Args:
+        share: The part of elapsed time that all probes together may take, 0..1.
+    """
+
+    __slots__ = ("_at_s", "_heap", "_share", "_tokens_s", "_versions", "_worst_s", "by_drive")
+
+    def __init__(self, share: float) -> None:
+        self.by_drive: dict[str, Probe] = {}
+        self._share = share
+        self._heap: list[tuple[float, int, Probe]] = []
+        self._versions = 0
+        self._tokens_s = 0.0
+        self._worst_s = 0.0  # the longest probe seen: the size of the bucket
+        self._at_s = 0.0
+
+    def start(self, probe: Probe, now_s: float) -> None:
+        """Begin probing at once, with the shortest backoff."""
+        probe.active = True
+        probe.backoff_s = BACKOFF_LEAST_S
+        self.schedule(probe, now_s)
+
+    def stop(self, probe: Probe) -> None:
+        """Stop probing until the next `start`."""
+        probe.active = False
+        probe.request = None
+        probe.version = -1
+
+    def schedule(self, probe: Probe, at_s: float) -> None:
+        """Set when the probe runs next."""
+        self._versions += 1
+        probe.version = self._versions
+        probe.next_at_s = at_s
+        heappush(self._heap, (at_s, self._versions, probe))
+
+    def _tidy(self) -> Probe | None:
+        heap = self._heap
+        while heap and heap[0][2].version != heap[0][1]:
+            heappop(heap)
+        return heap[0][2] if heap else None
+
+    def _rate(self) -> float:
+        return max(self._share - self._worst_s / WINDOW_S, self._share / 2)
+
+    def _fill(self, now_s: float, worst_s: float) -> None:
+        """Bring the bucket up to date; a larger probe than any before makes it larger, and full."""
+        if worst_s > self._worst_s:
+            self._tokens_s += worst_s - self._worst_s
+            self._worst_s = worst_s
+        gained_s = max(0.0, now_s - self._at_s) * self._rate()
+        self._tokens_s = min(self._worst_s, self._tokens_s + gained_s)
+        self._at_s = now_s
+
+    def ready(self, now_s: float) -> Probe | None:
+        """Find the probe that may run now."""
+        probe = self._tidy() if self._heap else None
+        if probe is None or probe.next_at_s > now_s or self._share <= 0.0:
+            return None
+        worst_s = probe.made().worst_s
+        self._fill(now_s, worst_s)
+        return probe if self._tokens_s >= worst_s else None
+
+    def next_s(self, now_s: float) -> float | None:
+        """Tell when the next probe may run."""
+        probe = self._tidy()
+        if probe is None or self._share <= 0.0:
+            return None
+        worst_s = probe.made().worst_s
+        self._fill(now_s, worst_s)
+        # A hair later than computed, so that rounding does not wake the caller in vain.
+        short_s = max(0.0, worst_s - self._tokens_s)
+        return max(probe.next_at_s, now_s + short_s / self._rate() + (1e-6 if short_s else 0.0))
+
+    def take(self, probe: Probe, now_s: float) -> Request:
+        """Run the probe now, and set its next time one backoff later."""
+        request = probe.made()
+        probe.request = None
+        self._put_off(probe, now_s)
+        return request
+
+    def drop(self, probe: Probe, now_s: float) -> None:
+        """Give up this probe: it cannot be run now."""
+        probe.request = None
+        probe.refused += 1
+        self._put_off(probe, now_s)
+
+    def _put_off(self, probe: Probe, now_s: float) -> None:
+        self.schedule(probe, now_s + probe.backoff_s)
+        probe.backoff_s = min(BACKOFF_MOST_S, 2 * probe.backoff_s)
+
+    def paid(self, duration_s: float, now_s: float) -> None:
+        """Take the time a probe took out of the bucket."""
+        self._fill(now_s, 0.0)
+        self._tokens_s -= duration_s
