@@ -109,6 +109,12 @@ def test_a_field_is_one_exactly_if_every_beginning_of_it_fits(start: bytes) -> N
     assert is_code_field(start) == (fits[-1] and len(start) == field_length(start[0]))
 
 
+def test_a_field_with_one_character_more_is_not_the_beginning_of_one() -> None:
+    assert fits_field(b"!03EA00")
+    assert not fits_field(b"!03EA000")
+    assert not fits_field(b"460")
+
+
 @given(codes, st.sampled_from(Form))
 def test_every_beginning_of_a_field_fits(code: Code, form: Form) -> None:
     if code.knows(form):

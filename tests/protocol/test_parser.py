@@ -128,6 +128,13 @@ def test_a_jabbering_drive_fills_the_tail_and_no_more() -> None:
     assert sys.getsizeof(parser._tail) < 4 * TAIL_LIMIT
 
 
+@pytest.mark.parametrize("begin", [GOOD, b"x"], ids=["good", "bad"])
+def test_the_tail_is_bounded_within_one_call_too(begin: bytes) -> None:
+    parser = AnswerParser()
+    assert parser.feed(begin + b"y" * 1000) is not None
+    assert parser.tail == b"y" * TAIL_LIMIT
+
+
 @pytest.mark.parametrize("size", [240, 241])
 def test_the_longest_value_is_read_and_one_character_more_is_too_long(size: int) -> None:
     for form in Form:
