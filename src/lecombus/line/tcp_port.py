@@ -122,13 +122,14 @@ def host_and_port(url: str) -> tuple[str, int]:
     Raises:
         ValueError: It has another form; the message says which is right.
     """
-    parts = urlsplit(url)
+    scheme = url.partition(":")[0]
     try:
+        parts = urlsplit(url)
         host, port = parts.hostname, parts.port
     except ValueError:
         host, port = None, None
-    if not host or not port or parts.path or parts.query or parts.fragment or parts.username:
-        raise ValueError(f"{url}: not of the form {parts.scheme}://HOST:PORT, PORT in 1..65535")
+    if not host or not port or url.partition("//")[2] != parts.netloc or "@" in url:
+        raise ValueError(f"{url}: not of the form {scheme}://HOST:PORT, PORT in 1..65535")
     return host, port
 
 
