@@ -68,7 +68,10 @@ class Item:
         right = f"a whole number from {low} to {high} is right here"
         if not isinstance(self._node, yaml.ScalarNode) or not self._node.tag.endswith(":int"):
             self.fail(right)
-        number = int(self._node.value, 0)
+        try:
+            number = int(self._node.value, 0)
+        except ValueError:  # YAML also takes 010 and 1:30 for whole numbers; we do not
+            self.fail(right)
         if not low <= number <= high:
             self.fail(f"{self._node.value}: {right}")
         return number
@@ -149,10 +152,10 @@ def read_document(text: str, origin: Origin) -> Table:
     """
     try:
         node = yaml.compose(text, Loader=LOADER)
-    except yaml.MarkedYAMLError as exc:
-        mark = exc.problem_mark
+    except yaml.YAMLError as exc:
+        mark = getattr(exc, "problem_mark", None)
         raise DescriptionError(
-            f"this is no YAML: {exc.problem}",
+            f"this is no YAML: {getattr(exc, 'problem', None) or exc}",
             file=origin.file,
             where=f"{mark.line + 1}:{mark.column + 1}" if mark else "",
             drive_type=origin.family,
