@@ -20,7 +20,10 @@ from typing import Any
 
 import httpx
 
+from lecombus.api.exact import encode
 from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.cli.reports import kind_of
+from lecombus.readings import Json
 
 __all__ = ["RUNTIME_DIR", "Answer", "Daemon", "connect", "find_daemon"]
 
@@ -30,14 +33,14 @@ RUNTIME_DIR = Path("/run/lecombus")
 TIMEOUT = httpx.Timeout(10.0, read=60.0)
 """Seconds; a write to a silent drive or a group read back member by member takes its time."""
 
-_STATUS_OF_KIND: Mapping[str, Exit] = {
+STATUS_OF_KIND: Mapping[str, Exit] = {
     "no-such-drive": Exit.USAGE,
     "no-such-group": Exit.USAGE,
-    "no-such-target": Exit.USAGE,
     "bad-value": Exit.USAGE,
-    "bad-code": Exit.USAGE,
     "bad-request": Exit.USAGE,
     "not-writable": Exit.FORBIDDEN,
+    "not-permitted": Exit.FORBIDDEN,
+    "read-only": Exit.FORBIDDEN,
     "no-such-code": Exit.FAILED,
 }
 _STATUS_OF_HTTP: Mapping[int, Exit] = {
@@ -79,7 +82,7 @@ class Daemon:
         """
         return self._call("GET", path, params=params)
 
-    def put(self, path: str, document: Mapping[str, object]) -> Answer:
+    def put(self, path: str, document: Mapping[str, Json]) -> Answer:
         """Write.
 
         Raises:
@@ -87,7 +90,7 @@ class Daemon:
         """
         return self._call("PUT", path, document=document)
 
-    def post(self, path: str, document: Mapping[str, object]) -> Answer:
+    def post(self, path: str, document: Mapping[str, Json]) -> Answer:
         """Ask for an action.
 
         Raises:
@@ -101,10 +104,10 @@ class Daemon:
         path: str,
         *,
         params: Mapping[str, str] | None = None,
-        document: Mapping[str, object] | None = None,
+        document: Mapping[str, Json] | None = None,
     ) -> Answer:
         headers = {"content-type": "application/json"} if document is not None else None
-        content = json.dumps(document, default=_number) if document is not None else None
+        content = encode(dict(document)) if document is not None else None
         try:
             response = self._client.request(
                 method, path, params=params, content=content, headers=headers
@@ -112,7 +115,7 @@ class Daemon:
         except httpx.HTTPError as exc:
             raise _unreachable(exc, self.where) from exc
         data = _read_json(response, self.where)
-        if response.is_success or (isinstance(data, dict) and "outcome" in data):
+        if response.is_success or (isinstance(data, dict) and data.get("outcome")):
             return Answer(response.text, data)
         raise _refused(response.status_code, data)
 
@@ -131,7 +134,7 @@ def connect(socket: str | None, url: str | None) -> Iterator[Daemon]:
     path, base = find_daemon(socket, url)
     transport = httpx.HTTPTransport(uds=path) if path else None
     client = httpx.Client(
-        base_url=base or "http://lecombus", transport=transport, timeout=TIMEOUT, trust_env=False
+        base_url=base or "http://localhost", transport=transport, timeout=TIMEOUT, trust_env=False
     )
     with client:
         yield Daemon(client, path or base)
@@ -222,22 +225,15 @@ def _read_json(response: httpx.Response, where: str) -> Any:
 
 
 def _refused(http_status: int, data: Any) -> CommandError:
-    document: Mapping[str, object] = data if isinstance(data, dict) else {}
+    document: Mapping[str, Any] = data if isinstance(data, dict) else {}
 
     def text(*keys: str) -> str:
         return next((str(document[key]) for key in keys if document.get(key)), "")
 
-    kind = text("kind") or text("type").rpartition("/")[2]
-    status = _STATUS_OF_KIND.get(kind) or _STATUS_OF_HTTP.get(http_status, Exit.FAILED)
+    kind = kind_of(document)
+    status = STATUS_OF_KIND.get(kind) or _STATUS_OF_HTTP.get(http_status, Exit.FAILED)
     problem = text("detail", "title") or f"the daemon refused (HTTP status {http_status})"
     cause = text("cause")
     if cause and cause not in problem:
         problem = f"{problem} ({cause})"
     return CommandError(status, Problem(problem, text("remedy"), kind, text("drive"), text("code")))
-
-
-def _number(value: object) -> float:
-    """Write a decimal as a JSON number; values have ten digits at most, so none is lost."""
-    if isinstance(value, Decimal):
-        return float(value)
-    raise TypeError(f"{value!r} is no part of a request")

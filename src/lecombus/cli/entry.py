@@ -8,6 +8,7 @@ with `--json`) and the exit status that `exits` defines; only a bug shows a trac
 from __future__ import annotations
 
 import json
+import logging
 import os
 import sys
 from collections.abc import Sequence
@@ -84,6 +85,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit status.
     """
     words = list(sys.argv[1:] if argv is None else argv)
+    # Only `run` shows logs; elsewhere warnings would stand between a command's own lines.
+    logging.getLogger("lecombus").addHandler(logging.NullHandler())
     try:
         status = lecombus.main(words, prog_name="lecombus", standalone_mode=False)
         sys.stdout.flush()

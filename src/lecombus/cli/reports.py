@@ -7,6 +7,7 @@ what a newer daemon says.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -15,16 +16,34 @@ import click
 from lecombus.cli.exits import Exit
 from lecombus.cli.screen import age, on_terminal, show_rows, table_text
 
-__all__ = ["Document", "code_of", "show_group", "show_reading", "show_write", "status_of"]
+__all__ = [
+    "Document",
+    "code_of",
+    "kind_of",
+    "show_group",
+    "show_reading",
+    "show_write",
+    "status_of",
+]
 
 Document = Mapping[str, Any]
 
 _DONE = ("done", "verified")
 
 
+_FORBIDDEN = ("not-writable", "not-permitted", "read-only")
+
+
 def status_of(report: Document) -> Exit:
     """Return the exit status of a write's or a group's outcome."""
-    return Exit.DONE if report.get("outcome") in _DONE else Exit.FAILED
+    if report.get("outcome") in _DONE:
+        return Exit.DONE
+    return Exit.FORBIDDEN if kind_of(report) in _FORBIDDEN else Exit.FAILED
+
+
+def kind_of(problem: Document) -> str:
+    """Return the stable word of a problem document, the last part of its type; or nothing."""
+    return re.split(r"[:/]", table_text(problem.get("type")))[-1]
 
 
 def code_of(document: Document) -> str:
@@ -87,8 +106,8 @@ def _show_outcomes(reports: Sequence[Document], title: str = "") -> None:
         reading: Document = report.get("reading") or {}
         unit = table_text(reading.get("unit"))
         reads = " ".join(filter(None, (table_text(reading.get("value")), unit)))
-        said = [table_text(report.get("reason")), table_text(report.get("cause"))]
-        why = "; ".join(part for part in said if part)
+        said = [table_text(report.get(key)) for key in ("reason", "detail", "cause", "remedy")]
+        why = "; ".join(dict.fromkeys(part for part in said if part))
         drive, outcome = table_text(report.get("drive")), table_text(report.get("outcome"))
         rows.append((drive, code_of(report), outcome, reads, why))
     show_rows(("drive", "code", "outcome", "reads", "why"), rows, title=title)

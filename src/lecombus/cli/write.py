@@ -10,11 +10,12 @@ from lecombus.cli.arguments import CODE, DURATION, VALUE, CommandWithNumbers, Gi
 from lecombus.cli.client import connect
 from lecombus.cli.reports import show_write, status_of
 from lecombus.protocol import Code
+from lecombus.readings import Json
 
 __all__ = ["command", "write_document"]
 
 
-def write_document(value: Given, expires: float | None, verify: bool) -> dict[str, object]:
+def write_document(value: Given, expires: float | None, verify: bool) -> dict[str, Json]:
     """Return the body of a write request.
 
     Args:
@@ -22,7 +23,7 @@ def write_document(value: Given, expires: float | None, verify: bool) -> dict[st
         expires: Seconds after which it shall no longer be sent; None: the daemon's default.
         verify: Whether to read it back.
     """
-    document: dict[str, object] = {"value": value, "verify": verify}
+    document: dict[str, Json] = {"value": value, "verify": verify}
     if expires is not None:
         document["expires"] = f"{round(expires * 1000)}ms"
     return document

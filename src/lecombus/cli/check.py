@@ -1,0 +1,78 @@
+"""`lecombus check`: what is wrong with a roster, or what it means."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from lecombus.cli.arguments import json_option, roster_option
+from lecombus.cli.exits import Exit
+from lecombus.cli.screen import on_terminal, show_rows
+from lecombus.config import RosterError, load_roster
+from lecombus.config.describing import Description, describe
+
+__all__ = ["command"]
+
+
+@click.command("check")
+@roster_option
+@json_option
+def command(roster: Path, as_json: bool) -> int:
+    """Say every mistake of a roster in one go, or what the roster means.
+
+    Mistakes go to standard error, one a line as FILE:LINE:COLUMN, and the exit status is 2. Else
+    the line, its drives, and for each group whether it is one multicast or one write after
+    another are shown, with warnings and with keys that this version does not use yet. No port is
+    opened.
+
+    With --json, on standard output: {"ok": false, "mistakes": [{"file", "line", "column", "what",
+    "right"}]} or {"ok": true, "file", "line", "cyclic_load", "drives", "groups", "warnings",
+    "not_yet_used"}.
+    """
+    try:
+        description = describe(load_roster(roster))
+    except RosterError as exc:
+        if not as_json:
+            raise
+        mistakes = [asdict(mistake) for mistake in exc.mistakes]
+        click.echo(json.dumps({"ok": False, "mistakes": mistakes}, ensure_ascii=False))
+        return Exit.USAGE
+    if as_json:
+        click.echo(json.dumps({"ok": True, **description.as_json()}, ensure_ascii=False))
+    elif on_terminal():
+        _show(description)
+    else:
+        click.echo("\n".join(description.lines()))
+    return Exit.DONE
+
+
+def _show(description: Description) -> None:
+    load = f"cyclic reads take {description.cyclic_load:.0%} of it"
+    drives = [
+        (drive.name, str(drive.address), drive.family, drive.watchdog, drive.cyclic)
+        for drive in description.drives
+    ]
+    show_rows(
+        ("drive", "address", "family", "watchdog", "cyclic reads"),
+        drives,
+        title=f"{description.line}; {load}",
+    )
+    click.echo()
+    groups = [
+        (
+            group.name,
+            "one write after another"
+            if group.multicast_address is None
+            else f"one multicast to {group.multicast_address:02d}",
+            ", ".join(group.members),
+        )
+        for group in description.groups
+    ]
+    show_rows(("group", "sent as", "members"), groups)
+    for text in description.warnings:
+        click.echo(f"warning: {text}")
+    for key in description.not_yet_used:
+        click.echo(f"not used by this version: {key} (checked, and kept for later)")

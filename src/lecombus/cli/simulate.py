@@ -1,0 +1,103 @@
+"""`lecombus simulate`: a roster's drives without the drives."""
+
+from __future__ import annotations
+
+import json
+import signal
+from contextlib import ExitStack
+from pathlib import Path
+
+import click
+
+from lecombus.cli.arguments import json_option, roster_option
+from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.config import Roster, load_roster
+from lecombus.simulator import PtyEnd, SimLine, TcpEnd, build
+
+__all__ = ["command"]
+
+_ENDS = {signal.SIGINT, signal.SIGTERM}
+
+
+@click.command("simulate")
+@roster_option
+@click.option("--pty", type=click.Path(path_type=Path), metavar="PATH",
+              help="Serve a pseudo terminal; PATH becomes a link to it.")  # fmt: skip
+@click.option("--tcp", metavar="[127.0.0.1:]PORT", help="Serve a TCP port; 0: any free one.")
+@click.option("--faults", default="", metavar="FAULTS",
+              help="What goes wrong, such as late=0.05:0.5s,noise=0.05,absent=11+12.")  # fmt: skip
+@click.option("--seed", type=int, default=0, help="Where all chance starts from.")
+@json_option
+def command(
+    roster: Path, pty: Path | None, tcp: str | None, faults: str, seed: int, as_json: bool
+) -> int:
+    """Serve the roster's drives as simulated ones until Ctrl-C or SIGTERM.
+
+    Characters take the time they take at the roster's baud rate, and drives answer as late as the
+    manuals say. Point `port:` of the roster that `lecombus run` reads at what is printed here.
+
+    FAULTS are NAME=CHANCE with commas between, chance per telegram from 0 to 1: lost, unheard,
+    request-noise, late (:TIME), noise, bad-bcc, parity, half, nak, power-cycle (:TIME), bad-echo;
+    and echo, unplugged, absent=ADDRESS+ADDRESS.
+
+    In a pipe the first line is the port and nothing else. With --json: {"port", "line", "baud",
+    "drives": [{"drive", "address", "family"}]}.
+    """
+    if (pty is None) == (tcp is None):
+        raise CommandError(
+            Exit.USAGE, Problem("either --pty or --tcp is needed", "say where to serve the line")
+        )
+    wanted = load_roster(roster)
+    line = _build(wanted, faults, seed)
+    # Blocked before the line's thread starts, so that only sigwait gets them.
+    signal.pthread_sigmask(signal.SIG_BLOCK, _ENDS)
+    with ExitStack() as stack:
+        if pty is not None:
+            port = stack.enter_context(PtyEnd(line, _free_link(pty))).path
+        else:
+            port = stack.enter_context(TcpEnd(line, _tcp_port(tcp or "0"))).url
+        _announce(wanted, port, as_json=as_json)
+        signal.sigwait(_ENDS)
+    return Exit.DONE
+
+
+def _build(roster: Roster, faults: str, seed: int) -> SimLine:
+    drives = [(entry.name, entry.address, entry.family) for entry in roster.drives]
+    parity = roster.line.parity == "line"
+    try:
+        return build(drives, baud=roster.line.baud, faults=faults, seed=seed, parity=parity)
+    except ValueError as exc:
+        raise CommandError(Exit.USAGE, Problem(str(exc))) from exc
+
+
+def _free_link(path: Path) -> Path:
+    if path.exists() and not path.is_symlink():
+        raise CommandError(
+            Exit.USAGE, Problem(f"{path} exists and is no link", "name a path that is free")
+        )
+    return path
+
+
+def _tcp_port(text: str) -> int:
+    host, _, port = text.rpartition(":")
+    if host not in ("", "127.0.0.1", "localhost") or not port.isdecimal() or int(port) > 65535:
+        remedy = "write --tcp 127.0.0.1:PORT; simulated drives are served to this machine only"
+        raise CommandError(Exit.USAGE, Problem(f"`{text}` cannot be served", remedy))
+    return int(port)
+
+
+def _announce(roster: Roster, port: str, *, as_json: bool) -> None:
+    if as_json:
+        drives = [
+            {"drive": entry.name, "address": entry.address, "family": entry.family}
+            for entry in roster.drives
+        ]
+        document = {"port": port, "line": roster.line.name, "baud": roster.line.baud}
+        click.echo(json.dumps({**document, "drives": drives}))
+        return
+    click.echo(port)
+    click.echo(
+        f"{len(roster.drives)} simulated drives of {roster.line.name} at {roster.line.baud} baud; "
+        "Ctrl-C ends them",
+        err=True,
+    )
