@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import fcntl
 import logging
 import os
 import subprocess
 import sys
 import termios
+import threading
 import time
 import tty
 from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import anyio
@@ -20,12 +23,13 @@ import pytest
 import serial
 
 from lecombus.errors import LineLostError
-from lecombus.line import devices, serial_device
+from lecombus.line import devices, serial_device, serial_port
 from lecombus.line.loop import run
 from lecombus.line.port import Direction, Parity, Port, PortSettings
 from lecombus.line.serial_port import RtsSerialPort, SerialPort, open_serial
 
 EVERY_BYTE = bytes(range(256))
+TIOCGEXCL = 0x80045440
 
 
 class Recorder:
@@ -315,7 +319,8 @@ def test_a_program_that_holds_a_real_device_without_a_lock_is_named(
         holder.communicate()
 
     async def body(port: SerialPort, _recorder: Recorder) -> None:
-        port.write(b"\x04")
+        exclusive = fcntl.ioctl(port.serial.fileno(), TIOCGEXCL, bytes(4))
+        assert exclusive == b"\x01\0\0\0", "whoever comes later is kept out, locking or not"
 
     with_port(pty, body)
 
@@ -453,6 +458,84 @@ def test_a_driver_without_rs485_mode_is_refused_with_what_to_do(pty: Pty) -> Non
 
     with pytest.raises(LineLostError, match=r"direction: kernel.*`direction: adapter`"):
         run(main)
+
+
+def test_the_kernel_is_asked_to_raise_rts_while_sending(
+    pty: Pty, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A pseudo terminal has no such mode: the call is caught on its way to the kernel."""
+    asked: list[int] = []
+
+    def ioctl(fd: int, request: int, argument: Any = 0, mutate: bool = True) -> Any:
+        if request == serial.serialposix.TIOCGRS485:
+            return 0
+        if request == serial.serialposix.TIOCSRS485:
+            asked.append(argument[0])
+            return 0
+        return fcntl.ioctl(fd, request, argument, mutate)
+
+    names = {name: getattr(fcntl, name) for name in dir(fcntl)}
+    monkeypatch.setattr(serial.serialposix, "fcntl", SimpleNamespace(**(names | {"ioctl": ioctl})))
+
+    async def body(port: SerialPort, _recorder: Recorder) -> None:
+        assert type(port) is SerialPort, "nothing is left for us to switch"
+        assert not port.serial.rts
+        port.write(b"\x04")
+        assert await pty.take(1) == b"\x04"
+
+    with_port(pty, body, direction="kernel")
+    enabled, on_send, after_send = 1, 2, 4
+    assert asked == [enabled | on_send]
+    assert not asked[0] & after_send
+
+
+@pytest.mark.parametrize("raw_already", [False, True])
+def test_a_device_that_does_not_frame_7e1_is_refused_with_what_to_do(
+    pty: Pty, monkeypatch: pytest.MonkeyPatch, raw_already: bool
+) -> None:
+    """Such a driver ignores 7E1; the C library reports it only if nothing else changed."""
+    monkeypatch.setattr(devices, "is_pseudo", lambda _path: False)
+
+    async def main() -> None:
+        if raw_already:
+            (await open_serial(settings(pty), Recorder())).abort()
+        await open_serial(settings(pty, parity="port"), Recorder())
+
+    with pytest.raises(LineLostError, match="does not frame 7E1; use `parity: line`"):
+        run(main)
+
+
+def test_a_caller_cancelled_while_a_driver_opens_slowly_can_still_close(
+    pty: Pty, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The opening runs in a thread that cannot be stopped: its port must reach somebody."""
+    entered, go_on = asyncio.Event(), threading.Event()
+
+    async def main() -> None:
+        loop = asyncio.get_running_loop()
+
+        def slow(how: PortSettings) -> serial_device.Device:
+            loop.call_soon_threadsafe(entered.set)
+            assert go_on.wait(5)
+            return serial_device.open_device(how)
+
+        async def opening() -> None:
+            port = await open_serial(settings(pty), Recorder())
+            try:
+                await anyio.sleep_forever()
+            finally:
+                port.abort()
+
+        monkeypatch.setattr(serial_port, "open_device", slow)
+        async with anyio.create_task_group() as group:
+            group.start_soon(opening)
+            await entered.wait()
+            group.cancel_scope.cancel()
+            go_on.set()
+
+    before = open_descriptors()
+    run(main)
+    assert open_descriptors() == before
 
 
 def test_a_device_without_rts_is_refused_for_rts(pty: Pty) -> None:

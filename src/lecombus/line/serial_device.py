@@ -61,13 +61,13 @@ class Device(serial.Serial):
         """Set what pyserial leaves as it was, and see that the framing was taken.
 
         Raises:
-            ValueError: The device does not frame 7E1.
+            termios.error: The device does not frame 7E1, which some drivers do not say.
         """
         assert self.fd is not None
         iflag, oflag, cflag, lflag, ispeed, ospeed, cc = termios.tcgetattr(self.fd)
         seven = self.bytesize == serial.SEVENBITS
         if seven and (cflag & termios.CSIZE != termios.CS7 or not cflag & termios.PARENB):
-            raise ValueError("the device does not frame 7E1; use `parity: line`")
+            raise termios.error(errno.EINVAL, "7E1 was not taken")
         iflag &= ~(termios.BRKINT | termios.IGNPAR)
         if seven:
             iflag |= termios.INPCK
@@ -150,7 +150,7 @@ def _remark(device: Device, settings: PortSettings) -> None:
 
 def _why_not_open(settings: PortSettings, exc: Exception) -> str:
     """Say why a device cannot be opened and what to do about it."""
-    path, code = settings.url, getattr(exc, "errno", None)
+    path, code = settings.url, _number(exc)
     if code == errno.ENOENT:
         now = ", ".join(devices.connected()) or "none"
         return f"{path}: no such device; is the adapter plugged in? connected now: {now}"
@@ -159,6 +159,8 @@ def _why_not_open(settings: PortSettings, exc: Exception) -> str:
         return f"{path}: permission denied; the user needs to be in group {group} (usermod -aG)"
     if code in (errno.EBUSY, errno.EAGAIN):
         return _in_use(path, devices.holders(path))
+    if settings.parity == "port" and code == errno.EINVAL and isinstance(exc, termios.error):
+        return f"{path}: the device does not frame 7E1; use `parity: line`"
     if settings.direction == "rts" and code in (errno.ENOTTY, errno.EINVAL):
         return f"{path}: the device has no RTS line; use `direction: adapter`"
     if "RS485" in str(exc):
@@ -183,5 +185,11 @@ def _group(path: str) -> str:
 
 def reason(exc: Exception) -> str:
     """Give an error's text without its number, whichever library raised it."""
+    number = _number(exc)
+    return str(exc) if number is None else os.strerror(number)
+
+
+def _number(exc: Exception) -> int | None:
+    """Give an error's errno: `termios.error` is no OSError and has it among its arguments."""
     number = exc.args[0] if exc.args else None
-    return os.strerror(number) if isinstance(number, int) else str(exc)
+    return number if isinstance(number, int) else None
