@@ -62,12 +62,18 @@ def _drive(entry: Entry, lease: LeaseEntry) -> DriveEntry:
     of = family(entry.get("family"))
     watchdog: Entry | None = entry.get("watchdog")
     cyclic: Items | None = entry.get("cyclic")
-    status = [CyclicEntry(code=code, every_s=every_s) for code, every_s in of.status]
+    forms = _forms(entry.get("addressing"), of.forms)
+    # A family's status set may hold a subcode that a drive told to be `standard` cannot give.
+    status = [
+        CyclicEntry(code=code, every_s=every_s)
+        for code, every_s in of.status
+        if any(code.knows(form) for form in forms)
+    ]
     writable: Items | None = entry.get("writable")
     simple = {key: entry.get(key) for key in ("name", "address", "family")}
     return DriveEntry(
         **simple,
-        forms=_forms(entry.get("addressing"), of.forms),
+        forms=forms,
         watchdog=None if watchdog is None else WatchdogEntry(**_fields(watchdog)),
         cyclic=tuple(status if cyclic is None
                      else [CyclicEntry(**_fields(item.value)) for item in cyclic]),

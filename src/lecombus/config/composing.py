@@ -110,7 +110,7 @@ class _Composer:
             spot = _Spot(event.start_mark.line + 1, event.start_mark.column + 1)
             if isinstance(event, yaml.ScalarEvent):
                 self._check_tag(event, spot)
-                plain = event.style is None
+                plain = not event.style  # None from the Python parser, "" from libyaml's
                 self._finish(Scalar(spot.line, spot.column, event.value, plain), event.anchor)
             elif isinstance(event, yaml.MappingStartEvent):
                 self._open(MappingNode(spot.line, spot.column), event, spot)

@@ -87,8 +87,8 @@ class Description:
         found.extend(f"group {group.name}: {_how(group)}" for group in self.groups)
         found.extend(f"warning: {text}" for text in self.warnings)
         found.extend(
-            f"not used by this version: {key} (checked, and kept for later)"
-            for key in self.not_yet_used
+            f"not used by this version: {text} (checked, and kept for later)"
+            for text in _gathered(self.not_yet_used)
         )
         return found
 
@@ -140,6 +140,15 @@ def _how(group: DescribedGroup) -> str:
     if group.multicast_address is None:
         return f"{drives}, one write after another"
     return f"{drives}, one multicast telegram to address {group.multicast_address:02d}"
+
+
+def _gathered(keys: tuple[str, ...]) -> list[str]:
+    """Put the keys of single drives into one text: 31 lines would hide the others."""
+    of_drives = [key for key in keys if key.startswith("drives.")]
+    if len(of_drives) < 2:
+        return list(keys)
+    others = [key for key in keys if key not in of_drives]
+    return [*others, f"{of_drives[0]} and {len(of_drives) - 1} more drives'"]
 
 
 def _columns(rows: list[tuple[str, ...]]) -> list[str]:

@@ -32,6 +32,7 @@ def find_warnings(roster: Roster) -> list[str]:
     found.extend(_load(roster, timing))
     found.extend(_feeding(roster, timing))
     found.extend(_unwatched(roster))
+    found.extend(_leases(roster))
     for drive in roster.drives:
         found.extend(_watchdog(drive))
         found.extend(_writable(drive))
@@ -122,6 +123,16 @@ def _unwatched(roster: Roster) -> Iterator[str]:
         yield (
             f"no watchdog is looked after in {len(names)} of {len(roster.drives)} drives "
             f"({shown}): they run on if the line is cut, or stop if theirs is set in the drive"
+        )
+
+
+def _leases(roster: Roster) -> Iterator[str]:
+    """Say loudly that a lease which was asked for protects nobody yet."""
+    required = [drive for drive in roster.drives if drive.lease.required]
+    if required:
+        yield (
+            f"a lease is required for {len(required)} of {len(roster.drives)} drives, but this "
+            "version does not enforce it: whoever reaches the API may move them"
         )
 
 
