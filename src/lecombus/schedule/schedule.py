@@ -3,9 +3,7 @@
 Theory of operation. `next` answers which request goes now, and marks it as under way; `finished`
 books the exchange. Both are O(log n), whatever is queued. The choice, in this order:
 
-1. A stop, always, whatever its drive is doing. Accepting a stop ends the waiting motion requests of
-   the drives it stops, and those that come back from the line later (`again`) though they were
-   submitted before it: a motion write is never repeated after a stop that came later.
+1. A stop, always, whatever its drive is doing (what else a stop does: waiting.py).
 2. If a lower class has earned its share (shares.py): due feeds, then that class.
 3. Control, then due feeds by hard deadline, interactive, cyclic (next steps of cyclic requests,
    then probes, then slots by cadence), background. Within a class first come, first served; what
@@ -32,13 +30,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from heapq import heappop, heappush
 from typing import Final
 
-from lecombus.errors import QueueFullError
 from lecombus.schedule.cadence import Cadence, Cyclic, Entry
 from lecombus.schedule.feeds import Feed, Feeding, Feeds
-from lecombus.schedule.queues import ClassQueue, Expiries, Lane
 from lecombus.schedule.request import (
     DEFERRED,
     OUT,
@@ -49,77 +44,43 @@ from lecombus.schedule.request import (
     Request,
 )
 from lecombus.schedule.shares import Probe, Probes, Shares
-from lecombus.schedule.stats import FeedStats, ScheduleStats
+from lecombus.schedule.stats import ScheduleStats, snapshot
+from lecombus.schedule.waiting import DriveState, Waiting, has_expired
 
-__all__ = ["DEFAULT_LIMITS", "Schedule"]
+__all__ = ["Schedule"]
 
-DEFAULT_LIMITS: Final[Mapping[Priority, int]] = {
-    Priority.CONTROL: 1000,
-    Priority.INTERACTIVE: 2000,
-    Priority.BACKGROUND: 10000,
-}
-EXPIRE_BATCH: Final = 64  # expired requests ended per choice: about 0.1 ms
 REFUSE_BATCH: Final = 16  # requests refused per choice for want of slack
 # Feeds run to let one request fit, per fed drive, before it is put off for a while.
 ROOMS_PER_FEED: Final = 4
-_FIRST_AHEAD: Final = -(1 << 62)  # places of requests that go ahead of their class
-
-
-class _Drive:
-    """What a schedule keeps for one drive."""
-
-    __slots__ = ("entries", "held", "held_until_s", "lanes", "motion", "parked", "stopped_at")
-
-    def __init__(self) -> None:
-        self.held = False
-        self.held_until_s = 0.0
-        self.lanes: list[tuple[ClassQueue, Lane]] = []  # kept from their queues while held
-        self.entries: list[Entry] = []  # kept from the cadence while held
-        self.motion: set[Request] = set()  # waiting motion requests that reach it
-        self.parked: str | None = None  # why it is offline
-        self.stopped_at = 0  # serial of the last stop
-
-
-def _never_held(_request: Request) -> None:
-    """Keep nothing back: for stops."""
+_LOWER: Final = (Priority.INTERACTIVE, Priority.CYCLIC, Priority.BACKGROUND)
 
 
 class Schedule:
     """Everything that waits for one line.
 
     Args:
-        limits: Most waiting requests by class; classes not named keep their default. Stops have
-            no limit.
+        limits: Most waiting requests by class; classes not named keep their default (control
+            1000, interactive 2000, background 10000). Stops have no limit.
         absent_share: The part of line time that probes of absent drives may take, 0..1.
     """
 
     def __init__(
         self, *, limits: Mapping[Priority, int] | None = None, absent_share: float = 0.10
     ) -> None:
-        self._limits = {**DEFAULT_LIMITS, **(limits or {})}
-        self._queues = tuple(ClassQueue() for _ in Priority)
-        self._drives: dict[str, _Drive] = {}
+        self._waiting = Waiting(limits)
+        self._drives = self._waiting.drives
         self._feeds = Feeds()
         self._cadence = Cadence()
         self._probes = Probes(absent_share)
         self._shares = Shares()
-        self._expiries = Expiries()
-        self._timers: list[tuple[float, int, Request | _Drive | Entry]] = []
-        self._latest: dict[object, Request] = {}  # by `supersedes`
-        self._serial = 0
-        self._ahead = _FIRST_AHEAD
         self._more = False  # the last choice stopped early: there is more to do at once
-        self._counts: dict[Outcome, list[int]] = {
-            outcome: [0] * len(Priority)
-            for outcome in (Outcome.REFUSED, Outcome.EXPIRED, Outcome.SUPERSEDED)
-        }
 
     # -- what the line has ------------------------------------------------------------------------
 
     def add_drive(self, name: str) -> None:
         """Make a drive known."""
         assert name not in self._drives, f"{name} is known already"
-        self._drives[name] = _Drive()
+        self._drives[name] = DriveState()
 
     def remove_drive(self, name: str, now_s: float, reason: str) -> None:
         """Forget a drive: its waiting requests end as refused; stops still go out."""
@@ -180,63 +141,7 @@ class Schedule:
         Raises:
             QueueFullError: Its class is full; the request has not been taken.
         """
-        request.submitted_at_s = now_s
-        if request.priority is Priority.STOP:
-            self._submit_stop(request)
-            return
-        drive = self._drives.get(request.drive)
-        if drive is not None and drive.parked is not None:
-            self._end(request, Outcome.REFUSED, drive.parked)
-            return
-        queue = self._queues[request.priority]
-        key = request.supersedes
-        old = self._latest.get(key) if key is not None else None
-        if old is not None and old.state not in (QUEUED, DEFERRED):
-            old = None
-        if old is None or old.priority is not request.priority:
-            limit = self._limits.get(request.priority)
-            if limit is not None and queue.depth >= limit:
-                self._counts[Outcome.REFUSED][request.priority] += 1
-                raise QueueFullError(
-                    priority=request.priority.name.lower(), depth=queue.depth, limit=limit
-                )
-        self._serial += 1
-        request.serial = request.place = self._serial
-        if old is None or not self._take_over(old, request, queue):
-            queue.put(request)
-        request.state = QUEUED
-        self._enter(request, queue)
-        if request.expires_at_s is not None:
-            self._expiries.add(request)
-        if old is not None:
-            self._end_waiting(old, Outcome.SUPERSEDED, "a later request took its place")
-
-    @staticmethod
-    def _take_over(old: Request, new: Request, queue: ClassQueue) -> bool:
-        """Give the new request the place of the old one, if that is a place to have."""
-        fresh = old.state == QUEUED and not old.attempts
-        if fresh and old.priority is new.priority and old.drive == new.drive:
-            queue.replace(old, new)
-            return True
-        return False
-
-    def _submit_stop(self, request: Request) -> None:
-        """Take a stop, and end the motion that waits for the drives it stops."""
-        self._serial += 1
-        request.serial = request.place = self._serial
-        request.state = QUEUED
-        queue = self._queues[Priority.STOP]
-        queue.put(request)
-        queue.depth += 1
-        ended: list[Request] = []
-        for name in request.stops:
-            drive = self._drives.get(name)
-            if drive is not None:
-                drive.stopped_at = request.serial
-                ended += drive.motion
-        for motion in ended:
-            if not motion.settled:
-                self._end_waiting(motion, Outcome.SUPERSEDED, "stopped")
+        self._waiting.submit(request, now_s)
 
     def again(self, request: Request, now_s: float, not_before_s: float = 0.0) -> None:
         """Take a request back for its next step, ahead of its class.
@@ -244,128 +149,30 @@ class Schedule:
         Call it directly after `finished`. It is ended instead if a stop, a later request or
         parking came meanwhile. Its expiry no longer counts: it has begun.
         """
-        self._ahead += 1
-        request.place = self._ahead
-        self._take_back(request, not_before_s, now_s)
+        self._waiting.go_ahead(request)
+        self._waiting.take_back(request, not_before_s, now_s)
 
     def defer(self, request: Request, until_s: float, now_s: float) -> None:
         """Take back, to its old place, a request that may not be sent before a time."""
-        self._take_back(request, until_s, now_s)
-
-    def _take_back(self, request: Request, until_s: float, now_s: float) -> None:
-        assert request.state in (OUT, UNDER_WAY), f"{request!r} waits already"
-        assert not request.settled, f"{request!r} has ended"
-        request.state = OUT
-        if self._cut_off(request):
-            return
-        queue = self._queues[request.priority]
-        self._enter(request, queue)
-        if until_s > now_s:
-            request.state = DEFERRED
-            self._at(until_s, request)
-        else:
-            request.state = QUEUED
-            queue.put(request)
-
-    def _cut_off(self, request: Request) -> bool:
-        """End a request that may not come back, because of what happened while it was out."""
-        if request.priority is Priority.STOP:
-            return False
-        drive = self._drives.get(request.drive)
-        if drive is not None and drive.parked is not None and type(request.source) is not Probe:
-            self._end(request, Outcome.REFUSED, drive.parked)
-            return True
-        if request.motion and self._stopped_since(request):
-            self._end(request, Outcome.SUPERSEDED, "stopped")
-            return True
-        if request.supersedes is not None:
-            later = self._latest.get(request.supersedes)
-            if later is not None and later.serial > request.serial and not later.settled:
-                self._end(request, Outcome.SUPERSEDED, "a later request took its place")
-                return True
-        return False
-
-    def _stopped_since(self, request: Request) -> bool:
-        for name in request.members or (request.drive,):
-            drive = self._drives.get(name)
-            if drive is not None and drive.stopped_at > request.serial:
-                return True
-        return False
+        self._waiting.take_back(request, until_s, now_s)
 
     def withdraw(self, request: Request, outcome: Outcome, reason: str) -> bool:
         """End a request if it still waits; say whether it did."""
         if request.state not in (QUEUED, DEFERRED):
             return False
-        self._end_waiting(request, outcome, reason)
+        self._waiting.end_waiting(request, outcome, reason)
         return True
-
-    # -- bookkeeping of waiting requests ----------------------------------------------------------
-
-    def _enter(self, request: Request, queue: ClassQueue) -> None:
-        queue.depth += 1
-        if request.supersedes is not None and request.priority is not Priority.STOP:
-            self._latest[request.supersedes] = request
-        if request.motion:
-            for name in request.members or (request.drive,):
-                drive = self._drives.get(name)
-                if drive is not None:
-                    drive.motion.add(request)
-
-    def _leave(self, request: Request) -> None:
-        queue = self._queues[request.priority]
-        if request.cell is not None:
-            queue.remove(request)
-        queue.depth -= 1
-        if request.motion:
-            for name in request.members or (request.drive,):
-                drive = self._drives.get(name)
-                if drive is not None:
-                    drive.motion.discard(request)
-
-    def _end_waiting(self, request: Request, outcome: Outcome, reason: str) -> None:
-        self._leave(request)
-        self._end(request, outcome, reason)
-
-    def _end(self, request: Request, outcome: Outcome, reason: str) -> None:
-        request.state = OUT
-        key = request.supersedes
-        if key is not None and self._latest.get(key) is request:
-            del self._latest[key]
-        if outcome in self._counts:
-            self._counts[outcome][request.priority] += 1
-        request.cut(outcome, reason)
-
-    def _at(self, at_s: float, what: Request | _Drive | Entry) -> None:
-        self._serial += 1
-        heappush(self._timers, (at_s, self._serial, what))
-
-    def _run_timers(self, now_s: float) -> None:
-        timers = self._timers
-        while timers and timers[0][0] <= now_s:
-            what = heappop(timers)[2]
-            if isinstance(what, Request):
-                if what.state == DEFERRED:
-                    what.state = QUEUED
-                    self._queues[what.priority].put(what)
-            elif isinstance(what, Entry):
-                self._cadence.rejoin(what, now_s)
-            elif what.held:
-                if what.held_until_s > now_s:
-                    self._at(what.held_until_s, what)
-                else:
-                    self._release(what, now_s)
 
     # -- the choice -------------------------------------------------------------------------------
 
     def next(self, now_s: float) -> Request | None:
         """Choose what goes now, and mark it as under way; None if nothing may go yet."""
-        if self._timers and self._timers[0][0] <= now_s:
+        waiting = self._waiting
+        if waiting.timers and waiting.timers[0][0] <= now_s:
             self._run_timers(now_s)
-        if self._expiries.overdue(now_s):
-            for request in self._expiries.due(now_s, EXPIRE_BATCH):
-                if request.state in (QUEUED, DEFERRED) and not request.attempts:
-                    self._end_waiting(request, Outcome.EXPIRED, "it was too late to begin")
-        stop = self._queues[Priority.STOP].head(_never_held)
+        if waiting.expiries.overdue(now_s):
+            waiting.expire(now_s)
+        stop = waiting.stop()
         if stop is not None:
             return self._start(stop, now_s)
         self._more = False
@@ -379,22 +186,31 @@ class Schedule:
         self._more = True
         return None
 
+    def _run_timers(self, now_s: float) -> None:
+        for what in self._waiting.run_timers(now_s):
+            if isinstance(what, Entry):
+                self._cadence.rejoin(what, now_s)
+            elif what.held and what.held_until_s > now_s:  # it was held on meanwhile
+                self._waiting.at(what.held_until_s, what)
+            elif what.held:
+                self._release(what, now_s)
+
     def _choose(self, now_s: float) -> tuple[Request | None, bool]:
         """Find what is first by priority and shares; say whether it is a feed."""
         heads: dict[Priority, Request] = {}
         waiting: dict[Priority, float] = {}
-        for priority in (Priority.INTERACTIVE, Priority.CYCLIC, Priority.BACKGROUND):
-            head = self._head(priority, now_s)
+        for priority in _LOWER:
+            head = self._waiting.head(priority, now_s)
             if head is None and priority is Priority.CYCLIC:
                 head = self._periodic(now_s)
             if head is not None:
                 heads[priority] = head
                 waiting[priority] = head.cost_s
         entitled = self._shares.entitled(waiting)
-        control = self._head(Priority.CONTROL, now_s)
+        control = self._waiting.head(Priority.CONTROL, now_s)
         if control is not None and entitled is None:
             return control, False
-        feed = self._head(Priority.WATCHDOG, now_s)
+        feed = self._waiting.head(Priority.WATCHDOG, now_s)
         if feed is not None:
             return feed, False
         feed = self._due_feed(now_s)
@@ -408,33 +224,6 @@ class Schedule:
             first.by_credit = False
             return first, False
         return None, False
-
-    def _head(self, priority: Priority, now_s: float) -> Request | None:
-        """Find the first request of a class; what has expired there ends."""
-        queue = self._queues[priority]
-        if not queue.depth:
-            return None
-        while True:
-            request = queue.head(self._holder)
-            if (
-                request is None
-                or request.expires_at_s is None
-                or request.expires_at_s > now_s
-                or request.attempts
-            ):
-                return request
-            self._end_waiting(request, Outcome.EXPIRED, "it was too late to begin")
-
-    def _holder(self, request: Request) -> _Drive | None:
-        """Find the held drive that keeps a request from going."""
-        if not request.members:
-            drive = self._drives.get(request.drive)
-            return drive if drive is not None and drive.held else None
-        for name in request.members:
-            drive = self._drives.get(name)
-            if drive is not None and drive.held:
-                return drive
-        return None
 
     def _periodic(self, now_s: float) -> Request | None:
         """Find the probe or else the cyclic slot that is due."""
@@ -459,12 +248,13 @@ class Schedule:
             other = feeds.room(now_s, feed.worst_s, feed.drive)
             if other is not None:
                 return self._feeding(other, now_s)
+            feed.retry_at_s = feeds.retry_s(now_s)
         return None
 
     def _feeding(self, feed: Feed, now_s: float) -> Request:
         """Choose the telegram that feeds a drive: one that is wanted anyway, if there is one."""
         for priority in (Priority.CONTROL, Priority.INTERACTIVE):
-            request = self._queues[priority].first_for(feed.drive)
+            request = self._waiting.queues[priority].first_for(feed.drive)
             if request is not None and self._as_feed(request, feed, now_s):
                 return request
         entry = self._cadence.early(feed.drive, now_s)
@@ -473,7 +263,7 @@ class Schedule:
         return feed.made()
 
     def _as_feed(self, request: Request, feed: Feed, now_s: float) -> bool:
-        if request.expires_at_s is not None and request.expires_at_s <= now_s:
+        if has_expired(request, now_s):
             return False
         return request.worst_s <= feed.worst_s or self._feeds.fits(
             now_s, request.worst_s, feed.drive
@@ -504,36 +294,33 @@ class Schedule:
 
     def _refuse(self, request: Request, reason: str, now_s: float) -> None:
         if request.state == QUEUED:
-            self._end_waiting(request, Outcome.REFUSED, reason)
+            self._waiting.end_waiting(request, Outcome.REFUSED, reason)
             return
         source = request.source
         if isinstance(source, Entry):
             self._cadence.drop(source, now_s)
         elif isinstance(source, Probe):
             self._probes.drop(source, now_s)
-        self._end(request, Outcome.REFUSED, reason)
+        self._waiting.end(request, Outcome.REFUSED, reason)
 
     def _put_off(self, request: Request, until_s: float) -> None:
         """Set aside what cannot go now, so that it does not block its class."""
         request.rooms = 0
         source = request.source
         if request.state == QUEUED:
-            self._queues[request.priority].remove(request)
-            request.state = DEFERRED
-            self._at(until_s, request)
+            self._waiting.put_off(request, until_s)
         elif isinstance(source, Entry):
             self._cadence.set_apart(source)
-            self._at(until_s, source)
+            self._waiting.at(until_s, source)
         elif isinstance(source, Probe):
             self._probes.schedule(source, until_s)
 
     def _start(self, request: Request, now_s: float) -> Request:
         """Mark a request as under way."""
         if request.state == QUEUED:
-            self._leave(request)
+            self._waiting.leave(request)
         else:
-            self._serial += 1
-            request.serial = request.place = self._serial
+            self._waiting.number(request)
             source = request.source
             if type(source) is Entry:
                 self._cadence.take(source, now_s)
@@ -544,11 +331,12 @@ class Schedule:
 
     def wake_at_s(self, now_s: float) -> float | None:
         """Tell, after `next` gave None, when to ask again; None: when something is submitted."""
-        if self._more or self._expiries.overdue(now_s):
+        waiting = self._waiting
+        if self._more or waiting.expiries.overdue(now_s):
             return now_s
         times = (
-            self._timers[0][0] if self._timers else None,
-            self._expiries.next_s(),
+            waiting.timers[0][0] if waiting.timers else None,
+            waiting.expiries.next_s(),
             self._cadence.next_s(),
             self._feeds.next_s(),
             self._probes.next_s(now_s),
@@ -568,9 +356,7 @@ class Schedule:
         """
         request.attempts += 1
         request.state = OUT
-        key = request.supersedes
-        if key is not None and self._latest.get(key) is request:
-            del self._latest[key]
+        self._waiting.forget_key(request)
         duration_s = now_s - started_s
         self._shares.book(request.priority, request.by_credit, duration_s)
         request.by_credit = False
@@ -596,9 +382,9 @@ class Schedule:
             feed.held_until_s = until_s
         if not drive.held:
             drive.held = True
-            self._at(until_s, drive)
+            self._waiting.at(until_s, drive)
 
-    def _release(self, drive: _Drive, now_s: float) -> None:
+    def _release(self, drive: DriveState, now_s: float) -> None:
         drive.held = False
         lanes, drive.lanes = drive.lanes, []
         for queue, lane in lanes:
@@ -624,9 +410,7 @@ class Schedule:
         probe = self._probes.by_drive.get(name)
         if probe is not None:
             self._probes.start(probe, now_s)
-        for request in self._waiting(name):
-            if not request.settled:
-                self._end_waiting(request, Outcome.REFUSED, reason)
+        self._waiting.end_all(self._waiting.listed(drive=name), Outcome.REFUSED, reason)
 
     def unpark(self, name: str, now_s: float) -> None:
         """Take a drive as back: its cyclic requests and feeding resume, its probing ends."""
@@ -646,19 +430,6 @@ class Schedule:
         if probe is not None:
             self._probes.stop(probe)
 
-    def _waiting(self, name: str | None = None) -> list[Request]:
-        """List what waits, stops apart, for one drive or for all."""
-        found = [request for queue in self._queues[1:] for request in queue.waiting(name)]
-        for _, _, what in self._timers:
-            if (
-                isinstance(what, Request)
-                and what.state == DEFERRED
-                and what.priority is not Priority.STOP
-                and (name is None or what.drive == name)
-            ):
-                found.append(what)
-        return found
-
     def fail_all(self, now_s: float, reason: str) -> None:
         """End all that waits, stops too, as refused: the line is lost.
 
@@ -669,44 +440,8 @@ class Schedule:
         for feed in self._feeds.by_drive.values():
             feed.held_until_s = feed.retry_at_s = -math.inf
         self._feeds.changed()
-        stops = self._queues[Priority.STOP].waiting()
-        stops += [w for _, _, w in self._timers if isinstance(w, Request) and w.state == DEFERRED]
-        for request in [*stops, *self._waiting()]:
-            if not request.settled:
-                self._end_waiting(request, Outcome.REFUSED, reason)
+        self._waiting.end_all(self._waiting.listed(stops=True), Outcome.REFUSED, reason)
 
     def stats(self, now_s: float) -> ScheduleStats:
         """Take a snapshot; it begins a new measure of the latest cyclic start."""
-        entries = [entry for of_drive in self._cadence.by_drive.values() for entry in of_drive]
-        late_s, self._cadence.late_most_s = self._cadence.late_most_s, 0.0
-        by_class = {
-            outcome: {priority: counts[priority] for priority in Priority}
-            for outcome, counts in self._counts.items()
-        }
-        return ScheduleStats(
-            depth={priority: self._queues[priority].depth for priority in Priority},
-            stretch=self._cadence.stretch(now_s),
-            cyclic_late_most_s=late_s,
-            cyclic_skipped=sum(entry.skipped for entry in entries),
-            cyclic_dropped=sum(entry.dropped for entry in entries),
-            feeds={name: _feed_stats(f, now_s) for name, f in self._feeds.by_drive.items()},
-            feeds_due=len(self._feeds.due(now_s)),
-            refused=by_class[Outcome.REFUSED],
-            expired=by_class[Outcome.EXPIRED],
-            superseded=by_class[Outcome.SUPERSEDED],
-            probes_refused=sum(probe.refused for probe in self._probes.by_drive.values()),
-        )
-
-
-def _feed_stats(feed: Feed, now_s: float) -> FeedStats:
-    return FeedStats(
-        time_s=feed.time_s,
-        age_s=now_s - feed.fed_at_s,
-        margin_last_s=feed.margin_last_s,
-        margin_least_s=feed.margin_least_s,
-        fed=feed.fed,
-        failures=feed.failures,
-        misses=feed.misses,
-        lapses=feed.lapses,
-        paused=not feed.active,
-    )
+        return snapshot(self._waiting, self._feeds, self._cadence, self._probes, now_s)

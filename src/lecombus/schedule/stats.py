@@ -1,7 +1,7 @@
 """A snapshot of a schedule for metrics and status; plain numbers, taken on request.
 
-Nothing here changes a schedule, and nothing in it is counted for the snapshot's sake alone except
-where a comment there says so.
+The counting is done where things happen; here it is only gathered. Taking a snapshot changes
+nothing except that it begins a new measure of the latest cyclic start.
 """
 
 from __future__ import annotations
@@ -9,9 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from lecombus.schedule.request import Priority
+from lecombus.schedule.cadence import Cadence
+from lecombus.schedule.feeds import Feed, Feeds
+from lecombus.schedule.request import Outcome, Priority
+from lecombus.schedule.shares import Probes
+from lecombus.schedule.waiting import Waiting
 
-__all__ = ["FeedStats", "ScheduleStats"]
+__all__ = ["FeedStats", "ScheduleStats", "snapshot"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,3 +74,42 @@ class ScheduleStats:
     expired: Mapping[Priority, int]
     superseded: Mapping[Priority, int]
     probes_refused: int
+
+
+def snapshot(
+    waiting: Waiting, feeds: Feeds, cadence: Cadence, probes: Probes, now_s: float
+) -> ScheduleStats:
+    """Gather the figures of a schedule's parts."""
+    entries = [entry for of_drive in cadence.by_drive.values() for entry in of_drive]
+    late_s, cadence.late_most_s = cadence.late_most_s, 0.0
+    by_class = {
+        outcome: {priority: counts[priority] for priority in Priority}
+        for outcome, counts in waiting.counts.items()
+    }
+    return ScheduleStats(
+        depth={priority: waiting.queues[priority].depth for priority in Priority},
+        stretch=cadence.stretch(now_s),
+        cyclic_late_most_s=late_s,
+        cyclic_skipped=sum(entry.skipped for entry in entries),
+        cyclic_dropped=sum(entry.dropped for entry in entries),
+        feeds={name: _feed_stats(f, now_s) for name, f in feeds.by_drive.items()},
+        feeds_due=len(feeds.due(now_s)),
+        refused=by_class[Outcome.REFUSED],
+        expired=by_class[Outcome.EXPIRED],
+        superseded=by_class[Outcome.SUPERSEDED],
+        probes_refused=sum(probe.refused for probe in probes.by_drive.values()),
+    )
+
+
+def _feed_stats(feed: Feed, now_s: float) -> FeedStats:
+    return FeedStats(
+        time_s=feed.time_s,
+        age_s=now_s - feed.fed_at_s,
+        margin_last_s=feed.margin_last_s,
+        margin_least_s=feed.margin_least_s,
+        fed=feed.fed,
+        failures=feed.failures,
+        misses=feed.misses,
+        lapses=feed.lapses,
+        paused=not feed.active,
+    )

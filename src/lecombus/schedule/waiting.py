@@ -1,0 +1,344 @@
+"""The requests that wait for a line, and every way in which waiting ends other than being chosen.
+
+A request comes in by `submit`, or comes back by `take_back` for its next step. It waits in the
+lane of its drive (queues.py) or for a time, and is taken out by `leave`, or ends here: expired,
+superseded by a later request with the same key, ended by a stop, refused because its drive is
+parked, or withdrawn. Each end is counted and told exactly once.
+
+Stops. Accepting a stop ends the motion requests that wait for the drives it stops, multicasts that
+reach one of them included, and notes its serial number with these drives. A motion request that
+was on the line at that moment is compared with that number when it comes back, and ended: a motion
+write is never repeated after a stop that came later.
+
+Times. Deferred requests, holds of drives and whatever else the schedule puts off share one heap.
+
+What is chosen when, and what feeds a watchdog, is not decided here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from heapq import heappop, heappush
+from typing import Final
+
+from lecombus.errors import QueueFullError
+from lecombus.schedule.cadence import Entry
+from lecombus.schedule.queues import ClassQueue, Expiries, Lane
+from lecombus.schedule.request import (
+    DEFERRED,
+    OUT,
+    QUEUED,
+    UNDER_WAY,
+    Outcome,
+    Priority,
+    Request,
+)
+from lecombus.schedule.shares import Probe
+
+__all__ = ["DEFAULT_LIMITS", "DriveState", "Waiting"]
+
+DEFAULT_LIMITS: Final[Mapping[Priority, int]] = {
+    Priority.CONTROL: 1000,
+    Priority.INTERACTIVE: 2000,
+    Priority.BACKGROUND: 10000,
+}
+EXPIRE_BATCH: Final = 64  # expired requests ended per choice: about 0.1 ms
+_FIRST_AHEAD: Final = -(1 << 62)  # places of requests that go ahead of their class
+
+_STOPPED: Final = "stopped"
+_REPLACED: Final = "a later request took its place"
+_TOO_LATE: Final = "it was too late to begin"
+
+
+class DriveState:
+    """What a schedule keeps for one drive."""
+
+    __slots__ = ("entries", "held", "held_until_s", "lanes", "motion", "parked", "stopped_at")
+
+    def __init__(self) -> None:
+        self.held = False
+        self.held_until_s = 0.0
+        self.lanes: list[tuple[ClassQueue, Lane]] = []  # kept from their queues while held
+        self.entries: list[Entry] = []  # kept from the cadence while held
+        self.motion: set[Request] = set()  # waiting motion requests that reach it
+        self.parked: str | None = None  # why it is offline
+        self.stopped_at = 0  # serial of the last stop
+
+
+Timed = Request | DriveState | Entry
+
+
+class Waiting:
+    """Everything submitted that waits.
+
+    Args:
+        limits: Most waiting requests by class, over the defaults; stops have no limit.
+    """
+
+    def __init__(self, limits: Mapping[Priority, int] | None = None) -> None:
+        self.drives: dict[str, DriveState] = {}
+        self.queues = tuple(ClassQueue() for _ in Priority)
+        self.expiries = Expiries()
+        self.timers: list[tuple[float, int, Timed]] = []
+        self.counts: dict[Outcome, list[int]] = {
+            outcome: [0] * len(Priority)
+            for outcome in (Outcome.REFUSED, Outcome.EXPIRED, Outcome.SUPERSEDED)
+        }
+        self._limits = {**DEFAULT_LIMITS, **(limits or {})}
+        self._latest: dict[object, Request] = {}  # by `supersedes`
+        self._serial = 0
+        self._ahead = _FIRST_AHEAD
+
+    # -- coming in --------------------------------------------------------------------------------
+
+    def number(self, request: Request) -> None:
+        """Give a request its serial number and its place behind all others."""
+        self._serial += 1
+        request.serial = request.place = self._serial
+
+    def submit(self, request: Request, now_s: float) -> None:
+        """Take a new request; see `Schedule.submit`."""
+        request.submitted_at_s = now_s
+        if request.priority is Priority.STOP:
+            self._submit_stop(request)
+            return
+        drive = self.drives.get(request.drive)
+        if drive is not None and drive.parked is not None:
+            self.end(request, Outcome.REFUSED, drive.parked)
+            return
+        queue = self.queues[request.priority]
+        old = self._superseded_by(request)
+        if old is None or old.priority is not request.priority:
+            self._check_limit(request.priority, queue.depth)
+        self.number(request)
+        if old is None or not _take_over(old, request):
+            queue.put(request)
+        request.state = QUEUED
+        self._enter(request, queue)
+        if request.expires_at_s is not None:
+            self.expiries.add(request)
+        if old is not None:
+            self.end_waiting(old, Outcome.SUPERSEDED, _REPLACED)
+
+    def _superseded_by(self, request: Request) -> Request | None:
+        """Find the waiting request that a new one takes the place of."""
+        if request.supersedes is None:
+            return None
+        old = self._latest.get(request.supersedes)
+        return old if old is not None and old.state in (QUEUED, DEFERRED) else None
+
+    def _check_limit(self, priority: Priority, depth: int) -> None:
+        limit = self._limits.get(priority)
+        if limit is not None and depth >= limit:
+            self.counts[Outcome.REFUSED][priority] += 1
+            raise QueueFullError(priority=priority.name.lower(), depth=depth, limit=limit)
+
+    def _submit_stop(self, request: Request) -> None:
+        """Take a stop, and end the motion that waits for the drives it stops."""
+        self.number(request)
+        queue = self.queues[Priority.STOP]
+        request.state = QUEUED
+        queue.put(request)
+        queue.depth += 1
+        ended: list[Request] = []
+        for name in request.stops:
+            drive = self.drives.get(name)
+            if drive is not None:
+                drive.stopped_at = request.serial
+                ended += drive.motion
+        for motion in ended:
+            if not motion.settled:  # a multicast stands with each of its members
+                self.end_waiting(motion, Outcome.SUPERSEDED, _STOPPED)
+
+    # -- coming back ------------------------------------------------------------------------------
+
+    def go_ahead(self, request: Request) -> None:
+        """Give a request that comes back a place ahead of its class."""
+        self._ahead += 1
+        request.place = self._ahead
+
+    def take_back(self, request: Request, until_s: float, now_s: float) -> None:
+        """Take back a request that was chosen, to wait until a time and then at its place."""
+        assert request.state in (OUT, UNDER_WAY), f"{request!r} waits already"
+        assert not request.settled, f"{request!r} has ended"
+        request.state = OUT
+        if self._cut_off(request):
+            return
+        queue = self.queues[request.priority]
+        self._enter(request, queue)
+        if until_s > now_s:
+            request.state = DEFERRED
+            self.at(until_s, request)
+        else:
+            request.state = QUEUED
+            queue.put(request)
+
+    def _cut_off(self, request: Request) -> bool:
+        """End a request that may not come back, because of what happened while it was out."""
+        if request.priority is Priority.STOP:
+            return False
+        drive = self.drives.get(request.drive)
+        if drive is not None and drive.parked is not None and type(request.source) is not Probe:
+            self.end(request, Outcome.REFUSED, drive.parked)
+        elif request.motion and self._stopped_since(request):
+            self.end(request, Outcome.SUPERSEDED, _STOPPED)
+        elif self._replaced_since(request):
+            self.end(request, Outcome.SUPERSEDED, _REPLACED)
+        else:
+            return False
+        return True
+
+    def _stopped_since(self, request: Request) -> bool:
+        return any(drive.stopped_at > request.serial for drive in self._reached(request))
+
+    def _replaced_since(self, request: Request) -> bool:
+        if request.supersedes is None:
+            return False
+        later = self._latest.get(request.supersedes)
+        return later is not None and later.serial > request.serial and not later.settled
+
+    # -- bookkeeping ------------------------------------------------------------------------------
+
+    def _reached(self, request: Request) -> list[DriveState]:
+        names = request.members or (request.drive,)
+        return [self.drives[name] for name in names if name in self.drives]
+
+    def _enter(self, request: Request, queue: ClassQueue) -> None:
+        queue.depth += 1
+        if request.supersedes is not None and request.priority is not Priority.STOP:
+            self._latest[request.supersedes] = request
+        if request.motion and request.priority is not Priority.STOP:
+            for drive in self._reached(request):
+                drive.motion.add(request)
+
+    def leave(self, request: Request) -> None:
+        """Take a waiting request out, chosen or ended."""
+        queue = self.queues[request.priority]
+        if request.cell is not None:
+            queue.remove(request)
+        queue.depth -= 1
+        if request.motion:
+            for drive in self._reached(request):
+                drive.motion.discard(request)
+
+    def forget_key(self, request: Request) -> None:
+        """Note that a request is no longer one that a later one could take the place of."""
+        key = request.supersedes
+        if key is not None and self._latest.get(key) is request:
+            del self._latest[key]
+
+    def put_off(self, request: Request, until_s: float) -> None:
+        """Let a request in a lane wait for a time, and then at its place again."""
+        self.queues[request.priority].remove(request)
+        request.state = DEFERRED
+        self.at(until_s, request)
+
+    # -- ends -------------------------------------------------------------------------------------
+
+    def end_waiting(self, request: Request, outcome: Outcome, reason: str) -> None:
+        """End a request that waits."""
+        self.leave(request)
+        self.end(request, outcome, reason)
+
+    def end(self, request: Request, outcome: Outcome, reason: str) -> None:
+        """End a request that does not wait, or no longer."""
+        request.state = OUT
+        self.forget_key(request)
+        if outcome in self.counts:
+            self.counts[outcome][request.priority] += 1
+        request.cut(outcome, reason)
+
+    def end_all(self, requests: list[Request], outcome: Outcome, reason: str) -> None:
+        """End those of the requests that still wait: one's end may have ended another."""
+        for request in requests:
+            if request.state in (QUEUED, DEFERRED):
+                self.end_waiting(request, outcome, reason)
+
+    def expire(self, now_s: float) -> None:
+        """End expired requests, a batch at most; what has begun no longer expires."""
+        for request in self.expiries.due(now_s, EXPIRE_BATCH):
+            if request.state in (QUEUED, DEFERRED) and not request.attempts:
+                self.end_waiting(request, Outcome.EXPIRED, _TOO_LATE)
+
+    def listed(self, *, drive: str | None = None, stops: bool = False) -> list[Request]:
+        """List what waits, for one drive or all, without the stops or with them."""
+        queues = self.queues if stops else self.queues[1:]
+        found = [request for queue in queues for request in queue.waiting(drive)]
+        for _, _, what in self.timers:
+            if (
+                isinstance(what, Request)
+                and what.state == DEFERRED
+                and (stops or what.priority is not Priority.STOP)
+                and (drive is None or what.drive == drive)
+            ):
+                found.append(what)
+        return found
+
+    # -- times ------------------------------------------------------------------------------------
+
+    def at(self, at_s: float, what: Timed) -> None:
+        """Come back to something at a time."""
+        self._serial += 1
+        heappush(self.timers, (at_s, self._serial, what))
+
+    def run_timers(self, now_s: float) -> list[DriveState | Entry]:
+        """Put requests whose time has come into their lanes; give what else has come due."""
+        timers = self.timers
+        others: list[DriveState | Entry] = []
+        while timers and timers[0][0] <= now_s:
+            what = heappop(timers)[2]
+            if not isinstance(what, Request):
+                others.append(what)
+            elif what.state == DEFERRED:
+                what.state = QUEUED
+                self.queues[what.priority].put(what)
+        return others
+
+    # -- heads ------------------------------------------------------------------------------------
+
+    def stop(self) -> Request | None:
+        """Find the first stop; nothing holds it back."""
+        queue = self.queues[Priority.STOP]
+        return queue.head(_never_held) if queue.depth else None
+
+    def head(self, priority: Priority, now_s: float) -> Request | None:
+        """Find the first request of a class that may go; what has expired there ends."""
+        queue = self.queues[priority]
+        if not queue.depth:
+            return None
+        for _ in range(EXPIRE_BATCH):
+            request = queue.head(self._holder)
+            if request is None or not has_expired(request, now_s):
+                return request
+            self.end_waiting(request, Outcome.EXPIRED, _TOO_LATE)
+        return None  # `expire` goes on with the rest
+
+    def _holder(self, request: Request) -> DriveState | None:
+        """Find the held drive that keeps a request from going."""
+        if not request.members:
+            drive = self.drives.get(request.drive)
+            return drive if drive is not None and drive.held else None
+        for name in request.members:
+            drive = self.drives.get(name)
+            if drive is not None and drive.held:
+                return drive
+        return None
+
+
+def has_expired(request: Request, now_s: float) -> bool:
+    """Tell whether a request may no longer be begun; one that has begun does not expire."""
+    expires_at_s = request.expires_at_s
+    return expires_at_s is not None and expires_at_s <= now_s and not request.attempts
+
+
+def _take_over(old: Request, new: Request) -> bool:
+    """Give the new request the place of the old one, if that is a place to have."""
+    fresh = old.state == QUEUED and not old.attempts
+    if fresh and old.priority is new.priority and old.drive == new.drive:
+        ClassQueue.replace(old, new)
+        return True
+    return False
+
+
+def _never_held(_request: Request) -> None:
+    """Keep nothing back."""
