@@ -22,7 +22,9 @@ from lecombus.simulator.parameters import CommError, ExtendedFault, Refusal
 from lecombus.simulator.receiver import Heard
 from lecombus.simulator.wire import ACK, NAK, read_code_field, unknown_code, value_reply
 
-__all__ = ["LogEntry", "Reply", "SimDrive"]
+__all__ = ["LogEntry", "Overrides", "Reply", "SimDrive"]
+
+Overrides = Mapping[int, str] | Mapping[tuple[int, int], str] | Mapping[int | tuple[int, int], str]
 
 _BAUDS: Final = {"0": 9600, "1": 4800, "2": 2400, "3": 1200, "4": 19200}
 _SHORT_S: Final = 0.002
@@ -80,7 +82,7 @@ class SimDrive:
         address: int,
         family: str,
         name: str = "",
-        overrides: Mapping[int | tuple[int, int], str] | None = None,
+        overrides: Overrides | None = None,
         *,
         spread: float = 0.0,
         silent_on_bad_write: bool = False,

@@ -130,7 +130,10 @@ def _read_chance(faults: Faults, name: str, value: str, item: str) -> None:
     if name == "late" and rest:
         least, dash, most = rest.pop(0).partition("-")
         end_s = _duration(most if dash else least, item)
-        faults.late_s = (_duration(least, item) if dash else min(0.05, end_s), end_s)
+        start_s = _duration(least, item) if dash else min(0.05, end_s)
+        if start_s > end_s:
+            raise ValueError(f"fault {item!r}: the least delay comes first, then the most")
+        faults.late_s = (start_s, end_s)
         if rest:
             faults.late_kind = _kind(rest.pop(0), item)
     elif name == "power_cycle" and rest:

@@ -50,6 +50,8 @@ class PacedEnd(ABC):
         self._wake_read, self._wake_write = os.pipe()
         os.set_blocking(self._wake_read, False)
         self._closing = False
+        self._turned = threading.Condition(self.lock)
+        self._turns = 0
         self._thread = threading.Thread(target=self._serve, name="lecombus-sim", daemon=True)
 
     # What an end says
@@ -104,6 +106,17 @@ class PacedEnd(ABC):
     def _wake(self) -> None:
         os.write(self._wake_write, b"!")
 
+    def _settle(self) -> None:
+        """Wait until the thread has let go of descriptors that were closed under it.
+
+        A descriptor closed by one thread lives on while another waits for it in `select`: the host
+        would see the hang-up only later. Not to be called with the lock held.
+        """
+        with self._turned:
+            before = self._turns
+            self._wake()
+            self._turned.wait_for(lambda: self._turns > before or not self._thread.is_alive(), 5.0)
+
     # The thread
 
     def _serve(self) -> None:
@@ -125,7 +138,9 @@ class PacedEnd(ABC):
             ready = _wait(waiting, None if due_s is None else max(0.0, due_s - now_s))
             if self._wake_read in ready:
                 _drain(self._wake_read)
-            with self.lock:
+            with self._turned:
+                self._turns += 1
+                self._turned.notify_all()
                 if listener is not None and listener in ready:
                     self._connect()
                 if not self._exchange(descriptor, descriptor in ready):
@@ -152,7 +167,7 @@ class PacedEnd(ABC):
 def _wait(descriptors: list[int], timeout_s: float | None) -> list[int]:
     try:
         return select.select(descriptors, [], [], timeout_s)[0]
-    except (OSError, ValueError):
+    except OSError:
         # A descriptor was closed by unplug() between our look and the call.
         return []
 

@@ -53,7 +53,7 @@ class PtyEnd(PacedEnd):
         with self.lock:
             self._hang_up()
             self.line.drop_everything(time.monotonic())
-        self._wake()
+        self._settle()
 
     def replug(self) -> None:
         """Plug in again, as a new device behind the same symlink."""

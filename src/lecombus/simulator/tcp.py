@@ -49,7 +49,7 @@ class TcpEnd(PacedEnd):
         with self.lock:
             self._hang_up()
             self.line.drop_everything(time.monotonic())
-        self._wake()
+        self._settle()
 
     def refuse(self, refusing: bool) -> None:
         """Stop listening, so that connecting is refused, or listen again on the same port."""
@@ -59,7 +59,7 @@ class TcpEnd(PacedEnd):
                 self._server = None
             elif not refusing and self._server is None:
                 self._server = socket.create_server(("127.0.0.1", self.port))
-        self._wake()
+        self._settle()
 
     def _hang_up(self) -> None:
         if self._client is not None:
