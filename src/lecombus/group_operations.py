@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Mapping
+from collections.abc import Iterable, Sequence
 from decimal import Decimal
 
 from .config import GroupEntry
@@ -32,7 +32,7 @@ from .line.jobs import Station
 from .operations import Operations
 from .protocol.addressing import Code
 from .protocol.values import Value
-from .reports import GroupReport, How, WriteReport, group_report
+from .reports import GroupInfo, GroupReport, How, WriteReport
 from .requests import Ending
 from .schedule import Outcome, Priority, Request
 from .stations import ignore_end
@@ -45,10 +45,12 @@ logger = logging.getLogger(__name__)
 class GroupOperations(Operations):
     """Adds to the operations on one drive those on several."""
 
-    @property
-    def groups(self) -> Mapping[str, GroupEntry]:
-        """The groups, by name."""
-        return self._groups
+    def groups(self) -> Sequence[GroupInfo]:
+        """The groups of the roster and how each is spoken to."""
+        return [
+            GroupInfo(name, tuple(entry.members), entry.multicast_address)
+            for name, entry in self._groups.items()
+        ]
 
     async def write_group(
         self,
@@ -85,20 +87,20 @@ class GroupOperations(Operations):
                 for one, wire in zip(stations, wires, strict=True)
             ]
             reports = [
-                self.report(one.name, code, *await ending.wait())
+                self.report(one.name, code, ending, *await ending.wait())
                 for one, ending in zip(stations, endings, strict=True)
             ]
-            return group_report(group, How.ONE_BY_ONE, reports)
+            return group_report(group, "one-by-one", reports)
         outcome, reason = await self._multicast(
             Station(group, entry.multicast_address, stations[0].family, stations[0].forms),
             stations, code, wires[0], expires_at_s,
         )  # fmt: skip
         if outcome is Outcome.DONE and verify is not False:
             proofs = await asyncio.gather(*(self._proof(one, code, wires[0]) for one in stations))
-            return group_report(group, How.MULTICAST, proofs)
+            return group_report(group, "multicast", proofs)
         told = Outcome.UNKNOWN if outcome is Outcome.DONE else outcome
-        reports = [self.report(one.name, code, told, reason) for one in stations]
-        return group_report(group, How.MULTICAST, reports)
+        reports = [WriteReport(one.name, code, told, reason) for one in stations]
+        return group_report(group, "multicast", reports)
 
     async def _multicast(
         self,
@@ -126,11 +128,12 @@ class GroupOperations(Operations):
             found = await self._requests.read(station, code, Priority.INTERACTIVE)
         except (ExchangeError, LineError, OperationError, ScheduleError) as exc:
             text = f"it went out as a multicast and could not be read back: {exc}"
-            return self.report(station.name, code, Outcome.UNKNOWN, text)
-        if found.number == wire.number:
-            return self.report(station.name, code, Outcome.VERIFIED, "")
+            return WriteReport(station.name, code, Outcome.UNKNOWN, text, kind="no-answer")
+        if found.means_same(wire):
+            reading = self._store.reading(station.name, code)
+            return WriteReport(station.name, code, Outcome.VERIFIED, reading=reading)
         text = f"it went out as a multicast, but {code} reads {found.raw}"
-        return self.report(station.name, code, Outcome.REFUSED, text)
+        return WriteReport(station.name, code, Outcome.REFUSED, text, kind="not-in-effect")
 
     async def stop(self, action: StopAction, target: str) -> GroupReport:
         """Stop a drive, a group or all, ahead of everything else.
@@ -158,17 +161,18 @@ class GroupOperations(Operations):
             self._requests.worker.submit(shared)
         endings = [self._say_stop(one, action, said=shared is not None) for one in able]
         reports = [
-            self.report(one.name, one.family.stops[action].code, *await ending.wait())
+            self.report(one.name, one.family.stops[action].code, ending, *await ending.wait())
             for one, ending in zip(able, endings, strict=True)
         ]
         reports += [
             WriteReport(
                 one.name, one.family.feed_code, Outcome.REFUSED,
                 f"no {action} is known for family {one.family.name}: nothing was sent to it",
+                kind="no-stop",
             )
             for one in stations if one not in able
         ]  # fmt: skip
-        return group_report(target, How.MULTICAST if shared else How.ONE_BY_ONE, reports)
+        return group_report(target, "multicast" if shared else "one-by-one", reports)
 
     def _group(self, group: str) -> GroupEntry:
         entry = self._groups.get(group)
@@ -224,5 +228,27 @@ class GroupOperations(Operations):
         request = self._requests.maker.stop(
             station, action, word=self._words.get(station.name), said=said, settle=ending.settle
         )
+        ending.request = request
         self._requests.worker.submit(request)
         return ending
+
+
+_FROM_BEST = (
+    Outcome.VERIFIED,
+    Outcome.DONE,
+    Outcome.SUPERSEDED,
+    Outcome.EXPIRED,
+    Outcome.REFUSED,
+    Outcome.UNKNOWN,
+)
+
+
+def group_report(target: str, how: How, reports: Iterable[WriteReport]) -> GroupReport:
+    """Put the members' reports together.
+
+    The whole is called by the worst of them: whoever reads only one word must not be told better
+    than it is.
+    """
+    members = tuple(reports)
+    worst = max(members, key=lambda one: _FROM_BEST.index(one.outcome))
+    return GroupReport(target, how, worst.outcome, members, worst.reason)

@@ -69,6 +69,7 @@ class Keeper:
         schedule: Told which drives to feed.
         store: Gets the remarks.
         clock: Monotonic time, seconds.
+        health: Told when a drive has been audited.
     """
 
     def __init__(
@@ -77,6 +78,7 @@ class Keeper:
         schedule: Schedule,
         store: Store,
         clock: Callable[[], float],
+        health: Health,
     ) -> None:
         self._requests = requests
         self._schedule = schedule
@@ -87,7 +89,8 @@ class Keeper:
         self._again: set[str] = set()
         self._tasks: TaskGroup | None = None
         self._waiting: list[str] = []
-        self.health: Health | None = None
+        self._one_at_a_time = anyio.Lock()
+        self._health = health
         self.tried: set[str] = set()
 
     async def run(self) -> None:
@@ -124,14 +127,20 @@ class Keeper:
             self._tasks.start_soon(self._audit_until_done, name)
 
     async def _audit_until_done(self, name: str) -> None:
-        """Audit one drive, again and again until it is done or the drive is offline."""
-        assert self.health is not None
+        """Audit one drive, again and again until it is done or the drive is offline.
+
+        First contact is made with all at once. The rest goes drive by drive, because reading a
+        module's own codes takes up to 500 ms each: so they come online one after the other.
+        """
         delay_s = FIRST_RETRY_S
         try:
             while name in self._entries:
                 self._again.discard(name)
                 try:
-                    await self._audit(self._entries[name])
+                    station = self._requests.station(name)
+                    await self._contact(name, station)
+                    async with self._one_at_a_time:
+                        await self._audit(self._entries[name], station)
                 except LecombusError as exc:
                     self._audit_failed(name, exc)
                     if name not in self._entries or self._is_offline(name):
@@ -140,41 +149,39 @@ class Keeper:
                     delay_s = min(2.0 * delay_s, LONGEST_RETRY_S)
                 else:
                     if name not in self._again:
-                        self.health.audited(name)
+                        self._health.audited(name)
                         return
-                finally:
-                    self.tried.add(name)
         finally:
             self._auditing.discard(name)
 
     def _is_offline(self, name: str) -> bool:
-        assert self.health is not None
-        return self.health.state(name) is DriveState.OFFLINE
+        return self._health.state(name) is DriveState.OFFLINE
 
     def _audit_failed(self, name: str, exc: LecombusError) -> None:
-        assert self.health is not None
         if name in self._entries:
-            self.health.audit_failed(name, str(exc))
+            self._health.audit_failed(name, str(exc))
         logger.info("drive=%s event=audit-failed reason=%s", name, exc)
 
-    async def _audit(self, entry: DriveEntry) -> None:
+    async def _contact(self, name: str, station: Station) -> None:
+        try:
+            await self._read(station, station.family.feed_code)
+        finally:
+            self.tried.add(name)
+
+    async def _audit(self, entry: DriveEntry, station: Station) -> None:
         """Find out what is at the other end and put its watchdog in order."""
-        station = self._requests.station(entry.name)
         family = station.family
-        await self._read(station, family.feed_code)
         for code in {rule.code for rule in family.stops.values() if rule.value is None}:
             await self._read(station, code)
-        if family.shortened is not None:
-            await self._learn_response(station)
+        if family.shortened_code is not None:
+            await self._learn_response(station, family.shortened_code)
         if family.watchdog is not None:
             await self._audit_watchdog(entry, station, family.watchdog)
 
-    async def _learn_response(self, station: Station) -> None:
+    async def _learn_response(self, station: Station, code: Code) -> None:
         """With shortened response time on, a drive is left alone after each write."""
-        shortened = station.family.shortened
-        assert shortened is not None
-        value = await self._read(station, shortened.code)
-        hold_s = station.family.hold_after_write_s if value.number == shortened.on else 0.0
+        shortened = (await self._read(station, code)).number == 1
+        hold_s = station.family.hold_after_write_s if shortened else 0.0
         if hold_s != station.hold_s:
             self._requests.replace_station(dataclasses.replace(station, hold_s=hold_s))
 
@@ -196,9 +203,9 @@ class Keeper:
                 "drive=%s event=watchdog-configure from=%s to=%s",
                 entry.name, describe(traits, found), describe(traits, target),
             )  # fmt: skip
-            await self._write(station, traits.time_code, target.time_s * 1000.0)
-            await self._write(station, traits.action_code, target.action)
-            found = await self._read_setting(station, traits)
+            proven = await self._write(station, traits.time_code, target.time_s * 1000.0)
+            proven &= await self._write(station, traits.action_code, target.action)
+            found = target if proven else await self._read_setting(station, traits)
         self._settle(entry.name, traits, found, target)
 
     def _settle(
@@ -238,7 +245,7 @@ class Keeper:
     async def _read(self, station: Station, code: Code) -> Value:
         return await self._requests.read(station, code, Priority.INTERACTIVE)
 
-    async def _write(self, station: Station, code: Code, value: float) -> None:
+    async def _write(self, station: Station, code: Code, value: float) -> bool:
         """Write and read back; what did not take shows when the setting is read again."""
         wire = Value.decimal(round(value))
         outcome, reason = await self._requests.write(station, code, wire, verify=True)
@@ -247,6 +254,7 @@ class Keeper:
                 "drive=%s code=%s event=watchdog-not-set value=%s outcome=%s reason=%s",
                 station.name, code, wire.raw, outcome, reason,
             )  # fmt: skip
+        return outcome is Outcome.VERIFIED
 
     def _feed(self, name: str, time_s: float) -> None:
         self._schedule.set_feeding(

@@ -14,7 +14,7 @@ from decimal import Decimal
 
 from .config import DriveEntry, GroupEntry
 from .drives import encode_for
-from .errors import CodeValueError, OperationError
+from .errors import CodeValueError, NakError, OperationError
 from .line.jobs import Station
 from .protocol.addressing import Code
 from .protocol.values import Value
@@ -115,7 +115,7 @@ class Operations:
         wire = self.permitted(drive, station, code, value)
         expires_at_s = None if expires_s is None else self._clock() + expires_s
         ending = self.submit_write(station, code, wire, expires_at_s, verify=verify)
-        return self.report(drive, code, *await ending.wait())
+        return self.report(drive, code, ending, *await ending.wait())
 
     def submit_write(
         self,
@@ -128,10 +128,10 @@ class Operations:
     ) -> Ending:
         """Put a permitted write into the line; its end is waited for by the caller."""
         ending = Ending()
-        request = self._requests.maker.write(
+        ending.request = self._requests.maker.write(
             station, code, wire, settle=ending.settle, verify=verify, expires_at_s=expires_at_s
         )
-        self._requests.worker.submit(request)
+        self._requests.worker.submit(ending.request)
         return ending
 
     # ---- checks -----------------------------------------------------------------------------
@@ -168,6 +168,35 @@ class Operations:
                 remedy="give a number, or the text as on the wire such as H0008",
             ) from exc
 
-    def report(self, drive: str, code: Code, outcome: Outcome, reason: str) -> WriteReport:
-        """Say what came of a write, with what is known of the code now."""
-        return WriteReport(drive, code, outcome, reason, self._store.reading(drive, code))
+    def report(
+        self, drive: str, code: Code, ending: Ending, outcome: Outcome, reason: str
+    ) -> WriteReport:
+        """Say what came of a write or a stop, with what is known of the code now."""
+        good = outcome in (Outcome.DONE, Outcome.VERIFIED)
+        kind = "" if good else kind_of(ending, outcome)
+        reading = self._store.reading(drive, code)
+        return WriteReport(
+            drive, code, outcome, reason, kind=kind, remedy=REMEDIES.get(kind, ""), reading=reading
+        )
+
+
+REMEDIES = {
+    "nak": "check that the code may be written now: inhibited, in range, the control source set "
+    "to LECOM",
+    "no-answer": "check the drive's supply and the wires, then read the code to see what it holds",
+    "not-in-effect": "the drive took the telegram but not the value: look at what it reads",
+    "line-lost": "the port is being reopened; ask again when the line is open",
+    "expired": "allow more time, or ask less of the line",
+}
+
+
+def kind_of(ending: Ending, outcome: Outcome) -> str:
+    """Give the stable word for why a write was not done."""
+    if outcome in (Outcome.EXPIRED, Outcome.SUPERSEDED):
+        return outcome.value
+    error = ending.error
+    if error is None:
+        return "not-in-effect" if ending.was_sent else "offline"
+    if isinstance(error, NakError):
+        return "nak"
+    return "line-lost" if "line was lost" in str(error) else "no-answer"

@@ -1,77 +1,79 @@
-"""What users are told of their writes and stops.
+"""How a write, a group write or a stop ended, as operations tell it and the faces show it.
 
-A write ends in exactly one outcome; a group's outcome is the worst of its members', because
-whoever reads only one word must not be told better than it is.
+Frozen snapshots without behaviour. They stand apart from `operations` because whoever shows them
+must not depend on how they came about, and apart from `schedule` because a report names the
+likely cause and what to do, which a schedule does not know.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
-from enum import StrEnum
+from typing import Literal
 
-from .protocol.addressing import Code
-from .readings import Reading
-from .schedule import Outcome
+from lecombus.protocol.addressing import Code
+from lecombus.readings import Reading
+from lecombus.schedule.request import Outcome
 
-__all__ = ["GroupReport", "How", "WriteReport", "group_report"]
+__all__ = ["GroupInfo", "GroupReport", "How", "WriteReport"]
 
-
-class How(StrEnum):
-    """How several drives were spoken to."""
-
-    MULTICAST = "multicast"
-    ONE_BY_ONE = "one-by-one"
+How = Literal["multicast", "one-by-one"]
 
 
 @dataclass(frozen=True, slots=True)
 class WriteReport:
-    """What came of one write.
+    """How one write to one drive ended.
 
     Args:
         drive: The drive's name.
         code: What was written.
-        outcome: How it ended.
-        reason: Why, in words; may be empty when it is done or verified.
-        reading: What is known of the code afterwards, if anything.
+        outcome: The one outcome it had.
+        reason: What happened, in words; empty when it was done.
+        cause: The likely cause, in words, such as "C0001 is not 3"; empty where none is known.
+        kind: A stable word for programs when it was not done, such as `nak`, `offline`,
+            `line-lost`, `no-answer`; the HTTP status follows from it.
+        remedy: What the user can do about it.
+        reading: What was read back, where it was.
     """
 
     drive: str
     code: Code
     outcome: Outcome
-    reason: str
+    reason: str = ""
+    cause: str = ""
+    kind: str = ""
+    remedy: str = ""
     reading: Reading | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class GroupReport:
-    """What came of a write or a stop to several drives.
+    """How a group write or a stop ended.
 
     Args:
-        target: The group's or the drive's name.
-        how: One telegram to all, or one to each.
-        outcome: The worst of the members' outcomes.
-        members: Each member's report, in the roster's order.
+        target: The group's name; for a stop also a drive's, or `all`.
+        how: One multicast telegram, or one write after another.
+        outcome: The outcome of the whole: the worst of its members'.
+        members: One report per drive.
+        reason: What happened to the whole, in words.
     """
 
     target: str
     how: How
     outcome: Outcome
     members: tuple[WriteReport, ...]
+    reason: str = ""
 
 
-_FROM_BEST = (
-    Outcome.VERIFIED,
-    Outcome.DONE,
-    Outcome.SUPERSEDED,
-    Outcome.EXPIRED,
-    Outcome.REFUSED,
-    Outcome.UNKNOWN,
-)
+@dataclass(frozen=True, slots=True)
+class GroupInfo:
+    """A group of the roster and how it is spoken to.
 
+    Args:
+        name: Its name.
+        members: Its drives.
+        multicast_address: The address one telegram reaches exactly these drives at, or None.
+    """
 
-def group_report(target: str, how: How, reports: Iterable[WriteReport]) -> GroupReport:
-    """Put the members' reports together."""
-    members = tuple(reports)
-    worst = max((one.outcome for one in members), key=_FROM_BEST.index)
-    return GroupReport(target, how, worst, members)
+    name: str
+    members: tuple[str, ...]
+    multicast_address: int | None

@@ -11,7 +11,7 @@ import asyncio
 from collections.abc import Callable
 
 from .errors import ExchangeError, OperationError
-from .line.jobs import ReadJob, Station, WriteJob
+from .line.jobs import ReadJob, Station
 from .line.worker import LineWorker
 from .protocol.addressing import Code
 from .protocol.values import Value
@@ -24,9 +24,10 @@ __all__ = ["Ending", "Requests"]
 class Ending:
     """Waits for the end of one request: give `settle` to the request, then await `wait`."""
 
-    __slots__ = ("_future",)
+    __slots__ = ("_future", "request")
 
     def __init__(self) -> None:
+        self.request: Request | None = None
         self._future: asyncio.Future[tuple[Outcome, str]] = (
             asyncio.get_running_loop().create_future()
         )
@@ -40,6 +41,18 @@ class Ending:
         """Return outcome and reason."""
         return await self._future
 
+    @property
+    def error(self) -> ExchangeError | None:
+        """What the last exchange of the request failed with, if it did."""
+        job = self.request.work if self.request is not None else None
+        return getattr(job, "error", None)
+
+    @property
+    def was_sent(self) -> bool:
+        """Whether any telegram of the request went out."""
+        job = self.request.work if self.request is not None else None
+        return getattr(job, "attempts", 0) > 0
+
 
 class Requests:
     """Sends requests to the drives of one line.
@@ -50,9 +63,7 @@ class Requests:
         clock: Monotonic time, seconds.
     """
 
-    def __init__(
-        self, worker: LineWorker, maker: RequestMaker, clock: Callable[[], float]
-    ) -> None:
+    def __init__(self, worker: LineWorker, maker: RequestMaker, clock: Callable[[], float]) -> None:
         self.worker = worker
         self.maker = maker
         self._clock = clock
@@ -128,30 +139,12 @@ class Requests:
             LineError: There is no line; nothing was sent.
             QueueFullError: Too many wait; nothing was sent.
         """
-        outcome, reason, _ = await self.write_job(
-            station, code, value, verify=verify, expires_at_s=expires_at_s
-        )
-        return outcome, reason
-
-    async def write_job(
-        self,
-        station: Station,
-        code: Code,
-        value: Value,
-        *,
-        verify: bool,
-        expires_at_s: float | None = None,
-    ) -> tuple[Outcome, str, ExchangeError | None]:
-        """As `write`, with the error the last exchange gave."""
         ending = Ending()
         request = self.maker.write(
             station, code, value, settle=ending.settle, verify=verify, expires_at_s=expires_at_s
         )
         self.worker.submit(request)
-        outcome, reason = await ending.wait()
-        job = request.work
-        assert isinstance(job, WriteJob)
-        return outcome, reason, job.error
+        return await ending.wait()
 
     def feed_maker(self, name: str) -> Callable[[], Request]:
         """Give the maker of the cheapest useful read of a drive."""

@@ -7,6 +7,7 @@ same numbers.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -31,10 +32,22 @@ class RequestMaker:
     Args:
         timing: Baud rate and latencies of the line.
         retries: How often a failed attempt is repeated.
+        count: Told of the end of every request.
     """
 
     timing: LineTiming
     retries: int
+    count: Callable[[Priority, Outcome], None]
+
+    def _counted(self, priority: Priority, settle: Settle) -> Settle:
+        """Count the end of a request, then tell whoever waits."""
+        count = self.count
+
+        def end(outcome: Outcome, reason: str) -> None:
+            count(priority, outcome)
+            settle(outcome, reason)
+
+        return end
 
     def read(
         self,
@@ -48,10 +61,13 @@ class RequestMaker:
         expires_at_s: float | None = None,
     ) -> Request:
         """Make a request that reads one code."""
-        cost = read_cost(self.timing, station.family, code, form_of(station, code))
+        cost = read_cost(
+            self.timing, station.family, code, form_of(station, code), station.answer_time_s
+        )
         job = ReadJob(station, code, self.retries if retries is None else retries, instead)
         return Request(
-            station.name, priority, cost.expected_s, cost.worst_s, settle, job,
+            station.name, priority, cost.expected_s, cost.worst_s,
+            self._counted(priority, settle), job,
             expires_at_s=expires_at_s,
         )  # fmt: skip
 
@@ -70,7 +86,9 @@ class RequestMaker:
         What moves the drive runs in the control class; a later setpoint for the same code takes
         the place of one that still waits.
         """
-        cost = write_cost(self.timing, station.family, code, value, form_of(station, code))
+        cost = write_cost(
+            self.timing, station.family, code, value, form_of(station, code), station.answer_time_s
+        )
         info = station.family.info(code)
         write_class = station.family.write_class(code, value)
         job = WriteJob(
@@ -78,12 +96,13 @@ class RequestMaker:
         )
         motion = info is not None and info.motion
         setpoint = motion and value.format == "VD" and not is_switch(station, code)
+        priority = Priority.CONTROL if motion else Priority.INTERACTIVE
         return Request(
             station.name,
-            Priority.CONTROL if motion else Priority.INTERACTIVE,
+            priority,
             cost.expected_s,
             cost.worst_s,
-            settle,
+            self._counted(priority, settle),
             job,
             expires_at_s=expires_at_s,
             supersedes=(station.name, code) if setpoint else None,
@@ -95,9 +114,12 @@ class RequestMaker:
     ) -> Request:
         """Make a request that stops one drive and proves it."""
         job = StopJob(station, action, word=word, retries=self.retries, said=said)
-        cost = read_cost(self.timing, station.family, job.step.code, form_of(station, job.step.code))
+        code = job.step.code
+        form = form_of(station, code)
+        cost = read_cost(self.timing, station.family, code, form, station.answer_time_s)
         return Request(
-            station.name, Priority.STOP, cost.expected_s, cost.worst_s, settle, job,
+            station.name, Priority.STOP, cost.expected_s, cost.worst_s,
+            self._counted(Priority.STOP, settle), job,
             stops=(station.name,),
         )  # fmt: skip
 
@@ -120,7 +142,7 @@ class RequestMaker:
         whole_s = wire_s + slowest_s + self.timing.adapter_latency_s
         job = MulticastJob(group, code, value, processing_s=slowest_s)
         return Request(
-            group.name, priority, whole_s, whole_s, settle, job,
+            group.name, priority, whole_s, whole_s, self._counted(priority, settle), job,
             stops=stops, members=tuple(one.name for one in members), expires_at_s=expires_at_s,
         )  # fmt: skip
 
@@ -130,17 +152,16 @@ class RequestMaker:
         Its code and form are chosen so that a late answer to it blocks nobody else's reads.
         """
         forms = tuple(reversed(station.forms))
-        quiet = Station(station.name, station.address, station.family, forms, station.hold_s)
+        quiet = dataclasses.replace(station, forms=forms)
         polled = {code for code, _ in station.family.status}
         rare = [code for code in station.family.identity if code not in polled]
         code = rare[0] if rare else station.family.feed_code
 
         def make() -> Request:
-            cost = read_cost(self.timing, quiet.family, code, forms[0])
+            cost = read_cost(self.timing, quiet.family, code, forms[0], quiet.answer_time_s)
             job = ReadJob(quiet, code, 0)
-            return Request(
-                quiet.name, Priority.CYCLIC, cost.expected_s, cost.worst_s, ignore_end, job
-            )
+            settle = self._counted(Priority.CYCLIC, ignore_end)
+            return Request(quiet.name, Priority.CYCLIC, cost.expected_s, cost.worst_s, settle, job)
 
         return make
 

@@ -227,6 +227,14 @@ class Store:
         if self._subscribers:
             self._publish(ValueChanged(drive, code))
 
+    def value_written(self, drive: str, code: Code) -> None:
+        """Take note that a code was written: what was read of it before is true no longer."""
+        cell = self._drives[drive].cells.get(code)
+        if cell is not None and cell.value is not None:
+            cell.failure = "written since it was last read"
+            if self._subscribers:
+                self._publish(ValueChanged(drive, code))
+
     def drive_state(self, drive: str, state: DriveState, reason: str = "") -> None:
         """Set how a drive is doing; `since` moves only when the state changes."""
         record = self._record(drive)
@@ -294,6 +302,18 @@ class Store:
         cyclic = [cell for cell in record.cells.values() if cell.every_s is not None]
         rest = [] if cyclic_only else [record.cells[code] for code in record.on_demand]
         return [self._judge(record, cell, now_s) for cell in cyclic + rest]
+
+    def codes(self, drive: str) -> tuple[Code, ...]:
+        """Return the codes something is known of, cyclic ones first.
+
+        For whoever wants many readings without holding up the loop: ask for them one by one.
+
+        Raises:
+            OperationError: `no-such-drive`.
+        """
+        record = self._record(drive)
+        cyclic = (code for code, cell in record.cells.items() if cell.every_s is not None)
+        return (*cyclic, *record.on_demand)
 
     def drive(self, drive: str) -> DriveInfo:
         """Return how a drive is doing.

@@ -26,6 +26,7 @@ from .words import FieldReading, WordInfo
 __all__ = ["AnswerTime", "CodeInfo", "Family", "PlainWhen", "WatchdogTraits", "WriteClass"]
 
 CONTROLLER_STATUS = "controller_status"
+SHORTENED_RESPONSE = Code(1921)
 
 
 class WriteClass(StrEnum):
@@ -164,6 +165,14 @@ class Family:
     words: Mapping[Code, WordInfo]
     answer_times: Mapping[int, AnswerTime]
     other_answer_time: AnswerTime
+
+    @property
+    def shortened_code(self) -> Code | None:
+        """The code that is 1 while the module acknowledges before it has passed a write on.
+
+        Source: EDB2102EN 6.3.2 (C1921).
+        """
+        return SHORTENED_RESPONSE if self.hold_after_write_s > 0.0 else None
 
     def info(self, code: Code) -> CodeInfo | None:
         """Give a code's description; None where there is none (it may be read all the same)."""

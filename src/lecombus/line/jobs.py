@@ -17,12 +17,19 @@ What must not live here: telegrams, time-outs, who goes first.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
-from ..drives import Family, WriteClass
+from ..drives import (
+    Family,
+    StopAction,
+    WriteClass,
+    confirm_codes,
+    needs_control_word,
+    stop_confirmed,
+    stop_value,
+)
 from ..errors import ExchangeError
 from ..protocol.addressing import Code, Form
 from ..protocol.exchange import Result, ResultKind
@@ -47,7 +54,7 @@ Verdict = tuple[Outcome, str] | None
 """How a request ended and why, or None when another step is wanted."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Station:
     """A drive as the line sees it.
 
@@ -58,6 +65,7 @@ class Station:
         forms: The addressing forms it is spoken to in, the preferred first.
         hold_s: How long it is left alone after a write, seconds: with shortened response time
             (C1921 = 1) the module acknowledges before it has passed the value on.
+        answer_time_s: The roster's word on how long it thinks, seconds; None: the family's.
     """
 
     name: str
@@ -65,6 +73,7 @@ class Station:
     family: Family
     forms: tuple[Form, ...]
     hold_s: float = 0.0
+    answer_time_s: float | None = None
 
 
 class StepKind(Enum):
@@ -148,8 +157,18 @@ class WriteJob:
     """
 
     __slots__ = (
-        "attempts", "code", "error", "proof", "retries", "station", "step", "value", "verify",
-        "write_class", "_acknowledged", "_proving",
+        "_acknowledged",
+        "_proving",
+        "attempts",
+        "code",
+        "error",
+        "proof",
+        "retries",
+        "station",
+        "step",
+        "value",
+        "verify",
+        "write_class",
     )  # fmt: skip
 
     def __init__(
@@ -205,7 +224,7 @@ class WriteJob:
             self.error = proving.error
             what = "acknowledged" if self._acknowledged else "not acknowledged"
             return Outcome.UNKNOWN, f"the write was {what} and could not be read back: {verdict[1]}"
-        if self.proof.number == self.value.number:
+        if self.proof.means_same(self.value):
             self.error = None
             return Outcome.VERIFIED, ""
         if self._acknowledged:
@@ -223,42 +242,52 @@ class WriteJob:
 class StopJob:
     """Stop one drive: say it until it is acknowledged, then read back whether it took effect.
 
+    A quick stop changes one bit of the control word. Where the word is not known it is read
+    first; where it cannot be read the drive is inhibited instead, because a guessed word could
+    start what was standing still.
+
     Args:
         station: The drive.
-        command: Gives code and value at the moment of sending, from the control word if known.
-        word_code: The control word to be read first, or None when nothing need be known.
-        confirmed: Says whether a value read back shows the stop.
+        action: How it shall stop.
+        word: Its control word as last read or written; None when not known.
         retries: How often a failed attempt is repeated.
         said: The stop was already said by a multicast; begin with reading back.
     """
 
     __slots__ = (
-        "attempts", "command", "confirmed", "error", "proof", "retries", "station", "step",
-        "word", "_checking", "_learning",
+        "_checking",
+        "_learning",
+        "action",
+        "attempts",
+        "error",
+        "proof",
+        "retries",
+        "station",
+        "step",
+        "word",
     )  # fmt: skip
 
     def __init__(
         self,
         station: Station,
-        command: Callable[[int | None], tuple[Code, Value]],
+        action: StopAction,
         *,
-        word_code: Code | None,
-        confirmed: Callable[[Code, Value], bool],
+        word: int | None,
         retries: int,
         said: bool = False,
     ) -> None:
         self.station = station
-        self.command = command
-        self.confirmed = confirmed
+        self.action = action
+        self.word = word
         self.retries = retries
         self.attempts = 0
-        self.word: int | None = None
         self.proof: Value | None = None
         self.error: ExchangeError | None = None
-        self._learning = word_code is not None and not said
         self._checking: ReadJob | None = None
-        if self._learning and word_code is not None:
-            self.step = Step(StepKind.READ, word_code)
+        needs_word = needs_control_word(station.family, action)
+        self._learning = needs_word and word is None and not said
+        if self._learning:
+            self.step = Step(StepKind.READ, station.family.stops[action].code)
         elif said:
             self._check()
         else:
@@ -266,6 +295,9 @@ class StopJob:
 
     def advance(self, result: Result) -> Verdict:
         """Go from learning the word to saying the stop, and on to its proof."""
+        if result.kind is ResultKind.LOST:
+            self.error = error_of(self.station, self.step, result, self.attempts + 1)
+            return Outcome.UNKNOWN, str(self.error)
         if self._checking is not None:
             return self._checked(self._checking, result)
         if self._learning:
@@ -274,30 +306,25 @@ class StopJob:
         if type(result.answer) is AckAnswer:
             return self._check()
         self.error = error_of(self.station, self.step, result, self.attempts)
-        if _is_lost(result):
-            return Outcome.UNKNOWN, str(self.error)
-        if self.attempts <= self.retries:
-            return None
-        return self._check()
+        return None if self.attempts <= self.retries else self._check()
 
     def _learnt(self, result: Result) -> Verdict:
-        """Use the word if it was read; without it the stop is said all the same."""
         self._learning = False
         answer = result.answer
         if type(answer) is ValueAnswer and isinstance(answer.value.number, int):
             self.word = answer.value.number
-        if _is_lost(result):
-            self.error = error_of(self.station, self.step, result, 1)
-            return Outcome.UNKNOWN, str(self.error)
+        else:
+            self.action = StopAction.INHIBIT
         return self._say()
 
     def _say(self) -> Verdict:
-        code, value = self.command(self.word)
+        self._checking = None
+        code, value = stop_value(self.station.family, self.action, self.word)
         self.step = Step(StepKind.WRITE, code, value)
         return None
 
     def _check(self) -> Verdict:
-        code = self.command(self.word)[0]
+        code = confirm_codes(self.station.family, self.action)[0]
         self._checking = ReadJob(self.station, code, self.retries)
         self.step = self._checking.step
         return None
@@ -306,18 +333,16 @@ class StopJob:
         verdict = checking.advance(result)
         if verdict is None:
             return None
-        self.proof = checking.value
-        if self.proof is not None and self.confirmed(checking.step.code, self.proof):
-            self.error = None
-            return Outcome.VERIFIED, ""
-        said_all = self.attempts > self.retries
-        if self.proof is not None and not said_all and not _is_lost(result):
-            self._checking = None
-            return self._say()
+        self.proof, code = checking.value, checking.step.code
         if self.proof is None:
             self.error = checking.error
-            return Outcome.UNKNOWN, f"the stop was said, but could not be read back: {verdict[1]}"
-        return Outcome.REFUSED, f"the stop was said, but the drive reads {self.proof.raw}"
+            return Outcome.UNKNOWN, f"{self.action} was said but not read back: {verdict[1]}"
+        if stop_confirmed(self.station.family, self.action, code, self.proof):
+            self.error = None
+            return Outcome.VERIFIED, f"{self.action}: {code} reads {self.proof.raw}"
+        if self.attempts <= self.retries:
+            return self._say()
+        return Outcome.REFUSED, f"{self.action} was said, but {code} reads {self.proof.raw}"
 
 
 class MulticastJob:
@@ -332,9 +357,7 @@ class MulticastJob:
 
     __slots__ = ("error", "processing_s", "station", "step")
 
-    def __init__(
-        self, station: Station, code: Code, value: Value, *, processing_s: float
-    ) -> None:
+    def __init__(self, station: Station, code: Code, value: Value, *, processing_s: float) -> None:
         self.station = station
         self.processing_s = processing_s
         self.step = Step(StepKind.MULTICAST, code, value)

@@ -111,7 +111,7 @@ class Questions:
         if question is None:
             if len(self._reads) >= MAX_CACHED:
                 self._reads.clear()
-            cost = read_cost(self._timing, station.family, code, form)
+            cost = read_cost(self._timing, station.family, code, form, station.answer_time_s)
             sent = self._on_the_wire(read_telegram(station.address, code, form))
             question = self._question(sent, encode_code(code, form), cost, 0.0)
             self._reads[key] = question
@@ -120,7 +120,9 @@ class Questions:
     def _write(self, station: Station, step: Step) -> Question:
         assert step.value is not None
         form = next(form for form in station.forms if step.code.knows(form))
-        cost = write_cost(self._timing, station.family, step.code, step.value, form)
+        cost = write_cost(
+            self._timing, station.family, step.code, step.value, form, station.answer_time_s
+        )
         telegram = write_telegram(station.address, step.code, step.value, form)
         return self._question(self._on_the_wire(telegram), ACK_FIELD, cost, station.hold_s)
 
@@ -132,9 +134,7 @@ class Questions:
         char_s = self._timing.char_s
         request_s = write_request_chars(form, len(step.value.raw)) * char_s
         whole_s = request_s + self._timing.adapter_latency_s + job.processing_s
-        ask = Ask(
-            self._on_the_wire(telegram), b"", request_s, whole_s, whole_s, self.gap_s, char_s
-        )
+        ask = Ask(self._on_the_wire(telegram), b"", request_s, whole_s, whole_s, self.gap_s, char_s)
         return Question(ask, 0.0, job.station.hold_s, request_s)
 
     def _question(self, sent: bytes, field: bytes, cost: Cost, hold_s: float) -> Question:

@@ -45,6 +45,10 @@ AFTER_OPEN_S = 0.05
 """Silence kept after opening a port: what an adapter had buffered comes out and is dropped."""
 
 
+LONGEST_REST_S = 1.0
+"""An idle worker looks round at least this often: that is its sign of life."""
+
+
 @dataclass(slots=True)
 class ExchangeReport:
     """One exchange that ended, for whoever keeps the books.
@@ -56,6 +60,7 @@ class ExchangeReport:
         priority: The class it ran in.
         waited_s: From the moment the schedule took the request to the telegram.
         quarantined_s: How long the line is left alone because of it.
+        members: For a multicast: the drives it reached.
     """
 
     drive: str
@@ -64,6 +69,7 @@ class ExchangeReport:
     priority: Priority
     waited_s: float
     quarantined_s: float
+    members: tuple[str, ...] = ()
 
 
 class Observer(Protocol):
@@ -125,6 +131,7 @@ class LineWorker:
         self.schedule = schedule
         self.options = options
         self.exchanges = 0
+        self.rests = 0
         self._observer = observer
         self._doubts = Doubts(options.late_answer_s if options.quarantine else 0.0)
         self._questions = Questions(timing, self._doubts)
@@ -238,6 +245,7 @@ class LineWorker:
         loop = asyncio.get_running_loop()
         if not await self._connection.open():
             self._observer.line_changed(False, self._connection.why_not())
+            self.rests += 1
             await self._nap_until(loop.time() + self._connection.backoff_s())
             return False
         port = self._connection.port
@@ -271,11 +279,18 @@ class LineWorker:
             if request is None:
                 self._publish()
                 self._stop_waiting = False
-                await self._nap_until(self.schedule.wake_at_s(now))
+                await self._rest(now)
                 continue
             if request.priority is not Priority.STOP:
                 self._stop_waiting = False
             await self._say(request, now)
+
+    async def _rest(self, now: float) -> None:
+        """Nothing is due: sleep, but not so long that a healthy idle line looks like a stuck one."""
+        self.rests += 1
+        wake_at = self.schedule.wake_at_s(now)
+        latest = now + LONGEST_REST_S
+        await self._nap_until(latest if wake_at is None else min(wake_at, latest))
 
     async def _stay_quiet(self, now: float) -> bool:
         """Keep the turnaround, and the quarantine unless a stop waits; True: ask again."""
@@ -341,7 +356,7 @@ class LineWorker:
         self._reports.append(
             ExchangeReport(
                 request.drive, job.step, result, request.priority,
-                result.started_s - request.submitted_at_s, quarantined_s,
+                result.started_s - request.submitted_at_s, quarantined_s, request.members,
             )
         )  # fmt: skip
         self.schedule.finished(request, result.started_s, ended + quarantined_s, answered)
@@ -414,4 +429,3 @@ class LineWorker:
 def _wake(nap: asyncio.Future[None]) -> None:
     if not nap.done():
         nap.set_result(None)
-

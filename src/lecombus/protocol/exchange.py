@@ -41,6 +41,7 @@ from .telegrams import (
     UnknownCodeAnswer,
     ValueAnswer,
 )
+from .timing import MAX_ANSWER_CHARS
 
 __all__ = ["ACK_FIELD", "Ask", "Exchange", "Result", "ResultKind"]
 
@@ -52,9 +53,6 @@ MAX_KEPT = 64
 
 EARLIEST_SHARE = 0.9
 """An answer may begin after this share of the request's wire time: UART clocks differ by 5 %."""
-
-LONGEST_ANSWER_CHARS = 252
-"""STX, an extended code field, a format letter, 240 characters, ETX and BCC, rounded up."""
 
 
 class ResultKind(StrEnum):
@@ -204,7 +202,7 @@ class Exchange:
         first = self._started_s + ask.first_byte_s
         if self._phase is not _Phase.ANSWER:
             return first
-        longest = self._started_s + ask.whole_s + LONGEST_ANSWER_CHARS * ask.char_s
+        longest = self._started_s + ask.whole_s + MAX_ANSWER_CHARS * ask.char_s
         return max(first, min(self._last_byte_s + ask.gap_s, longest))
 
     def expire(self, now_s: float) -> Result | None:
@@ -290,13 +288,13 @@ class Exchange:
         return False
 
     def _accept(self, answer: Answer, now_s: float) -> Result | None:
-        """End with the answer; an acknowledgement counts only when it stood alone.
+        """End with the answer, unless other bytes came with it.
 
-        A single byte is easily made by noise, so one inside other bytes proves nothing.
+        A single byte is easily made by noise, so an acknowledgement among others proves nothing;
+        and a value with bytes behind its BCC may be one whose middle was damaged into an ETX.
         """
-        lonely = not self._fault and not self._parser.tail
-        if self._ask.field == ACK_FIELD and not lonely:
-            self._reject(b"", "the acknowledgement came among other bytes")
+        if self._parser.tail or (self._fault and self._ask.field == ACK_FIELD):
+            self._reject(self._parser.tail, "bytes came with the answer that do not belong to it")
             return None
         if self.echo is None:
             self.echo = False

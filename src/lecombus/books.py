@@ -1,0 +1,128 @@
+"""Keeping the books of a line: what each exchange means for store, meters, health and words.
+
+The worker tells one observer what happened; this is it. It runs while the next drive is already
+thinking, and is the only place that knows everyone who wants to be told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from .health import Health
+from .line.jobs import StepKind
+from .line.worker import ExchangeReport
+from .metrics import Metrics
+from .protocol.exchange import ResultKind
+from .protocol.telegrams import AckAnswer, NakAnswer, UnknownCodeAnswer, ValueAnswer
+from .readings import LineState
+from .store import Store
+from .words import ControlWords
+
+__all__ = ["Books"]
+
+_OUTCOMES: Mapping[ResultKind, str] = {
+    ResultKind.SENT: "sent",
+    ResultKind.NO_REPLY: "no_reply",
+    ResultKind.GARBLED: "garbled",
+    ResultKind.ECHO: "echo",
+    ResultKind.LOST: "line_lost",
+}
+
+
+class Books:
+    """Tells store, meters, health and control words what happened on the line.
+
+    Args:
+        store: Values and states.
+        metrics: Counters.
+        health: Judges the drives.
+        words: Control words.
+        is_drive: Whether a name is a drive of the roster (it may have left it meanwhile).
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        metrics: Metrics,
+        health: Health,
+        words: ControlWords,
+        is_drive: Callable[[str], bool],
+    ) -> None:
+        self._store = store
+        self._metrics = metrics
+        self._health = health
+        self._words = words
+        self._is_drive = is_drive
+        self.line_was_open = False
+
+    def exchange_ended(self, report: ExchangeReport) -> None:
+        """Book one exchange."""
+        result = report.result
+        answer = result.answer
+        kind = report.step.kind
+        outcome = "answered" if answer is not None else _OUTCOMES[result.kind]
+        if kind is StepKind.MULTICAST:
+            if report.step.value is not None:
+                self._words.written(report.members, report.step.code, report.step.value)
+            for member in report.members:
+                if self._is_drive(member):
+                    self._store.value_written(member, report.step.code)
+        elif self._is_drive(report.drive):
+            if kind is StepKind.WRITE:
+                self._store.value_written(report.drive, report.step.code)
+            if type(answer) is ValueAnswer:
+                code = report.step.code
+                self._store.value_read(report.drive, code, answer.value, result.ended_s)
+                self._words.seen(report.drive, code, answer.value)
+            elif not (type(answer) is AckAnswer and kind is StepKind.WRITE):
+                outcome = self._book_failure(report, outcome)
+            elif report.step.value is not None:
+                self._words.seen(report.drive, report.step.code, report.step.value)
+            self._health.exchange_ended(report.drive, result.kind, result.fault)
+        else:
+            return
+        self._count(report, outcome)
+
+    def _book_failure(self, report: ExchangeReport, outcome: str) -> str:
+        """A read that brought nothing leaves the value bad; a refused write leaves it as it is."""
+        result = report.result
+        refused = type(result.answer) is NakAnswer or type(result.answer) is UnknownCodeAnswer
+        if report.step.kind is StepKind.READ:
+            reason = "the drive has no such code" if refused else result.fault or "bad answer"
+            self._store.value_failed(report.drive, report.step.code, reason)
+        return "refused" if refused else "unexpected" if outcome == "answered" else outcome
+
+    def _count(self, report: ExchangeReport, outcome: str) -> None:
+        result = report.result
+        took_s = result.ended_s - result.started_s
+        meters = self._metrics.meters
+        meters.exchange(
+            report.drive,
+            report.step.kind.value,
+            outcome,
+            took_s=took_s,
+            busy_s=took_s + report.quarantined_s,
+            priority=report.priority,
+            waited_s=report.waited_s,
+        )
+        if result.late:
+            meters.late_answers.inc(result.late)
+
+    def line_changed(self, up: bool, reason: str) -> None:
+        """The port was opened or lost."""
+        if up:
+            self._metrics.meters.port_opened()
+            self._store.line_state(LineState.OPEN, reason)
+            self._health.line_opened()
+        else:
+            self._store.line_state(LineState.LOST, reason)
+
+    def thinking(self, for_s: float) -> None:
+        """Use the time in which nothing can arrive for a page that was asked for."""
+        self._metrics.window(for_s)
+
+    def stray_bytes(self, data: bytes, late_answer: bool) -> None:
+        """Bytes came that nobody asked for."""
+        self._metrics.meters.stray_bytes.inc(len(data))
+        if late_answer:
+            self._metrics.meters.late_answers.inc()

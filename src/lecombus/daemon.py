@@ -1,0 +1,232 @@
+"""The daemon: builds everything of one line and runs it. Start reading here.
+
+Order of things. The roster is loaded before anything is opened. Then two task groups, one inside
+the other: outside the line (worker, keeper), inside the faces (API, signals, service manager). At
+the end the faces go first: no new requests, those under way end; then `on_shutdown` is said in
+the stop class while the line still runs; then the worker ends after its telegram, and the port is
+closed. An error in any task ends the daemon, which the service manager starts again: nothing here
+dies in silence.
+
+SIGTERM and SIGINT end it. SIGHUP reads the roster again, in a thread, and applies it or says what
+is wrong and keeps the old one.
+
+What must not live here: anything about drives, telegrams or HTTP beyond putting it together.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import anyio
+import anyio.lowlevel
+import anyio.to_thread
+
+from . import __version__
+from .api import create_app, serve
+from .config import Roster, RosterError, load_roster
+from .errors import LecombusError
+from .line.loop import run as run_loop
+from .simulated import opener_for
+from .site import Site
+from .systemd import Notifier
+
+__all__ = ["Daemon", "plain_errors", "run"]
+
+logger = logging.getLogger(__name__)
+
+SWITCH_INTERVAL_S = 0.001
+"""How long a thread (reloading a roster) may hold the interpreter while the line wants it."""
+
+SHUTDOWN_STOP_S = 5.0
+"""How long `on_shutdown` may take before the port is closed all the same."""
+
+TICK_S = 1.0
+
+
+def run(path: Path, *, log_format: str = "logfmt") -> int:
+    """Run the line of a roster until SIGTERM or SIGINT.
+
+    Args:
+        path: The roster's file.
+        log_format: How the log is written; it is set up by the caller.
+
+    Returns:
+        Exit status 0.
+
+    Raises:
+        RosterError: The roster is wrong; nothing was opened.
+        OperationError: The API cannot listen where the roster says.
+    """
+    roster = load_roster(path)
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    with plain_errors():
+        run_loop(Daemon(roster, path).main)
+    return 0
+
+
+@contextlib.contextmanager
+def plain_errors() -> Iterator[None]:
+    """Raise the error itself instead of the groups that task groups wrap round it.
+
+    Only what lecombus raises on purpose is taken out of its group: anything else is a mistake in
+    the program and keeps its whole trace.
+    """
+    try:
+        yield
+    except BaseExceptionGroup as group:
+        wanted, rest = group.split(LecombusError)
+        if wanted is None or rest is not None:
+            raise
+        error: BaseException = wanted
+        while isinstance(error, BaseExceptionGroup):
+            error = error.exceptions[0]
+        raise error from None
+
+
+class Daemon:
+    """One line with everything round it.
+
+    Args:
+        roster: The line and its drives.
+        path: Where the roster is read from again on SIGHUP; None: it is not.
+    """
+
+    def __init__(self, roster: Roster, path: Path | None) -> None:
+        self._roster = roster
+        self._path = path
+        self._notifier = Notifier()
+        self._end = anyio.Event()
+        self._ready = False
+        self._progress = (-1, -1)
+        self._progress_at_s = 0.0
+        self.site: Site | None = None
+
+    async def main(self) -> None:
+        """Run until told to end."""
+        clock = anyio.current_time
+        site = self.site = Site(self._roster, opener_for(self._roster), clock, time.time)
+        self._progress_at_s = clock()
+        logger.info(
+            "event=start version=%s line=%s drives=%d",
+            __version__, self._roster.line.name, len(self._roster.drives),
+        )  # fmt: skip
+        async with anyio.create_task_group() as line:
+            line.start_soon(site.keeper.run)
+            line.start_soon(site.worker.run)
+            async with anyio.create_task_group() as faces:
+                faces.start_soon(self._watch_signals)
+                faces.start_soon(self._tick, site)
+                await self._serve(faces, site)
+                await self._end.wait()
+                self._notifier.tell("STOPPING=1")
+                logger.info("event=stopping line=%s", self._roster.line.name)
+                faces.cancel_scope.cancel()
+            await self._say_goodbye(site)
+            site.worker.close()
+            line.cancel_scope.cancel()
+        logger.info("event=stopped line=%s", self._roster.line.name)
+
+    def end(self) -> None:
+        """End the daemon in good order."""
+        self._end.set()
+
+    async def _serve(self, faces: anyio.abc.TaskGroup, site: Site) -> None:
+        api = self._roster.api
+        app = create_app(
+            site.operations,
+            site.store,
+            site.metrics,
+            line_name=self._roster.line.name,
+            ready=self.ready,
+            healthy=self.healthy,
+            version=__version__,
+            clock=anyio.current_time,
+        )
+        http = None if api.http is None else (api.http.host, api.http.port)
+        served = await faces.start(serve, app, Path(api.socket), http)
+        logger.info("event=serving socket=%s http=%s", served.socket_path, served.http)
+
+    # ---- signals and the service manager ----------------------------------------------------
+
+    async def _watch_signals(self) -> None:
+        with anyio.open_signal_receiver(signal.SIGTERM, signal.SIGINT, signal.SIGHUP) as signals:
+            async for number in signals:
+                if number == signal.SIGHUP:
+                    await self._reload()
+                else:
+                    self.end()
+
+    async def _reload(self) -> None:
+        """Read the roster again; a wrong one changes nothing."""
+        if self._path is None or self.site is None:
+            return
+        self._notifier.tell("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
+        try:
+            roster = await anyio.to_thread.run_sync(load_roster, self._path)
+            self.site.apply(roster)
+        except RosterError as exc:
+            for mistake in exc.mistakes:
+                logger.error("event=reload-refused mistake=%s", mistake)
+        except LecombusError as exc:
+            logger.error("event=reload-refused mistake=%s", exc)
+        else:
+            self._roster = roster
+            logger.info("event=reloaded drives=%d", len(roster.drives))
+        finally:
+            self._notifier.tell("READY=1")
+
+    async def _tick(self, site: Site) -> None:
+        """Once a second: tell the service manager how we are, and the store how the cadence is."""
+        while True:
+            site.note_cadence()
+            if not self._ready and site.tried_all():
+                self._ready = True
+                self._notifier.tell("READY=1", f"STATUS=line {self._roster.line.name} is open")
+                logger.info("event=ready line=%s", self._roster.line.name)
+            if self.healthy()[0]:
+                self._notifier.tell("WATCHDOG=1")
+            await anyio.sleep(TICK_S if self._ready else TICK_S / 10.0)
+
+    def ready(self) -> tuple[bool, str]:
+        """Whether the line is open and every drive has been tried once."""
+        if self.site is None or not self.site.worker.is_open:
+            reason = self.site.store.line().reason if self.site is not None else ""
+            return False, f"the line is not open: {reason}"
+        if not self.site.tried_all():
+            return False, "not every drive has been tried yet"
+        return True, "the line is open and every drive has been tried"
+
+    def healthy(self) -> tuple[bool, str]:
+        """Whether the line task makes progress; systemd's watchdog hangs on this."""
+        if self.site is None:
+            return False, "not started"
+        now = anyio.current_time()
+        worker = self.site.worker
+        progress = (worker.exchanges, worker.rests)
+        if progress != self._progress:
+            self._progress, self._progress_at_s = progress, now
+        still_s = now - self._progress_at_s
+        if still_s > self.site.longest_exchange_s:
+            return False, f"the line task has made no progress for {still_s:.1f} s"
+        return True, f"{worker.exchanges} exchanges so far"
+
+    async def _say_goodbye(self, site: Site) -> None:
+        """Do to the drives what the roster wants done at the end."""
+        action = site.stop_action()
+        if action is None or not site.worker.is_open:
+            return
+        with anyio.move_on_after(SHUTDOWN_STOP_S) as scope:
+            try:
+                report = await site.operations.stop(action, "all")
+            except LecombusError as exc:
+                logger.error("event=shutdown-stop-failed action=%s reason=%s", action, exc)
+            else:
+                logger.info("event=shutdown-stop action=%s outcome=%s", action, report.outcome)
+        if scope.cancelled_caught:
+            logger.error("event=shutdown-stop-failed action=%s reason=too slow", action)

@@ -1,0 +1,123 @@
+"""What the demo shows: a table on a terminal, plain lines in a pipe.
+
+Only the store is read, as every other face does it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+from .config import Roster
+from .protocol.addressing import Code
+from .readings import Quality, Reading
+from .site import Site
+
+if TYPE_CHECKING:
+    from rich.live import Live
+    from rich.table import Table
+
+__all__ = ["View"]
+
+SHOWN = {"frequency": Code(50), "status word": Code(150)}
+
+
+class View:
+    """Shows a site again and again.
+
+    Args:
+        out: Where to.
+        roster: What is shown.
+        socket: The API's Unix socket, named in the headline.
+    """
+
+    def __init__(self, out: TextIO, roster: Roster, socket: Path) -> None:
+        self._out = out
+        self._headline = headline(roster, socket)
+        self._live: Live | None = None
+        self._said = ""
+        if out.isatty():
+            from rich.console import Console
+            from rich.live import Live
+
+            self._live = Live(console=Console(file=out), auto_refresh=False)
+            self._live.start()
+        else:
+            print(self._headline, file=out, flush=True)
+
+    def show(self, site: Site) -> None:
+        """Show what is known now."""
+        rows = [row(site, info.name) for info in site.store.drives()]
+        counts = f"{site.worker.exchanges} exchanges, {site.store.line().state.value}"
+        if self._live is not None:
+            self._live.update(table(f"{self._headline}\n{counts}", rows, self._said), refresh=True)
+            return
+        for cells in rows:
+            print("  ".join(f"{cell:<12}" for cell in cells).rstrip(), file=self._out)
+        print(f"-- {counts}", file=self._out, flush=True)
+
+    def say(self, text: str) -> None:
+        """Show something that went wrong."""
+        self._said = text
+        if self._live is None:
+            print(text, file=self._out, flush=True)
+
+    def close(self) -> None:
+        """Leave the terminal as it was."""
+        if self._live is not None:
+            self._live.stop()
+        print("all drives inhibited, port closed, good-bye", file=self._out, flush=True)
+
+
+def headline(roster: Roster, socket: Path) -> str:
+    """Say where the running demo can be reached."""
+    http = roster.api.http
+    return (
+        f"lecombus demo: {len(roster.drives)} simulated drives at {roster.line.baud} baud; "
+        f"Ctrl-C ends it\nmetrics: http://{http}/metrics   values: http://{http}/v1/drives\n"
+        f"commands: lecombus --socket {socket} status"
+    )
+
+
+def row(site: Site, name: str) -> list[str]:
+    """The cells of one drive."""
+    info = site.store.drive(name)
+    family = site.store.family(name)
+    readings = [site.store.reading(name, code) for code in SHOWN.values()]
+    frequency, word = readings
+    return [
+        name,
+        family.title,
+        info.state.value,
+        cell(frequency),
+        cell(word),
+        ", ".join(named_bits(site, name, word)),
+    ]
+
+
+def cell(reading: Reading | None) -> str:
+    """One value with its unit; what is not good is not shown as if it were."""
+    if reading is None or reading.value is None:
+        return "-"
+    text = f"{reading.value.raw} {reading.unit or ''}".strip()
+    return text if reading.quality is Quality.GOOD else f"({text}, {reading.quality.value})"
+
+
+def named_bits(site: Site, name: str, word: Reading | None) -> list[str]:
+    """The bits of the status word that are set and have a name."""
+    if word is None or word.value is None or not isinstance(word.value.number, int):
+        return []
+    bits = site.store.family(name).status_bits(word.code, word.value.number)
+    return [bit.replace("_", " ") for bit, is_set in bits.items() if is_set]
+
+
+def table(title: str, rows: list[list[str]], said: str) -> Table:
+    """Draw the rows for a terminal."""
+    from rich.table import Table
+
+    drawn = Table(title=title, caption=said or None, title_justify="left")
+    for head in ("drive", "family", "state", *SHOWN, "bits set"):
+        drawn.add_column(head)
+    for cells in rows:
+        drawn.add_row(*cells)
+    return drawn

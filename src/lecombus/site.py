@@ -1,0 +1,237 @@
+"""One line, put together: schedule, worker, store, health, keeper and operations of a roster.
+
+Nothing here talks to the world: the port's opener is handed in, so the same assembly runs over a
+serial device, over TCP, and in tests over a simulated line on a virtual clock. `apply` takes a
+roster, at the start and at every reload: drives that stayed the same keep their values, their
+place in the cadence and their watchdog's feeding.
+
+What must not live here: signals, sockets, HTTP (`daemon`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from . import __version__
+from .books import Books
+from .config import DriveEntry, Roster
+from .drives import LineTiming, StopAction, family
+from .errors import ConfigError
+from .group_operations import GroupOperations
+from .health import Health
+from .keeper import Keeper
+from .line.jobs import Station
+from .line.port import PortOpener, PortSettings
+from .line.worker import LineWorker, WorkerOptions
+from .metrics import Figures, Metrics
+from .requests import Requests
+from .schedule import Cyclic, Schedule
+from .stations import RequestMaker
+from .store import Store
+from .words import ControlWords
+
+__all__ = ["Site", "timing_of"]
+
+LATENCY_S = {"serial": 0.016, "socket": 0.050, "sim": 0.005}
+"""What stands between us and the wire: an FTDI's default latency timer, a device server's."""
+
+LEAST_QUARANTINE_S = 0.03
+"""Silence after a failed exchange, besides twice the adapter's latency."""
+
+SAID_FROM = 1.05
+"""A cadence stretched by less than this is not worth a remark."""
+
+STUCK_S = 5.0
+"""Far longer than any exchange: the longest time-out at 1200 baud is about 4 s."""
+
+ECHO = {"auto": None, "yes": True, "no": False}
+
+
+def timing_of(roster: Roster) -> LineTiming:
+    """The times a roster's line is reckoned with."""
+    line = roster.line
+    kind = line.port.partition(":")[0] if ":" in line.port else "serial"
+    latency_s = line.adapter_latency_s
+    if latency_s is None:
+        latency_s = LATENCY_S.get(kind, LATENCY_S["serial"])
+    return LineTiming(
+        line.baud,
+        turnaround_s=line.turnaround_s,
+        adapter_latency_s=latency_s,
+        quarantine_s=LEAST_QUARANTINE_S + 2.0 * latency_s,
+    )
+
+
+class Site:
+    """Everything that runs one line.
+
+    Args:
+        roster: The line and its drives.
+        opener: Opens the port.
+        clock: Monotonic time, the event loop's, seconds.
+        wall: The time of day, Unix seconds.
+        options: How the line is worked; None: by the roster.
+        timing: The line's times; None: by the roster.
+    """
+
+    def __init__(
+        self,
+        roster: Roster,
+        opener: PortOpener,
+        clock: Callable[[], float],
+        wall: Callable[[], float],
+        *,
+        options: WorkerOptions | None = None,
+        timing: LineTiming | None = None,
+    ) -> None:
+        line = roster.line
+        self.roster = roster
+        self._clock = clock
+        self.store = Store(clock, wall)
+        self.metrics = Metrics(
+            line.name, self.store, version=__version__, clock=clock, figures=self._figures
+        )
+        self.schedule = Schedule(absent_share=line.absent_share)
+        self.words = ControlWords()
+        timing = timing or timing_of(roster)
+        maker = RequestMaker(timing, line.retries, self.metrics.meters.request_ended)
+        self.health = Health(self.schedule, self.store, self._wants_audit, clock)
+        books = Books(self.store, self.metrics, self.health, self.words, self._has_drive)
+        self.worker = LineWorker(
+            PortSettings(line.port, line.baud, line.direction, line.parity, line.name),
+            opener,
+            self.schedule,
+            timing,
+            options or options_of(roster),
+            books,
+        )
+        self.requests = Requests(self.worker, maker, clock)
+        self.keeper = Keeper(self.requests, self.schedule, self.store, clock, self.health)
+        self.operations = GroupOperations(self.requests, self.store, self.words, clock)
+        self._cyclic: dict[str, list[object]] = {}
+        self._entries: dict[str, DriveEntry] = {}
+        self.apply(roster)
+
+    def apply(self, roster: Roster) -> None:
+        """Take a roster's drives and groups; drives that did not change are left alone.
+
+        Raises:
+            ConfigError: The line itself differs: that needs a restart. Nothing was changed.
+        """
+        if roster.line != self.roster.line or roster.api != self.roster.api:
+            raise ConfigError(
+                "the sections `line` and `api` cannot change while lecombus runs: restart it, or "
+                "put them back; the old roster is kept",
+                file=roster.file,
+            )
+        wanted = {entry.name: entry for entry in roster.drives}
+        for name, entry in list(self._entries.items()):
+            if wanted.get(name) != entry:
+                self._remove_drive(name, kept=name in wanted)
+        for entry in roster.drives:
+            if entry.name not in self._entries:
+                self._add_drive(entry)
+        for name in set(self.roster.groups) - set(roster.groups):
+            self.metrics.meters.remove(name)
+        for name in roster.groups:
+            self.metrics.meters.add_group(name)
+        self.operations.set_roster(roster.drives, roster.groups)
+        self.roster = roster
+        self.worker.nudge()
+
+    def tried_all(self) -> bool:
+        """Whether the line is open and every drive has been tried once since the start."""
+        return self.worker.is_open and self.keeper.tried >= set(self._entries)
+
+    def note_cadence(self) -> None:
+        """Tell the store how far the cyclic cadence is stretched, and users if it is."""
+        stretch = self.schedule.stats(self._clock()).stretch
+        self.store.set_stretch(stretch)
+        text = None
+        if stretch > SAID_FROM:
+            text = (
+                f"the line cannot hold the cyclic reads asked for: every period is {stretch:.2f} "
+                "times as long; ask for fewer, more seldom, or at a higher baud rate"
+            )
+        self.store.note_line("cadence", text)
+
+    @property
+    def longest_exchange_s(self) -> float:
+        """A line task without progress for this long is stuck, seconds."""
+        return STUCK_S
+
+    def stop_action(self) -> StopAction | None:
+        """What the roster wants done to all drives at the end."""
+        wanted = self.roster.on_shutdown
+        return None if wanted == "nothing" else StopAction(wanted)
+
+    def _add_drive(self, entry: DriveEntry) -> None:
+        kind = family(entry.family)
+        station = Station(
+            entry.name, entry.address, kind, entry.forms, answer_time_s=entry.answer_time_s
+        )
+        now = self._clock()
+        self._entries[entry.name] = entry
+        self.store.add_drive(entry.name, entry.address, kind)
+        self.metrics.meters.add_drive(entry.name)
+        self.requests.add_station(station)
+        self.schedule.add_drive(entry.name)
+        self.health.add_drive(entry.name, self.requests.maker.probe(station))
+        for rule in kind.stops.values():
+            if rule.value is None:
+                self.words.watch(entry.name, rule.code)
+        self._cyclic[entry.name] = []
+        for one in entry.cyclic:
+            self.store.expect(entry.name, one.code, one.every_s)
+            make = self.requests.cyclic_maker(entry.name, one.code)
+            handle = self.schedule.add_cyclic(Cyclic(entry.name, one.every_s, make), now)
+            self._cyclic[entry.name].append(handle)
+        self.keeper.add_drive(entry)
+        if self.worker.is_open:
+            self.keeper.audit_soon(entry.name)
+
+    def _remove_drive(self, name: str, *, kept: bool) -> None:
+        """Take a drive out; `kept`: it comes back at once with other settings."""
+        entry = self._entries.pop(name)
+        self.keeper.remove_drive(name)
+        self.health.remove_drive(name)
+        self._cyclic.pop(name)
+        self.schedule.remove_drive(name, self._clock(), f"{name} was taken out of the roster")
+        self.requests.remove_station(name)
+        self.words.forget(name)
+        for one in entry.cyclic:
+            self.store.expect(name, one.code, None)
+        if not kept:
+            self.store.remove_drive(name)
+            self.metrics.meters.remove(name)
+
+    def _has_drive(self, name: str) -> bool:
+        return name in self._entries
+
+    def _wants_audit(self, name: str) -> None:
+        self.words.forget(name)
+        self.keeper.audit_soon(name)
+
+    def _figures(self) -> Figures:
+        now = self._clock()
+        stats = self.schedule.stats(now)
+        self.store.set_stretch(stats.stretch)
+        feeds = {name: feed for name, feed in stats.feeds.items() if not feed.paused}
+        return Figures(
+            stats.depth,
+            stats.stretch,
+            stats.cyclic_late_most_s,
+            {name: feed.time_s - feed.age_s for name, feed in feeds.items()},
+            {name: feed.lapses for name, feed in stats.feeds.items()},
+        )
+
+
+def options_of(roster: Roster) -> WorkerOptions:
+    """How a roster wants its line worked."""
+    line = roster.line
+    return WorkerOptions(
+        turnaround_s=line.turnaround_s,
+        late_answer_s=line.late_answer_s,
+        stall_s=line.stall_s,
+        echo=ECHO[line.echo],
+    )
