@@ -6,6 +6,7 @@ import asyncio
 import os
 import resource
 import statistics
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -53,6 +54,12 @@ def test_waiting_for_a_timer_does_not_spin(loop: asyncio.AbstractEventLoop) -> N
     loop.run_until_complete(asyncio.sleep(0.3))
     after = resource.getrusage(resource.RUSAGE_SELF)
     assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 0.1
+
+
+def test_timers_below_a_millisecond_do_not_spin(loop: asyncio.AbstractEventLoop) -> None:
+    began, used = time.monotonic(), time.process_time()
+    loop.run_until_complete(_lateness(0.0009, 300))
+    assert time.process_time() - used < 0.5 * (time.monotonic() - began)
 
 
 @pytest.mark.parametrize("timeout", [None, 0.0005, 0.002, 0.004, 5.0])

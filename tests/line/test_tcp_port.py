@@ -340,6 +340,20 @@ def test_host_and_port_are_taken_apart() -> None:
     assert host_and_port("socket://[fe80::1]:23") == ("fe80::1", 23)
 
 
+def test_a_connection_that_ends_while_it_is_made_is_a_failed_opening_and_no_loss() -> None:
+    async def main() -> list[Exception | None]:
+        recorder = Recorder()
+        port = TcpPort(recorder, PortSettings("socket://server:4001"))
+        port.data_received(b"Port already in use")
+        port.connection_lost(ConnectionResetError(104, "Connection reset by peer"))
+        with pytest.raises(LineLostError, match="reset by peer"):
+            port.begin()
+        assert recorder.data == b""
+        return recorder.losses
+
+    assert run(main) == []
+
+
 def test_cancelling_an_opening_leaves_no_connection(server: Server) -> None:
     async def main() -> None:
         with anyio.move_on_after(0) as scope:

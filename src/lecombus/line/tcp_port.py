@@ -35,9 +35,6 @@ _KEEPALIVE_PROBES = 3
 _UNACKNOWLEDGED_MS = 5000
 """How long bytes may go without an acknowledgement."""
 
-_BACKLOG = 4096
-"""Bytes that may wait here for a server that takes none; a telegram has at most 250."""
-
 _READ_SIZE = 65536
 
 
@@ -53,7 +50,8 @@ class TcpPort(asyncio.Protocol):
         self._receiver = receiver
         self._settings = settings
         self._transport: asyncio.Transport | None = None
-        self._why = ""
+        self._silent = True
+        self._why = "the device server ended the connection; is another client connected to it?"
         self._peer = ""
         self.carries_parity = settings.parity == "line"
 
@@ -76,9 +74,19 @@ class TcpPort(asyncio.Protocol):
 
     def abort(self) -> None:
         """Close at once; see `Port.abort`."""
-        transport, self._transport = self._transport, None
-        if transport is not None:
-            transport.abort()
+        self._silent = True
+        if self._transport is not None:
+            self._transport.abort()
+
+    def begin(self) -> None:
+        """Start telling the receiver; what came before was an answer to nothing.
+
+        Raises:
+            LineLostError: The connection ended while it was being made.
+        """
+        if self._transport is None:
+            raise self._error(self._why)
+        self._silent = False
 
     def describe(self) -> str:
         """Say where this leads, such as `socket://server:4001 (192.0.2.7:4001), raw 8N1`."""
@@ -88,14 +96,13 @@ class TcpPort(asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Take over the connection; called by the loop."""
         self._transport = cast("asyncio.Transport", transport)
-        self._transport.set_write_buffer_limits(high=_BACKLOG)
         host, port, *_ = transport.get_extra_info("peername")
         self._peer = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
         _watch(transport.get_extra_info("socket"))
 
     def data_received(self, data: bytes) -> None:
         """Give bytes on; called by the loop."""
-        if self._transport is not None:
+        if not self._silent:
             self._receiver.received(data)
 
     def pause_writing(self) -> None:
@@ -106,11 +113,11 @@ class TcpPort(asyncio.Protocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Tell the receiver, unless it was us who ended it; called once by the loop."""
-        if self._transport is None:
-            return
         self._transport = None
-        ended = "the device server ended the connection; is another client connected to it?"
-        self._receiver.lost(self._error(self._why or (_reason(exc) if exc else ended)))
+        if exc is not None:
+            self._why = _reason(exc)
+        if not self._silent:
+            self._receiver.lost(self._error(self._why))
 
     def _error(self, why: str) -> LineLostError:
         return LineLostError(f"{self._settings.url}: {why}", line=self._settings.line)
@@ -150,8 +157,8 @@ async def open_tcp(settings: PortSettings, receiver: Receiver) -> TcpPort:
         with anyio.fail_after(CONNECT_TIMEOUT_S):
             await loop.create_connection(lambda: port, host, number)
     except (OSError, ValueError) as exc:  # a time-out is an OSError
-        port.abort()
         raise LineLostError(_why_not_open(settings.url, exc), line=settings.line) from exc
+    port.begin()
     return port
 
 
