@@ -212,6 +212,13 @@ def test_cyclic_readings_leave_out_what_was_asked_for_once(store: Store, clocks:
     assert len(store.readings("feeder")) == 2
 
 
+def test_codes_are_listed_like_readings(store: Store, clocks: Clocks) -> None:
+    store.value_read("feeder", STATUS, Value.parse("H0001"), clocks.now_s)
+    store.expect("feeder", FREQUENCY, 0.5)
+    assert store.codes("feeder") == (FREQUENCY, STATUS)
+    assert [one.code for one in store.readings("feeder")] == [FREQUENCY, STATUS]
+
+
 def test_an_unknown_drive_is_refused_with_the_nearest_name(store: Store) -> None:
     with pytest.raises(OperationError) as caught:
         store.reading("feedr", FREQUENCY)

@@ -66,7 +66,7 @@ class Hall:
     def samples(self, name: str) -> dict[tuple[str, ...], float]:
         """Return the samples of one name by the values of their labels but the line's."""
         found: dict[tuple[str, ...], float] = {}
-        for metric in parse_text(self.render()):  # type: ignore[no-untyped-call]
+        for metric in parse_text(self.render()):
             for sample in metric.samples:
                 if sample.name == f"lecombus_{name}":
                     labels = dict(sample.labels)
@@ -245,7 +245,7 @@ def full_hall() -> Hall:
 
 def test_both_formats_say_the_same_to_prometheus_own_parsers() -> None:
     hall = full_hall()
-    text = families(parse_text(hall.render()))  # type: ignore[no-untyped-call]
+    text = families(parse_text(hall.render()))
     page = hall.metrics.page(openmetrics=True).decode()
     openmetrics = families(parse_openmetrics(page))  # type: ignore[no-untyped-call]
     assert text == openmetrics

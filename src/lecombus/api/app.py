@@ -1,0 +1,398 @@
+"""The HTTP application: which path does what, and what every answer is written from.
+
+Strategy: FastAPI routes requests and describes them (`/openapi.json`, made once at the start);
+answers are plain responses written straight from the store, and lists give others their turn
+between drives, so that no request holds up the loop for long. Whatever fails becomes a problem
+document in one place. A client that goes away cuts nothing: its request runs to its end.
+
+What must not live here: sockets (`server`), checks of bodies (`bodies`), what a write means.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import Counter
+from collections.abc import AsyncIterator, Callable
+from typing import Annotated, Any, Final
+
+import anyio.lowlevel
+from fastapi import FastAPI, Header, Query
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import Response
+
+from lecombus.api.bodies import StopBody, WriteBody, check_query, read_body
+from lecombus.api.documents import (
+    DriveDocument,
+    DrivesDocument,
+    GroupOutcomeDocument,
+    GroupsDocument,
+    LineDocument,
+    OutcomeDocument,
+    ProblemDocument,
+    ReadingDocument,
+    StatusDocument,
+    problem_responses,
+)
+from lecombus.api.exact import encode
+from lecombus.api.idempotency import Idempotency, fingerprint
+from lecombus.api.problems import Problem, ProblemError, group_problem, problem_of, report_problem
+from lecombus.api.seam import OperationsPort
+from lecombus.errors import CodeValueError, LecombusError
+from lecombus.metrics import OPENMETRICS_TYPE, TEXT_TYPE, Metrics, wants_openmetrics
+from lecombus.protocol.addressing import Code
+from lecombus.readings import DriveInfo, Json
+from lecombus.reports import GroupInfo, GroupReport, WriteReport
+from lecombus.store import Store
+
+__all__ = ["Check", "create_app"]
+
+Check = Callable[[], tuple[bool, str]]
+"""Says whether something is so, and what is or is missing."""
+
+VALUES_AT_ONCE: Final = 16
+"""Values written before others get their turn: about a tenth of a millisecond."""
+
+JSON_TYPE: Final = "application/json"
+
+REFUSALS: Final = (403, 404, 409, 413, 422, 502, 503, 504)
+"""What a write or a stop can end in besides 200."""
+
+Key = Annotated[
+    str | None,
+    Header(alias="Idempotency-Key", description="Makes a repeat safe; a new one per request"),
+]
+
+
+def create_app(
+    ops: OperationsPort,
+    store: Store,
+    metrics: Metrics,
+    *,
+    line_name: str,
+    ready: Check,
+    healthy: Check,
+    version: str = "",
+    clock: Callable[[], float] = time.monotonic,
+) -> FastAPI:
+    """Return the application of one line.
+
+    Args:
+        ops: What is done on the line.
+        store: What is known.
+        metrics: The metrics page.
+        line_name: The line's name.
+        ready: Whether the line is open and every drive was tried once.
+        healthy: Whether the line task makes progress.
+        version: lecombus' version, for the OpenAPI document.
+        clock: A monotonic clock for idempotency keys, seconds.
+    """
+    app = FastAPI(
+        title="lecombus",
+        version=version or "0",
+        openapi_url=None,
+        docs_url=None,
+        redoc_url=None,
+        redirect_slashes=False,
+    )
+    answer_errors_with_problems(app)
+    add_known(app, store, line_name, ops)
+    keys = Idempotency(clock)
+    add_reads(app, ops, store)
+    add_writes(app, ops, keys)
+    add_group_writes(app, ops, keys)
+    add_service(app, metrics, ready, healthy)
+    add_description(app)
+    return app
+
+
+def add_known(app: FastAPI, store: Store, line_name: str, ops: OperationsPort) -> None:
+    """Add what is known now: line, drives, drive, groups."""
+
+    @app.get("/v1/line", **described(LineDocument, 422))
+    async def line(request: Request) -> Response:
+        """The line: its state, and how many drives are in which state."""
+        check_query(request)
+        states = Counter(info.state.value for info in store.drives())
+        return json_response({"line": line_name, **store.line().as_json(), "drives": {**states}})
+
+    @app.get("/v1/drives", **described(DrivesDocument, 422))
+    async def drives(request: Request) -> Response:
+        """Every drive with its state and every value known, with age and quality."""
+        check_query(request)
+        texts = [await drive_text(store, info) for info in store.drives()]
+        return text_response('{"drives": [' + ", ".join(texts) + "]}")
+
+    @app.get("/v1/drives/{drive}", **described(DriveDocument, 404, 422))
+    async def one_drive(request: Request, drive: str) -> Response:
+        """One drive with its state and every value known, with age and quality."""
+        check_query(request)
+        return text_response(await drive_text(store, store.drive(drive)))
+
+    @app.get("/v1/groups", **described(GroupsDocument, 422))
+    async def groups(request: Request) -> Response:
+        """Every group, its members and whether it is spoken to by multicast."""
+        check_query(request)
+        return json_response({"groups": [group_json(one) for one in ops.groups()]})
+
+
+def add_reads(app: FastAPI, ops: OperationsPort, store: Store) -> None:
+    """Add the reads of codes."""
+    told = described(ReadingDocument, 404, 409, 422, 502, 503, 504)
+
+    @app.get("/v1/drives/{drive}/codes/{code}", **told)
+    @app.get("/v1/drives/{drive}/codes/{code}/{subcode}", **told)
+    async def read_code(
+        request: Request,
+        drive: str,
+        code: str,
+        subcode: str = "",
+        fresh: Annotated[bool, Query(description="Read it now")] = False,
+    ) -> Response:
+        """A value from the store, or read now."""
+        check_query(request, ("fresh",))
+        wanted = code_of(code, subcode)
+        if fresh:
+            return json_response((await ops.read(drive, wanted)).as_json())
+        reading = store.reading(drive, wanted) or store.unread(drive, wanted)
+        return json_response(reading.as_json())
+
+
+def add_writes(app: FastAPI, ops: OperationsPort, keys: Idempotency) -> None:
+    """Add the writes of codes."""
+    told = described(OutcomeDocument, *REFUSALS, body=WriteBody)
+
+    @app.put("/v1/drives/{drive}/codes/{code}", **told)
+    @app.put("/v1/drives/{drive}/codes/{code}/{subcode}", **told)
+    async def write_code(
+        request: Request, drive: str, code: str, subcode: str = "", key: Key = None
+    ) -> Response:
+        """A write; answers when its outcome is known."""
+        check_query(request)
+        wanted = code_of(code, subcode)
+        body, raw = await read_body(request, WriteBody)
+
+        async def act() -> Response:
+            report = await ops.write(
+                drive, wanted, body.value, expires_s=body.expires_s, verify=body.verify
+            )
+            problem = report_problem(report)
+            return problem.response() if problem else json_response(report_json(report))
+
+        return await keys.run(key, content_of(request, raw), act)
+
+
+def add_group_writes(app: FastAPI, ops: OperationsPort, keys: Idempotency) -> None:
+    """Add the writes to groups, and stop."""
+    told = described(GroupOutcomeDocument, *REFUSALS, body=WriteBody)
+
+    @app.put("/v1/groups/{group}/codes/{code}", **told)
+    @app.put("/v1/groups/{group}/codes/{code}/{subcode}", **told)
+    async def write_group(
+        request: Request, group: str, code: str, subcode: str = "", key: Key = None
+    ) -> Response:
+        """A write to every member of a group, with an outcome per member."""
+        check_query(request)
+        wanted = code_of(code, subcode)
+        body, raw = await read_body(request, WriteBody)
+
+        async def act() -> Response:
+            return group_response(
+                await ops.write_group(
+                    group, wanted, body.value, expires_s=body.expires_s, verify=body.verify
+                )
+            )
+
+        return await keys.run(key, content_of(request, raw), act)
+
+    @app.post("/v1/stop", **described(GroupOutcomeDocument, *REFUSALS, body=StopBody))
+    async def stop(request: Request, key: Key = None) -> Response:
+        """Stop a drive, a group or all, before everything else on the line."""
+        check_query(request)
+        body, raw = await read_body(request, StopBody)
+
+        async def act() -> Response:
+            return group_response(await ops.stop(body.action, body.target))
+
+        return await keys.run(key, content_of(request, raw), act)
+
+
+def add_service(app: FastAPI, metrics: Metrics, ready: Check, healthy: Check) -> None:
+    """Add what supervisors ask: metrics, health, readiness."""
+
+    @app.get("/metrics", include_in_schema=False)
+    async def page(request: Request) -> Response:
+        """The metrics page, in the format the scraper likes."""
+        openmetrics = wants_openmetrics(request.headers.get("accept", ""))
+        text = await metrics.fresh_page(openmetrics=openmetrics)
+        return Response(text, media_type=OPENMETRICS_TYPE if openmetrics else TEXT_TYPE)
+
+    @app.get("/healthz", **described(StatusDocument, 503))
+    async def healthz() -> Response:
+        """Whether the daemon works: 503 when the line task makes no progress."""
+        return status_response("unhealthy", healthy())
+
+    @app.get("/readyz", **described(StatusDocument, 503))
+    async def readyz() -> Response:
+        """Whether the line is open and every drive was tried once."""
+        return status_response("not-ready", ready())
+
+
+def add_description(app: FastAPI) -> None:
+    """Add `/openapi.json`, made once: making it takes many milliseconds."""
+    described_app = app.openapi()
+    schemas = described_app["components"]["schemas"]
+    schemas[ProblemDocument.__name__] = ProblemDocument.model_json_schema()
+    for name in ("HTTPValidationError", "ValidationError"):
+        schemas.pop(name, None)
+    text = json.dumps(described_app).encode()
+
+    @app.get("/openapi.json", include_in_schema=False)
+    async def openapi() -> Response:
+        """The description of this interface."""
+        return Response(text, media_type=JSON_TYPE)
+
+
+def answer_errors_with_problems(app: FastAPI) -> None:
+    """Make a problem document of whatever goes wrong."""
+
+    @app.exception_handler(LecombusError)
+    async def known(request: Request, exc: LecombusError) -> Response:
+        place = request.path_params
+        code = "/".join(place[part] for part in ("code", "subcode") if place.get(part))
+        return problem_of(exc, drive=place.get("drive", ""), code=code).response()
+
+    @app.exception_handler(RequestValidationError)
+    async def not_understood(request: Request, exc: RequestValidationError) -> Response:
+        mistakes = "; ".join(f"{one['loc'][-1]}: {one['msg']}" for one in exc.errors())
+        return Problem("bad-request", mistakes, remedy="see /openapi.json").response()
+
+    @app.exception_handler(HTTPException)
+    async def not_routed(request: Request, exc: HTTPException) -> Response:
+        path = request.url.path
+        if exc.status_code == 405:
+            detail = f"{request.method} is not possible on {path}"
+            return Problem("wrong-method", detail, headers=exc.headers or {}).response()
+        return Problem(
+            "no-such-path", f"there is nothing at {path}", remedy="paths stand in /openapi.json"
+        ).response()
+
+    @app.exception_handler(Exception)
+    async def mistake(request: Request, exc: Exception) -> Response:
+        return Problem(
+            "internal",
+            f"{type(exc).__name__} while answering {request.url.path}",
+            remedy="this is a mistake in lecombus: please report it with the daemon's log",
+        ).response()
+
+
+def described(
+    model: type[Any], *problems: int, body: type[WriteBody | StopBody] | None = None
+) -> dict[str, Any]:
+    """Return what the OpenAPI document is told about an operation."""
+    found: dict[str, Any] = {
+        "response_model": None,
+        "response_class": Response,
+        "responses": {200: {"model": model}, **problem_responses(*problems)},
+    }
+    if body is not None:
+        content = {JSON_TYPE: {"schema": body.model_json_schema()}}
+        found["openapi_extra"] = {"requestBody": {"required": True, "content": content}}
+    return found
+
+
+async def drive_text(store: Store, info: DriveInfo) -> str:
+    """Return a drive with its values as JSON text, letting others run now and then."""
+    texts = [text async for text in value_texts(store, info.name)]
+    return encode(info.as_json())[:-1] + ', "values": [' + ", ".join(texts) + "]}"
+
+
+async def value_texts(store: Store, drive: str) -> AsyncIterator[str]:
+    """Yield every value of a drive as JSON text."""
+    for number, code in enumerate(store.codes(drive)):
+        if number % VALUES_AT_ONCE == 0:
+            await anyio.lowlevel.checkpoint()
+        reading = store.reading(drive, code)
+        if reading is not None:
+            yield encode(reading.as_json())
+
+
+def code_of(code: str, subcode: str) -> Code:
+    """Return the code a path names.
+
+    Raises:
+        ProblemError: It names none; 404, because no drive has it.
+    """
+    text = f"{code}/{subcode}" if subcode else code
+    try:
+        return Code.parse(text)
+    except CodeValueError as exc:
+        raise ProblemError(
+            Problem("no-such-code", str(exc), code=text, remedy="write C0150 or C0039/1")
+        ) from exc
+
+
+def content_of(request: Request, body: bytes) -> bytes:
+    """Return what tells this request from another with the same key."""
+    return fingerprint(request.method.encode(), request.url.path.encode(), body)
+
+
+def group_json(group: GroupInfo) -> dict[str, Json]:
+    """Return a group's JSON form."""
+    return {
+        "group": group.name,
+        "members": list(group.members),
+        "how": "one-by-one" if group.multicast_address is None else "multicast",
+        "multicast_address": group.multicast_address,
+    }
+
+
+def report_json(report: WriteReport) -> dict[str, Json]:
+    """Return a write's JSON form."""
+    return {
+        "drive": report.drive,
+        "code": f"C{report.code.number:04d}",
+        "subcode": report.code.subcode,
+        "outcome": report.outcome.value,
+        "reason": report.reason or None,
+        "cause": report.cause or None,
+        "remedy": report.remedy or None,
+        "reading": None if report.reading is None else report.reading.as_json(),
+    }
+
+
+def group_response(report: GroupReport) -> Response:
+    """Return the answer to a group write or a stop."""
+    members: list[Json] = [report_json(one) for one in report.members]
+    problem = group_problem(report, members)
+    if problem is not None:
+        return problem.response()
+    return json_response(
+        {
+            "target": report.target,
+            "how": report.how,
+            "outcome": report.outcome.value,
+            "reason": report.reason or None,
+            "members": members,
+        }
+    )
+
+
+def status_response(kind: str, check: tuple[bool, str]) -> Response:
+    """Return health or readiness."""
+    good, detail = check
+    if good:
+        return json_response({"status": "ok", "detail": detail})
+    return Problem(kind, detail).response()
+
+
+def json_response(document: Json) -> Response:
+    """Return a document."""
+    return text_response(encode(document))
+
+
+def text_response(text: str) -> Response:
+    """Return JSON text; no cache may keep it, its age counts from now."""
+    return Response(text, headers={"Cache-Control": "no-store"}, media_type=JSON_TYPE)

@@ -1,0 +1,227 @@
+"""What a client may send: bodies and query parameters, checked as strictly as a roster.
+
+Strategy: the JSON is read exactly (`exact`), then held against a strict pydantic model, and every
+mistake is told in one go with what would be right. A misspelt key is an error with the nearest
+key, never ignored: `?fersh=true` must not quietly give a stored value.
+
+What must not live here: what is done with a request.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from decimal import Decimal
+from difflib import get_close_matches
+from typing import Annotated, Final, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema, field_validator
+from starlette.requests import ClientDisconnect, Request
+
+from lecombus.api.exact import NotJsonError, decode
+from lecombus.api.problems import Problem, ProblemError
+from lecombus.drives import StopAction
+
+__all__ = ["BODY_LIMIT", "StopBody", "WriteBody", "check_query", "read_body"]
+
+BODY_LIMIT: Final = 64 * 1024
+
+TEXT_LIMIT: Final = 250
+"""A little more than the longest value (241 characters), so that its own error can speak."""
+
+EXPONENT_LIMIT: Final = 30
+"""A number such as 1E+999999 is a few bytes here and a megabyte once written out."""
+
+DURATION: Final = re.compile(r"([0-9]+(?:\.[0-9]+)?)\s*(ms|s|min)")
+UNIT_S: Final = {"ms": Decimal("0.001"), "s": Decimal(1), "min": Decimal(60)}
+LONGEST_EXPIRY_S: Final = 3600
+
+RIGHT: Final[Mapping[str, str]] = {
+    "value": 'a number such as 35.4 or a text such as "H0008"',
+    "expires": 'a duration such as "2s", "500ms" or a number of seconds, over 0 and up to 1 h',
+    "verify": "true or false",
+    "action": '"quick-stop" or "inhibit"',
+    "target": 'the name of a drive or a group, or "all"',
+}
+"""What each key takes, for messages."""
+
+Number = Annotated[
+    int | Decimal | str,
+    Field(union_mode="left_to_right"),
+    WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "string"}]}),
+]
+
+
+class Body(BaseModel):
+    """The common rules: nothing converted, nothing ignored."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+class WriteBody(Body):
+    """What to write, how long it may wait, and whether to read it back."""
+
+    value: Annotated[Number, Field(description=RIGHT["value"])]
+    expires: Annotated[
+        Number | None,
+        Field(description=f"Not sent any more after this: {RIGHT['expires']}"),
+    ] = None
+    verify: Annotated[bool, Field(description="Read the value back and compare")] = False
+
+    @field_validator("value")
+    @classmethod
+    def sendable(cls, value: int | Decimal | str) -> int | Decimal | str:
+        """Refuse numbers and texts no telegram could ever carry."""
+        if isinstance(value, str):
+            fits = 0 < len(value) <= TEXT_LIMIT
+        else:
+            fits = abs(Decimal(value).adjusted()) <= EXPONENT_LIMIT
+        if not fits:
+            raise ValueError(RIGHT["value"])
+        return value
+
+    @field_validator("expires")
+    @classmethod
+    def bounded(cls, value: int | Decimal | str | None) -> int | Decimal | str | None:
+        """Refuse durations out of range."""
+        if value is not None and not 0 < seconds_of(value) <= LONGEST_EXPIRY_S:
+            raise ValueError(RIGHT["expires"])
+        return value
+
+    @property
+    def expires_s(self) -> float | None:
+        """How long the write may wait, seconds."""
+        return None if self.expires is None else float(seconds_of(self.expires))
+
+
+class StopBody(Body):
+    """How to stop, and what."""
+
+    action: Annotated[
+        StopAction,
+        Field(strict=False, description=RIGHT["action"]),
+        WithJsonSchema({"type": "string", "enum": [one.value for one in StopAction]}),
+    ]
+    target: Annotated[str, Field(min_length=1, max_length=200, description=RIGHT["target"])]
+
+
+def seconds_of(value: int | Decimal | str) -> Decimal:
+    """Return a duration in seconds.
+
+    Raises:
+        ValueError: It is not one; pydantic makes a mistake of it.
+    """
+    if not isinstance(value, str):
+        return Decimal(value)
+    match = DURATION.fullmatch(value.strip())
+    if match is None:
+        raise ValueError(RIGHT["expires"])
+    return Decimal(match[1]) * UNIT_S[match[2]]
+
+
+B = TypeVar("B", bound=Body)
+
+
+async def read_body(request: Request, model: type[B]) -> tuple[B, bytes]:
+    """Return a request's body, checked, and its bytes.
+
+    Raises:
+        ProblemError: It is too big, not JSON, or not what is asked for.
+    """
+    raw = await bounded_bytes(request)
+    try:
+        given = decode(raw)
+    except NotJsonError as exc:
+        raise refusal(f"the body is not JSON: {exc}", f"send {example(model)}") from exc
+    if not isinstance(given, dict):
+        raise refusal("the body is not a JSON object", f"send {example(model)}")
+    try:
+        return model.model_validate(given), raw
+    except ValidationError as exc:
+        mistakes = list(dict.fromkeys(mistake_text(one, given, model) for one in exc.errors()))
+        raise refusal("; ".join(mistakes), f"send {example(model)}") from exc
+
+
+async def bounded_bytes(request: Request) -> bytes:
+    """Return the body, reading no more than `BODY_LIMIT`.
+
+    Raises:
+        ProblemError: It is longer, or the client went away before it was complete.
+    """
+    parts = bytearray()
+    try:
+        async for part in request.stream():
+            parts += part
+            if len(parts) > BODY_LIMIT:
+                raise ProblemError(
+                    Problem(
+                        "too-big",
+                        f"the body is longer than {BODY_LIMIT} bytes",
+                        remedy="a write is one value; send it alone",
+                        headers={"Connection": "close"},
+                    )
+                )
+    except ClientDisconnect as exc:
+        raise refusal("the client went away before its request was complete", "") from exc
+    return bytes(parts)
+
+
+def check_query(request: Request, allowed: Iterable[str] = ()) -> None:
+    """Refuse query parameters that nobody reads, and those given twice.
+
+    Raises:
+        ProblemError: There is one; the nearest right one is named.
+    """
+    if not request.scope["query_string"]:
+        return
+    known = tuple(allowed)
+    seen: set[str] = set()
+    for key, _ in request.query_params.multi_items():
+        if key not in known:
+            raise refusal(f"there is no query parameter {key}", nearest(key, known))
+        if key in seen:
+            raise refusal(f"query parameter {key} stands twice", "give it once")
+        seen.add(key)
+
+
+def nearest(word: str, known: tuple[str, ...]) -> str:
+    """Return a remedy for a misspelt word."""
+    near = get_close_matches(word, known, n=1, cutoff=0.5)
+    if near:
+        return f"did you mean {near[0]}?"
+    return f"known are: {', '.join(known)}" if known else "none is known here"
+
+
+def mistake_text(error: Mapping[str, object], given: Mapping[str, object], model: type[B]) -> str:
+    """Return one mistake pydantic found, as a person would say it."""
+    place = error["loc"]
+    key = str(place[0]) if isinstance(place, tuple) and place else ""
+    if error["type"] == "extra_forbidden":
+        return f"there is no key {key}: {nearest(key, tuple(model.model_fields))}"
+    if error["type"] == "missing":
+        return f"key {key} is missing: it takes {RIGHT[key]}"
+    return f"{key} takes {RIGHT[key]}, not {shown(given.get(key))}"
+
+
+def shown(value: object) -> str:
+    """Return a wrong value as it can stand in a message, cut short."""
+    if isinstance(value, dict):
+        return "an object"
+    if isinstance(value, list):
+        return "an array"
+    if isinstance(value, bool) or value is None:
+        return {True: "true", False: "false", None: "null"}[value]
+    text = str(value)
+    return repr(text if len(text) <= 40 else f"{text[:37]}...")
+
+
+def example(model: type[Body]) -> str:
+    """Return a right body, for messages."""
+    if model is StopBody:
+        return '{"action": "quick-stop", "target": "all"}'
+    return '{"value": 35.4, "expires": "2s", "verify": true}'
+
+
+def refusal(detail: str, remedy: str) -> ProblemError:
+    """Return the error for a request that cannot be understood."""
+    return ProblemError(Problem("bad-request", detail, remedy=remedy))

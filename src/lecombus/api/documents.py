@@ -1,0 +1,167 @@
+"""What the answers look like, for the OpenAPI document only.
+
+The answers themselves are written straight from the store (`exact`), because walking every value
+through a model costs more than everything else about a stored read. So that the two cannot drift
+apart, the tests hold real answers against these models.
+
+What must not live here: anything a request passes through.
+"""
+
+from __future__ import annotations
+
+from decimal import Decimal
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema
+
+from lecombus.api.problems import PROBLEM_TYPE, STATUS_BY_KIND
+
+__all__ = [
+    "DriveDocument",
+    "DrivesDocument",
+    "GroupOutcomeDocument",
+    "GroupsDocument",
+    "LineDocument",
+    "OutcomeDocument",
+    "ProblemDocument",
+    "ReadingDocument",
+    "StatusDocument",
+    "problem_responses",
+]
+
+Exact = Annotated[Decimal, WithJsonSchema({"type": "number"})]
+Scalar = Annotated[
+    int | Decimal | str | None,
+    WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "string"}, {"type": "null"}]}),
+]
+
+
+class Document(BaseModel):
+    """The common rules."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+class ReadingDocument(Document):
+    """One value with its age and quality."""
+
+    drive: str
+    code: Annotated[str, Field(examples=["C0046"])]
+    subcode: int
+    name: Annotated[str, Field(description="Empty where no description knows the code")]
+    value: Annotated[Scalar, Field(description="Decimals exactly, words as integers, bytes as hex")]
+    raw: Annotated[str | None, Field(description="As on the wire, with its format letter")]
+    format: Annotated[str | None, Field(description="VD, VH, VS or VO")]
+    unit: str | None
+    quality: Annotated[str, Field(description="good, stale or bad")]
+    reason: Annotated[str | None, Field(description="Why it is not good")]
+    time: Annotated[str | None, Field(description="When it was read, RFC 3339")]
+    age_s: Exact | None
+
+
+class DriveDocument(Document):
+    """One drive with everything known of it."""
+
+    drive: str
+    address: int
+    family: str
+    state: Annotated[str, Field(description="starting, online, degraded or offline")]
+    reason: str | None
+    since: str
+    remarks: dict[str, str]
+    values: list[ReadingDocument]
+
+
+class DrivesDocument(Document):
+    """Every drive."""
+
+    drives: list[DriveDocument]
+
+
+class LineDocument(Document):
+    """The line."""
+
+    line: str
+    state: Annotated[str, Field(description="closed, open or lost")]
+    reason: str | None
+    since: str
+    stretch: Annotated[Exact, Field(description="1 when every cyclic read keeps its period")]
+    remarks: dict[str, str]
+    drives: Annotated[dict[str, int], Field(description="How many drives are in each state")]
+
+
+class GroupDocument(Document):
+    """One group of the roster."""
+
+    group: str
+    members: list[str]
+    how: Annotated[str, Field(description="multicast or one-by-one")]
+    multicast_address: int | None
+
+
+class GroupsDocument(Document):
+    """Every group."""
+
+    groups: list[GroupDocument]
+
+
+class OutcomeDocument(Document):
+    """How one write ended."""
+
+    drive: str
+    code: str
+    subcode: int
+    outcome: Annotated[
+        str, Field(description="done, verified, refused, expired, superseded or unknown")
+    ]
+    reason: str | None
+    cause: str | None
+    remedy: str | None
+    reading: Annotated[ReadingDocument | None, Field(description="What was read back")]
+
+
+class GroupOutcomeDocument(Document):
+    """How a group write or a stop ended."""
+
+    target: str
+    how: str
+    outcome: str
+    reason: str | None
+    members: list[OutcomeDocument]
+
+
+class ProblemDocument(BaseModel):
+    """A problem document (RFC 9457); group problems also carry `target`, `how` and `members`."""
+
+    type: Annotated[str, Field(examples=["urn:lecombus:problem:no-answer"])]
+    title: str
+    status: int
+    detail: str
+    drive: str | None
+    code: str | None
+    cause: str | None
+    remedy: str | None
+    outcome: str | None
+
+
+class StatusDocument(Document):
+    """Health or readiness."""
+
+    status: str
+    detail: str
+
+
+def problem_responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """Return what the OpenAPI document says of the given error statuses."""
+    schema = {"$ref": "#/components/schemas/ProblemDocument"}
+    return {
+        status: {
+            "description": ", ".join(
+                f"{title} ({kind})"
+                for kind, (its_status, title) in STATUS_BY_KIND.items()
+                if its_status == status
+            ),
+            "content": {PROBLEM_TYPE: {"schema": schema}},
+        }
+        for status in statuses
+    }

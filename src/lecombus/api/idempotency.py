@@ -1,0 +1,147 @@
+"""Repeats made safe: `Idempotency-Key` gives a repeated request the result of the first.
+
+Strategy: the first request with a key runs; others with the same key and the same content wait
+for its end if need be and are given the same response; the same key with other content is
+refused. Only requests that were carried out are remembered, whatever their outcome: when nothing
+was sent at all (queue full, line lost, not understood), the same key may be tried again.
+
+Memory is bounded: `KEY_LIMIT` keys for `KEEP_S` seconds, the oldest finished one going first.
+What must not live here: what a request does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from hashlib import sha256
+from typing import Final
+
+import anyio
+from starlette.responses import Response
+
+from lecombus.api.problems import Problem, ProblemError
+
+__all__ = ["KEEP_S", "KEY_LIMIT", "Idempotency", "fingerprint"]
+
+KEY_LIMIT: Final = 1000
+KEEP_S: Final = 600.0
+KEY_CHARS: Final = 255
+
+
+@dataclass(slots=True, eq=False)
+class Entry:
+    """One key: what it was used for, and the response once there is one."""
+
+    content: bytes
+    begun_s: float
+    ended: anyio.Event = field(default_factory=anyio.Event)
+    response: Response | None = None
+
+
+class Idempotency:
+    """The keys used lately.
+
+    Args:
+        clock: A monotonic clock, seconds.
+    """
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._entries: dict[str, Entry] = {}
+
+    def __len__(self) -> int:
+        """Return how many keys are remembered."""
+        return len(self._entries)
+
+    async def run(
+        self, key: str | None, content: bytes, act: Callable[[], Awaitable[Response]]
+    ) -> Response:
+        """Do something once per key.
+
+        Args:
+            key: The client's key; None does it without remembering.
+            content: What the request is (`fingerprint`).
+            act: Does it; what it raises is not remembered.
+
+        Raises:
+            ProblemError: The key was used for something else, is malformed, or too many are in use.
+        """
+        if key is None:
+            return await act()
+        check_key(key)
+        while (entry := self._entries.get(key)) is not None and self._is_current(entry):
+            if entry.content != content:
+                raise reused(key)
+            await entry.ended.wait()
+            if entry.response is not None:
+                return entry.response
+        return await self._first(key, content, act)
+
+    async def _first(
+        self, key: str, content: bytes, act: Callable[[], Awaitable[Response]]
+    ) -> Response:
+        self._entries.pop(key, None)  # so that keys stand in the order of their age
+        self._make_room()
+        entry = self._entries[key] = Entry(content, self._clock())
+        try:
+            entry.response = await act()
+            return entry.response
+        finally:
+            if entry.response is None and self._entries.get(key) is entry:
+                del self._entries[key]
+            entry.ended.set()
+
+    def _is_current(self, entry: Entry) -> bool:
+        return not entry.ended.is_set() or self._clock() - entry.begun_s < KEEP_S
+
+    def _make_room(self) -> None:
+        """Drop what is too old, and the oldest finished keys while there are too many."""
+        for key, entry in list(self._entries.items()):
+            if self._is_current(entry):
+                break
+            del self._entries[key]
+        if len(self._entries) < KEY_LIMIT:
+            return
+        for key, entry in self._entries.items():
+            if entry.ended.is_set():
+                del self._entries[key]
+                return
+        raise ProblemError(
+            Problem("queue-full", f"{KEY_LIMIT} requests with a key are under way already")
+        )
+
+
+def fingerprint(*parts: bytes) -> bytes:
+    """Return what tells one request's content from another's."""
+    digest = sha256()
+    for part in parts:
+        digest.update(len(part).to_bytes(8, "big"))
+        digest.update(part)
+    return digest.digest()
+
+
+def check_key(key: str) -> None:
+    """Refuse keys that are empty or too long to keep.
+
+    Raises:
+        ProblemError: It is one of these.
+    """
+    if not 0 < len(key) <= KEY_CHARS:
+        raise ProblemError(
+            Problem(
+                "bad-request",
+                f"Idempotency-Key has {len(key)} characters, 1 to {KEY_CHARS} are taken",
+                remedy="send a UUID",
+            )
+        )
+
+
+def reused(key: str) -> ProblemError:
+    """Return the error for a key that was used for another request."""
+    return ProblemError(
+        Problem(
+            "key-reused",
+            f"Idempotency-Key {key} was used for another request before",
+            remedy="make a new key for every new request",
+        )
+    )

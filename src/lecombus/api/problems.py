@@ -1,0 +1,263 @@
+"""Problem documents (RFC 9457): what every refusal and failure looks like over HTTP.
+
+Strategy: whatever goes wrong becomes one `Problem`, made in one of two ways: `problem_of` from an
+error of lecombus' tree, `report_problem` from a write that ended in anything but `done` or
+`verified`. The status follows from the problem's kind by one table, and the OpenAPI document
+shows the same table.
+
+==== ==================================================================================
+403  not writable, or a write over TCP
+404  no such drive, group, code or path
+405  wrong method
+409  refused by the drive (NAK), or superseded by a later request or a stop
+413  the body is too big
+421  the request names a host that is not this machine
+422  the request cannot be understood, or the value cannot be sent
+500  a mistake in lecombus
+502  the answer was garbled or belonged to something else
+503  never sent: line lost or closed, queue full, expired while waiting (`Retry-After` where
+     asking again makes sense)
+504  no answer, drive offline, or unknown: it may have happened
+==== ==================================================================================
+
+What must not live here: HTTP routing, and deciding what went wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+from starlette.responses import Response
+
+from lecombus.api.exact import encode
+from lecombus.errors import (
+    CodeValueError,
+    ExchangeError,
+    LecombusError,
+    LineClosedError,
+    LineError,
+    NakError,
+    NoReplyError,
+    OperationError,
+    QueueFullError,
+    RefusedError,
+    ScheduleError,
+    UnknownCodeError,
+)
+from lecombus.readings import Json
+from lecombus.reports import GroupReport, WriteReport
+from lecombus.schedule.request import Outcome
+
+__all__ = [
+    "PROBLEM_TYPE",
+    "STATUS_BY_KIND",
+    "Problem",
+    "ProblemError",
+    "group_problem",
+    "problem_of",
+    "report_problem",
+]
+
+PROBLEM_TYPE: Final = "application/problem+json"
+
+STATUS_BY_KIND: Final[Mapping[str, tuple[int, str]]] = {
+    "read-only": (403, "Only reads are answered here"),
+    "not-writable": (403, "Not writable"),
+    "not-permitted": (403, "Not permitted"),
+    "no-such-drive": (404, "No such drive"),
+    "no-such-group": (404, "No such group"),
+    "no-such-code": (404, "No such code"),
+    "no-such-path": (404, "No such path"),
+    "wrong-method": (405, "Method not allowed"),
+    "nak": (409, "Refused by the drive"),
+    "refused": (409, "Refused"),
+    "superseded": (409, "Superseded"),
+    "no-stop": (409, "No such stop for this drive"),
+    "no-control-word": (409, "Control word not known"),
+    "too-big": (413, "Body too big"),
+    "foreign-host": (421, "Wrong host"),
+    "bad-request": (422, "Request not understood"),
+    "bad-value": (422, "Value cannot be sent"),
+    "key-reused": (422, "Idempotency-Key used for another request"),
+    "internal": (500, "Mistake in lecombus"),
+    "garbled": (502, "Answer not usable"),
+    "line-lost": (503, "Line lost"),
+    "line-closed": (503, "Line closed"),
+    "queue-full": (503, "Queue full"),
+    "expired": (503, "Expired before it was sent"),
+    "not-ready": (503, "Not ready"),
+    "unhealthy": (503, "Not healthy"),
+    "no-answer": (504, "No answer"),
+    "offline": (504, "Drive offline"),
+    "unknown": (504, "Outcome unknown"),
+}
+"""Kind of a problem: HTTP status and title. A kind not listed is a refusal, 409."""
+
+RETRY_AFTER_S: Final[Mapping[str, int]] = {"line-lost": 1, "queue-full": 1, "not-ready": 1}
+
+KIND_BY_OUTCOME: Final[Mapping[Outcome, str]] = {
+    Outcome.REFUSED: "refused",
+    Outcome.EXPIRED: "expired",
+    Outcome.SUPERSEDED: "superseded",
+    Outcome.UNKNOWN: "unknown",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One problem document.
+
+    Args:
+        kind: A stable word for programs; the last part of `type`.
+        detail: What happened, for people.
+        drive: The drive concerned.
+        code: The code concerned, as text.
+        cause: The likely cause.
+        remedy: What to do about it.
+        outcome: For a write: its outcome.
+        more: Further members, such as a group's.
+        headers: HTTP headers besides the media type.
+    """
+
+    kind: str
+    detail: str
+    drive: str = ""
+    code: str = ""
+    cause: str = ""
+    remedy: str = ""
+    outcome: str = ""
+    more: Mapping[str, Json] = field(default_factory=dict)
+    headers: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def status(self) -> int:
+        """The HTTP status."""
+        return STATUS_BY_KIND.get(self.kind, (409, ""))[0]
+
+    def as_json(self) -> dict[str, Json]:
+        """Return the document; members without content are null, so that all are always there."""
+        title = STATUS_BY_KIND.get(self.kind, (409, "Refused"))[1]
+        return {
+            "type": f"urn:lecombus:problem:{self.kind}",
+            "title": title,
+            "status": self.status,
+            "detail": self.detail,
+            "drive": self.drive or None,
+            "code": self.code or None,
+            "cause": self.cause or None,
+            "remedy": self.remedy or None,
+            "outcome": self.outcome or None,
+            **self.more,
+        }
+
+    def response(self) -> Response:
+        """Return the HTTP response."""
+        headers = dict(self.headers)
+        if self.kind in RETRY_AFTER_S:
+            headers["Retry-After"] = str(RETRY_AFTER_S[self.kind])
+        return Response(encode(self.as_json()), self.status, headers, PROBLEM_TYPE)
+
+
+class ProblemError(LecombusError):
+    """A request that cannot be served; carries its problem document."""
+
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(problem.detail)
+        self.problem = problem
+
+
+def problem_of(error: LecombusError, *, drive: str = "", code: str = "") -> Problem:
+    """Return the problem document of an error.
+
+    Args:
+        error: What was raised.
+        drive: The drive asked for, where the error does not name one.
+        code: The code asked for, where the error does not name one.
+    """
+    if isinstance(error, ProblemError):
+        return error.problem
+    if isinstance(error, OperationError):
+        return Problem(
+            error.kind,
+            str(error),
+            drive=error.drive or drive,
+            code=error.code or code,
+            remedy=error.remedy,
+        )
+    remedy = REMEDIES.get(kind_of(error), "")
+    return Problem(kind_of(error), str(error), drive=drive, code=code, remedy=remedy)
+
+
+REMEDIES: Final[Mapping[str, str]] = {
+    "no-answer": "see the drive's state in /v1/drives; check power, address, baud rate and wiring",
+    "garbled": "check wiring, termination and shielding; other masters on the line",
+    "line-lost": "the port is being reopened; see /v1/line, then ask again",
+    "line-closed": "the daemon is shutting down; ask again once it runs",
+    "queue-full": "ask less often, or wait for answers before asking again",
+    "expired": "allow more time, or ask for less at once",
+}
+
+
+def kind_of(error: LecombusError) -> str:
+    """Return the kind of an error that does not carry one."""
+    for cls, kind in KINDS:
+        if isinstance(error, cls):
+            return kind
+    return "internal"
+
+
+KINDS: Final[tuple[tuple[type[LecombusError], str], ...]] = (
+    (CodeValueError, "bad-value"),
+    (UnknownCodeError, "no-such-code"),
+    (NakError, "nak"),
+    (NoReplyError, "no-answer"),
+    (RefusedError, "refused"),
+    (ExchangeError, "garbled"),
+    (LineClosedError, "line-closed"),
+    (LineError, "line-lost"),
+    (QueueFullError, "queue-full"),
+    (ScheduleError, "expired"),
+)
+"""The first that fits counts: subclasses stand before their parents."""
+
+
+def report_problem(report: WriteReport) -> Problem | None:
+    """Return the problem of a write that was not done, or None."""
+    if report.outcome in (Outcome.DONE, Outcome.VERIFIED):
+        return None
+    kind = report.kind or KIND_BY_OUTCOME[report.outcome]
+    if report.outcome is not Outcome.REFUSED:
+        # Expired, superseded and unknown say what a client may conclude, whatever the reason was.
+        kind = KIND_BY_OUTCOME[report.outcome]
+    return Problem(
+        kind,
+        report.reason or kind,
+        drive=report.drive,
+        code=str(report.code),
+        cause=report.cause,
+        remedy=report.remedy,
+        outcome=report.outcome.value,
+    )
+
+
+def group_problem(report: GroupReport, members: list[Json]) -> Problem | None:
+    """Return the problem of a group write or stop that was not done everywhere, or None.
+
+    Its kind is that of the member with the highest status, so a lost answer outweighs a refusal.
+    """
+    problems = [problem for one in report.members if (problem := report_problem(one)) is not None]
+    if not problems and report.outcome in (Outcome.DONE, Outcome.VERIFIED):
+        return None
+    worst = max(problems, key=lambda problem: problem.status, default=None)
+    kind = worst.kind if worst else KIND_BY_OUTCOME[report.outcome]
+    failed = ", ".join(problem.drive for problem in problems)
+    return Problem(
+        kind,
+        report.reason or f"{report.target}: not done by {failed}",
+        cause=worst.cause if worst else "",
+        remedy=worst.remedy if worst else "",
+        outcome=report.outcome.value,
+        more={"target": report.target, "how": report.how, "members": members},
+    )

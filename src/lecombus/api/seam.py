@@ -1,0 +1,78 @@
+"""What the HTTP API asks of the rest of the daemon: the operations it calls.
+
+`OperationsPort` is all the API knows of schedule, worker and keeper, so that it can be tested with
+a fake and never reaches round the operations. Errors come as `LecombusError`; what they become is
+decided in `problems`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from decimal import Decimal
+from typing import Protocol
+
+from lecombus.drives import StopAction
+from lecombus.protocol.addressing import Code
+from lecombus.reports import GroupInfo, GroupReport, WriteReport
+from lecombus.schedule.request import Priority
+from lecombus.store import Reading
+
+__all__ = ["GroupInfo", "GroupReport", "OperationsPort", "Reading", "StopAction", "WriteReport"]
+
+
+class OperationsPort(Protocol):
+    """Everything a client can have done on the line."""
+
+    async def read(
+        self,
+        drive: str,
+        code: Code,
+        *,
+        priority: Priority = Priority.INTERACTIVE,
+        timeout_s: float = 10.0,
+    ) -> Reading:
+        """Read a code now.
+
+        Raises:
+            ExchangeError, LineError, ScheduleError, OperationError: There is no value.
+        """
+
+    async def write(
+        self,
+        drive: str,
+        code: Code,
+        value: Decimal | int | str,
+        *,
+        expires_s: float | None,
+        verify: bool,
+    ) -> WriteReport:
+        """Write a code and return how that ended.
+
+        Raises:
+            LineError, ScheduleError, OperationError, CodeValueError: Nothing was sent.
+        """
+
+    async def write_group(
+        self,
+        group: str,
+        code: Code,
+        value: Decimal | int | str,
+        *,
+        expires_s: float | None,
+        verify: bool,
+    ) -> GroupReport:
+        """Write a code of every member of a group.
+
+        Raises:
+            LineError, ScheduleError, OperationError, CodeValueError: Nothing was sent.
+        """
+
+    async def stop(self, action: StopAction, target: str) -> GroupReport:
+        """Stop a drive, a group or `all`, before everything else.
+
+        Raises:
+            LineError, OperationError: Nothing was sent.
+        """
+
+    def groups(self) -> Sequence[GroupInfo]:
+        """Return the groups of the roster."""

@@ -1,0 +1,294 @@
+"""Where the API listens: a Unix socket for everything, TCP on this machine for reads.
+
+Strategy: both are uvicorn servers inside the caller's task, without signal handlers and access
+log. The sockets are made here, because their rules matter more than uvicorn's defaults: the Unix
+socket is 0660 from its first moment, a stale file is removed only if nobody listens on it, and it
+goes at the end; TCP binds to loopback only. `ReadOnlyDoor` stands before the TCP server: until
+there is access control it lets reads through and nothing else, and refuses hosts that are not
+this machine, so that no web page can reach the drives through a browser (DNS rebinding).
+
+What must not live here: paths and answers.
+"""
+
+from __future__ import annotations
+
+import errno
+import ipaddress
+import os
+import socket
+import stat
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import anyio
+import uvicorn
+from anyio.abc import TaskStatus
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from lecombus.api.problems import Problem
+from lecombus.errors import OperationError
+
+__all__ = ["ReadOnlyDoor", "Served", "serve"]
+
+SOCKET_MODE: Final = 0o660
+BACKLOG: Final = 128
+CONNECTION_LIMIT: Final = 256
+"""Connections and requests at a time: memory is bounded whatever clients do."""
+
+CLOSE_S: Final = 3
+"""How long requests under way may take to end when the server closes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Served:
+    """Where the API listens.
+
+    Args:
+        socket_path: The Unix socket.
+        http: Host and port of the TCP server, where there is one.
+    """
+
+    socket_path: Path
+    http: tuple[str, int] | None
+
+
+class Listener(uvicorn.Server):
+    """A uvicorn server that leaves signals to the daemon."""
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Capture none."""
+        yield
+
+
+class ReadOnlyDoor:
+    """Lets reads through that name this machine as their host.
+
+    Args:
+        app: The application behind the door.
+        host: The host the server is bound to, allowed besides the names of loopback.
+    """
+
+    def __init__(self, app: ASGIApp, host: str) -> None:
+        self._app = app
+        self._host = host.strip("[]").lower()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, or answer with what is wrong with it."""
+        problem = self._objection(scope) if scope["type"] == "http" else None
+        if problem is None:
+            await self._app(scope, receive, send)
+        else:
+            await problem.response()(scope, receive, send)
+
+    def _objection(self, scope: Scope) -> Problem | None:
+        hosts = [value.decode("latin-1") for name, value in scope["headers"] if name == b"host"]
+        if len(hosts) != 1 or not self._is_here(hosts[0]):
+            return Problem(
+                "foreign-host",
+                f"host {', '.join(hosts) or '(none)'} is not this machine",
+                remedy="ask for localhost or 127.0.0.1",
+            )
+        if scope["method"] not in ("GET", "HEAD"):
+            return Problem(
+                "read-only",
+                f"{scope['method']} is not answered over TCP",
+                remedy="use the Unix socket: only who may open it may write and stop",
+            )
+        return None
+
+    def _is_here(self, host: str) -> bool:
+        name = host_name(host.strip().lower())
+        return name in ("localhost", self._host) or is_loopback(name)
+
+
+async def serve(
+    app: ASGIApp,
+    socket_path: Path,
+    http: tuple[str, int] | None = None,
+    *,
+    task_status: TaskStatus[Served] = anyio.TASK_STATUS_IGNORED,
+) -> None:
+    """Serve until cancelled; requests under way are given a few seconds to end.
+
+    Args:
+        app: The application.
+        socket_path: The Unix socket to make.
+        http: Loopback host and port for reads; port 0 takes a free one.
+        task_status: Told where it listens once it does.
+
+    Raises:
+        OperationError: `cannot-listen` or `socket-in-use`.
+    """
+    with ExitStack() as resources:
+        unix = resources.enter_context(unix_socket(socket_path))
+        doors: list[tuple[ASGIApp, socket.socket]] = [(app, unix)]
+        bound: tuple[str, int] | None = None
+        if http is not None:
+            tcp = resources.enter_context(tcp_socket(*http))
+            bound = (http[0], tcp.getsockname()[1])
+            doors.append((ReadOnlyDoor(app, http[0]), tcp))
+        listeners = [(Listener(configuration(door)), door_socket) for door, door_socket in doors]
+        task_status.started(Served(socket_path, bound))
+        await run_until_cancelled(listeners)
+
+
+async def run_until_cancelled(listeners: list[tuple[Listener, socket.socket]]) -> None:
+    """Run the servers; when cancelled let each end its requests, then return."""
+    async with anyio.create_task_group() as shielded, anyio.create_task_group() as tasks:
+        for listener, its_socket in listeners:
+            shielded.start_soon(run_shielded, listener, its_socket)
+        tasks.start_soon(close_when_cancelled, [listener for listener, _ in listeners])
+
+
+async def run_shielded(listener: Listener, its_socket: socket.socket) -> None:
+    """Run one server to its own end: cancelling it half-way would cut requests."""
+    with anyio.CancelScope(shield=True):
+        await listener.serve([its_socket])
+
+
+async def close_when_cancelled(listeners: list[Listener]) -> None:
+    """Ask the servers to end once this task is cancelled."""
+    try:
+        await anyio.sleep_forever()
+    finally:
+        for listener in listeners:
+            listener.should_exit = True
+
+
+def configuration(app: ASGIApp) -> uvicorn.Config:
+    """Return what uvicorn is told; everything that could surprise is switched off."""
+    return uvicorn.Config(
+        app,
+        log_config=None,
+        access_log=False,
+        lifespan="off",
+        ws="none",
+        proxy_headers=False,
+        server_header=False,
+        limit_concurrency=CONNECTION_LIMIT,
+        backlog=BACKLOG,
+        timeout_keep_alive=60,
+        timeout_graceful_shutdown=CLOSE_S,
+    )
+
+
+@contextmanager
+def unix_socket(path: Path) -> Iterator[socket.socket]:
+    """Yield a bound Unix socket with mode 0660; its file goes at the end.
+
+    Raises:
+        OperationError: It cannot be made, or another process listens on it.
+    """
+    remove_stale(path)
+    listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    before = os.umask(0o777 & ~SOCKET_MODE)
+    try:
+        listening.bind(str(path))
+        listening.listen(BACKLOG)  # at once: a socket nobody listens on looks stale
+    except OSError as exc:
+        listening.close()
+        raise cannot_listen(str(path), exc, "check that its folder exists and is ours") from exc
+    finally:
+        os.umask(before)
+    ours = path.stat()
+    try:
+        yield listening
+    finally:
+        listening.close()
+        remove_ours(path, ours)
+
+
+def remove_stale(path: Path) -> None:
+    """Remove what a dead process left behind.
+
+    Raises:
+        OperationError: Somebody listens there, or it is not a socket.
+    """
+    try:
+        mode = path.lstat().st_mode
+    except FileNotFoundError:
+        return
+    except OSError as exc:
+        raise cannot_listen(str(path), exc, "check the path") from exc
+    if not stat.S_ISSOCK(mode):
+        raise OperationError(
+            f"{path} exists and is not a socket",
+            kind="cannot-listen",
+            remedy="remove it, or give the API another socket in the roster",
+        )
+    if somebody_listens(path):
+        raise OperationError(
+            f"another lecombus serves {path}",
+            kind="socket-in-use",
+            remedy="one daemon per line: stop the other one, or give this one another socket",
+        )
+    path.unlink(missing_ok=True)
+
+
+def somebody_listens(path: Path) -> bool:
+    """Tell whether a connection to a socket is taken."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.setblocking(False)  # a full backlog answers EAGAIN: somebody listens
+        return probe.connect_ex(str(path)) not in (errno.ECONNREFUSED, errno.ENOENT)
+
+
+def remove_ours(path: Path, ours: os.stat_result) -> None:
+    """Remove our socket's file, unless another has taken its place."""
+    try:
+        found = path.lstat()
+    except FileNotFoundError:
+        return
+    if (found.st_dev, found.st_ino) == (ours.st_dev, ours.st_ino):
+        path.unlink(missing_ok=True)
+
+
+@contextmanager
+def tcp_socket(host: str, port: int) -> Iterator[socket.socket]:
+    """Yield a TCP socket bound to loopback.
+
+    Raises:
+        OperationError: It is not loopback, or cannot be bound.
+    """
+    if host != "localhost" and not is_loopback(host):
+        raise OperationError(
+            f"the API does not listen on {host}",
+            kind="cannot-listen",
+            remedy="until access control exists it listens on loopback only: write 127.0.0.1",
+        )
+    address = "127.0.0.1" if host == "localhost" else host.strip("[]")
+    family = socket.AF_INET6 if ":" in address else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as listening:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listening.bind((address, port))
+            listening.listen(BACKLOG)
+        except OSError as exc:
+            remedy = "free the port, or give the API another one in the roster"
+            raise cannot_listen(f"{host}:{port}", exc, remedy) from exc
+        yield listening
+
+
+def host_name(host: str) -> str:
+    """Return the host of a `Host` header without its port."""
+    if host.startswith("["):
+        return host[1:].partition("]")[0]
+    return host.partition(":")[0]
+
+
+def is_loopback(host: str) -> bool:
+    """Tell whether a text is an address of this machine only."""
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False
+
+
+def cannot_listen(where: str, exc: OSError, remedy: str) -> OperationError:
+    """Return the error for a place that cannot be bound."""
+    return OperationError(
+        f"cannot listen on {where}: {exc.strerror or exc}", kind="cannot-listen", remedy=remedy
+    )

@@ -1,0 +1,27 @@
+"""Fixtures of the API tests."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+
+import httpx
+import pytest
+
+from support.api_line import Line, make_line
+
+
+@pytest.fixture
+def line() -> Line:
+    return make_line()
+
+
+@pytest.fixture
+async def client(line: Line) -> AsyncIterator[httpx.AsyncClient]:
+    transport = httpx.ASGITransport(app=line.app, raise_app_exceptions=False)
+    async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as made:
+        yield made
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"

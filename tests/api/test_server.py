@@ -1,0 +1,198 @@
+"""Where the API listens: real uvicorn on a Unix socket and on TCP."""
+
+from __future__ import annotations
+
+import socket
+import stat
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import anyio
+import httpx
+import pytest
+
+from lecombus.api import Served, serve
+from lecombus.errors import OperationError
+from support.api_line import Line
+
+pytestmark = [pytest.mark.anyio, pytest.mark.real]
+
+SETPOINT = "/v1/drives/feeder/codes/C0046"
+LOOPBACK = ("127.0.0.1", 0)
+
+
+@asynccontextmanager
+async def serving(
+    line: Line, path: Path, http: tuple[str, int] | None = LOOPBACK
+) -> AsyncIterator[Served]:
+    """Serve a line until the block ends."""
+    async with anyio.create_task_group() as tasks:
+        served: Served = await tasks.start(serve, line.app, path, http)
+        yield served
+        tasks.cancel_scope.cancel()
+
+
+def over_unix(path: Path) -> httpx.AsyncClient:
+    transport = httpx.AsyncHTTPTransport(uds=str(path))
+    return httpx.AsyncClient(transport=transport, base_url="http://lecombus")
+
+
+def over_tcp(served: Served) -> httpx.AsyncClient:
+    assert served.http is not None
+    return httpx.AsyncClient(base_url=f"http://127.0.0.1:{served.http[1]}", trust_env=False)
+
+
+async def test_the_unix_socket_takes_reads_and_writes(line: Line, tmp_path: Path) -> None:
+    async with serving(line, tmp_path / "s") as served, over_unix(served.socket_path) as client:
+        assert '"value": 35.40,' in (await client.get(SETPOINT)).text
+        assert (await client.put(SETPOINT, json={"value": 1})).status_code == 200
+    assert [one[0] for one in line.ops.asked] == ["write"]
+
+
+async def test_tcp_answers_reads_and_nothing_else(line: Line, tmp_path: Path) -> None:
+    async with serving(line, tmp_path / "s") as served, over_tcp(served) as client:
+        assert '"value": 35.40,' in (await client.get(SETPOINT)).text
+        assert (await client.get("/metrics")).status_code == 200
+        stop = {"action": "inhibit", "target": "all"}
+        for answer in (
+            await client.put(SETPOINT, json={"value": 1}),
+            await client.post("/v1/stop", json=stop),
+            await client.delete("/v1/drives"),
+            await client.options("/v1/drives"),
+        ):
+            assert answer.status_code == 403
+            assert answer.json()["type"] == "urn:lecombus:problem:read-only"
+            assert "Unix socket" in answer.json()["remedy"]
+    assert line.ops.asked == []
+
+
+@pytest.mark.parametrize(
+    ("host", "status"),
+    [
+        ("localhost", 200),
+        ("LOCALHOST:9740", 200),
+        ("127.0.0.1:1", 200),
+        ("127.8.8.8", 200),
+        ("[::1]:9740", 200),
+        ("evil.example", 421),
+        ("evil.example:80", 421),
+        ("127.0.0.1.evil.example", 421),
+        ("10.0.0.1", 421),
+        ("[fe80::1]", 421),
+        ("", 421),
+    ],
+)
+async def test_tcp_answers_only_to_the_names_of_this_machine(
+    line: Line, tmp_path: Path, host: str, status: int
+) -> None:
+    async with serving(line, tmp_path / "s") as served, over_tcp(served) as client:
+        answer = await client.get("/v1/line", headers={"Host": host})
+    assert answer.status_code == status
+
+
+async def test_the_socket_is_for_owner_and_group_and_goes_at_the_end(
+    line: Line, tmp_path: Path
+) -> None:
+    path = tmp_path / "s"
+    async with serving(line, path, None):
+        assert stat.S_IMODE(path.stat().st_mode) == 0o660
+    assert not path.exists()
+
+
+async def test_a_stale_socket_is_replaced(line: Line, tmp_path: Path) -> None:
+    path = tmp_path / "s"
+    with socket.socket(socket.AF_UNIX) as dead:
+        dead.bind(str(path))
+    async with serving(line, path, None), over_unix(path) as client:
+        assert (await client.get("/healthz")).status_code == 200
+
+
+async def test_a_socket_that_is_served_is_left_alone(line: Line, tmp_path: Path) -> None:
+    path = tmp_path / "s"
+    async with serving(line, path, None), over_unix(path) as client:
+        with pytest.raises(OperationError, match="another lecombus serves") as caught:
+            await serve(line.app, path)
+        assert caught.value.kind == "socket-in-use"
+        assert (await client.get("/healthz")).status_code == 200
+
+
+async def test_a_file_that_is_no_socket_is_left_alone(line: Line, tmp_path: Path) -> None:
+    path = tmp_path / "s"
+    path.write_text("precious")
+    with pytest.raises(OperationError, match="is not a socket"):
+        await serve(line.app, path)
+    assert path.read_text() == "precious"
+
+
+async def test_a_folder_that_is_not_there_is_an_error_with_its_name(
+    line: Line, tmp_path: Path
+) -> None:
+    with pytest.raises(OperationError, match="nowhere") as caught:
+        await serve(line.app, tmp_path / "nowhere" / "s")
+    assert caught.value.kind == "cannot-listen"
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.5", "example.com", "::"])
+async def test_tcp_listens_on_loopback_only(line: Line, tmp_path: Path, host: str) -> None:
+    with pytest.raises(OperationError, match="does not listen") as caught:
+        await serve(line.app, tmp_path / "s", (host, 0))
+    assert "127.0.0.1" in caught.value.remedy
+    assert not (tmp_path / "s").exists()
+
+
+async def test_a_port_in_use_is_an_error_with_a_remedy(line: Line, tmp_path: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        with pytest.raises(OperationError, match=r"cannot listen on 127\.0\.0\.1") as caught:
+            await serve(line.app, tmp_path / "s", ("127.0.0.1", taken.getsockname()[1]))
+    assert "free the port" in caught.value.remedy
+    assert not (tmp_path / "s").exists()
+
+
+async def test_a_client_that_goes_away_cuts_nothing(line: Line, tmp_path: Path) -> None:
+    line.ops.gate = anyio.Event()
+    body = b'{"value": 1}'
+    head = f"PUT {SETPOINT} HTTP/1.1\r\nHost: x\r\nContent-Length: {len(body)}\r\n"
+    request = f"{head}Idempotency-Key: k\r\n\r\n".encode() + body
+    with anyio.fail_after(15):
+        async with serving(line, tmp_path / "s") as served:
+            stream = await anyio.connect_unix(str(served.socket_path))
+            await stream.send(request)
+            await line.ops.begun.wait()
+            await stream.aclose()
+            line.ops.gate.set()
+            async with over_unix(served.socket_path) as client:
+                headers = {"Idempotency-Key": "k"}
+                answer = await client.put(SETPOINT, content=body, headers=headers)
+    assert answer.json()["outcome"] == "done"
+    assert len(line.ops.asked) == 1
+
+
+async def test_closing_lets_a_request_under_way_end(line: Line, tmp_path: Path) -> None:
+    line.ops.gate = gate = anyio.Event()
+    answers: list[httpx.Response] = []
+    path = tmp_path / "s"
+
+    async def ask() -> None:
+        async with over_unix(path) as client:
+            answers.append(await client.put(SETPOINT, json={"value": 1}))
+
+    with anyio.fail_after(15):
+        async with anyio.create_task_group() as clients, serving(line, path):
+            clients.start_soon(ask)
+            await line.ops.begun.wait()
+            clients.start_soon(open_once_closing, gate, path)
+    assert [one.status_code for one in answers] == [200]
+
+
+async def open_once_closing(gate: anyio.Event, path: Path) -> None:
+    """Open a gate once the server takes no more connections."""
+    for _ in range(1000):
+        try:
+            await (await anyio.connect_unix(str(path))).aclose()
+        except OSError:
+            break
+        await anyio.sleep(0.01)
+    gate.set()

@@ -1,0 +1,353 @@
+"""Writes and stops over HTTP: exact numbers in, one outcome out, repeats made safe."""
+
+from __future__ import annotations
+
+from decimal import Decimal
+
+import anyio
+import httpx
+import pytest
+from starlette.responses import Response
+
+from lecombus.api.bodies import BODY_LIMIT
+from lecombus.api.documents import GroupOutcomeDocument, OutcomeDocument
+from lecombus.api.idempotency import KEEP_S, KEY_LIMIT, Idempotency
+from lecombus.api.problems import ProblemError
+from lecombus.drives import StopAction
+from lecombus.errors import CodeValueError, OperationError, QueueFullError
+from lecombus.reports import WriteReport
+from lecombus.schedule.request import Outcome
+from support.api_line import FREQUENCY, Line
+
+pytestmark = pytest.mark.anyio
+
+SETPOINT = "/v1/drives/feeder/codes/C0046"
+
+
+async def put(
+    client: httpx.AsyncClient, text: str | bytes, path: str = SETPOINT, key: str | None = None
+) -> httpx.Response:
+    headers = {"Content-Type": "application/json"}
+    if key is not None:
+        headers["Idempotency-Key"] = key
+    return await client.put(path, content=text, headers=headers)
+
+
+@pytest.mark.parametrize(
+    ("written", "given"),
+    [
+        ("35.4", Decimal("35.4")),
+        ("50.10", Decimal("50.10")),
+        ("0.1", Decimal("0.1")),
+        ("-214748.3648", Decimal("-214748.3648")),
+        ("35", 35),
+        ("3.5e1", Decimal("35")),
+        ('"H0008"', "H0008"),
+    ],
+)
+async def test_a_value_arrives_exactly_as_it_was_written(
+    client: httpx.AsyncClient, line: Line, written: str, given: object
+) -> None:
+    answer = await put(client, f'{{"value": {written}}}')
+    assert answer.status_code == 200
+    ((what, drive, code, value, expires_s, verify),) = line.ops.asked
+    assert (what, drive, code, expires_s, verify) == ("write", "feeder", FREQUENCY, None, False)
+    assert value == given
+    assert type(value) is type(given)
+
+
+@pytest.mark.parametrize(
+    ("written", "expires_s"),
+    [('"2s"', 2.0), ('"500ms"', 0.5), ('"1.5 s"', 1.5), ("2", 2.0), ("0.25", 0.25), ("null", None)],
+)
+async def test_expiry_is_a_duration_or_seconds(
+    client: httpx.AsyncClient, line: Line, written: str, expires_s: float | None
+) -> None:
+    await put(client, f'{{"value": 1, "expires": {written}, "verify": true}}')
+    assert line.ops.asked == [("write", "feeder", FREQUENCY, 1, expires_s, True)]
+
+
+@pytest.mark.parametrize(
+    ("body", "says"),
+    [
+        ("", "not JSON"),
+        ("{", "not JSON"),
+        ("[1]", "not a JSON object"),
+        (b'{"value": "\xff"}', "not JSON"),
+        ('{"value": NaN}', "NaN is not a number"),
+        ('{"value": Infinity}', "Infinity is not a number"),
+        ('{"value": 1, "value": 2}', "key value stands twice"),
+        ("[" * 60000, "nested too deeply"),
+        ("{}", "key value is missing"),
+        ('{"value": true}', "not true"),
+        ('{"value": null}', "not null"),
+        ('{"value": [1]}', "not an array"),
+        ('{"value": {}}', "not an object"),
+        ('{"value": ""}', "value takes a number"),
+        ('{"value": 1e999999}', "value takes a number"),
+        ('{"valeu": 1}', "there is no key valeu: did you mean value?"),
+        ('{"value": 1, "expire": "2s"}', "did you mean expires?"),
+        ('{"value": 1, "expires": "2"}', "expires takes a duration"),
+        ('{"value": 1, "expires": 0}', "expires takes a duration"),
+        ('{"value": 1, "expires": -1}', "expires takes a duration"),
+        ('{"value": 1, "expires": "2h"}', "expires takes a duration"),
+        ('{"value": 1, "expires": true}', "expires takes a duration"),
+        ('{"value": 1, "verify": "yes"}', "verify takes true or false, not 'yes'"),
+        ('{"value": 1, "verify": 1}', "verify takes true or false"),
+    ],
+)
+async def test_a_wrong_body_is_refused_and_nothing_is_sent(
+    client: httpx.AsyncClient, line: Line, body: str | bytes, says: str
+) -> None:
+    answer = await put(client, body)
+    assert answer.status_code == 422
+    assert says in answer.json()["detail"]
+    assert answer.json()["remedy"].startswith("send {")
+    assert line.ops.asked == []
+
+
+async def test_all_mistakes_are_told_at_once(client: httpx.AsyncClient) -> None:
+    answer = await put(client, '{"valeu": 1, "verify": 3}')
+    for part in ("key value is missing", "no key valeu", "verify takes"):
+        assert part in answer.json()["detail"]
+
+
+async def test_a_body_too_big_is_refused(client: httpx.AsyncClient, line: Line) -> None:
+    answer = await put(client, '{"value": "' + "x" * BODY_LIMIT + '"}')
+    assert (answer.status_code, line.ops.asked) == (413, [])
+
+
+async def test_a_query_on_a_write_is_refused(client: httpx.AsyncClient, line: Line) -> None:
+    answer = await put(client, '{"value": 1}', f"{SETPOINT}?verify=true")
+    assert (answer.status_code, line.ops.asked) == (422, [])
+
+
+async def test_a_verified_write_shows_what_was_read_back(
+    client: httpx.AsyncClient, line: Line
+) -> None:
+    reading = line.store.reading("feeder", FREQUENCY)
+    line.ops.report = lambda drive, code: WriteReport(
+        drive, code, Outcome.VERIFIED, reading=reading
+    )
+    answer = await put(client, '{"value": 35.4}')
+    found = OutcomeDocument.model_validate(answer.json())
+    assert (found.outcome, found.code) == ("verified", "C0046")
+    assert found.reading is not None
+    assert '"value": 35.40,' in answer.text
+
+
+@pytest.mark.parametrize(
+    ("outcome", "kind", "status"),
+    [
+        (Outcome.REFUSED, "nak", 409),
+        (Outcome.REFUSED, "", 409),
+        (Outcome.REFUSED, "not-writable", 403),
+        (Outcome.REFUSED, "offline", 504),
+        (Outcome.REFUSED, "line-lost", 503),
+        (Outcome.EXPIRED, "", 503),
+        (Outcome.SUPERSEDED, "", 409),
+        (Outcome.UNKNOWN, "no-answer", 504),
+        (Outcome.UNKNOWN, "", 504),
+    ],
+)
+async def test_each_outcome_has_its_status_and_names_cause_and_remedy(
+    client: httpx.AsyncClient, line: Line, outcome: Outcome, kind: str, status: int
+) -> None:
+    line.ops.report = lambda drive, code: WriteReport(
+        drive, code, outcome, "it said no", "C0001 is not 3", kind, "write C0001 = 3"
+    )
+    answer = await put(client, '{"value": 35.4}')
+    problem = answer.json()
+    assert (answer.status_code, problem["outcome"]) == (status, outcome.value)
+    assert (problem["drive"], problem["code"]) == ("feeder", "C0046")
+    assert (problem["detail"], problem["cause"]) == ("it said no", "C0001 is not 3")
+    assert problem["remedy"] == "write C0001 = 3"
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (CodeValueError("too many decimals"), 422),
+        (OperationError("not in the roster", kind="not-writable"), 403),
+        (OperationError("no such group", kind="no-such-group"), 404),
+    ],
+)
+async def test_a_write_that_is_not_taken_says_why(
+    client: httpx.AsyncClient, line: Line, error: Exception, status: int
+) -> None:
+    line.ops.error = error
+    for path in (SETPOINT, "/v1/groups/conveyors/codes/C0046/2"):
+        answer = await put(client, '{"value": 35.4}', path)
+        assert (answer.status_code, answer.json()["outcome"]) == (status, None)
+
+
+async def test_a_group_write_has_an_outcome_per_member(
+    client: httpx.AsyncClient, line: Line
+) -> None:
+    answer = await put(client, '{"value": 1}', "/v1/groups/conveyors/codes/C0040/0")
+    found = GroupOutcomeDocument.model_validate(answer.json())
+    assert (answer.status_code, found.outcome, found.how) == (200, "done", "one-by-one")
+    assert [(one.drive, one.outcome) for one in found.members] == [
+        ("feeder", "done"),
+        ("belt", "done"),
+    ]
+
+
+async def test_a_group_that_was_not_reached_whole_is_a_problem_with_its_members(
+    client: httpx.AsyncClient, line: Line
+) -> None:
+    line.ops.report = lambda drive, code: (
+        WriteReport(drive, code, Outcome.UNKNOWN, "no answer")
+        if drive == "belt"
+        else WriteReport(drive, code, Outcome.REFUSED, "NAK", kind="nak")
+    )
+    answer = await put(client, '{"value": 1}', "/v1/groups/conveyors/codes/C0040")
+    problem = answer.json()
+    assert (answer.status_code, problem["target"]) == (504, "conveyors")
+    assert [one["outcome"] for one in problem["members"]] == ["refused", "unknown"]
+    assert problem["detail"] == "conveyors: not done by feeder, belt"
+
+
+async def test_stop_names_action_and_target(client: httpx.AsyncClient, line: Line) -> None:
+    body = {"action": "quick-stop", "target": "all"}
+    answer = await client.post("/v1/stop", json=body)
+    GroupOutcomeDocument.model_validate(answer.json())
+    assert answer.status_code == 200
+    assert line.ops.asked == [("stop", StopAction.QUICK_STOP, "all")]
+
+
+@pytest.mark.parametrize(
+    ("body", "says"),
+    [
+        ('{"action": "halt", "target": "all"}', "quick-stop"),
+        ('{"action": "inhibit"}', "target is missing"),
+        ('{"action": "inhibit", "target": 5}', "target takes"),
+        ('{"action": "inhibit", "targets": "all"}', "did you mean target?"),
+    ],
+)
+async def test_a_stop_that_is_not_understood_says_what_is_right(
+    client: httpx.AsyncClient, line: Line, body: str, says: str
+) -> None:
+    answer = await client.post("/v1/stop", content=body)
+    assert (answer.status_code, line.ops.asked) == (422, [])
+    assert says in answer.json()["detail"]
+
+
+async def test_a_repeat_with_the_same_key_writes_once(
+    client: httpx.AsyncClient, line: Line
+) -> None:
+    first = await put(client, '{"value": 1}', key="a")
+    line.ops.report = lambda drive, code: WriteReport(drive, code, Outcome.REFUSED)
+    again = await put(client, '{"value": 1}', key="a")
+    assert (again.status_code, again.text) == (first.status_code, first.text)
+    assert len(line.ops.asked) == 1
+    assert (await put(client, '{"value": 1}', key="b")).status_code == 409
+
+
+async def test_a_repeat_while_the_first_is_under_way_waits_for_it(
+    client: httpx.AsyncClient, line: Line
+) -> None:
+    line.ops.gate = anyio.Event()
+    answers: list[httpx.Response] = []
+
+    async def ask() -> None:
+        answers.append(await put(client, '{"value": 1}', key="a"))
+
+    with anyio.fail_after(10):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(ask)
+            tasks.start_soon(ask)
+            await anyio.wait_all_tasks_blocked()
+            assert answers == []
+            line.ops.gate.set()
+    assert [one.status_code for one in answers] == [200, 200]
+    assert len(line.ops.asked) == 1
+
+
+async def test_a_key_used_for_another_request_is_refused(
+    client: httpx.AsyncClient, line: Line
+) -> None:
+    await put(client, '{"value": 1}', key="a")
+    for path, body in ((SETPOINT, '{"value": 2}'), ("/v1/drives/belt/codes/46", '{"value": 1}')):
+        answer = await put(client, body, path, key="a")
+        assert (answer.status_code, answer.json()["type"]) == (
+            422,
+            "urn:lecombus:problem:key-reused",
+        )
+    assert len(line.ops.asked) == 1
+
+
+async def test_a_key_of_a_request_that_was_never_sent_may_be_tried_again(
+    client: httpx.AsyncClient, line: Line
+) -> None:
+    line.ops.error = QueueFullError(priority="control", depth=1, limit=1)
+    assert (await put(client, '{"value": 1}', key="a")).status_code == 503
+    line.ops.error = None
+    assert (await put(client, '{"value": 1}', key="a")).status_code == 200
+
+
+async def test_an_unknown_outcome_is_remembered(client: httpx.AsyncClient, line: Line) -> None:
+    line.ops.report = lambda drive, code: WriteReport(drive, code, Outcome.UNKNOWN)
+    assert (await put(client, '{"value": 1}', key="a")).status_code == 504
+    assert (await put(client, '{"value": 1}', key="a")).status_code == 504
+    assert len(line.ops.asked) == 1
+
+
+async def test_a_key_is_forgotten_after_its_time(client: httpx.AsyncClient, line: Line) -> None:
+    await put(client, '{"value": 1}', key="a")
+    line.now_s += KEEP_S + 1
+    assert (await put(client, '{"value": 2}', key="a")).status_code == 200
+
+
+@pytest.mark.parametrize("key", ["", "x" * 256])
+async def test_malformed_keys_are_refused(client: httpx.AsyncClient, line: Line, key: str) -> None:
+    assert (await put(client, '{"value": 1}', key=key)).status_code == 422
+    assert line.ops.asked == []
+
+
+async def test_keys_take_bounded_memory() -> None:
+    keys = Idempotency(lambda: 0.0)
+
+    async def act() -> Response:
+        return Response("x")
+
+    for number in range(KEY_LIMIT + 50):
+        await keys.run(str(number), b"", act)
+    assert len(keys) == KEY_LIMIT
+
+
+async def test_old_keys_make_room_for_new_ones() -> None:
+    now_s = 0.0
+    keys = Idempotency(lambda: now_s)
+
+    async def act() -> Response:
+        return Response("x")
+
+    for number in range(100):
+        await keys.run(str(number), b"", act)
+    now_s = KEEP_S + 1
+    await keys.run("new", b"", act)
+    assert len(keys) == 1
+
+
+async def test_more_keys_under_way_than_fit_are_refused() -> None:
+    keys = Idempotency(lambda: 0.0)
+    gate = anyio.Event()
+
+    async def act() -> Response:
+        await gate.wait()
+        return Response("x")
+
+    with anyio.fail_after(15):
+        async with anyio.create_task_group() as tasks:
+            for number in range(KEY_LIMIT):
+                tasks.start_soon(keys.run, str(number), b"", act)
+            await anyio.wait_all_tasks_blocked()
+            with pytest.raises(ProblemError):
+                await keys.run("one too many", b"", act)
+            gate.set()
+
+
+async def test_codes_in_group_paths_are_checked_too(client: httpx.AsyncClient) -> None:
+    answer = await put(client, '{"value": 1}', "/v1/groups/conveyors/codes/C0040/999")
+    assert (answer.status_code, answer.json()["code"]) == (404, "C0040/999")

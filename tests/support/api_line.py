@@ -1,0 +1,135 @@
+"""A line with a fake of the operations behind the HTTP API."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from decimal import Decimal
+
+import anyio
+from fastapi import FastAPI
+
+from lecombus.api import create_app
+from lecombus.drives import StopAction, family
+from lecombus.errors import LecombusError
+from lecombus.metrics import Metrics
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+from lecombus.reports import GroupInfo, GroupReport, WriteReport
+from lecombus.schedule.request import Outcome, Priority
+from lecombus.store import DriveState, LineState, Reading, Store
+
+FREQUENCY = Code(46)
+STATUS = Code(150)
+
+
+@dataclass
+class FakeOperations:
+    """Operations that remember what they were asked and answer what the test says."""
+
+    store: Store
+    error: LecombusError | Exception | None = None
+    report: Callable[[str, Code], WriteReport] = lambda drive, code: WriteReport(
+        drive, code, Outcome.DONE
+    )
+    asked: list[tuple[object, ...]] = field(default_factory=list)
+    gate: anyio.Event | None = None
+    begun: anyio.Event = field(default_factory=anyio.Event)
+
+    async def _ask(self, *what: object) -> None:
+        self.asked.append(what)
+        self.begun.set()
+        if self.gate is not None:
+            await self.gate.wait()
+        if self.error is not None:
+            raise self.error
+
+    async def read(
+        self,
+        drive: str,
+        code: Code,
+        *,
+        priority: Priority = Priority.INTERACTIVE,
+        timeout_s: float = 10.0,
+    ) -> Reading:
+        await self._ask("read", drive, code)
+        self.store.value_read(drive, code, Value.parse("50.10"), time.monotonic())
+        reading = self.store.reading(drive, code)
+        assert reading is not None
+        return reading
+
+    async def write(
+        self,
+        drive: str,
+        code: Code,
+        value: Decimal | int | str,
+        *,
+        expires_s: float | None,
+        verify: bool,
+    ) -> WriteReport:
+        await self._ask("write", drive, code, value, expires_s, verify)
+        return self.report(drive, code)
+
+    async def write_group(
+        self,
+        group: str,
+        code: Code,
+        value: Decimal | int | str,
+        *,
+        expires_s: float | None,
+        verify: bool,
+    ) -> GroupReport:
+        await self._ask("write_group", group, code, value, expires_s, verify)
+        return self._group_report(group, code)
+
+    async def stop(self, action: StopAction, target: str) -> GroupReport:
+        await self._ask("stop", action, target)
+        return self._group_report(target, Code(135))
+
+    def groups(self) -> Sequence[GroupInfo]:
+        return (GroupInfo("conveyors", ("feeder", "belt"), None), GroupInfo("all", ("feeder",), 0))
+
+    def _group_report(self, target: str, code: Code) -> GroupReport:
+        members = tuple(self.report(drive, code) for drive in ("feeder", "belt"))
+        good = (Outcome.DONE, Outcome.VERIFIED)
+        outcome = next((one.outcome for one in members if one.outcome not in good), Outcome.DONE)
+        return GroupReport(target, "one-by-one", outcome, members)
+
+
+@dataclass
+class Line:
+    """Everything a test of the API holds."""
+
+    store: Store
+    ops: FakeOperations
+    app: FastAPI
+    now_s: float = 0.0
+    ready: tuple[bool, str] = (True, "31 of 31 drives tried")
+    healthy: tuple[bool, str] = (True, "")
+
+
+def make_line() -> Line:
+    """Return a line of two drives, one of which has values."""
+    store = Store(time.monotonic, time.time)
+    for address, name in ((11, "feeder"), (12, "belt")):
+        store.add_drive(name, address, family("8200vector"))
+        store.drive_state(name, DriveState.ONLINE)
+        store.expect(name, FREQUENCY, 3600.0)
+    store.line_state(LineState.OPEN)
+    store.value_read("feeder", FREQUENCY, Value.parse("35.40"), time.monotonic())
+    ops = FakeOperations(store)
+    metrics = Metrics("hall-3", store, version="1", clock=time.monotonic)
+    metrics.meters.add_drive("feeder")
+    line: Line
+    app = create_app(
+        ops,
+        store,
+        metrics,
+        line_name="hall-3",
+        ready=lambda: line.ready,
+        healthy=lambda: line.healthy,
+        clock=lambda: line.now_s,
+    )
+    line = Line(store, ops, app)
+    return line
