@@ -96,9 +96,9 @@ def test_compiled_packages_are_locked_for_other_machines_too() -> None:
 
 def test_no_package_we_ship_with_is_under_the_gpl() -> None:
     for name in pins("runtime.txt"):
-        about = metadata(name)
-        said = [about.get("License-Expression") or about.get("License") or ""]
-        said += [line for line in about.get_all("Classifier") or [] if line.startswith("License")]
+        about = metadata(name).json
+        said = [str(about.get("license_expression") or about.get("license") or "")]
+        said += [line for line in about.get("classifier", []) if line.startswith("License")]
         assert any(said), name
         assert not re.search(r"\bA?GPL|GNU (?:Affero )?General Public", " ".join(said)), name
 

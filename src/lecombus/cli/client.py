@@ -8,9 +8,9 @@ exit status that fits; so does every way in which a daemon cannot be reached.
 
 from __future__ import annotations
 
-import errno
 import json
 import os
+import socket as system_socket
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -30,7 +30,8 @@ __all__ = ["RUNTIME_DIR", "Answer", "Daemon", "connect", "find_daemon"]
 RUNTIME_DIR = Path("/run/lecombus")
 """Where the daemons of a machine have their sockets, one a line."""
 
-TIMEOUT = httpx.Timeout(10.0, read=60.0)
+CONNECT_WITHIN_S = 10.0
+TIMEOUT = httpx.Timeout(CONNECT_WITHIN_S, read=60.0)
 """Seconds; a write to a silent drive or a group read back member by member takes its time."""
 
 STATUS_OF_KIND: Mapping[str, Exit] = {
@@ -132,12 +133,29 @@ def connect(socket: str | None, url: str | None) -> Iterator[Daemon]:
         CommandError: It does not say which daemon, or contradicts itself.
     """
     path, base = find_daemon(socket, url)
+    if path:
+        _knock(path)
     transport = httpx.HTTPTransport(uds=path) if path else None
     client = httpx.Client(
         base_url=base or "http://localhost", transport=transport, timeout=TIMEOUT, trust_env=False
     )
     with client:
         yield Daemon(client, path or base)
+
+
+def _knock(path: str) -> None:
+    """Connect to a Unix socket once for the system's own word on why that fails.
+
+    httpx hides it behind its own errors, and its transport leaves the failed socket open.
+    """
+    with system_socket.socket(system_socket.AF_UNIX, system_socket.SOCK_STREAM) as knocking:
+        knocking.settimeout(CONNECT_WITHIN_S)
+        try:
+            knocking.connect(path)
+        except PermissionError as exc:
+            raise _forbidden(path) from exc
+        except OSError as exc:
+            raise _nobody_at(path) from exc
 
 
 def find_daemon(socket: str | None, url: str | None) -> tuple[str, str]:
@@ -191,8 +209,6 @@ def _forbidden(where: str) -> CommandError:
 
 
 def _unreachable(exc: httpx.HTTPError, where: str) -> CommandError:
-    if _system_error(exc) in (errno.EACCES, errno.EPERM):
-        return _forbidden(where)
     if isinstance(exc, httpx.TimeoutException):
         problem = f"the daemon at {where} does not answer in time"
         return CommandError(Exit.UNREACHABLE, Problem(problem, "look at its log"))
@@ -200,18 +216,13 @@ def _unreachable(exc: httpx.HTTPError, where: str) -> CommandError:
         problem = f"the daemon at {where} ended before it answered"
         remedy = "what was asked may have happened; look at its log, then ask again"
         return CommandError(Exit.UNREACHABLE, Problem(problem, remedy))
+    return _nobody_at(where)
+
+
+def _nobody_at(where: str) -> CommandError:
     problem = f"no daemon answers at {where}"
     remedy = "start it (systemctl status lecombus@NAME tells why it is not running)"
     return CommandError(Exit.UNREACHABLE, Problem(problem, remedy))
-
-
-def _system_error(exc: BaseException | None) -> int | None:
-    """Return the errno at the bottom of an error's causes."""
-    while exc is not None:
-        if isinstance(exc, OSError) and exc.errno is not None:
-            return exc.errno
-        exc = exc.__cause__ or exc.__context__
-    return None
 
 
 def _read_json(response: httpx.Response, where: str) -> Any:

@@ -17,7 +17,7 @@ from lecombus.errors import LecombusError, LineLostError
 from lecombus.line.jobs import Station
 from lecombus.line.loop import run
 from lecombus.line.opening import open_port
-from lecombus.line.port import PortSettings
+from lecombus.line.port import Port, PortSettings, Receiver
 from lecombus.line.worker import ExchangeReport, LineWorker, WorkerOptions
 from lecombus.protocol import Code, Value
 from lecombus.readings import Quality, Reading
@@ -71,21 +71,27 @@ def read_directly(
     return encode(document), document
 
 
-class _Opened:
-    """Waits for the port to be open, or for the reason why it is not."""
+class _Opening:
+    """Opens the port, and tells whether that went well the first time."""
 
     def __init__(self) -> None:
         self.known = anyio.Event()
-        self.reason: str | None = None
+        self.error: LineLostError | None = None
+
+    async def open(self, settings: PortSettings, receiver: Receiver) -> Port:
+        """Open the port; the worker calls this."""
+        try:
+            return await open_port(settings, receiver)
+        except LineLostError as exc:
+            self.error = exc
+            raise
 
     def exchange_ended(self, report: ExchangeReport) -> None:
         """Nobody keeps books here."""
 
     def line_changed(self, up: bool, reason: str) -> None:
-        """Take the first word on the port."""
-        if not self.known.is_set():
-            self.reason = None if up else reason
-            self.known.set()
+        """Take note that it was tried."""
+        self.known.set()
 
     def thinking(self, for_s: float) -> None:
         """Nothing is done meanwhile."""
@@ -99,19 +105,19 @@ def _count(priority: Priority, outcome: Outcome) -> None:
 
 
 async def _read(settings: PortSettings, station: Station, code: Code) -> Value:
-    opened, schedule = _Opened(), Schedule()
+    opening, schedule = _Opening(), Schedule()
     schedule.add_drive(station.name)
     timing = LineTiming(settings.baud, adapter_latency_s=ADAPTER_LATENCY_S)
-    worker = LineWorker(settings, open_port, schedule, timing, WorkerOptions(), opened)
+    worker = LineWorker(settings, opening.open, schedule, timing, WorkerOptions(), opening)
     requests = Requests(worker, RequestMaker(timing, RETRIES, _count), time.monotonic)
     failure: LecombusError | None = None
     value: Value | None = None
     async with anyio.create_task_group() as tasks:
         tasks.start_soon(worker.run)
-        await opened.known.wait()
+        await opening.known.wait()
         try:
-            if opened.reason is not None:
-                raise LineLostError(opened.reason, line=settings.line)
+            if opening.error is not None:
+                raise opening.error
             value = await requests.read(station, code, Priority.INTERACTIVE)
         except LecombusError as exc:
             failure = exc

@@ -39,6 +39,10 @@ COMMANDS = {
 }
 
 
+COMPLETION = "_LECOMBUS_COMPLETE"
+"""Set by a shell that completes a word; `_LECOMBUS_COMPLETE=bash_source lecombus` sets that up."""
+
+
 class _Commands(click.Group):
     """Finds a command in the module of its name."""
 
@@ -87,10 +91,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     # Only `run` shows logs; elsewhere warnings would stand between a command's own lines.
     logging.getLogger("lecombus").addHandler(logging.NullHandler())
+    if COMPLETION in os.environ:
+        lecombus.main(words, prog_name="lecombus", complete_var=COMPLETION)
     try:
-        status = lecombus.main(words, prog_name="lecombus", standalone_mode=False)
+        status = _invoke(words)
         sys.stdout.flush()
-    except click.Abort:
+    except (click.Abort, KeyboardInterrupt):
         return Exit.INTERRUPTED
     except BrokenPipeError:
         _forget_stdout()
@@ -102,7 +108,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         error = _as_command_error(exc)
         _complain(error, as_json="--json" in words)
         return error.status
-    return int(status or Exit.DONE)
+    return status
+
+
+def _invoke(words: list[str]) -> int:
+    """Run a command; click's own `main` would hide closed pipes and exit by itself."""
+    try:
+        with lecombus.make_context("lecombus", words) as ctx:
+            return int(lecombus.invoke(ctx) or Exit.DONE)
+    except click.exceptions.Exit as exc:
+        return exc.exit_code
 
 
 def _as_command_error(exc: Exception) -> CommandError:

@@ -36,7 +36,9 @@ def show_rows(headings: Sequence[str], rows: Iterable[Sequence[str]], *, title: 
         title: Stands above the table, on a terminal only.
     """
     if on_terminal():
-        _show_table(headings, rows, title)
+        if title:
+            click.echo(title)
+        _show_table(headings, rows)
         return
     for row in rows:
         click.echo("\t".join(" ".join(cell.split()) for cell in row))
@@ -69,12 +71,12 @@ def age(seconds: object) -> str:
     return f"{number:.1f} s"
 
 
-def _show_table(headings: Sequence[str], rows: Iterable[Sequence[str]], title: str) -> None:
+def _show_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(title=title or None, title_justify="left", box=None, pad_edge=False)
+    table = Table(box=None, pad_edge=False)
     for heading in headings:
         table.add_column(heading, overflow="fold")
     for row in rows:

@@ -1,0 +1,58 @@
+"""Every test of the command line runs `main` itself and looks at its status and its output."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from cli.daemon_stub import DaemonStub, serve_stub
+from lecombus.cli import client, main
+
+
+@dataclass(frozen=True)
+class Ran:
+    """A command that was run."""
+
+    status: int
+    out: str
+    err: str
+
+
+Run = Callable[..., Ran]
+
+
+@pytest.fixture(autouse=True)
+def _no_daemon_of_this_machine(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delenv("LECOMBUS_SOCKET", raising=False)
+    monkeypatch.delenv("LECOMBUS_URL", raising=False)
+    monkeypatch.setattr(client, "RUNTIME_DIR", tmp_path / "run")
+
+
+@pytest.fixture
+def run(capfd: pytest.CaptureFixture[str]) -> Run:
+    def run_command(*words: str) -> Ran:
+        capfd.readouterr()
+        status = main(words)
+        out, err = capfd.readouterr()
+        return Ran(int(status), out, err)
+
+    return run_command
+
+
+@pytest.fixture
+def short_dir() -> Iterator[Path]:
+    """A directory whose path is short enough for a Unix socket."""
+    with tempfile.TemporaryDirectory(prefix="lb-") as name:
+        yield Path(name)
+
+
+@pytest.fixture
+def daemon(short_dir: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[DaemonStub]:
+    """A daemon that `LECOMBUS_SOCKET` points at."""
+    with serve_stub(short_dir / "hall-3.sock") as stub:
+        monkeypatch.setenv("LECOMBUS_SOCKET", str(stub.path))
+        yield stub

@@ -1,0 +1,215 @@
+"""read, write, group, stop and status against a daemon reduced to its answers."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from cli.conftest import Run
+from cli.daemon_stub import DaemonStub
+
+READING = (
+    '{"drive": "feeder", "code": "C0046", "subcode": 0, "name": "frequency setpoint",'
+    ' "value": 50.10, "raw": "50.10", "format": "VD", "unit": "Hz", "quality": "good",'
+    ' "reason": null, "time": "2026-11-21T10:15:02.113Z", "age_s": 0.4}'
+)
+WRITTEN = (
+    '{"drive": "feeder", "code": "C0046", "outcome": "verified", "reason": "",'
+    f' "reading": {READING}}}'
+)
+NAK = (
+    '{"type": "urn:lecombus:problem:nak", "title": "Refused by the drive", "status": 409,'
+    ' "detail": "feeder answered NAK", "drive": "feeder", "code": "C0046",'
+    ' "cause": "C0001 is not 3", "remedy": "set C0001 to 3", "outcome": "refused"}'
+)
+
+
+def problem(kind: str, status: int) -> tuple[int, str]:
+    text = json.dumps(
+        {
+            "type": f"urn:lecombus:problem:{kind}",
+            "title": "Short",
+            "status": status,
+            "detail": "what happened",
+            "drive": "feeder",
+            "code": None,
+            "cause": None,
+            "remedy": "what to do",
+            "outcome": None,
+        }
+    )
+    return status, text
+
+
+def test_read_asks_the_drive_itself(run: Run, daemon: DaemonStub) -> None:
+    daemon.answers["GET /v1/drives/feeder/codes/C0046?fresh=true"] = (200, READING)
+    ran = run("read", "feeder", "46")
+    assert (ran.status, ran.err) == (0, "")
+    assert ran.out == "feeder\tC0046\t50.10\tHz\tgood\t\n"
+
+
+def test_read_stored_asks_what_is_known(run: Run, daemon: DaemonStub) -> None:
+    daemon.answers["GET /v1/drives/feeder/codes/C0046"] = (200, READING)
+    assert run("read", "feeder", "C46", "--stored").status == 0
+
+
+def test_a_subcode_becomes_part_of_the_path(run: Run, daemon: DaemonStub) -> None:
+    daemon.answers["GET /v1/drives/a%2Fb/codes/C0039/1?fresh=true"] = (200, READING)
+    assert run("read", "a/b", "C0039/1").status == 0
+
+
+def test_json_is_the_daemons_document_to_the_last_digit(run: Run, daemon: DaemonStub) -> None:
+    daemon.answers["GET /v1/drives/feeder/codes/C0046?fresh=true"] = (200, READING)
+    assert run("read", "feeder", "C0046", "--json").out == READING + "\n"
+
+
+def test_a_bad_value_is_a_failure_with_its_reason(run: Run, daemon: DaemonStub) -> None:
+    bad = READING.replace('"good"', '"bad"').replace('"reason": null', '"reason": "no answer"')
+    daemon.answers["GET /v1/drives/feeder/codes/C0046"] = (200, bad)
+    ran = run("read", "feeder", "C0046", "--stored")
+    assert ran.status == 1
+    assert ran.out.endswith("\tbad\tno answer\n")
+    assert run("read", "feeder", "C0046", "--stored", "--json").status == 1
+
+
+@pytest.mark.parametrize(
+    ("kind", "http", "status"),
+    [
+        ("no-such-drive", 404, 2),
+        ("no-such-code", 404, 1),
+        ("bad-request", 422, 2),
+        ("not-writable", 403, 4),
+        ("read-only", 403, 4),
+        ("line-lost", 503, 1),
+        ("no-answer", 504, 1),
+        ("internal", 500, 1),
+    ],
+)
+def test_a_problem_is_one_line_and_its_exit_status(
+    run: Run, daemon: DaemonStub, kind: str, http: int, status: int
+) -> None:
+    daemon.answers["GET /v1/drives/feeder/codes/C0046?fresh=true"] = problem(kind, http)
+    ran = run("read", "feeder", "C0046")
+    assert (ran.status, ran.out) == (status, "")
+    assert ran.err == "what happened; what to do\n"
+
+
+def test_a_problem_is_json_where_json_is_asked_for(run: Run, daemon: DaemonStub) -> None:
+    daemon.answers["GET /v1/drives/feeder"] = problem("no-such-drive", 404)
+    ran = run("status", "feeder", "--json")
+    assert json.loads(ran.err) == {
+        "status": 2,
+        "problem": "what happened",
+        "remedy": "what to do",
+        "kind": "no-such-drive",
+        "drive": "feeder",
+    }
+
+
+@pytest.mark.parametrize(
+    ("word", "sent"),
+    [
+        ("-5", "-5"),
+        ("-.5", "-0.5"),
+        ("35.40", "35.40"),
+        ("214748.3647", "214748.3647"),
+        ("H09ab", '"H09AB"'),
+        ("O1A2b", '"O1A2B"'),
+    ],
+)
+def test_a_value_is_sent_exactly(run: Run, daemon: DaemonStub, word: str, sent: str) -> None:
+    daemon.answers["PUT /v1/drives/feeder/codes/C0046"] = (200, WRITTEN)
+    assert run("write", "feeder", "C0046", word).status == 0
+    assert daemon.asked[0][1] == f'{{"value": {sent}, "verify": false}}'
+
+
+def test_write_says_what_came_of_it(run: Run, daemon: DaemonStub) -> None:
+    daemon.answers["PUT /v1/drives/feeder/codes/C0046"] = (200, WRITTEN)
+    ran = run("write", "feeder", "C0046", "50.1", "--verify", "--expires", "1.5s")
+    assert ran.out == "feeder\tC0046\tverified\t50.10 Hz\t\n"
+    assert json.loads(daemon.asked[0][1]) == {"value": 50.1, "verify": True, "expires": "1500ms"}
+
+
+def test_a_refused_write_tells_cause_and_remedy(run: Run, daemon: DaemonStub) -> None:
+    daemon.answers["PUT /v1/drives/feeder/codes/C0046"] = (409, NAK)
+    ran = run("write", "feeder", "C0046", "50")
+    assert ran.status == 1
+    assert ran.out == (
+        "feeder\tC0046\trefused\t\tfeeder answered NAK; C0001 is not 3; set C0001 to 3\n"
+    )
+    assert run("write", "feeder", "C0046", "50", "--json").out == NAK + "\n"
+
+
+def test_group_shows_every_member(run: Run, daemon: DaemonStub) -> None:
+    members = f"[{WRITTEN}, {WRITTEN.replace('verified', 'unknown')}]"
+    report = f'{{"how": "one-by-one", "outcome": "unknown", "members": {members}}}'
+    daemon.answers["PUT /v1/groups/conveyors/codes/C0046"] = (504, report)
+    ran = run("group", "conveyors", "C0046", "-5")
+    assert ran.status == 1
+    assert [line.split("\t")[2] for line in ran.out.splitlines()] == ["verified", "unknown"]
+
+
+@pytest.mark.parametrize(
+    ("words", "sent"),
+    [
+        ([], {"action": "quick-stop", "target": "all"}),
+        (["--all"], {"action": "quick-stop", "target": "all"}),
+        (["feeder", "--action", "inhibit"], {"action": "inhibit", "target": "feeder"}),
+    ],
+)
+def test_stop_without_a_target_stops_everything(
+    run: Run, daemon: DaemonStub, words: list[str], sent: dict[str, str]
+) -> None:
+    report = f'{{"how": "multicast", "outcome": "verified", "members": [{WRITTEN}]}}'
+    daemon.answers["POST /v1/stop"] = (200, report)
+    assert run("stop", *words).status == 0
+    assert json.loads(daemon.asked[0][1]) == sent
+
+
+def test_stop_refuses_to_guess_between_a_target_and_all(run: Run, daemon: DaemonStub) -> None:
+    assert run("stop", "feeder", "--all").status == 2
+    assert daemon.asked == []
+
+
+def test_status_lists_the_drives_with_why(run: Run, daemon: DaemonStub) -> None:
+    line = '{"line": "hall-3", "state": "open", "reason": null, "stretch": 1.000, "remarks": {}}'
+    drives = (
+        '[{"drive": "feeder", "address": 11, "family": "8200vector", "state": "offline",'
+        ' "reason": "no answer", "remarks": {"watchdog": "C1923 is 0"}}]'
+    )
+    daemon.answers["GET /v1/line"] = (200, line)
+    daemon.answers["GET /v1/drives"] = (200, drives)
+    ran = run("status")
+    assert (ran.status, ran.out) == (
+        0,
+        "feeder\t11\t8200vector\toffline\tno answer; C1923 is 0\n",
+    )
+    both = run("status", "--json").out
+    assert both == f'{{"line": {line}, "drives": {drives}}}\n'
+
+
+def test_status_of_a_drive_lists_its_values(run: Run, daemon: DaemonStub) -> None:
+    document = (
+        '{"drive": "feeder", "address": 11, "family": "8200vector", "state": "online",'
+        f' "reason": null, "remarks": {{}}, "values": [{READING}]}}'
+    )
+    daemon.answers["GET /v1/drives/feeder"] = (200, document)
+    ran = run("status", "feeder")
+    assert ran.out == "C0046\tfrequency setpoint\t50.10\tHz\tgood\t0.4 s\t\n"
+
+
+def test_a_daemon_that_ends_before_it_answers_is_not_reachable(
+    run: Run, daemon: DaemonStub
+) -> None:
+    daemon.answers["PUT /v1/drives/feeder/codes/C0046"] = (200, None)
+    ran = run("write", "feeder", "C0046", "5")
+    assert ran.status == 3
+    assert "may have happened" in ran.err
+
+
+def test_something_else_behind_the_socket_is_told_apart(run: Run, daemon: DaemonStub) -> None:
+    daemon.answers["GET /v1/line"] = (200, "<html>")
+    ran = run("status")
+    assert ran.status == 3
+    assert "is not lecombus" in ran.err

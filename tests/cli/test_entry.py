@@ -1,0 +1,205 @@
+"""From words to an exit status: usage errors, Ctrl-C, pipes that close, and what is imported."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+
+import click
+import pytest
+
+from cli.conftest import Run
+from lecombus.cli import entry
+from lecombus.errors import CodeValueError, LineLostError, OperationError
+
+ROSTER = """\
+line: {name: hall-3, port: /dev/null-1, baud: 19200}
+drives:
+  - {name: feeder, address: 11, family: 8200vector}
+"""
+
+
+@pytest.fixture
+def roster(tmp_path: Path) -> Path:
+    path = tmp_path / "hall-3.yaml"
+    path.write_text(ROSTER)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["frobnicate"], "frobnicate"),
+        (["write", "feeder", "C0046"], "VALUE"),
+        (["write", "feeder", "C0046", "5", "--verfy"], "--verify"),
+        (["write", "feeder", "C0046", "35,4"], "35.4"),
+        (["write", "feeder", "C0046", "fast"], "H0008"),
+        (["write", "feeder", "C99999", "5"], "65535"),
+        (["write", "feeder", "C0046", "5", "--expires", "2"], "2s"),
+        (["write", "feeder", "C0046", "5", "--expires", "-2s"], "negative"),
+        (["read", "feeder"], "DRIVE CODE"),
+        (["read", "feeder", "C1", "--port", "/dev/x", "--address", "1"], "CODE"),
+        (["read", "C1", "--port", "/dev/x"], "--address"),
+        (["stop", "--action", "brake"], "inhibit"),
+        (["simulate", "-c", "x.yaml"], "--pty"),
+        (["check", "-c", "/nowhere.yaml"], "/nowhere.yaml"),
+    ],
+)
+def test_a_usage_error_is_one_line_that_says_what_is_right(
+    run: Run, words: list[str], said: str
+) -> None:
+    ran = run(*words)
+    assert ran.status == 2
+    assert ran.out == ""
+    assert ran.err.count("\n") == 1
+    assert said in ran.err
+
+
+def test_no_command_shows_the_help(run: Run) -> None:
+    ran = run()
+    assert ran.status == 2
+    assert "Commands:" in ran.err
+
+
+@pytest.mark.parametrize("command", ["", *entry.COMMANDS])
+def test_every_command_has_help(run: Run, command: str) -> None:
+    ran = run(*filter(None, [command, "--help"]))
+    assert ran.status == 0
+    assert ran.out.startswith(f"Usage: lecombus {command}".rstrip())
+
+
+def test_the_version_is_told(run: Run) -> None:
+    assert run("--version").out.startswith("lecombus 0.")
+
+
+@pytest.mark.parametrize(
+    "command", [name for name in entry.COMMANDS if name not in ("demo", "run")]
+)
+def test_every_command_but_the_long_running_takes_json(command: str) -> None:
+    found = entry.lecombus.get_command(click.Context(entry.lecombus), command)
+    assert found is not None
+    assert "--json" in [option for param in found.params for option in param.opts]
+
+
+def raising(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
+    """Let `lecombus demo` end with an error."""
+
+    def run_demo(seconds: float | None, http: str) -> int:
+        raise error
+
+    module = ModuleType("lecombus.demo")
+    module.__dict__["run_demo"] = run_demo
+    monkeypatch.setitem(sys.modules, "lecombus.demo", module)
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "said"),
+    [
+        (LineLostError("the port is gone"), 1, "the port is gone\n"),
+        (CodeValueError("no such code"), 2, "no such code\n"),
+        (
+            OperationError("it waits", kind="offline", remedy="look at it"),
+            1,
+            "it waits; look at it\n",
+        ),
+        (PermissionError(13, "Permission denied", "/dev/x"), 4, "/dev/x: permission denied\n"),
+        (FileNotFoundError(2, "No such file", "/dev/x"), 2, "/dev/x: no such file\n"),
+        (OSError(98, "Address already in use"), 1, "address already in use\n"),
+        (KeyboardInterrupt(), 130, ""),
+    ],
+)
+def test_an_error_becomes_its_status_and_one_line(
+    run: Run, monkeypatch: pytest.MonkeyPatch, error: BaseException, status: int, said: str
+) -> None:
+    raising(monkeypatch, error)
+    ran = run("demo")
+    assert (ran.status, ran.out, ran.err.lstrip("\n")) == (status, "", said)
+
+
+def test_a_bug_is_not_hidden(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    raising(monkeypatch, ZeroDivisionError())
+    with pytest.raises(ZeroDivisionError):
+        run("demo")
+
+
+def test_demo_passes_on_how_long_and_where(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[tuple[float | None, str]] = []
+
+    def run_demo(seconds: float | None, http: str) -> int:
+        given.append((seconds, http))
+        return 0
+
+    monkeypatch.setitem(sys.modules, "lecombus.demo", SimpleNamespace(run_demo=run_demo))
+    assert run("demo", "--for", "30s", "--http", "127.0.0.1:0").status == 0
+    assert given == [(30.0, "127.0.0.1:0")]
+
+
+def test_run_gives_the_daemons_status_back(
+    run: Run, roster: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[tuple[Path, str]] = []
+
+    def run_daemon(path: Path, *, log_format: str) -> int:
+        given.append((path, log_format))
+        return 1
+
+    monkeypatch.setattr("lecombus.cli.run.set_up_logging", lambda level, style: None)
+    monkeypatch.setitem(sys.modules, "lecombus.daemon", SimpleNamespace(run=run_daemon))
+    assert run("run", "-c", str(roster), "--log-format", "json").status == 1
+    assert given == [(roster, "json")]
+
+
+def test_check_shows_every_mistake_on_its_own_line(run: Run, roster: Path) -> None:
+    roster.write_text(ROSTER.replace("11", "10").replace("19200", "19201"))
+    ran = run("check", "-c", str(roster))
+    assert ran.status == 2
+    assert [line.split(": ")[0] for line in ran.err.splitlines()] == [
+        f"{roster}:1:47",
+        f"{roster}:3:29",
+    ]
+    document = json.loads(run("check", "-c", str(roster), "--json").out)
+    assert document["ok"] is False
+    assert [mistake["line"] for mistake in document["mistakes"]] == [1, 3]
+
+
+def test_check_describes_a_right_roster(run: Run, roster: Path) -> None:
+    ran = run("check", "-c", str(roster))
+    assert (ran.status, ran.err) == (0, "")
+    assert "feeder" in ran.out
+    document = json.loads(run("check", "-c", str(roster), "--json").out)
+    assert document["ok"] is True
+    assert document["groups"][0]["name"] == "all"
+
+
+def command_line(*words: str) -> list[str]:
+    return [sys.executable, "-m", "lecombus", *words]
+
+
+def test_a_pipe_that_closes_is_no_error(roster: Path) -> None:
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    with os.fdopen(write_end, "w") as closed:
+        done = subprocess.run(
+            command_line("check", "-c", str(roster)),
+            stdout=closed,
+            stderr=subprocess.PIPE,
+            timeout=15,
+            check=False,
+        )
+    assert (done.returncode, done.stderr) == (141, b"")
+
+
+def test_asking_for_help_imports_nothing_heavy() -> None:
+    heavy = ("fastapi", "uvicorn", "pydantic", "rich", "httpx", "serial")
+    script = (
+        "import sys; from lecombus.cli import main; main(['--help']); "
+        f"print([name for name in {heavy} if name in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=15, check=True
+    )
+    assert done.stdout.splitlines()[-1] == "[]"

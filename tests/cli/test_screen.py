@@ -1,0 +1,66 @@
+"""What a person sees on a terminal."""
+
+from __future__ import annotations
+
+import pytest
+
+from lecombus.cli import reports, screen
+from lecombus.cli.reports import show_reading
+from lecombus.cli.screen import age, show_rows
+
+
+@pytest.fixture(autouse=True)
+def _terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(screen, "on_terminal", lambda: True)
+    monkeypatch.setattr(reports, "on_terminal", lambda: True)
+    monkeypatch.setenv("COLUMNS", "80")
+
+
+def test_a_terminal_gets_headings_and_a_title(capsys: pytest.CaptureFixture[str]) -> None:
+    show_rows(("drive", "state"), [("feeder", "online")], title="line hall-3: open")
+    assert [line.rstrip() for line in capsys.readouterr().out.splitlines()] == [
+        "line hall-3: open",
+        "drive   state",
+        "feeder  online",
+    ]
+
+
+def test_a_cell_is_shown_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    show_rows(("why",), [("[red]not markup[/red]",)])
+    assert "[red]not markup[/red]" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("document", "shown"),
+    [
+        (
+            {"name": "frequency setpoint", "value": 35.4, "unit": "Hz", "quality": "good"},
+            "feeder C0039/1 (frequency setpoint): 35.4 Hz",
+        ),
+        (
+            {"name": "", "value": 0, "unit": None, "quality": "good", "age_s": 200},
+            "feeder C0039/1: 0 [3 min old]",
+        ),
+        (
+            {"value": 35.4, "quality": "stale", "reason": "drive offline"},
+            "feeder C0039/1: 35.4 [stale: drive offline]",
+        ),
+        (
+            {"value": None, "quality": "bad", "reason": "not read yet"},
+            "feeder C0039/1: no value [bad: not read yet]",
+        ),
+    ],
+)
+def test_a_reading_is_a_sentence(
+    capsys: pytest.CaptureFixture[str], document: dict[str, object], shown: str
+) -> None:
+    show_reading({"drive": "feeder", "code": "C0039", "subcode": 1, **document})
+    assert capsys.readouterr().out == shown + "\n"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "shown"),
+    [(None, ""), (0.44, "0.4 s"), (119, "119.0 s"), (120, "2 min"), (7200, "2 h"), (2e5, "2 d")],
+)
+def test_an_age_is_told_in_the_unit_one_would_say(seconds: object, shown: str) -> None:
+    assert age(seconds) == shown

@@ -1,0 +1,102 @@
+"""Simulated drives served by one command and read by another, with no daemon between."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from cli.conftest import Run
+
+ROSTER = """\
+line: {name: hall-3, port: "sim:", baud: 19200}
+drives:
+  - {name: feeder, address: 11, family: 8200vector}
+"""
+
+
+@pytest.fixture
+def roster(tmp_path: Path) -> Path:
+    path = tmp_path / "hall-3.yaml"
+    path.write_text(ROSTER)
+    return path
+
+
+@contextmanager
+def simulated(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """Run `lecombus simulate` and give it with the first line it prints."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "lecombus", "simulate", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as process:
+        try:
+            assert process.stdout is not None
+            yield process, process.stdout.readline().strip()
+        finally:
+            process.kill()
+
+
+def test_a_simulated_drive_is_read_through_a_port_of_its_own(
+    run: Run, roster: Path, tmp_path: Path
+) -> None:
+    link = tmp_path / "line"
+    with simulated("-c", str(roster), "--pty", str(link)) as (_, port):
+        assert port == str(link)
+        words = ("--port", port, "--baud", "19200", "--family", "8200vector", "--json")
+        ran = run("read", *words, "--address", "11", "C0050")
+        assert (ran.status, ran.err) == (0, "")
+        reading = json.loads(ran.out)
+        assert (reading["code"], reading["format"], reading["unit"]) == ("C0050", "VD", "Hz")
+        absent = run("read", *words[:-1], "--address", "12", "C0050")
+        assert absent.status == 1
+        assert "no answer" in absent.err
+
+
+def test_the_same_over_tcp(run: Run, roster: Path) -> None:
+    with simulated("-c", str(roster), "--tcp", "127.0.0.1:0", "--json") as (_, line):
+        served = json.loads(line)
+        assert served["drives"] == [{"drive": "feeder", "address": 11, "family": "8200vector"}]
+        ran = run("read", "--port", served["port"], "--baud", "19200", "--address", "11", "C0050")
+        assert ran.status == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_it_ends_cleanly_and_leaves_no_link(
+    roster: Path, tmp_path: Path, number: signal.Signals
+) -> None:
+    link = tmp_path / "line"
+    with simulated("-c", str(roster), "--pty", str(link)) as (process, _):
+        assert link.is_symlink()
+        process.send_signal(number)
+        assert process.wait(timeout=10) == 0
+    assert not link.is_symlink()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--tcp", "0.0.0.0:4001"], "127.0.0.1"),
+        (["--tcp", "x"], "127.0.0.1:PORT"),
+        (["--tcp", "0", "--faults", "gremlins=1"], "gremlins"),
+        (["--pty", "/etc/passwd"], "is no link"),
+    ],
+)
+def test_what_cannot_be_served_is_said(run: Run, roster: Path, words: list[str], said: str) -> None:
+    ran = run("simulate", "-c", str(roster), *words)
+    assert ran.status == 2
+    assert said in ran.err
+
+
+def test_a_port_that_is_not_there_is_a_failure_of_the_line(run: Run, tmp_path: Path) -> None:
+    ran = run("read", "--port", str(tmp_path / "none"), "--address", "11", "C0050")
+    assert ran.status == 1
+    assert ran.err.count("\n") == 1
+    assert "no such device" in ran.err
