@@ -96,14 +96,15 @@ async def _play(daemon: Daemon, view: View, seconds: float | None) -> None:
     for round_ in itertools.count():
         if daemon.site is not None:
             view.show(daemon.site)
-            await _move(daemon, round_, enabled)
+            await _move(daemon, view, round_, enabled)
         await anyio.sleep(1.0)
         if end_at is not None and anyio.current_time() >= end_at:
             daemon.end()
             return
 
 
-async def _move(daemon: Daemon, round_: int, enabled: set[str]) -> None:
+async def _move(daemon: Daemon, view: View, round_: int, enabled: set[str]) -> None:
+    """Enable each drive once it is online, and change the setpoints every few seconds."""
     assert daemon.site is not None
     for name, (code, values) in SETPOINTS.items():
         state = daemon.site.store.drive(name).state.value

@@ -9,7 +9,7 @@
     ├── LineError                         line
     │   ├── LineLostError
     │   └── LineClosedError
-    ├── ExchangeError                     line, address, code, subcode, attempt, elapsed_s, sent, received
+    ├── ExchangeError                     record: address, code, attempt, elapsed_s, bytes
     │   ├── NoReplyError
     │   ├── GarbledReplyError             + expected_bcc, got_bcc
     │   ├── UnexpectedReplyError

@@ -286,7 +286,7 @@ class LineWorker:
             await self._say(request, now)
 
     async def _rest(self, now: float) -> None:
-        """Nothing is due: sleep, but not so long that a healthy idle line looks like a stuck one."""
+        """Nothing is due: sleep, but not so long that an idle line looks like a stuck one."""
         self.rests += 1
         wake_at = self.schedule.wake_at_s(now)
         latest = now + LONGEST_REST_S
