@@ -19,18 +19,8 @@ from lecombus.config.borders import (
     HttpPlace,
     PortPlace,
 )
-from lecombus.config.kinds import (
-    Address,
-    Choice,
-    CodeKind,
-    Duration,
-    Name,
-    Percent,
-    Text,
-    Whole,
-    WholeChoice,
-    YesNo,
-)
+from lecombus.config.kinds import Choice, Name, Text, YesNo
+from lecombus.config.numbers import Address, CodeKind, Duration, Percent, Whole, WholeChoice
 from lecombus.config.shapes import Key, ListOf, NamedEntries, Table
 from lecombus.drives import FAMILY_NAMES
 from lecombus.protocol.timing import BAUDS

@@ -93,12 +93,12 @@ def _read(path: Path, mistakes: Mistakes) -> bytes:
     """Return the file's bytes; never waits on a pipe or a device."""
     try:
         data = _read_regular(path)
-        if data is None:
-            raise mistakes.fatal(_Top(), "this is no regular file", "name a roster file")
     except OSError as exc:
         raise mistakes.fatal(_Top(), *_say_os_error(exc)) from exc
     except ValueError as exc:  # a NUL in the name
         raise mistakes.fatal(_Top(), "this is no file name", "name a roster file") from exc
+    if data is None:
+        raise mistakes.fatal(_Top(), "this is no regular file", "name a roster file")
     if len(data) > LARGEST:
         raise _too_large(mistakes)
     return data

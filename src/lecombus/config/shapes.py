@@ -134,12 +134,12 @@ class Table:
 
     def _meant(self, at: Scalar, node: MappingNode, entry: Entry, mistakes: Mistakes) -> str | None:
         """Note an unknown key; return the key it was meant to be, where that is missing."""
-        free = [name for name in self.keys if name not in node.items and name not in entry.nodes]
-        meant = nearest(at.text, free) or nearest(at.text, self.keys)
+        meant = nearest(at.text, self.keys)
         listed = f"the keys of a {self.title} are {', '.join(self.keys)}"
         right = listed if meant is None else f"did you mean `{meant}`?"
         mistakes.note(at, f"a {self.title} has no key {shown(at.text)}", right)
-        return meant if meant in free else None
+        taken = meant in node.items or meant in entry.nodes
+        return None if taken else meant
 
     def schema(self) -> dict[str, Any]:
         """See `Kind`."""
@@ -167,8 +167,8 @@ class NamedEntries:
     """
 
     def __init__(self, name: ScalarKind, kind: Kind) -> None:
-        self._name = name
-        self._kind = kind
+        self.name = name
+        self.kind = kind
         self.expects = f"a mapping from {name.expects} to {kind.expects}"
 
     def read(
@@ -180,17 +180,17 @@ class NamedEntries:
             return UNUSABLE
         found = []
         for text, (at, value) in node.items.items():
-            self._name.read(at, "the name", mistakes)
-            read = self._kind.read(value, shown(text), mistakes)
+            self.name.read(at, "the name", mistakes)
+            read = self.kind.read(value, shown(text), mistakes)
             if read is not UNUSABLE:
                 found.append((at, read))
         return found
 
     def schema(self) -> dict[str, Any]:
         """See `Kind`."""
-        names = {key: value for key, value in self._name.schema().items() if key != "type"}
+        names = {key: value for key, value in self.name.schema().items() if key != "type"}
         return {
-            "type": "object", "propertyNames": names, "additionalProperties": self._kind.schema()
+            "type": "object", "propertyNames": names, "additionalProperties": self.kind.schema()
         }  # fmt: skip
 
 
@@ -204,7 +204,7 @@ class ListOf:
     """
 
     def __init__(self, kind: Kind, item: str, least: int = 0) -> None:
-        self._kind = kind
+        self.kind = kind
         self._item = item
         self._least = least
         self.expects = f"a list, each item {kind.expects}"
@@ -214,7 +214,7 @@ class ListOf:
         if not isinstance(node, ListNode):
             right = f"give {self.expects}"
             if isinstance(node, Scalar) and not node.is_empty and isinstance(
-                self._kind, ScalarKind
+                self.kind, ScalarKind
             ):  # fmt: skip
                 right = f"put it in brackets: [{node.text[:40]}]"
             mistakes.note(node, f"{label} is {kind_of(node)}", right)
@@ -222,11 +222,11 @@ class ListOf:
         if len(node.items) < self._least:
             mistakes.note(node, f"{label} is an empty list", f"give {self.expects}")
             return UNUSABLE
-        read = [Item(item, self._kind.read(item, self._item, mistakes)) for item in node.items]
+        read = [Item(item, self.kind.read(item, self._item, mistakes)) for item in node.items]
         usable = [item for item in read if item.value is not UNUSABLE]
         return Items(usable, len(usable) == len(read))
 
     def schema(self) -> dict[str, Any]:
         """See `Kind`."""
-        found: dict[str, Any] = {"type": "array", "items": self._kind.schema()}
+        found: dict[str, Any] = {"type": "array", "items": self.kind.schema()}
         return {**found, "minItems": self._least} if self._least else found

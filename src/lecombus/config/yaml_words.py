@@ -57,6 +57,9 @@ def say_yaml_error(error: yaml.MarkedYAMLError, written: str) -> tuple[str, str]
     if value is not None and "mapping values are not allowed" in problem:
         what = "not valid YAML: a value that ends in `:` needs quotes"
         return what, f'write {value[1]}: "{value[2]}"'
+    indent = written[: len(written) - len(written.lstrip())]
+    if "cannot start any token" in problem and "\t" in indent:
+        problem = "'\\t'"  # libyaml does not say which character it is
     for piece, what, right in _ROWS:
         if piece in problem:
             return f"not valid YAML: {what}", right

@@ -1,0 +1,103 @@
+"""`check` is told what a roster comes to, what is suspicious, and what does nothing yet."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from config.rosters import CONFIG, GOOD, drive_with, line_with, parsed, roster_with
+from lecombus.config import describe, line_timing, load_roster
+
+
+def warned(text: str) -> list[str]:
+    return list(describe(parsed(text)).warnings)
+
+
+def test_groups_say_whether_one_telegram_reaches_them() -> None:
+    text = roster_with("groups: {both: {members: [belt, feeder]}, one: {members: [belt]}}")
+    rows = [
+        (group.name, group.how, group.multicast_address) for group in describe(parsed(text)).groups
+    ]
+    assert rows == [
+        ("all", "multicast", 10),
+        ("both", "multicast", 10),
+        ("one", "one-by-one", None),
+    ]
+    lines = describe(parsed(text)).lines()
+    assert "group both: 2 drives, one multicast telegram to address 10" in lines
+    assert "group one: 1 drive, one write after another" in lines
+
+
+def test_drives_are_told_with_what_was_filled_in() -> None:
+    text = drive_with("watchdog: {time: 2s, action: inhibit}", "cyclic: [{code: 46, every: 1s}]")
+    (drive,) = describe(parsed(text)).drives
+    assert (drive.name, drive.address, drive.family) == ("feeder", 11, "8200vector")
+    assert (drive.watchdog, drive.cyclic) == ("2s inhibit, compared only", "C0046 1s")
+    assert drive.writable == "C0040, C0043, C0046, C0135, C1922, C1923"
+
+
+def test_a_description_is_json() -> None:
+    found = json.loads(json.dumps(describe(parsed(GOOD)).as_json()))
+    assert [drive["name"] for drive in found["drives"]] == ["feeder", "belt"]
+    assert found["groups"][0]["how"] == "multicast"
+
+
+def test_the_small_example_gives_no_cause_for_wonder() -> None:
+    assert describe(load_roster(CONFIG / "small.yaml")).warnings == ()
+
+
+def test_what_does_nothing_yet_is_told_in_a_few_lines() -> None:
+    told = [line for line in describe(load_roster(CONFIG / "full.yaml")).lines()
+            if line.startswith("not used")]  # fmt: skip
+    assert len(told) == 5
+    assert "drives.infeed-1.lease and 8 more drives'" in told[-1]
+
+
+SAFE = "watchdog: {time: 2s, action: inhibit, configure: true}"
+
+
+@pytest.mark.parametrize(
+    ("text", "piece"),
+    [
+        (GOOD.replace("/dev/serial/by-id/usb-1", "/dev/ttyUSB0"), "may be another adapter after a"),
+        (line_with("direction: rts"), "direction rts: the 1 ms"),
+        (line_with("direction: kernel", "medium: fibre"), "fibre has no transceiver to switch"),
+        (line_with("medium: fibre", "echo: no"), "a fibre ring returns every telegram"),
+        (line_with("parity: port"), "meant for device servers"),
+        (line_with("late_answer: 200ms"), "late_answer 200ms: a 2102 module may take 500ms"),
+        (line_with("stall: 0"), "stall 0"),
+        (GOOD, "no watchdog is looked after in 2 of 2 drives (feeder, belt)"),
+        (drive_with("watchdog: {time: 2s, action: none, configure: true}"), "nothing stops the"),
+        (drive_with("watchdog: {time: 2s, action: inhibit}"), "forgets its watchdog at power-off"),
+        (drive_with("watchdog: {time: 600ms, action: inhibit, configure: true}"), "may act when"),
+        (drive_with("watchdog: {time: 20ms, action: inhibit}", family="smvector"),
+         "a watchdog of 20ms cannot be fed: one round of 1 drives takes"),
+        (drive_with("cyclic: [{code: C0150, every: 10ms}]"), "cyclic reads ask for"),
+        (drive_with("writable: [C0150]"), "(controller status word) is writable here, read only"),
+        (drive_with("writable: [C0125]", "allow_address_change: true"), "answers elsewhere"),
+        (drive_with("lease: {required: true, on_lapse: hold}"), "shows as a permanent alarm"),
+        (drive_with("lease: {required: true}"), "a lease is required for 1 of 1 drives, but"),
+    ],
+)  # fmt: skip
+def test_what_is_valid_but_suspicious_is_said(text: str, piece: str) -> None:
+    assert any(piece in words for words in warned(text)), warned(text)
+
+
+@pytest.mark.parametrize("family", ["8200vector", "smvector", "93xx"])
+def test_a_watched_drive_on_a_plain_line_is_fine(family: str) -> None:
+    assert warned(drive_with(SAFE, family=family)) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "latency_s"),
+    [
+        (GOOD, 0.016), (GOOD.replace("/dev/serial/by-id/usb-1", "socket://h:1"), 0.05),
+        (GOOD.replace("/dev/serial/by-id/usb-1", "sim"), 0.005),
+        (line_with("adapter_latency: 1ms"), 0.001),
+    ],
+)  # fmt: skip
+def test_the_latency_follows_from_the_port_unless_written(text: str, latency_s: float) -> None:
+    timing = line_timing(parsed(text).line)
+    assert timing.adapter_latency_s == latency_s
+    assert (timing.baud, timing.turnaround_s, timing.quarantine_s) == (9600, 0.002, 0.5)

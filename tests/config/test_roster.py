@@ -1,0 +1,190 @@
+"""What a right roster becomes: complete, in seconds and codes, with what follows filled in."""
+
+from __future__ import annotations
+
+import time
+
+import pydantic
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from config.rosters import CONFIG, GOOD, drive_with, line_with, parsed, roster_with
+from lecombus.config import LeaseEntry, load_roster
+from lecombus.config.building import multicast_address
+from lecombus.drives import FAMILY_NAMES, family
+from lecombus.protocol.addressing import Code, Form, group_reach
+
+ADDRESSES = [number for number in range(1, 100) if number % 10]
+
+
+def test_what_is_not_written_has_the_documented_default() -> None:
+    roster = parsed(GOOD)
+    line = roster.line
+    assert (line.baud, line.medium, line.direction, line.echo, line.parity) == (
+        9600, "rs485", "adapter", "auto", "line"
+    )  # fmt: skip
+    assert (line.turnaround_s, line.retries, line.late_answer_s) == (0.002, 2, 0.5)
+    assert (line.absent_share, line.stall_s, line.adapter_latency_s) == (0.1, 30.0, None)
+    assert (roster.api.socket, roster.api.http) == ("/run/lecombus/hall-3.sock", None)
+    assert (roster.on_shutdown, roster.lease, roster.not_yet_used) == ("nothing", LeaseEntry(), ())
+
+
+@pytest.mark.parametrize("name", FAMILY_NAMES)
+def test_a_drive_takes_over_what_its_family_says(name: str) -> None:
+    (drive,) = parsed(drive_with(family=name)).drives
+    of = family(name)
+    assert [(entry.code, entry.every_s) for entry in drive.cyclic] == list(of.status)
+    assert (drive.writable, drive.forms) == (of.writable, of.forms)
+    assert (drive.watchdog, drive.answer_time_s) == (None, None)
+
+
+def test_an_empty_list_means_nothing_rather_than_the_default() -> None:
+    (drive,) = parsed(drive_with("cyclic: []", "writable: []")).drives
+    assert (drive.cyclic, drive.writable) == ((), frozenset())
+
+
+def test_what_is_written_of_a_drive_is_converted() -> None:
+    (drive,) = parsed(
+        drive_with(
+            "watchdog: {time: 1500ms, action: trip, configure: on}",
+            "cyclic: [{code: P425, every: 500ms}, {code: 39/1, every: 1min}]",
+            "writable: [c46, '135']", "answer_time: 30ms", "accept_software: [1.30, '1.4']",
+            family="smvector",
+        )
+    ).drives  # fmt: skip
+    assert drive.watchdog is not None
+    assert (drive.watchdog.time_s, drive.watchdog.action, drive.watchdog.configure) == (
+        1.5, "trip", True
+    )  # fmt: skip
+    assert [(entry.code, entry.every_s) for entry in drive.cyclic] == [
+        (Code(1425), 0.5), (Code(39, 1), 60.0)
+    ]  # fmt: skip
+    assert drive.writable == {Code(46), Code(135)}
+    assert (drive.answer_time_s, drive.accept_software) == (0.03, ("1.30", "1.4"))
+
+
+def test_a_drive_without_extended_addressing_reads_only_what_it_can() -> None:
+    (drive,) = parsed(drive_with("addressing: standard", family="93xx")).drives
+    assert drive.forms == (Form.STANDARD,)
+    assert drive.cyclic
+    assert all(entry.code.knows(Form.STANDARD) for entry in drive.cyclic)
+
+
+@pytest.mark.parametrize(
+    ("written", "echo"),
+    [("yes", "yes"), ("no", "no"), ("No", "no"), ("TRUE", "yes"), ("off", "no"), ("auto", "auto"),
+     ("'no'", "no")],
+)  # fmt: skip
+def test_yes_and_no_mean_what_they_say(written: str, echo: str) -> None:
+    assert parsed(line_with(f"echo: {written}")).line.echo == echo
+
+
+@pytest.mark.parametrize("address", ["11", "'11'", '"11"'])
+def test_a_quoted_number_is_a_number(address: str) -> None:
+    assert parsed(GOOD.replace("11", address)).drives[0].address == 11
+
+
+@pytest.mark.parametrize(
+    ("written", "port"),
+    [("sim", "sim:"), ('"sim:"', "sim:"), ("socket://192.0.2.7:4001", "socket://192.0.2.7:4001"),
+     ("socket://[2001:db8::1]:4001", "socket://[2001:db8::1]:4001"), ("/dev/ttyS0", "/dev/ttyS0"),
+     ("rfc2217://moxa.local:4001", "rfc2217://moxa.local:4001")],
+)  # fmt: skip
+def test_ports_of_every_kind(written: str, port: str) -> None:
+    assert parsed(GOOD.replace("/dev/serial/by-id/usb-1", written)).line.port == port
+
+
+@pytest.mark.parametrize(
+    ("written", "shown"),
+    [("127.0.0.1:9740", "127.0.0.1:9740"), ("localhost:80", "localhost:80"),
+     ("'[::1]:9740'", "[::1]:9740"), ("127.1.2.3:1", "127.1.2.3:1")],
+)  # fmt: skip
+def test_http_on_loopback(written: str, shown: str) -> None:
+    assert str(parsed(roster_with(f"api: {{http: {written}}}")).api.http) == shown
+
+
+def test_stall_may_be_never() -> None:
+    assert parsed(line_with("stall: 0")).line.stall_s == 0
+
+
+def test_a_drive_lease_completes_itself_from_the_default() -> None:
+    text = roster_with("lease: {required: true, time: 5s, on_lapse: silence}")
+    text = text.replace("family: smvector", "family: smvector\n    lease: {time: 1s}")
+    feeder, belt = parsed(text).drives
+    assert feeder.lease == LeaseEntry(required=True, time_s=5, on_lapse="silence")
+    assert belt.lease == LeaseEntry(required=True, time_s=1, on_lapse="silence")
+
+
+def test_what_does_nothing_yet_is_named() -> None:
+    text = roster_with(
+        "lease: {required: false}", "mqtt: {host: h, tls: no}", "journal: /j",
+        "api: {tokens: /t}",
+    ).replace("family: smvector", "family: smvector\n    lease: {}")  # fmt: skip
+    roster = parsed(text)
+    assert roster.not_yet_used == ("lease", "mqtt", "journal", "api.tokens", "drives.belt.lease")
+    assert roster.mqtt is not None
+    assert (roster.mqtt.port, roster.mqtt.tls) == (1883, False)
+
+
+def test_merge_keys_and_anchors_write_drives_once() -> None:
+    text = GOOD.replace("- name: feeder", "- &f\n    name: feeder")
+    text = text.split("  - name: belt")[0] + "  - {<<: *f, name: belt, address: 12}\n"
+    assert [(drive.name, drive.family) for drive in parsed(text).drives] == [
+        ("feeder", "8200vector"), ("belt", "8200vector")
+    ]  # fmt: skip
+
+
+def test_a_roster_cannot_be_changed_afterwards() -> None:
+    roster = parsed(GOOD)
+    with pytest.raises(pydantic.ValidationError):
+        roster.line.baud = 19200
+
+
+def test_a_drive_is_found_by_name() -> None:
+    roster = parsed(GOOD)
+    assert roster.drive("belt") is roster.drives[1]
+    assert roster.drive("nobody") is None
+
+
+@pytest.mark.parametrize(
+    ("members", "drives", "address"),
+    [
+        ([11, 12], [11, 12, 21], 10), ([11], [11, 12, 21], None), ([21], [11, 12, 21], 20),
+        ([11, 12, 21], [11, 12, 21], 0), ([11, 21], [11, 12, 21], None),
+        ([11, 12], [11, 12], 10), ([1, 2], [1, 2], 0), ([1], [1, 11], None),
+        ([99], [99, 1], 90),
+    ],
+)  # fmt: skip
+def test_a_group_is_multicast_only_where_it_is_exact(
+    members: list[int], drives: list[int], address: int | None
+) -> None:
+    assert multicast_address(members, drives) == address
+
+
+@given(st.sets(st.sampled_from(ADDRESSES), min_size=1, max_size=12), st.data())
+def test_a_multicast_reaches_exactly_the_members(drives: set[int], data: st.DataObject) -> None:
+    members = data.draw(st.sets(st.sampled_from(sorted(drives)), min_size=1))
+    address = multicast_address(members, drives)
+    exact = [group for group in range(0, 100, 10) if set(group_reach(group)) & drives == members]
+    assert (address is None) == (not exact)
+    if address is not None:
+        assert address == max(exact)
+
+
+def test_the_group_of_all_drives_always_exists() -> None:
+    roster = parsed(roster_with("groups: {b: {members: [belt]}}"))
+    assert roster.groups["all"].members == ("feeder", "belt")
+    assert roster.groups["all"].multicast_address == 10
+    assert roster.groups["b"].multicast_address is None
+
+
+def test_a_full_line_is_read_without_holding_up_the_daemon() -> None:
+    path = CONFIG / "full.yaml"
+    assert len(load_roster(path).drives) == 31
+    took = []
+    for _ in range(5):
+        start = time.process_time()
+        load_roster(path)
+        took.append(time.process_time() - start)
+    assert min(took) < 0.060

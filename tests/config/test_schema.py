@@ -1,0 +1,123 @@
+"""The schema for editors is current, takes the examples, and sees what it can see."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from config.rosters import CONFIG, GOOD, drive_with, line_with, parsed, roster_with
+from config.schema_validator import matches
+from lecombus.config import load_roster, roster_json_schema
+from lecombus.config.keys import ROSTER
+from lecombus.config.kinds import Kind
+from lecombus.config.shapes import ListOf, NamedEntries, Table
+
+EXAMPLES = ["small.yaml", "full.yaml"]
+
+
+class Yaml12Loader(yaml.SafeLoader):
+    """Reads yes, no, on and off as text, as the YAML 1.2 of editors does."""
+
+
+Yaml12Loader.yaml_implicit_resolvers = {
+    letter: [(tag, pattern) for tag, pattern in rows if letter in "tTfF" or "bool" not in tag]
+    for letter, rows in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+
+
+def test_the_shipped_schema_is_what_the_documented_command_writes() -> None:
+    run = subprocess.run(
+        [sys.executable, "-W", "error", "-m", "lecombus.config"],
+        capture_output=True, check=True, text=True,
+        env={"PYTHONPATH": str(Path(__file__).parents[2] / "src")},
+    )  # fmt: skip
+    assert run.stderr == ""
+    assert (CONFIG / "roster.schema.json").read_text() == run.stdout
+    assert json.loads(run.stdout) == roster_json_schema()
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("loader", [yaml.SafeLoader, Yaml12Loader])
+def test_an_example_is_right_for_editors_and_for_us(name: str, loader: Any) -> None:
+    text = (CONFIG / name).read_text()
+    assert load_roster(CONFIG / name).drives
+    assert matches(roster_json_schema(), yaml.load(text, Loader=loader))
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_an_example_tells_editors_where_its_schema_is(name: str) -> None:
+    first = (CONFIG / name).read_text().splitlines()[0]
+    assert first == "# yaml-language-server: $schema=./roster.schema.json"
+
+
+def keys_of(kind: Kind, path: str = "") -> set[str]:
+    if isinstance(kind, Table):
+        return {found for key in kind.keys.values()
+                for found in keys_of(key.kind, f"{path}.{key.name}")} | {path}  # fmt: skip
+    if isinstance(kind, ListOf | NamedEntries):
+        return keys_of(kind.kind, path)
+    return {path}
+
+
+def keys_in(value: Any, kind: Kind, path: str = "") -> set[str]:
+    if isinstance(kind, Table):
+        return {found for name, item in value.items()
+                for found in keys_in(item, kind.keys[name].kind, f"{path}.{name}")
+                } | {path}  # fmt: skip
+    if isinstance(kind, ListOf):
+        return set().union(*(keys_in(item, kind.kind, path) for item in value))
+    if isinstance(kind, NamedEntries):
+        return set().union(*(keys_in(item, kind.kind, path) for item in value.values()))
+    return {path}
+
+
+def test_the_full_example_shows_every_key() -> None:
+    value = yaml.safe_load((CONFIG / "full.yaml").read_text())
+    assert keys_of(ROSTER) == keys_in(value, ROSTER)
+
+
+def test_every_key_is_explained() -> None:
+    def explained(schema: dict[str, Any]) -> None:
+        for name, piece in schema.get("properties", {}).items():
+            assert piece["description"].endswith("."), name
+            explained(piece)
+            explained(piece.get("items", {}))
+
+    explained(roster_json_schema())
+
+
+RIGHT = [
+    GOOD, line_with("echo: no"), line_with("stall: 0", "retries: 0", "absent_share: 25%"),
+    line_with("echo: auto", "repeaters: yes", "turnaround: 0"),
+    drive_with("writable: [46, C135, P425, C39/1]", "accept_software: [1.20]"),
+    roster_with("groups: {a-b: {members: [belt]}}", "api: {http: '[::1]:80'}"),
+    GOOD.replace("/dev/serial/by-id/usb-1", "sim"),
+    GOOD.replace("/dev/serial/by-id/usb-1", "socket://192.0.2.7:4001"),
+]  # fmt: skip
+WRONG = [
+    line_with("baud: 9601"), line_with("bauds: 9600"), line_with("turnaround: 2"),
+    GOOD.replace("11", "10"), GOOD.replace("11", "100"), GOOD.replace("smvector", "smvektor"),
+    GOOD.replace("feeder", "all"), GOOD.replace("feeder", "Feeder"), drive_with("writable: [C1x]"),
+    drive_with("cyclic: [{code: C1}]"), drive_with("watchdog: {time: 2s}"),
+    roster_with("groups: {g: {members: []}}"), roster_with("groups: {all: {members: [belt]}}"),
+    roster_with("api: {http: '0.0.0.0:80'}"), roster_with("journal: x"),
+    "line: {name: a, port: sim}\n", "line: {name: a}\ndrives: []\n",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("loader", [yaml.SafeLoader, Yaml12Loader])
+@pytest.mark.parametrize("text", RIGHT)
+def test_what_is_right_is_not_marked_by_an_editor(text: str, loader: Any) -> None:
+    assert parsed(text).drives
+    assert matches(roster_json_schema(), yaml.load(text, Loader=loader))
+
+
+@pytest.mark.parametrize("text", WRONG)
+def test_what_is_wrong_by_itself_is_marked_by_an_editor(text: str) -> None:
+    assert not matches(roster_json_schema(), yaml.safe_load(text))
