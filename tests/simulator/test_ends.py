@@ -75,10 +75,9 @@ def test_a_pty_answers_within_one_percent_of_the_ideal_time(no_leaks: None) -> N
         os.close(host)
     ideal_s = (6 + len(answer)) * 10 / 9600 + 0.020
     assert answer[3:-2] == b"S33S8221E_11000"
-    # The thread starts late by the time it takes to wake up, so it is never faster; on a busy
-    # machine the median still shows what the pacing does.
-    assert min(took) > ideal_s * 0.99
-    assert statistics.median(took) < ideal_s * 1.05
+    # On a busy machine wake-ups come late now and then; the best show what the pacing does.
+    assert min(took) == pytest.approx(ideal_s, rel=0.01)
+    assert statistics.median(took) < ideal_s * 1.25
 
 
 def test_bytes_of_a_long_answer_keep_their_distance(no_leaks: None) -> None:
@@ -86,16 +85,18 @@ def test_bytes_of_a_long_answer_keep_their_distance(no_leaks: None) -> None:
         host = open_raw(end.path)
         gaps: list[float] = []
         spans: list[float] = []
-        for _ in range(3):
+        for _ in range(7):
             os.write(host, READ)
             answer, times = read_answer(lambda: os.read(host, 100), host)
             gaps += [later - earlier for earlier, later in itertools.pairwise(times)]
             spans.append(times[-1] - times[0])
         os.close(host)
     char_s = 10 / 2400
-    assert statistics.median(gaps) == pytest.approx(char_s, rel=0.05)
+    assert statistics.median(gaps) == pytest.approx(char_s, rel=0.1)
     # Absolute due times: single lateness does not add up over the answer.
-    assert statistics.median(spans) == pytest.approx((len(answer) - 1) * char_s, rel=0.02)
+    ideal_s = (len(answer) - 1) * char_s
+    assert min(abs(span_s - ideal_s) for span_s in spans) < ideal_s * 0.01
+    assert statistics.median(spans) == pytest.approx(ideal_s, rel=0.05)
 
 
 def test_a_host_may_close_and_open_again(no_leaks: None) -> None:

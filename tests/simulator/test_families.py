@@ -125,6 +125,21 @@ def test_an_820x_without_a_trip_acknowledges_inhibit_and_enable() -> None:
     assert host.write(11, 135, "H0000") == "ACK"
 
 
+def test_a_tripped_820x_that_was_not_inhibited_does_not_restart() -> None:
+    host = single("820x", c135="H0000")
+    host.line["d"].trip(50)
+    assert host.write(11, 135, "H0000") == "ACK"
+    assert host.write(11, 40, "1") == "ACK"
+    assert host.word(11, 68) & 0x8000
+
+
+def test_an_820x_restarts_on_a_trip_reset_by_a_group_telegram_too() -> None:
+    host = single("820x", c135="H0200")
+    host.line["d"].trip(50)
+    assert host.write(0, 135, "H0000") == ""
+    assert host.read(11, 150) == ""
+
+
 def test_an_820x_has_no_c0043() -> None:
     assert single("820x").read(11, 43) == "EOT"
 

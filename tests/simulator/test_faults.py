@@ -188,6 +188,32 @@ def test_a_drive_may_have_its_own_faults() -> None:
     assert host.read(12, 46) == "35.4"
 
 
+@pytest.mark.parametrize("kind", [LateKind.ADAPTER, LateKind.STUBBORN])
+def test_late_answers_fool_a_host_that_takes_what_comes(kind: LateKind) -> None:
+    drives = [SimDrive(n, "822x", overrides={4: str(n)}) for n in range(11, 20)]
+    faults = Faults(late=0.1, late_s=(0.05, 0.5), late_kind=kind)
+    host = Host(SimLine(drives, baud=19200, faults=faults, seed=3))
+    wrong = 0
+    for n in range(900):
+        address = 11 + n % 9
+        host.say(read_telegram(address, 4))
+        end_s = host.now_s + 0.060
+        answer = bytes(byte & 0x7F for byte in host.hear(until_s=end_s))
+        wrong += len(answer) == 7 and answer[3:5] != b"%d" % address
+    assert wrong > 5
+
+
+def test_late_drives_that_obey_an_eot_fool_nobody() -> None:
+    drives = [SimDrive(n, "822x", overrides={4: str(n)}) for n in range(11, 20)]
+    faults = Faults(late=0.1, late_s=(0.05, 0.5), late_kind=LateKind.DRIVE)
+    host = Host(SimLine(drives, baud=19200, faults=faults, seed=3))
+    for n in range(900):
+        address = 11 + n % 9
+        host.say(read_telegram(address, 4))
+        answer = bytes(byte & 0x7F for byte in host.hear(until_s=host.now_s + 0.060))
+        assert answer[3:5] in (b"", b"%d" % address)
+
+
 def test_faults_strike_about_as_often_as_asked_and_the_same_way_each_time() -> None:
     def losses(seed: int) -> list[bool]:
         host = faulty(Faults(lost=0.2), seed=seed)

@@ -232,6 +232,18 @@ def test_the_log_tells_what_was_asked_and_done() -> None:
     ]
 
 
+def test_an_observer_sees_every_request_at_its_last_character() -> None:
+    host = Host(SimLine([SimDrive(11, "822x")], baud=9600))
+    seen: list[tuple[float, int]] = []
+    host.line.on_request = lambda at_s, heard: seen.append((at_s, heard.address))
+    start_s = host.now_s
+    host.say(read_telegram(11, 4))
+    host.hear()
+    host.read(77, 4)
+    assert seen[0][0] == pytest.approx(start_s + 6 * CHAR_S)
+    assert [address for _, address in seen] == [11, 77]
+
+
 @settings(max_examples=40, deadline=None)
 @given(
     st.lists(st.sampled_from([46, 50, 68, 150, 200, 999, 1923]), min_size=1, max_size=5),

@@ -100,6 +100,16 @@ def test_the_motor_stops_from_the_moment_it_fires() -> None:
     assert drive.speed_hz == pytest.approx(20, abs=0.01)
 
 
+def test_the_motor_goes_on_until_the_moment_it_fires() -> None:
+    host = running("822x", {1923: "2000", 1922: "2", 12: "5", 105: "5"})
+    drive = host.line["d"]
+    start_s = host.now_s
+    heard_s = last_heard_s(host)
+    drive.advance(heard_s + 2.0 + 1.0)
+    # Up at 10 Hz/s until it fires, then down at 10 Hz/s for one second.
+    assert drive.speed_hz == pytest.approx((heard_s + 2.0 - start_s) * 10 - 10, abs=0.01)
+
+
 @pytest.mark.parametrize(("action", "bit"), [("1", 0x0200), ("2", 0x0008)])
 def test_the_smvector_watchdog_inhibits_or_stops(action: str, bit: int) -> None:
     host = running("smvector", {1425: "500", 1426: action})

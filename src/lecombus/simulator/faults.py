@@ -7,7 +7,8 @@ the short text of the command line, such as `late=0.05:0.5s,noise=0.05,lost=0.02
 Damage is at most one character per answer (a flipped bit or another character) or stray characters
 around it, so that parity and block check can always notice it: what gets past both is noticed by no
 master, and a test that demands correct values could only be flaky. Never made, for the same reason:
-an ACK out of a NAK, the reverse, or a stray one of the two.
+an ACK out of a NAK, the reverse, or a stray one of the two. One trap is left open on purpose: the
+character after the code may turn into EOT, which looks like "no such code" with something after it.
 
 Must not live here: the doing, which is the line's.
 """

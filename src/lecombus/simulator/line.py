@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import random
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum, auto
 from heapq import heappop, heappush
@@ -79,6 +79,7 @@ class SimLine:
         collisions: How often the host spoke while a drive was speaking.
         aborted: How often an EOT made a drive drop or cut off an answer.
         requests: Whole requests heard on the line.
+        on_request: Called with time and request whenever one was heard; for benches and tests.
     """
 
     def __init__(
@@ -105,6 +106,7 @@ class SimLine:
         self.collisions = 0
         self.aborted = 0
         self.requests = 0
+        self.on_request: Callable[[float, Heard], None] | None = None
         self._think_scale = think_scale
         self._char_s = _BITS / baud if paced else 0.0
         self._rng = random.Random(seed)
@@ -231,6 +233,8 @@ class SimLine:
             self._interrupt(at_s, listener.cut_short)
         elif heard is not None:
             self.requests += 1
+            if self.on_request is not None:
+                self.on_request(at_s, heard)
             self._dispatch(heard, at_s)
 
     def _collide(self, at_s: float) -> None:

@@ -1,0 +1,96 @@
+"""Two readings of the same manuals, side by side: the master's descriptions, our tables.
+
+Neither reads the other. Where they disagree, one of them has misread the manual.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from lecombus.drives import FAMILY_NAMES, Family, family
+from lecombus.line.port import PortOpener
+from lecombus.protocol.addressing import Code, Form, encode_code
+from lecombus.protocol.values import Value
+from lecombus.simulator import MemoryEnd, SimDrive, SimLine, build
+from lecombus.simulator.families import MODELS
+from lecombus.simulator.wire import code_field
+from support.sim_host import Host, read_telegram, write_telegram
+
+
+def drive_of(name: str) -> tuple[SimDrive, Host]:
+    drive = SimDrive(11, name)
+    return drive, Host(SimLine([drive], baud=19200))
+
+
+def answers(drive: SimDrive, code: Code) -> Value:
+    return Value.parse(drive.text(code.number, code.subcode))
+
+
+def test_both_know_the_same_families() -> None:
+    assert set(MODELS) == set(FAMILY_NAMES)
+
+
+@pytest.mark.parametrize("name", FAMILY_NAMES)
+def test_every_described_code_answers_in_the_described_format(name: str) -> None:
+    drive, _ = drive_of(name)
+    wrong = []
+    for code, info in family(name).codes.items():
+        value = answers(drive, code)
+        digits = len(value.raw) - 1 if info.hex_digits else None
+        if (value.format, digits) != (info.format, info.hex_digits):
+            wrong.append((str(code), value.raw, info.format))
+    assert wrong == []
+
+
+@pytest.mark.parametrize("name", FAMILY_NAMES)
+def test_both_agree_on_what_can_be_written_at_all(name: str) -> None:
+    drive, _ = drive_of(name)
+    specs = drive.model.params.specs
+    differ = [
+        str(code)
+        for code, info in family(name).codes.items()
+        if info.writable and not specs[code.number, code.subcode].writable
+    ]
+    assert differ == []
+
+
+@pytest.mark.parametrize("name", FAMILY_NAMES)
+def test_the_master_expects_the_answer_times_that_the_drive_takes(name: str) -> None:
+    drive, host = drive_of(name)
+    described: Family = family(name)
+    char_s = 10 / 19200
+    for code in described.codes:
+        if code.subcode or code.number > 6229:
+            continue
+        telegram = read_telegram(11, code.number)
+        start_s = host.now_s
+        host.say(telegram)
+        host.hear()
+        took_s = host.arrivals[0][0] - start_s - (len(telegram) + 1) * char_s
+        assert took_s == pytest.approx(described.answer_time_s(code, write=False), abs=1e-6), code
+    assert drive.model.extended_fault == 0
+
+
+@pytest.mark.parametrize("number", [0, 9, 10, 46, 150, 789, 790, 1002, 1923, 6229])
+def test_both_write_the_same_code_fields(number: int) -> None:
+    assert encode_code(Code(number), Form.STANDARD) == code_field(number)
+    extended = encode_code(Code(number, 3), Form.EXTENDED)
+    assert extended == code_field(number, 3, extended=True)
+
+
+def test_the_masters_telegrams_are_those_a_drive_hears() -> None:
+    from lecombus.protocol import telegrams
+
+    value = Value.parse("95.2")
+    assert telegrams.read_telegram(34, Code(46), Form.STANDARD) == read_telegram(34, 46)
+    assert telegrams.write_telegram(34, Code(11), value, Form.STANDARD) == write_telegram(
+        34, 11, "95.2"
+    )
+    assert telegrams.write_telegram(34, Code(39, 1), value, Form.EXTENDED) == write_telegram(
+        34, 39, "95.2", 1, extended=True
+    )
+
+
+def test_a_memory_end_opens_as_the_line_wants_it() -> None:
+    opener: PortOpener = MemoryEnd(build([("a", 11, "822x")])).open
+    assert callable(opener)
