@@ -29,7 +29,7 @@ from anyio.abc import TaskGroup
 
 from .config import DriveEntry
 from .drives import WatchdogTraits
-from .errors import LecombusError, UnknownCodeError
+from .errors import LecombusError, OperationError, UnknownCodeError
 from .health import Health
 from .line.jobs import Station
 from .protocol.addressing import Code
@@ -46,6 +46,9 @@ logger = logging.getLogger(__name__)
 FIRST_RETRY_S = 1.0
 LONGEST_RETRY_S = 30.0
 REMARK = "watchdog"
+
+DOES_NOT_FIT = "does-not-fit"
+"""A module's own code takes so long to read that others' watchdogs would lapse meanwhile."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +183,12 @@ class Keeper:
 
     async def _learn_response(self, station: Station, code: Code) -> None:
         """With shortened response time on, a drive is left alone after each write."""
-        shortened = (await self._read(station, code)).number == 1
+        try:
+            shortened = (await self._read(station, code)).number == 1
+        except OperationError as exc:
+            if exc.kind != DOES_NOT_FIT:
+                raise
+            shortened = True
         hold_s = station.family.hold_after_write_s if shortened else 0.0
         if hold_s != station.hold_s:
             self._requests.replace_station(dataclasses.replace(station, hold_s=hold_s))
@@ -192,6 +200,11 @@ class Keeper:
             found = await self._read_setting(station, traits)
         except UnknownCodeError as exc:
             self._store.note(entry.name, REMARK, f"its watchdog cannot be seen: {exc}")
+            return
+        except OperationError as exc:
+            if exc.kind != DOES_NOT_FIT:
+                raise
+            self._store.note(entry.name, REMARK, f"its watchdog cannot be checked: {exc}")
             return
         wanted = entry.watchdog
         if wanted is None:

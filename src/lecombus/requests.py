@@ -169,13 +169,13 @@ class Requests:
 
 def never_sent(outcome: Outcome, reason: str, station: Station, code: Code) -> OperationError:
     """The error for a request that ended without a telegram of its own."""
-    kind = "expired" if outcome is Outcome.EXPIRED else "offline"
-    remedy = (
-        "ask again, or allow more time"
-        if outcome is Outcome.EXPIRED
-        else "check the drive's supply, its address and the wires; it is probed until it answers"
-    )
     text = reason or f"the request {outcome}"
+    kind, remedy = "does-not-fit", "a longer watchdog time, a higher baud rate or fewer drives"
+    if outcome is Outcome.EXPIRED:
+        kind, remedy = "expired", "ask again, or allow more time"
+    elif reason.startswith(f"{station.name} is offline"):
+        kind = "offline"
+        remedy = "check the drive's supply, its address and the wires; it is probed all the time"
     return OperationError(
         f"{station.name}, {code}: {text}", kind=kind, drive=station.name, code=str(code),
         remedy=remedy,

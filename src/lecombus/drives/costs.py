@@ -39,9 +39,6 @@ __all__ = ["Cost", "LineTiming", "multicast_cost", "read_cost", "write_cost"]
 LATENESS_S: Final = 0.020
 """How late this computer may be: timers up to 4 ms when idle, 20 ms and more on a full box."""
 
-ANSWER_FACTOR: Final = 2
-"""The time-out is about twice the longest response time. Source: EDB2102EN 8.3.5."""
-
 GAP_CHARS: Final = 4
 """Characters' worth of silence inside an answer that a drive is granted."""
 
@@ -204,11 +201,11 @@ def _write_cost(
 def _cost(
     timing: LineTiming, *, request_chars: int, answer: tuple[int, int], think: tuple[float, float]
 ) -> Cost:
-    """Put a cost together from (usual, longest) answer lengths and thinking times."""
+    """Put a cost together from answer lengths (usual, longest) and times (usual, patience)."""
     char_s = timing.char_s
     request_s = request_chars * char_s
     late_s = timing.adapter_latency_s + LATENESS_S
-    first_byte_s = request_s + ANSWER_FACTOR * think[1] + late_s
+    first_byte_s = request_s + think[1] + late_s
     whole_s = first_byte_s + (answer[0] + answer[1]) * char_s
     return Cost(
         expected_s=request_s + think[0] + answer[0] * char_s,
@@ -223,9 +220,12 @@ def _cost(
 def _think(
     family: Family, code: Code, answer_time_s: float | None, *, write: bool
 ) -> tuple[float, float]:
+    """Give the usual thinking time, and how long to wait for the answer to begin."""
+    usual_s = family.answer_time_s(code, write=write)
     if answer_time_s is not None:
-        return answer_time_s, answer_time_s
-    return family.answer_time_s(code, write=write), family.longest_answer_time_s(code, write=write)
+        own = code.number in family.answer_times
+        usual_s = max(usual_s, answer_time_s) if own else answer_time_s
+    return usual_s, family.patience_s(code, write=write, answer_time_s=answer_time_s)
 
 
 def _value_chars(info: CodeInfo | None) -> tuple[int, int]:

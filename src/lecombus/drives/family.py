@@ -28,6 +28,9 @@ __all__ = ["AnswerTime", "CodeInfo", "Family", "PlainWhen", "WatchdogTraits", "W
 CONTROLLER_STATUS = "controller_status"
 SHORTENED_RESPONSE = Code(1921)
 
+ANSWER_FACTOR = 2.0
+LIMIT_FACTOR = 1.2
+
 
 class WriteClass(StrEnum):
     """What repeating a write could do; only PLAIN may be repeated after a failed read-back."""
@@ -95,6 +98,7 @@ class AnswerTime:
         slow_read_s: Longest time of a read, seconds.
         slow_write_s: Longest time of a write, seconds.
         slow_c0001: The value of C0001 at which the longest time is the usual one.
+        is_limit: The manual gives the time as the most it can be ("up to"), not as a usual one.
         source: Manual and section.
     """
 
@@ -103,6 +107,7 @@ class AnswerTime:
     slow_read_s: float
     slow_write_s: float
     slow_c0001: int | None
+    is_limit: bool
     source: str
 
 
@@ -195,6 +200,27 @@ class Family:
         """Give the longest time the drive may think: what time-outs are made from, seconds."""
         times = self.answer_times.get(code.number, self.other_answer_time)
         return times.slow_write_s if write else times.slow_read_s
+
+    def patience_s(
+        self, code: Code, *, write: bool, answer_time_s: float | None = None
+    ) -> float:
+        """Give how long to wait for a drive to begin its answer, seconds.
+
+        About twice the longest answer time; where the manual gives a limit already, a fifth more
+        than that: twice 500 ms would keep other drives' watchdogs waiting for nothing.
+
+        Args:
+            code: The code.
+            write: A write rather than a read.
+            answer_time_s: The roster's word on how long this drive thinks, seconds.
+
+        Source: EDB2102EN 8.3.5 (twice the maximum response time); 6.3 (up to 500 ms).
+        """
+        times = self.answer_times.get(code.number, self.other_answer_time)
+        if answer_time_s is not None and times is self.other_answer_time:
+            return ANSWER_FACTOR * answer_time_s
+        longest_s = max(times.slow_write_s if write else times.slow_read_s, answer_time_s or 0.0)
+        return (LIMIT_FACTOR if times.is_limit else ANSWER_FACTOR) * longest_s
 
     def write_class(self, code: Code, value: Value | None = None) -> WriteClass:
         """Say what repeating a write could do; without a value, at the worst.

@@ -107,6 +107,7 @@ def read_answer_time(table: Table, manual: str) -> tuple[list[Code] | None, Answ
         slow_read_s=_seconds(slow_read) if slow_read else read_s,
         slow_write_s=_seconds(slow_write) if slow_write else write_s,
         slow_c0001=mode.integer(0, 255) if mode else None,
+        is_limit=_flag(table, "limit"),
         source=_source(table, manual),
     )
     if times.slow_read_s < read_s or times.slow_write_s < write_s:
