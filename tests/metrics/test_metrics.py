@@ -268,7 +268,9 @@ def test_promtool_finds_nothing_to_complain_about() -> None:
 
 
 def test_an_empty_family_has_no_heading() -> None:
-    assert Block("lecombus_x", "gauge", "X.").text(openmetrics=False) == ""
+    block = Block("lecombus_x", "gauge", "X.")
+    block.close()
+    assert block.text(openmetrics=False) == b""
 
 
 def test_a_page_is_rendered_piece_by_piece() -> None:

@@ -3,8 +3,8 @@
 Strategy: each instrument is a prometheus_client object in no registry, and every child it can
 ever have is made when the roster is known and kept in a dictionary; so the path behind an
 exchange calls `inc` and `observe` and nothing else, series begin at 0, and their number is
-bounded by the roster. Per-drive counters are one object per drive, so that rendering them can be
-cut between drives.
+bounded by the roster. A family with many series is several objects (one per drive, per class),
+so that rendering it can be cut between them.
 
 What must not live here: rendering, the store, anything that waits.
 """
@@ -60,34 +60,26 @@ class Meters:
     def __init__(self, line: str) -> None:
         self.line = line
         self._drives: dict[str, tuple[Counter, dict[tuple[str, str], Counter]]] = {}
-        self._exchange, took = self._histograms(
-            "lecombus_exchange_seconds",
-            "From the first byte of a telegram to the end of its answer, or to giving up.",
-            "kind",
-            (*TELEGRAM_KINDS, "multicast"),
-            EXCHANGE_BUCKETS_S,
-        )
-        self._wait, waited = self._histograms(
-            "lecombus_queue_wait_seconds",
-            "How long a request waited before its telegram went out.",
-            "priority",
-            tuple(label_of(one) for one in Priority),
-            WAIT_BUCKETS_S,
-        )
-        self._took = took
-        self._waited = {one: waited[label_of(one)] for one in Priority}
-        self._requests = Counter(
-            "lecombus_requests_total",
-            "Requests by class and how they ended; each ends exactly once.",
-            ("line", "priority", "outcome"),
-            registry=None,
-        )
-        self._ended = {
-            (priority, outcome): self._requests.labels(line, label_of(priority), outcome.value)
-            for priority in Priority
-            for outcome in Outcome
+        self._parents: dict[str, list[MetricWrapperBase]] = {}
+        self._took = {
+            kind: self._histogram(
+                "exchange_seconds",
+                "From the first byte of a telegram to the end of its answer, or to giving up.",
+                ("kind", kind),
+                EXCHANGE_BUCKETS_S,
+            )
+            for kind in (*TELEGRAM_KINDS, "multicast")
         }
-        self._plain: list[MetricWrapperBase] = []
+        self._waited = {
+            priority: self._histogram(
+                "queue_wait_seconds",
+                "How long a request waited before its telegram went out.",
+                ("priority", label_of(priority)),
+                WAIT_BUCKETS_S,
+            )
+            for priority in Priority
+        }
+        self._ended = {priority: self._outcomes(priority) for priority in Priority}
         self._make_plain()
 
     def _make_plain(self) -> None:
@@ -142,7 +134,7 @@ class Meters:
 
     def request_ended(self, priority: Priority, outcome: Outcome) -> None:
         """Count the end of one request."""
-        self._ended[priority, outcome].inc()
+        self._ended[priority][outcome].inc()
 
     def port_opened(self) -> None:
         """Count one opening of the port."""
@@ -168,17 +160,10 @@ class Meters:
 
     # -- for the page ---------------------------------------------------------------------------
 
-    def telegrams(self, name: str) -> MetricWrapperBase | None:
-        """Return the telegram counters of one drive or group."""
-        found = self._drives.get(name)
-        return None if found is None else found[0]
-
-    def of_the_line(self) -> Iterator[MetricWrapperBase]:
-        """Yield the instruments that are not per drive."""
-        yield self._exchange
-        yield self._wait
-        yield self._requests
-        yield from self._plain
+    def families(self) -> Iterator[list[MetricWrapperBase]]:
+        """Yield every family as the instruments it is made of, each small enough for a piece."""
+        yield [counter for counter, _ in self._drives.values()]
+        yield from self._parents.values()
 
     # -- inside ---------------------------------------------------------------------------------
 
@@ -192,14 +177,28 @@ class Meters:
 
     def _counter(self, name: str, text: str) -> Counter:
         parent = Counter(f"lecombus_{name}_total", text, ("line",), registry=None)
-        self._plain.append(parent)
+        self._parents[name] = [parent]
         return parent.labels(self.line)
 
-    def _histograms(
-        self, name: str, text: str, label: str, values: tuple[str, ...], buckets: tuple[float, ...]
-    ) -> tuple[Histogram, dict[str, Histogram]]:
-        parent = Histogram(name, text, ("line", label), registry=None, buckets=buckets)
-        return parent, {value: parent.labels(self.line, value) for value in values}
+    def _outcomes(self, priority: Priority) -> dict[Outcome, Counter]:
+        parent = Counter(
+            "lecombus_requests_total",
+            "Requests by class and how they ended; each ends exactly once.",
+            ("line", "priority", "outcome"),
+            registry=None,
+        )
+        self._parents.setdefault("requests", []).append(parent)
+        label = label_of(priority)
+        return {outcome: parent.labels(self.line, label, outcome.value) for outcome in Outcome}
+
+    def _histogram(
+        self, name: str, text: str, label: tuple[str, str], buckets: tuple[float, ...]
+    ) -> Histogram:
+        parent = Histogram(
+            f"lecombus_{name}", text, ("line", label[0]), registry=None, buckets=buckets
+        )
+        self._parents.setdefault(name, []).append(parent)
+        return parent.labels(self.line, label[1])
 
 
 def telegram_counter() -> Counter:

@@ -31,7 +31,7 @@ __all__ = ["PAGE_KEEPS_S", "PIECE_BUDGET_S", "WINDOW_WAIT_S", "Metrics"]
 PAGE_KEEPS_S: Final = 0.9
 """A page is served again for this long: a scrape each second always gets a new one."""
 
-PIECE_BUDGET_S: Final = 0.0003
+PIECE_BUDGET_S: Final = 0.00015
 """When a scrape renders itself, it lets others run after this; a piece may end a little later."""
 
 WINDOW_WAIT_S: Final = 0.05
@@ -148,21 +148,20 @@ class Metrics:
             drives.render(self._store, name)
             yield
         blocks = [self._build_info(), *line.blocks, *drives.blocks]
-        telegrams: Block | None = None
-        for name in self.meters.names():
-            telegrams = add_samples(telegrams, self.meters.telegrams(name))
-            yield
-        if telegrams is not None:
-            blocks.append(telegrams)
-        for instrument in self.meters.of_the_line():
-            block = add_samples(None, instrument)
-            assert block is not None
-            blocks.append(block)
-            yield
+        for family in self.meters.families():
+            block: Block | None = None
+            for instrument in family:
+                block = add_samples(block, instrument)
+                yield
+            if block is not None:
+                blocks.append(block)
         for metric in self._process.collect():
             kind = str(metric.type)
             blocks.append(Block(metric.name, kind, metric.documentation, sample_lines(metric)))
         yield
+        for block in blocks:
+            block.close()
+            yield
         self._blocks = tuple(blocks)
         self._pages = {}
 
@@ -175,10 +174,8 @@ class Metrics:
         return Block(name, "gauge", "1; what is running.", [f"{name}{{{labels}}} 1"])
 
 
-def add_samples(block: Block | None, instrument: MetricWrapperBase | None) -> Block | None:
+def add_samples(block: Block | None, instrument: MetricWrapperBase) -> Block | None:
     """Add what an instrument collects to a family, which is made when there is none yet."""
-    if instrument is None:
-        return block
     for metric in instrument.collect():
         if block is None:
             block = Block(metric.name, str(metric.type), metric.documentation)

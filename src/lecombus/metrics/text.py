@@ -40,18 +40,25 @@ class Block:
         name: Its name, without `_total`.
         kind: `counter`, `gauge` or `histogram`.
         help: One sentence for people.
-        lines: Its samples.
+        lines: Its samples, until it is closed.
+        body: Its samples as bytes, once it is closed.
     """
 
     name: str
     kind: str
     help: str
     lines: list[str] = field(default_factory=list)
+    body: bytes = b""
 
-    def text(self, *, openmetrics: bool) -> str:
-        """Return heading and samples, or nothing when there is no sample."""
-        if not self.lines:
-            return ""
+    def close(self) -> None:
+        """Put the samples together; both formats share them, and a page is then a short join."""
+        self.body = "".join([f"{line}\n" for line in self.lines]).encode()
+        self.lines = []
+
+    def text(self, *, openmetrics: bool) -> bytes:
+        """Return heading and samples of a closed family, or nothing when there is no sample."""
+        if not self.body:
+            return b""
         name, kind = self.name, self.kind
         if kind == "counter" and not openmetrics:
             name += "_total"
@@ -60,8 +67,7 @@ class Block:
         quoted = self.help.replace("\\", "\\\\").replace("\n", "\\n")
         if openmetrics:
             quoted = quoted.replace('"', '\\"')
-        samples = "\n".join(self.lines)
-        return f"# HELP {name} {quoted}\n# TYPE {name} {kind}\n{samples}\n"
+        return f"# HELP {name} {quoted}\n# TYPE {name} {kind}\n".encode() + self.body
 
 
 def escape(text: str) -> str:
@@ -90,8 +96,8 @@ def sample_lines(metric: Metric) -> list[str]:
 
 def join_blocks(blocks: Iterable[Block], *, openmetrics: bool) -> bytes:
     """Return a whole page."""
-    page = "".join(block.text(openmetrics=openmetrics) for block in blocks)
-    return (page + "# EOF\n" if openmetrics else page).encode()
+    page = b"".join([block.text(openmetrics=openmetrics) for block in blocks])
+    return page + b"# EOF\n" if openmetrics else page
 
 
 def wants_openmetrics(accept: str) -> bool:
