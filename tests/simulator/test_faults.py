@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lecombus.simulator import Faults, LateKind, SimDrive, SimLine, build, parse_faults
-from lecombus.simulator.faults import make_noise
+from lecombus.simulator.spoiling import make_noise
 from lecombus.simulator.wire import PARITY_TABLE
 from support.sim_host import Host, read_telegram, write_telegram
 
@@ -82,6 +82,19 @@ def test_a_stubborn_late_drive_speaks_in_spite_of_an_eot() -> None:
     host.say(b"\x04\x04")
     host.hear()
     assert host.line.collisions == 1
+
+
+def test_two_drives_at_once_cannot_be_understood() -> None:
+    host = faulty(Faults(late=1, late_s=(0.1, 0.1), late_kind=LateKind.STUBBORN))
+    start_s = host.now_s
+    host.say(READ)
+    host.hear(until_s=start_s + 0.098)
+    host.line.faults.late = 0
+    host.say(read_telegram(12, 200))
+    heard = bytes(byte & 0x7F for byte in host.hear())
+    assert host.line.clashes == 1
+    assert host.line.collisions == 0
+    assert GOOD not in heard
 
 
 def test_late_answers_never_stand_inside_one_another() -> None:

@@ -4,26 +4,17 @@ Strategy: `Faults` is a plain record of probabilities (0..1, per telegram) and s
 one; a drive may have its own, which then replaces the line's for that drive. `parse_faults` reads
 the short text of the command line, such as `late=0.05:0.5s,noise=0.05,lost=0.02,absent=11+12`.
 
-Damage is at most one character per answer (a flipped bit or another character) or stray characters
-around it, so that parity and block check can always notice it: what gets past both is noticed by no
-master, and a test that demands correct values could only be flaky. Never made, for the same reason:
-an ACK out of a NAK, the reverse, or a stray one of the two. One trap is left open on purpose: the
-character after the code may turn into EOT, which looks like "no such code" with something after it.
-
-Must not live here: the doing, which is the line's.
+Must not live here: the doing (spoiling.py, line.py).
 """
 
 from __future__ import annotations
 
-import random
 import re
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final
 
-from lecombus.simulator.wire import ACK, NAK, PARITY_TABLE
-
-__all__ = ["Faults", "LateKind", "flip_parity", "make_noise", "parse_faults"]
+__all__ = ["Faults", "LateKind", "parse_faults"]
 
 
 class LateKind(StrEnum):
@@ -172,36 +163,3 @@ def _address(text: str, item: str) -> int:
     if not text.isdecimal() or not 1 <= int(text) <= 99:
         raise ValueError(f"fault {item!r}: addresses from 1 to 99 with + between")
     return int(text)
-
-
-def flip_parity(data: bytes, rng: random.Random) -> bytes:
-    """Spoil the parity bit of one byte."""
-    place = rng.randrange(len(data))
-    return data[:place] + bytes((data[place] ^ 0x80,)) + data[place + 1 :]
-
-
-def make_noise(data: bytes, rng: random.Random, *, parity: bool) -> bytes:
-    """Damage one byte of a telegram, or put stray bytes before or after it.
-
-    Args:
-        data: The bytes as on the wire, with parity where the line carries it.
-        rng: Where chance comes from.
-        parity: Whether stray and replaced bytes get a good parity bit.
-    """
-    kind = rng.randrange(4)
-    if kind == 0:
-        place = rng.randrange(len(data))
-        bit = 1 << rng.randrange(8 if parity else 7)
-        return data[:place] + bytes((data[place] ^ bit,)) + data[place + 1 :]
-    if kind == 1:
-        place = rng.randrange(len(data))
-        return data[:place] + _other(data[place], rng, parity=parity) + data[place + 1 :]
-    stray = b"".join(_other(None, rng, parity=parity) for _ in range(rng.randint(1, 3)))
-    return stray + data if kind == 2 else data + stray
-
-
-def _other(instead_of: int | None, rng: random.Random, *, parity: bool) -> bytes:
-    """Make a random character that is neither ACK, NAK nor the one it replaces."""
-    avoid = {ACK, NAK, None if instead_of is None else instead_of & 0x7F}
-    char = rng.choice([n for n in range(128) if n not in avoid])
-    return bytes((PARITY_TABLE[char] if parity else char,))

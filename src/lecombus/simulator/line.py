@@ -3,7 +3,7 @@
 Theory of operation. The host's bytes travel one character time each and are heard by all drives
 when they have arrived. A drive that was asked thinks, then speaks; its characters travel too.
 Three queues hold what is under way, each ordered by time: `_incoming` (host to drives), `_events`
-(a drive begins to speak, an adapter lets an answer through), `_outgoing` (bytes to the host).
+(a drive begins to speak, an adapter lets an answer through), `_outbox` (bytes to the host).
 `_run` works them off in the order of time: how often or how late it is called does not matter.
 
 A good EOT drops what a drive is thinking about and cuts off what it is saying. The host speaking
@@ -15,19 +15,18 @@ Must not live here: threads, clocks, file descriptors.
 
 from __future__ import annotations
 
-import random
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from enum import Enum, auto
 from heapq import heappop, heappush
 from typing import Final
 
 from lecombus.simulator.drive import Reply, SimDrive
-from lecombus.simulator.faults import Faults, LateKind, flip_parity, make_noise
+from lecombus.simulator.faults import Faults, LateKind
+from lecombus.simulator.outbox import Outbox, Speech
 from lecombus.simulator.parameters import CommError
 from lecombus.simulator.receiver import Heard, Listener
-from lecombus.simulator.wire import PARITY_TABLE
+from lecombus.simulator.spoiling import Spoiler
 
 __all__ = ["SimLine"]
 
@@ -38,27 +37,6 @@ _BITS: Final = 10
 class _Event(Enum):
     SPEAK = auto()
     LET_THROUGH = auto()
-
-
-@dataclass(slots=True, eq=False)
-class _Speech:
-    """What one drive says once.
-
-    Attributes:
-        begin_s: When its first character starts on the wire.
-        held_up_s: How long an adapter holds it back.
-        stubborn: An EOT does not stop it.
-        cut_at_s: When an EOT stopped it, if one did.
-        garbled_from_s: When the host began to speak over it, if it did.
-    """
-
-    drive: SimDrive
-    data: bytes
-    begin_s: float
-    held_up_s: float
-    stubborn: bool
-    cut_at_s: float | None = None
-    garbled_from_s: float | None = None
 
 
 class SimLine:
@@ -77,6 +55,7 @@ class SimLine:
         faults: The line's faults.
         drive_faults: Faults of single drives by address, instead of the line's.
         collisions: How often the host spoke while a drive was speaking.
+        clashes: How often two drives spoke at once, which only stubborn late ones do.
         aborted: How often an EOT made a drive drop or cut off an answer.
         requests: Whole requests heard on the line.
         on_request: Called with time and request whenever one was heard; for benches and tests.
@@ -104,20 +83,21 @@ class SimLine:
         self.parity = parity
         self.paced = paced
         self.collisions = 0
+        self.clashes = 0
         self.aborted = 0
         self.requests = 0
         self.on_request: Callable[[float, Heard], None] | None = None
         self._think_scale = think_scale
         self._char_s = _BITS / baud if paced else 0.0
-        self._rng = random.Random(seed)
+        self._spoiler = Spoiler(seed, parity=parity)
+        self._outbox = Outbox(self._spoiler)
         self._listener = Listener(parity=parity)
         self._incoming: deque[tuple[float, int, int]] = deque()
         self._host_free_s = 0.0
-        self._events: list[tuple[float, int, _Event, _Speech]] = []
-        self._outgoing: list[tuple[float, int, bytes, _Speech | None]] = []
+        self._events: list[tuple[float, int, _Event, Speech]] = []
         self._count = 0
-        self._thinking: list[_Speech] = []
-        self._speaking: list[_Speech] = []
+        self._thinking: list[Speech] = []
+        self._speaking: list[Speech] = []
         self._to_host_free_s = 0.0
 
     def __getitem__(self, name: str | int) -> SimDrive:
@@ -140,11 +120,10 @@ class SimLine:
         if self.faults.unplugged:
             return
         heard, echo = data, data
-        faults, rng = self.faults, self._rng
-        if faults.request_noise and rng.random() < faults.request_noise:
-            heard = self._damage_one(data)
-        if faults.bad_echo and rng.random() < faults.bad_echo:
-            echo = self._damage_one(data)
+        if self._spoiler.happens(self.faults.request_noise):
+            heard = self._spoiler.one_character(data)
+        if self._spoiler.happens(self.faults.bad_echo):
+            echo = self._spoiler.one_character(data)
         start_s = max(now_s, self._host_free_s)
         char_s = self._char_s
         for place, byte in enumerate(heard):
@@ -161,28 +140,16 @@ class SimLine:
             times.append(self._incoming[0 if self.faults.echo else -1][0])
         if self._events:
             times.append(self._events[0][0])
-        if self._outgoing:
-            times.append(self._outgoing[0][0])
+        outgoing_s = self._outbox.next_s()
+        if outgoing_s is not None:
+            times.append(outgoing_s)
         return min(times) if times else None
 
     def poll(self, now_s: float) -> bytes:
         """Give the bytes that have arrived at the host by now."""
         self._run(now_s)
-        if not self._outgoing or self._outgoing[0][0] > now_s:
-            return b""
-        arrived = []
-        while self._outgoing and self._outgoing[0][0] <= now_s:
-            at_s, _, data, speech = heappop(self._outgoing)
-            if speech is None:
-                arrived.append(data)
-                continue
-            wire_s = at_s - speech.held_up_s
-            if speech.cut_at_s is not None and wire_s > speech.cut_at_s:
-                continue
-            if speech.garbled_from_s is not None and wire_s > speech.garbled_from_s:
-                data = bytes(byte ^ self._rng.randrange(1, 256) for byte in data)
-            arrived.append(data)
-        return b"" if self.faults.unplugged else b"".join(arrived)
+        arrived = self._outbox.take(now_s)
+        return b"" if self.faults.unplugged else arrived
 
     def advance(self, now_s: float) -> None:
         """Bring the line and every drive to a time, for looking at them."""
@@ -195,7 +162,7 @@ class SimLine:
         self._run(now_s)
         self._incoming.clear()
         self._events.clear()
-        self._outgoing.clear()
+        self._outbox.clear()
         self._thinking.clear()
         self._speaking.clear()
         self._listener = Listener(parity=self.parity)
@@ -224,7 +191,7 @@ class SimLine:
 
     def _character(self, at_s: float, byte: int, echo: int) -> None:
         if self.faults.echo:
-            self._send(at_s, bytes((echo,)), None)
+            self._outbox.put(at_s, bytes((echo,)), None)
         if self._speaking:
             self._collide(at_s)
         listener = self._listener
@@ -240,14 +207,13 @@ class SimLine:
     def _collide(self, at_s: float) -> None:
         """The host's character overlaps with what drives are saying."""
         began_s = at_s - self._char_s
-        self._speaking = [speech for speech in self._speaking if self._end_s(speech) > began_s]
+        self._speaking = [
+            speech for speech in self._speaking if speech.end_s(self._char_s) > began_s
+        ]
         for speech in self._speaking:
             if speech.garbled_from_s is None:
                 speech.garbled_from_s = max(began_s, speech.begin_s)
                 self.collisions += 1
-
-    def _end_s(self, speech: _Speech) -> float:
-        return speech.begin_s + len(speech.data) * self._char_s
 
     def _interrupt(self, at_s: float, unfinished: int | None) -> None:
         """An EOT: drives drop what they were about to say, or stop saying it."""
@@ -280,35 +246,31 @@ class SimLine:
         )
 
     def _faults_of(self, drive: SimDrive) -> Faults:
-        return (
-            self.drive_faults.get(drive.address, self.faults)
-            if self.drive_faults
-            else (self.faults)
-        )
+        return self.drive_faults.get(drive.address, self.faults)
 
     def _dispatch(self, heard: Heard, at_s: float) -> None:
         for drive in self._reached(heard.address):
             faults = self._faults_of(drive)
-            if self._happens(faults.unheard):
+            if self._spoiler.happens(faults.unheard):
                 continue
             if heard.address % 10 == 0:
                 drive.hear_group(heard, at_s)
-            elif self._happens(faults.power_cycle):
+            elif self._spoiler.happens(faults.power_cycle):
                 drive.power_cycle(at_s, faults.power_off_s)
             else:
                 self._ask(drive, heard, at_s, faults)
 
     def _ask(self, drive: SimDrive, heard: Heard, at_s: float, faults: Faults) -> None:
-        if heard.text is not None and not heard.damaged and self._happens(faults.nak):
+        if heard.text is not None and not heard.damaged and self._spoiler.happens(faults.nak):
             reply: Reply | None = drive.refuse(at_s)
         else:
-            reply = drive.hear(heard, at_s, self._rng)
-        if reply is None or self._happens(faults.lost):
+            reply = drive.hear(heard, at_s, self._spoiler.rng)
+        if reply is None or self._spoiler.happens(faults.lost):
             return
         begin_s = at_s + reply.after_s * self._think_scale
-        speech = _Speech(drive, self._spoil(reply.data, drive, faults), begin_s, 0.0, False)
-        if self._happens(faults.late):
-            extra_s = self._rng.uniform(*faults.late_s)
+        speech = Speech(drive, self._answer(reply.data, drive, faults), begin_s, 0.0, False)
+        if self._spoiler.happens(faults.late):
+            extra_s = self._spoiler.rng.uniform(*faults.late_s)
             if faults.late_kind is LateKind.ADAPTER:
                 speech.held_up_s = extra_s
             else:
@@ -317,59 +279,43 @@ class SimLine:
         self._thinking.append(speech)
         self._schedule(speech.begin_s, _Event.SPEAK, speech)
 
-    def _spoil(self, reply: bytes, drive: SimDrive, faults: Faults) -> bytes:
-        """Put the answer on the wire, with whatever faults strike it."""
-        rng = self._rng
-        if len(reply) > 1 and self._happens(faults.bad_bcc):
-            reply = reply[:-1] + bytes((reply[-1] ^ 1 << rng.randrange(7),))
-        data = reply.translate(PARITY_TABLE) if self.parity else reply
-        if self._happens(faults.parity):
-            data = flip_parity(data, rng)
-        if len(data) > 1 and self._happens(faults.half):
-            data = data[: rng.randrange(1, len(data))]
-        if self._happens(faults.noise):
-            data = make_noise(data, rng, parity=self.parity)
+    def _answer(self, reply: bytes, drive: SimDrive, faults: Faults) -> bytes:
         if drive.baud(self.baud) != self.baud:
             # Spoken at another baud rate: the host sees framing errors and nonsense.
-            data = bytes(rng.randrange(256) for _ in data)
-        return data
+            return self._spoiler.nonsense(len(reply))
+        return self._spoiler.answer(reply, faults)
 
-    def _speak(self, speech: _Speech, at_s: float) -> None:
+    def _speak(self, speech: Speech, at_s: float) -> None:
         if speech in self._thinking:
             self._thinking.remove(speech)
         if speech.cut_at_s is not None:
             return
-        self._speaking = [other for other in self._speaking if self._end_s(other) > at_s]
+        self._speaking = [other for other in self._speaking if other.end_s(self._char_s) > at_s]
+        for other in self._speaking:
+            # Two drives at once: neither can be understood from here on.
+            self.clashes += 1
+            speech.garbled_from_s = at_s
+            if other.garbled_from_s is None:
+                other.garbled_from_s = at_s
         self._speaking.append(speech)
         if speech.held_up_s:
             self._schedule(at_s + speech.held_up_s, _Event.LET_THROUGH, speech)
         else:
             self._let_through(speech, at_s)
 
-    def _let_through(self, speech: _Speech, at_s: float) -> None:
+    def _let_through(self, speech: Speech, at_s: float) -> None:
         """Let an answer's bytes arrive at the host, not in the middle of another answer."""
         base_s = max(at_s, self._to_host_free_s)
         speech.held_up_s = base_s - speech.begin_s
         if not self.paced:
-            self._send(base_s, speech.data, speech)
+            self._outbox.put(base_s, speech.data, speech)
             return
         char_s = self._char_s
         for place in range(len(speech.data)):
-            self._send(base_s + (place + 1) * char_s, speech.data[place : place + 1], speech)
+            one = speech.data[place : place + 1]
+            self._outbox.put(base_s + (place + 1) * char_s, one, speech)
         self._to_host_free_s = base_s + len(speech.data) * char_s
 
-    def _send(self, at_s: float, data: bytes, speech: _Speech | None) -> None:
-        self._count += 1
-        heappush(self._outgoing, (at_s, self._count, data, speech))
-
-    def _schedule(self, at_s: float, kind: _Event, speech: _Speech) -> None:
+    def _schedule(self, at_s: float, kind: _Event, speech: Speech) -> None:
         self._count += 1
         heappush(self._events, (at_s, self._count, kind, speech))
-
-    def _happens(self, chance: float) -> bool:
-        return chance > 0.0 and self._rng.random() < chance
-
-    def _damage_one(self, data: bytes) -> bytes:
-        place = self._rng.randrange(len(data))
-        flipped = data[place] ^ 1 << self._rng.randrange(7)
-        return data[:place] + bytes((flipped,)) + data[place + 1 :]
