@@ -148,6 +148,7 @@ async def run_shielded(listener: Listener, its_socket: socket.socket) -> None:
     """Run one server to its own end: cancelling it half-way would cut requests."""
     with anyio.CancelScope(shield=True):
         await listener.serve([its_socket])
+    assert listener.should_exit, "a server ended that nobody asked to: the API would be gone"
 
 
 async def close_when_cancelled(listeners: list[Listener]) -> None:
@@ -164,6 +165,7 @@ def configuration(app: ASGIApp) -> uvicorn.Config:
     return uvicorn.Config(
         app,
         log_config=None,
+        log_level="warning",
         access_log=False,
         lifespan="off",
         ws="none",
