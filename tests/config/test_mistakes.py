@@ -412,3 +412,12 @@ def test_messages_stay_on_one_line_and_short() -> None:
     (words,) = said(GOOD.replace("smvector", '"a\\nb' + "x" * 500 + '"'))
     assert "\n" not in words
     assert len(words) < 300
+
+
+def test_a_file_full_of_mistakes_is_given_up_in_good_time() -> None:
+    members = ", ".join(f"b{number}" for number in range(20_000))
+    drives = "".join(f"  - {{name: d{n}, address: 11, family: generic}}\n" for n in range(3000))
+    text = f"line: {{name: a, port: sim}}\ndrives:\n{drives}groups: {{g: {{members: [{members}]}}}}"
+    found = said(text)
+    assert len(found) == 501
+    assert found[-1].endswith("after 500 mistakes no more are looked for, correct these first")

@@ -23,8 +23,9 @@ from lecombus.drives import StopAction, family, knows_stop
 __all__ = ["check_roster", "default_socket", "drives_of"]
 
 MOST_DRIVES: Final = {"rs232": 1, "rs485": 31, "fibre": 52}
-"""Source: EDB2102EN 4 (technical data), CMVLC401A 3."""
+"""Source: EDB2102EN 4.4.1 to 4.4.3, CMVLC401A 3.3.2."""
 MOST_WITH_REPEATERS: Final = 90
+"""Source: CMVLC401A 3.3.2."""
 
 
 def default_socket(line: str) -> str:

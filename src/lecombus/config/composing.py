@@ -173,8 +173,8 @@ class _Composer:
         top = self._stack[-1]
         top.node.weight += node.weight
         if top.node.weight > HEAVIEST:
-            what = f"with all aliases written out this has more than {HEAVIEST} entries"
-            raise self._fatal(spot, what, "a roster never needs that; write it without aliases")
+            what = f"this has more than {HEAVIEST} entries, aliases written out"
+            raise self._fatal(spot, what, "a roster never needs that")
         if isinstance(top.node, ListNode):
             top.node.items.append(node)
         elif top.key is None:

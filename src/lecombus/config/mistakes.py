@@ -17,6 +17,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import islice
 from typing import Final, Protocol
 
 from lecombus.errors import ConfigError
@@ -34,8 +35,10 @@ __all__ = [
 
 _SHOWN_LENGTH: Final = 60
 """Longest piece of a file quoted in a message."""
-_MOST_MISTAKES: Final = 1000
-"""A file with more is no roster at all; the rest is counted, not kept."""
+MOST_MISTAKES: Final = 500
+"""With so many the reading stops: looking for the nearest right word takes time for each."""
+_MOST_WORDS: Final = 200
+"""Most words compared with a wrong one."""
 
 
 class Place(Protocol):
@@ -98,18 +101,24 @@ class Mistakes:
     def __init__(self, file: str) -> None:
         self.file = file
         self._found: set[Mistake] = set()
-        self._dropped = 0
 
     def __bool__(self) -> bool:
         """Whether anything is wrong so far."""
         return bool(self._found)
 
     def note(self, place: Place, what: str, right: str) -> None:
-        """Take a mistake; the same one at the same place (by way of an alias) counts once."""
-        if len(self._found) < _MOST_MISTAKES:
-            self._found.add(Mistake(self.file, place.line, place.column, what, right))
-        else:
-            self._dropped += 1
+        """Take a mistake; the same one at the same place (by way of an alias) counts once.
+
+        Raises:
+            RosterError: There are `MOST_MISTAKES` now: the file is hardly a roster.
+        """
+        self._found.add(Mistake(self.file, place.line, place.column, what, right))
+        if len(self._found) >= MOST_MISTAKES:
+            last = max(self._found)
+            what = f"after {MOST_MISTAKES} mistakes no more are looked for"
+            right = "correct these first"
+            self._found.add(Mistake(self.file, last.line, last.column + 1, what, right))
+            raise self.error()
 
     def fatal(self, place: Place, what: str, right: str) -> RosterError:
         """Return the error for a mistake after which nothing else can be told.
@@ -120,14 +129,7 @@ class Mistakes:
 
     def error(self) -> RosterError:
         """Return the error for all that was found; there must be something."""
-        found = sorted(self._found)
-        if self._dropped:
-            last = found[-1]
-            what = f"{self._dropped} more mistakes are not listed"
-            found.append(
-                Mistake(last.file, last.line, last.column + 1, what, "correct these first")
-            )
-        return RosterError(found)
+        return RosterError(self._found)
 
 
 def shown(text: str) -> str:
@@ -144,7 +146,7 @@ def one_of(words: Iterable[object]) -> str:
 
 def nearest(word: str, words: Iterable[str]) -> str | None:
     """Return the one of `words` that `word` was probably meant to be."""
-    folded = {known.casefold(): known for known in words}
+    folded = {known.casefold(): known for known in islice(words, _MOST_WORDS)}
     close = difflib.get_close_matches(word[:_SHOWN_LENGTH].casefold(), folded, n=1, cutoff=0.6)
     return folded[close[0]] if close else None
 
