@@ -105,8 +105,9 @@ def _feeding(roster: Roster, timing: LineTiming) -> Iterator[str]:
         time_s = drive.watchdog.time_s
         if time_s < round_s:
             yield (
-                f"{drive.name}: a watchdog of {format_duration(time_s)} cannot be fed: one read of "
-                f"each watched drive ({len(watched)}) takes {round_s * 1000:.0f}ms at {timing.baud} baud"
+                f"{drive.name}: a watchdog of {format_duration(time_s)} cannot be fed: one read "
+                f"of each watched drive ({len(watched)}) takes {round_s * 1000:.0f}ms at "
+                f"{timing.baud} baud"
             )
         elif time_s < need_s:
             yield (
