@@ -244,6 +244,13 @@ def test_an_observer_sees_every_request_at_its_last_character() -> None:
     assert [address for _, address in seen] == [11, 77]
 
 
+def test_a_built_line_starts_with_the_values_given_and_remembers_as_much_as_asked() -> None:
+    line = build([("a", 11, "822x")], overrides={"a": {46: "12.5"}}, log_size=3)
+    host = Host(line)
+    assert [host.read(11, 46) for _ in range(5)] == ["12.5"] * 5
+    assert len(line["a"].log) == 3
+
+
 @settings(max_examples=40, deadline=None)
 @given(
     st.lists(st.sampled_from([46, 50, 68, 150, 200, 999, 1923]), min_size=1, max_size=5),

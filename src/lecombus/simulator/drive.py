@@ -70,6 +70,7 @@ class SimDrive:
         overrides: Values to start with, by code number or (code, subcode), as wire text.
         spread: How much faster than the manual's time an answer may come, 0..1; random.
         silent_on_bad_write: Answer a bad write with nothing instead of NAK, as some devices do.
+        log_size: How many requests `log` remembers; about 0.2 KB each.
 
     Attributes:
         log: The requests heard, oldest first, bounded.
@@ -86,7 +87,7 @@ class SimDrive:
         *,
         spread: float = 0.0,
         silent_on_bad_write: bool = False,
-        log_size: int = 20_000,
+        log_size: int = 1_000,
     ) -> None:
         if not 1 <= address <= 99 or address % 10 == 0:
             raise ValueError(f"address {address} is no drive address (1..99, not ending in 0)")

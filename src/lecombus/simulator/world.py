@@ -5,9 +5,9 @@ Must not live here: rosters, which this room does not know; the caller maps them
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
-from lecombus.simulator.drive import SimDrive
+from lecombus.simulator.drive import Overrides, SimDrive
 from lecombus.simulator.faults import Faults, parse_faults
 from lecombus.simulator.line import SimLine
 
@@ -24,6 +24,8 @@ def build(
     paced: bool = True,
     spread: float = 0.0,
     think_scale: float = 1.0,
+    overrides: Mapping[str, Overrides] | None = None,
+    log_size: int = 1_000,
 ) -> SimLine:
     """Build a line.
 
@@ -36,12 +38,18 @@ def build(
         paced: Whether characters take their time.
         spread: How much faster than the manual's time an answer may come, 0..1.
         think_scale: Factor on processing times.
+        overrides: Values to start with, by the drive's name (see `SimDrive`).
+        log_size: How many requests each drive remembers.
 
     Raises:
         ValueError: A family, an address or a fault is unknown.
     """
+    presets = overrides or {}
     return SimLine(
-        [SimDrive(address, family, name, spread=spread) for name, address, family in drives],
+        [
+            SimDrive(address, family, name, presets.get(name), spread=spread, log_size=log_size)
+            for name, address, family in drives
+        ],
         baud=baud,
         faults=parse_faults(faults) if isinstance(faults, str) else faults,
         seed=seed,
