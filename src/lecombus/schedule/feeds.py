@@ -60,6 +60,7 @@ class Feed:
         "feeding",
         "hard_s",
         "held_until_s",
+        "lapsed",
         "lapses",
         "left_out",
         "margin_last_s",
@@ -85,7 +86,6 @@ class Feed:
         self.left_out = False  # of the slack check: too late to be in time
         self.fed = self.failures = self.misses = self.lapses = 0
         self.margin_last_s = self.margin_least_s = math.inf
-        self.missed = False  # the present lapse has been counted
         self._count_from(now_s)
 
     def _count_from(self, at_s: float) -> None:
@@ -94,7 +94,7 @@ class Feed:
         self.hard_s = at_s + self.time_s * HARD_PART
         self.retry_at_s = -math.inf
         self.failures = 0
-        self.missed = False
+        self.missed = self.lapsed = False  # counted already
 
     def restart(self, now_s: float) -> None:
         """Count anew after a pause, without judging the pause."""
@@ -107,12 +107,18 @@ class Feed:
         self.margin_last_s = margin_s
         if margin_s < self.margin_least_s:
             self.margin_least_s = margin_s
-        if started_s > self.hard_s and not self.missed:
-            self.misses += 1
-        if margin_s < 0.0:
-            self.lapses += 1
+        self.judge(started_s)
         self.fed += 1
         self._count_from(started_s)
+
+    def judge(self, now_s: float) -> None:
+        """Count, once each, that the hard deadline or the watchdog time has passed unfed."""
+        if now_s > self.hard_s and not self.missed:
+            self.missed = True
+            self.misses += 1
+        if now_s > self.fed_at_s + self.time_s and not self.lapsed:
+            self.lapsed = True
+            self.lapses += 1
 
     def failed(self, now_s: float) -> None:
         """Note that the drive did not answer, and when to try again."""
@@ -180,9 +186,8 @@ class Feeds:
             feed.left_out = max(now_s, feed.free_s()) + feed.cost_s > feed.hard_s
             if not feed.left_out:
                 found.append(feed)
-            elif now_s > feed.hard_s and not feed.missed:
-                feed.missed = True
-                feed.misses += 1
+            else:
+                feed.judge(now_s)
         found.sort(key=_hard)
         return found
 
@@ -202,6 +207,13 @@ class Feeds:
         self._due_from_s = earliest_s
         found.sort(key=_hard)
         return found
+
+    def first(self, now_s: float) -> Feed | None:
+        """Find the earliest hard deadline of all drives that answer and may be spoken to."""
+        for feed in self._in_order(now_s):
+            if not feed.failures and feed.free_s() <= now_s:
+                return feed
+        return None
 
     def next_s(self) -> float | None:
         """Tell when the next feed is due."""

@@ -73,6 +73,7 @@ class Schedule:
         self._cadence = Cadence()
         self._probes = Probes(absent_share)
         self._shares = Shares()
+        self._speaking_to: str | None = None
         self._more = False  # the last choice stopped early: there is more to do at once
 
     # -- what the line has ------------------------------------------------------------------------
@@ -154,6 +155,7 @@ class Schedule:
 
     def defer(self, request: Request, until_s: float, now_s: float) -> None:
         """Take back, to its old place, a request that may not be sent before a time."""
+        self._speaking_to = None
         self._waiting.take_back(request, until_s, now_s)
 
     def withdraw(self, request: Request, outcome: Outcome, reason: str) -> bool:
@@ -236,13 +238,16 @@ class Schedule:
     def _due_feed(self, now_s: float) -> Request | None:
         """Find the telegram for the feed that goes first.
 
-        A drive that does not answer may take its longest: it waits until that fits, or, if it
-        never will, is tried all the same, at its own slow pace.
+        When time is short it is the one with the earliest deadline of all, due or not. A drive
+        that does not answer may take its longest: it waits until that fits, or, if it never will,
+        is tried all the same, at its own slow pace.
         """
         feeds = self._feeds
         for feed in feeds.due(now_s):
-            if not feed.failures or feeds.fits(now_s, feed.worst_s, feed.drive):
+            if feeds.fits(now_s, feed.worst_s, feed.drive):
                 return self._feeding(feed, now_s)
+            if not feed.failures:
+                return self._feeding(feeds.first(now_s) or feed, now_s)
             if feed.worst_s > feeds.most_s(feed.drive)[0]:
                 return self._feeding(feed, now_s)
             other = feeds.room(now_s, feed.worst_s, feed.drive)
@@ -260,14 +265,18 @@ class Schedule:
         entry = self._cadence.early(feed.drive, now_s)
         if entry is not None and self._as_feed(entry.made(), feed, now_s):
             return entry.made()
-        return feed.made()
+        cost_s = feed.cost_s
+        request = feed.made()
+        if feed.cost_s > cost_s:
+            self._feeds.changed()
+        return request
 
     def _as_feed(self, request: Request, feed: Feed, now_s: float) -> bool:
         if has_expired(request, now_s):
             return False
-        return request.worst_s <= feed.worst_s or self._feeds.fits(
-            now_s, request.worst_s, feed.drive
-        )
+        if request.worst_s <= feed.worst_s and request.cost_s <= feed.cost_s:
+            return True
+        return self._feeds.fits(now_s, request.worst_s, feed.drive)
 
     def _admit(self, request: Request, now_s: float) -> Request | None:
         """Let a request go if no watchdog can suffer; else run what must go first, or end it."""
@@ -327,6 +336,7 @@ class Schedule:
             elif type(source) is Probe:
                 self._probes.take(source, now_s)
         request.state = UNDER_WAY
+        self._speaking_to = request.drive
         return request
 
     def wake_at_s(self, now_s: float) -> float | None:
@@ -356,6 +366,7 @@ class Schedule:
         """
         request.attempts += 1
         request.state = OUT
+        self._speaking_to = None
         self._waiting.forget_key(request)
         duration_s = now_s - started_s
         self._shares.book(request.priority, request.by_credit, duration_s)
@@ -444,4 +455,6 @@ class Schedule:
 
     def stats(self, now_s: float) -> ScheduleStats:
         """Take a snapshot; it begins a new measure of the latest cyclic start."""
-        return snapshot(self._waiting, self._feeds, self._cadence, self._probes, now_s)
+        return snapshot(
+            self._waiting, self._feeds, self._cadence, self._probes, self._speaking_to, now_s
+        )

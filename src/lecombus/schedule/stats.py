@@ -77,9 +77,26 @@ class ScheduleStats:
 
 
 def snapshot(
-    waiting: Waiting, feeds: Feeds, cadence: Cadence, probes: Probes, now_s: float
+    waiting: Waiting,
+    feeds: Feeds,
+    cadence: Cadence,
+    probes: Probes,
+    speaking_to: str | None,
+    now_s: float,
 ) -> ScheduleStats:
-    """Gather the figures of a schedule's parts."""
+    """Gather the figures of a schedule's parts.
+
+    Args:
+        waiting: What waits.
+        feeds: The watchdogs.
+        cadence: The cyclic entries.
+        probes: The probes.
+        speaking_to: The drive of the exchange under way: whether it is fed shows at its end.
+        now_s: Now.
+    """
+    for name, feed in feeds.by_drive.items():
+        if feed.active and name != speaking_to:
+            feed.judge(now_s)
     entries = [entry for of_drive in cadence.by_drive.values() for entry in of_drive]
     late_s, cadence.late_most_s = cadence.late_most_s, 0.0
     by_class = {
