@@ -249,6 +249,7 @@ def test_a_built_line_starts_with_the_values_given_and_remembers_as_much_as_aske
     host = Host(line)
     assert [host.read(11, 46) for _ in range(5)] == ["12.5"] * 5
     assert len(line["a"].log) == 3
+    assert line["a"].heard == 5
 
 
 @settings(max_examples=40, deadline=None)

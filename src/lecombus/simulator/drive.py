@@ -74,6 +74,7 @@ class SimDrive:
 
     Attributes:
         log: The requests heard, oldest first, bounded.
+        heard: How many requests were heard, unbounded.
         model: The drive's inside, for tests.
         present: Whether it is connected and switched on.
     """
@@ -98,6 +99,7 @@ class SimDrive:
         self.model: Model = MODELS[family]()
         self.present = True
         self.log: deque[LogEntry] = deque(maxlen=log_size)
+        self.heard = 0
         self._spread = spread
         self._silent = silent_on_bad_write
         self._address = address
@@ -238,9 +240,9 @@ class SimDrive:
             text = self.model.read(number, subcode)
         except Refusal as refusal:
             self._note(refusal)
-            self.log.append(LogEntry(now_s, "read", number, subcode, "", False))
+            self._remember(LogEntry(now_s, "read", number, subcode, "", False))
             return Reply(unknown_code(field), think_s)
-        self.log.append(LogEntry(now_s, "read", number, subcode, text, True))
+        self._remember(LogEntry(now_s, "read", number, subcode, text, True))
         return Reply(value_reply(field, text), think_s)
 
     def _write(self, text: str, number: int, subcode: int, now_s: float) -> Reply | None:
@@ -274,13 +276,17 @@ class SimDrive:
             self.model.write(number, subcode, text, now_s)
         except Refusal as refusal:
             self._note(refusal)
-            self.log.append(LogEntry(now_s, kind, number, subcode, text, False))
+            self._remember(LogEntry(now_s, kind, number, subcode, text, False))
             return False
         except Restart:
-            self.log.append(LogEntry(now_s, kind, number, subcode, text, True))
+            self._remember(LogEntry(now_s, kind, number, subcode, text, True))
             raise
-        self.log.append(LogEntry(now_s, kind, number, subcode, text, True))
+        self._remember(LogEntry(now_s, kind, number, subcode, text, True))
         return True
+
+    def _remember(self, entry: LogEntry) -> None:
+        self.heard += 1
+        self.log.append(entry)
 
     def _note(self, refusal: Refusal) -> None:
         self.model.comm_error = refusal.error
