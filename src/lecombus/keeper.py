@@ -28,13 +28,13 @@ import anyio
 from anyio.abc import TaskGroup
 
 from .config import DriveEntry
-from .drives import WatchdogTraits
+from .drives import SoftwareGate, WatchdogTraits
 from .errors import LecombusError, OperationError, UnknownCodeError
 from .health import Health
 from .line.jobs import Station
 from .protocol.addressing import Code
 from .protocol.values import Value
-from .readings import DriveState
+from .readings import WRITE_LOCK, DriveState
 from .requests import Requests
 from .schedule import Feeding, Outcome, Priority, Schedule
 from .store import Store
@@ -45,6 +45,9 @@ logger = logging.getLogger(__name__)
 
 FIRST_RETRY_S = 1.0
 LONGEST_RETRY_S = 30.0
+PATIENCE_S = 120.0
+"""An audit's read may wait this long: at the start 31 modules with 500 ms each come before it."""
+
 REMARK = "watchdog"
 
 DOES_NOT_FIT = "does-not-fit"
@@ -153,6 +156,7 @@ class Keeper:
                 else:
                     if name not in self._again:
                         self._health.audited(name)
+                        await self._learn_the_rest(name)
                         return
         finally:
             self._auditing.discard(name)
@@ -176,22 +180,51 @@ class Keeper:
         family = station.family
         for code in {rule.code for rule in family.stops.values() if rule.value is None}:
             await self._read(station, code)
-        if family.shortened_code is not None:
-            await self._learn_response(station, family.shortened_code)
-        if family.watchdog is not None:
+        if family.software is not None:
+            await self._audit_software(entry, station, family.software)
+        if family.watchdog is not None and entry.watchdog is not None:
             await self._audit_watchdog(entry, station, family.watchdog)
+
+    async def _learn_the_rest(self, name: str) -> None:
+        """What a drive need not be kept from work for: read when the line has time.
+
+        A watchdog that the roster does not name is looked at, so that its user learns of it; and
+        whether the module answers writes early (C1921), until when it is taken to do so.
+        """
+        entry, station = self._entries[name], self._requests.station(name)
+        try:
+            if entry.watchdog is None and station.family.watchdog is not None:
+                traits = station.family.watchdog
+                found = await self._read_setting(station, traits, Priority.BACKGROUND)
+                self._remark_unwanted(name, traits, found)
+            if station.family.shortened_code is not None:
+                await self._learn_response(station, station.family.shortened_code)
+        except LecombusError as exc:
+            logger.info("drive=%s event=not-learnt reason=%s", name, exc)
 
     async def _learn_response(self, station: Station, code: Code) -> None:
         """With shortened response time on, a drive is left alone after each write."""
-        try:
-            shortened = (await self._read(station, code)).number == 1
-        except OperationError as exc:
-            if exc.kind != DOES_NOT_FIT:
-                raise
-            shortened = True
-        hold_s = station.family.hold_after_write_s if shortened else 0.0
+        value = await self._requests.read(station, code, Priority.BACKGROUND, timeout_s=PATIENCE_S)
+        hold_s = station.family.hold_after_write_s if value.number == 1 else 0.0
         if hold_s != station.hold_s:
             self._requests.replace_station(dataclasses.replace(station, hold_s=hold_s))
+
+    async def _audit_software(
+        self, entry: DriveEntry, station: Station, gate: SoftwareGate
+    ) -> None:
+        """A drive whose software the manual does not vouch for is read, and never written to."""
+        found = await self._read(station, gate.code)
+        accepted = (*gate.versions, *entry.accept_software)
+        known = any(found.raw == one or found.means_same(Value.parse(one)) for one in accepted)
+        text = None
+        if not known:
+            text = (
+                f"{gate.code} reads software {found.raw}, the manual's codes are those of "
+                f"{', '.join(gate.versions)}: nothing is written to this drive but stops; if its "
+                f"manual says the same codes, add accept_software: ['{found.raw}'] in the roster"
+            )
+            logger.warning("drive=%s event=software-unknown reason=%s", entry.name, text)
+        self._store.note(entry.name, WRITE_LOCK, text)
 
     async def _audit_watchdog(
         self, entry: DriveEntry, station: Station, traits: WatchdogTraits
@@ -207,11 +240,10 @@ class Keeper:
             self._store.note(entry.name, REMARK, f"its watchdog cannot be checked: {exc}")
             return
         wanted = entry.watchdog
-        if wanted is None:
-            self._remark_unwanted(entry.name, traits, found)
-            return
+        assert wanted is not None
         target = WatchdogSetting(wanted.time_s, traits.actions[wanted.action])
-        if found != target and wanted.configure:
+        locked = WRITE_LOCK in self._store.drive(entry.name).remarks
+        if found != target and wanted.configure and not locked:
             logger.info(
                 "drive=%s event=watchdog-configure from=%s to=%s",
                 entry.name, describe(traits, found), describe(traits, target),
@@ -250,13 +282,20 @@ class Keeper:
             "fed only by whatever is read anyhow",
         )
 
-    async def _read_setting(self, station: Station, traits: WatchdogTraits) -> WatchdogSetting:
-        time = await self._read(station, traits.time_code)
-        action = await self._read(station, traits.action_code)
+    async def _read_setting(
+        self,
+        station: Station,
+        traits: WatchdogTraits,
+        priority: Priority = Priority.INTERACTIVE,
+    ) -> WatchdogSetting:
+        time = await self._read(station, traits.time_code, priority)
+        action = await self._read(station, traits.action_code, priority)
         return WatchdogSetting(number(time) / 1000.0, int(number(action)))
 
-    async def _read(self, station: Station, code: Code) -> Value:
-        return await self._requests.read(station, code, Priority.INTERACTIVE)
+    async def _read(
+        self, station: Station, code: Code, priority: Priority = Priority.INTERACTIVE
+    ) -> Value:
+        return await self._requests.read(station, code, priority, timeout_s=PATIENCE_S)
 
     async def _write(self, station: Station, code: Code, value: float) -> bool:
         """Write and read back; what did not take shows when the setting is read again."""

@@ -18,7 +18,7 @@ from .errors import CodeValueError, NakError, OperationError
 from .line.jobs import Station
 from .protocol.addressing import Code
 from .protocol.values import Value
-from .readings import DriveState, Reading
+from .readings import WRITE_LOCK, DriveState, Reading
 from .reports import WriteReport
 from .requests import Ending, Requests
 from .schedule import Outcome, Priority
@@ -156,6 +156,15 @@ class Operations:
                 drive=drive,
                 code=str(code),
                 remedy="nothing was sent; a drive is written to once it answers and was audited",
+            )
+        locked = state.remarks.get(WRITE_LOCK)
+        if locked is not None:
+            raise OperationError(
+                f"nothing is written to {drive}: {locked}",
+                kind="not-writable",
+                drive=drive,
+                code=str(code),
+                remedy="accept the software by name in the roster, if its manual allows it",
             )
         try:
             return encode_for(station.family, code, value)

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from lecombus.protocol.values import Value
 
 __all__ = [
+    "WRITE_LOCK",
     "DriveInfo",
     "DriveState",
     "Json",
@@ -66,6 +67,10 @@ class LineState(StrEnum):
     CLOSED = "closed"
     OPEN = "open"
     LOST = "lost"
+
+
+WRITE_LOCK = "software"
+"""The remark that stands on a drive as long as nothing but stops may be written to it."""
 
 
 @lru_cache(maxsize=256)

@@ -168,7 +168,12 @@ class Site:
     def _add_drive(self, entry: DriveEntry) -> None:
         kind = family(entry.family)
         station = Station(
-            entry.name, entry.address, kind, entry.forms, answer_time_s=entry.answer_time_s
+            entry.name,
+            entry.address,
+            kind,
+            entry.forms,
+            hold_s=kind.hold_after_write_s,
+            answer_time_s=entry.answer_time_s,
         )
         now = self._clock()
         self._entries[entry.name] = entry

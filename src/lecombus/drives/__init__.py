@@ -12,7 +12,15 @@ from __future__ import annotations
 
 from .costs import Cost, LineTiming, multicast_cost, read_cost, write_cost
 from .encoding import encode_for
-from .family import AnswerTime, CodeInfo, Family, PlainWhen, WatchdogTraits, WriteClass
+from .family import (
+    AnswerTime,
+    CodeInfo,
+    Family,
+    PlainWhen,
+    SoftwareGate,
+    WatchdogTraits,
+    WriteClass,
+)
 from .loading import FAMILY_NAMES, family, load_family
 from .stops import (
     StopAction,
@@ -35,6 +43,7 @@ __all__ = [
     "FieldReading",
     "LineTiming",
     "PlainWhen",
+    "SoftwareGate",
     "StopAction",
     "StopProof",
     "StopRule",

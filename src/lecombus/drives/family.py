@@ -23,7 +23,15 @@ from lecombus.protocol.values import Format, Value
 from .stops import StopAction, StopRule
 from .words import FieldReading, WordInfo
 
-__all__ = ["AnswerTime", "CodeInfo", "Family", "PlainWhen", "WatchdogTraits", "WriteClass"]
+__all__ = [
+    "AnswerTime",
+    "CodeInfo",
+    "Family",
+    "PlainWhen",
+    "SoftwareGate",
+    "WatchdogTraits",
+    "WriteClass",
+]
 
 CONTROLLER_STATUS = "controller_status"
 SHORTENED_RESPONSE = Code(1921)
@@ -134,6 +142,21 @@ class WatchdogTraits:
     source: str
 
 
+@dataclass(frozen=True, slots=True)
+class SoftwareGate:
+    """The software versions whose codes the manual vouches for: others are not written to.
+
+    Args:
+        code: Where the version is read.
+        versions: The versions accepted, as read.
+        source: Manual and section.
+    """
+
+    code: Code
+    versions: tuple[str, ...]
+    source: str
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Family:
     """A family of drives: equal only to itself, so that it is a cheap key.
@@ -154,6 +177,7 @@ class Family:
         words: Its status words.
         answer_times: Answer times of the codes that have their own, by code number.
         other_answer_time: The answer time of all other codes.
+        software: Which software may be written to; None: any.
     """
 
     name: str
@@ -170,6 +194,7 @@ class Family:
     words: Mapping[Code, WordInfo]
     answer_times: Mapping[int, AnswerTime]
     other_answer_time: AnswerTime
+    software: SoftwareGate | None = None
 
     @property
     def shortened_code(self) -> Code | None:

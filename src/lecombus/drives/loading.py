@@ -21,13 +21,14 @@ from lecombus.errors import ConfigError, DescriptionError
 from lecombus.protocol.addressing import Code
 
 from .document import Item, Origin, Table, read_document
-from .family import AnswerTime, CodeInfo, Family, WatchdogTraits, WriteClass
+from .family import AnswerTime, CodeInfo, Family, SoftwareGate, WatchdogTraits, WriteClass
 from .sections import (
     read_answer_time,
     read_code,
     read_code_number,
     read_field,
     read_form,
+    read_software,
     read_stop,
     read_watchdog,
     read_word,
@@ -111,6 +112,7 @@ class _Builder:
         codes = self._codes()
         answer_times, other = self._answer_times()
         watchdog = self._single("watchdog")
+        software = self._single("software")
         family = Family(
             name=self._name,
             title=self._required("title").text(),
@@ -129,6 +131,7 @@ class _Builder:
             words=self._words(codes),
             answer_times=answer_times,
             other_answer_time=other,
+            software=self._software(software, codes) if software else None,
         )
         for table in self._tables:
             table.done()
@@ -248,6 +251,12 @@ class _Builder:
             if code not in codes or not codes[code].writable:
                 item.fail(f"{code} is not described as writable", code=str(code))
         return traits
+
+    def _software(self, item: Item, codes: dict[Code, CodeInfo]) -> SoftwareGate:
+        gate = read_software(item.table(), self._manual)
+        if gate.code not in codes:
+            item.fail(f"{gate.code} is not described", code=str(gate.code))
+        return gate
 
     def _feed(self, codes: dict[Code, CodeInfo]) -> Code:
         item = self._required("feed")

@@ -19,7 +19,7 @@ from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import HIGHEST_VALUE_CHARS, Format, Value
 
 from .document import Item, Table
-from .family import AnswerTime, CodeInfo, PlainWhen, WatchdogTraits, WriteClass
+from .family import AnswerTime, CodeInfo, PlainWhen, SoftwareGate, WatchdogTraits, WriteClass
 from .stops import StopAction, StopProof, StopRule
 from .words import WordField, WordInfo
 
@@ -29,6 +29,7 @@ __all__ = [
     "read_code_number",
     "read_field",
     "read_form",
+    "read_software",
     "read_stop",
     "read_watchdog",
     "read_word",
@@ -118,6 +119,17 @@ def read_answer_time(table: Table, manual: str) -> tuple[list[Code] | None, Answ
             codes.fail("a list of codes is right here, or: others")
         return None, times
     return [read_code_number(item) for item in codes.items()], times
+
+
+def read_software(table: Table, manual: str) -> SoftwareGate:
+    """Read `software`."""
+    gate = SoftwareGate(
+        code=read_code_number(table.take("code")),
+        versions=tuple(item.text() for item in table.take("versions").items()),
+        source=_source(table, manual),
+    )
+    table.done()
+    return gate
 
 
 def read_watchdog(table: Table, manual: str) -> WatchdogTraits:
