@@ -180,13 +180,23 @@ def test_requests_are_counted_by_class_and_outcome() -> None:
 
 def test_schedule_and_watchdogs_are_read_off_when_the_page_is_rendered() -> None:
     hall = Hall()
-    hall.figures = Figures({Priority.BACKGROUND: 1000}, 1.5, 0.25, {"feeder": 0.7}, {"feeder": 3})
+    hall.figures = Figures(
+        {Priority.BACKGROUND: 1000},
+        1.5,
+        0.25,
+        {"feeder": 0.7},
+        {"feeder": 3},
+        {Priority.BACKGROUND: 7},
+        4,
+    )
     assert hall.samples("queue_depth")["background",] == 1000
     assert hall.samples("queue_depth")["stop",] == 0
     assert hall.samples("cyclic_stretch_ratio") == {(): 1.5}
     assert hall.samples("cyclic_lateness_seconds") == {(): 0.25}
     assert hall.samples("watchdog_margin_seconds") == {("feeder",): 0.7}
     assert hall.samples("watchdog_misses_total") == {("feeder",): 3}
+    assert hall.samples("schedule_refusals_total")["background",] == 7
+    assert hall.samples("cyclic_skipped_total") == {(): 4}
 
 
 def test_groups_count_multicasts_only() -> None:

@@ -74,6 +74,7 @@ STATUS_BY_KIND: Final[Mapping[str, tuple[int, str]]] = {
     "nak": (409, "Refused by the drive"),
     "refused": (409, "Refused"),
     "superseded": (409, "Superseded"),
+    "not-in-effect": (409, "Written, but not in effect"),
     "no-stop": (409, "No such stop for this drive"),
     "no-control-word": (409, "Control word not known"),
     "too-big": (413, "Body too big"),

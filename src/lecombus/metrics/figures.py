@@ -34,6 +34,8 @@ class Figures:
         lateness_s: How late the latest cyclic read is, seconds.
         watchdog_margin_s: By drive, time left until its watchdog would fire, seconds.
         watchdog_misses: By drive, how often a feed came too late.
+        refused: By class, requests the schedule refused so far.
+        cyclic_skipped: Cyclic reads passed over so far.
     """
 
     queue_depth: Mapping[Priority, int] = field(default_factory=dict)
@@ -41,6 +43,8 @@ class Figures:
     lateness_s: float = 0.0
     watchdog_margin_s: Mapping[str, float] = field(default_factory=dict)
     watchdog_misses: Mapping[str, int] = field(default_factory=dict)
+    refused: Mapping[Priority, int] = field(default_factory=dict)
+    cyclic_skipped: int = 0
 
 
 class LineFigures:
@@ -61,14 +65,22 @@ class LineFigures:
         self._margin = gauge(
             "watchdog_margin_seconds", "Time left until the drive's watchdog would fire."
         )
-        self._misses = Block(
-            "lecombus_watchdog_misses", "counter", "Feeds that came later than the watchdog time."
+        self._misses = counter("watchdog_misses", "Feeds that came later than the watchdog time.")
+        self._refused = counter(
+            "schedule_refusals",
+            "Requests the schedule refused: queue full, drive offline, line lost, no room.",
+        )
+        self._skipped = counter(
+            "cyclic_skipped", "Cyclic reads passed over: drive held back, or a feed went first."
         )
 
     @property
     def blocks(self) -> tuple[Block, ...]:
         """The families, in the order of the page."""
-        return (self._up, self._depth, self._stretch, self._late, self._margin, self._misses)
+        return (
+            *(self._up, self._depth, self._refused, self._stretch, self._late, self._skipped),
+            *(self._margin, self._misses),
+        )
 
     def render(self, store: Store, figures: Figures) -> None:
         """Write the lines of every family."""
@@ -77,10 +89,13 @@ class LineFigures:
         self._up.lines.append(f"{self._up.name}{{{line}}} {int(up)}")
         self._stretch.lines.append(f"{self._stretch.name}{{{line}}} {figures.stretch!r}")
         self._late.lines.append(f"{self._late.name}{{{line}}} {figures.lateness_s!r}")
+        self._skipped.lines.append(f"{self._skipped.name}_total{{{line}}} {figures.cyclic_skipped}")
         for priority in Priority:
             depth = figures.queue_depth.get(priority, 0)
             label = f'{line},priority="{label_of(priority)}"'
+            refused = figures.refused.get(priority, 0)
             self._depth.lines.append(f"{self._depth.name}{{{label}}} {depth}")
+            self._refused.lines.append(f"{self._refused.name}_total{{{label}}} {refused}")
         for drive, margin_s in figures.watchdog_margin_s.items():
             label = f'{line},drive="{escape(drive)}"'
             self._margin.lines.append(f"{self._margin.name}{{{label}}} {margin_s!r}")
@@ -167,3 +182,8 @@ class DriveFigures:
 def gauge(name: str, text: str) -> Block:
     """Return an empty family of gauges."""
     return Block(f"lecombus_{name}", "gauge", text)
+
+
+def counter(name: str, text: str) -> Block:
+    """Return an empty family of counters."""
+    return Block(f"lecombus_{name}", "counter", text)

@@ -97,9 +97,6 @@ class Meters:
         self.echo_mismatches = self._counter(
             "echo_mismatches", "Echoes that differed from what was sent: collisions, bad wiring."
         )
-        self.queue_refusals = self._counter(
-            "queue_refusals", "Requests refused because their queue was full."
-        )
 
     # -- the hot path ---------------------------------------------------------------------------
 
