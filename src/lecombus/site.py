@@ -14,7 +14,7 @@ from collections.abc import Callable
 
 from . import __version__
 from .books import Books
-from .config import DriveEntry, Roster
+from .config import DriveEntry, Roster, line_timing
 from .drives import LineTiming, StopAction, family
 from .errors import ConfigError
 from .group_operations import GroupOperations
@@ -30,13 +30,7 @@ from .stations import RequestMaker
 from .store import Store
 from .words import ControlWords
 
-__all__ = ["Site", "timing_of"]
-
-LATENCY_S = {"serial": 0.016, "socket": 0.050, "sim": 0.005}
-"""What stands between us and the wire: an FTDI's default latency timer, a device server's."""
-
-LEAST_QUARANTINE_S = 0.03
-"""Silence after a failed exchange, besides twice the adapter's latency."""
+__all__ = ["Site"]
 
 SAID_FROM = 1.05
 """A cadence stretched by less than this is not worth a remark."""
@@ -45,21 +39,6 @@ STUCK_S = 5.0
 """Far longer than any exchange: the longest time-out at 1200 baud is about 4 s."""
 
 ECHO = {"auto": None, "yes": True, "no": False}
-
-
-def timing_of(roster: Roster) -> LineTiming:
-    """The times a roster's line is reckoned with."""
-    line = roster.line
-    kind = line.port.partition(":")[0] if ":" in line.port else "serial"
-    latency_s = line.adapter_latency_s
-    if latency_s is None:
-        latency_s = LATENCY_S.get(kind, LATENCY_S["serial"])
-    return LineTiming(
-        line.baud,
-        turnaround_s=line.turnaround_s,
-        adapter_latency_s=latency_s,
-        quarantine_s=LEAST_QUARANTINE_S + 2.0 * latency_s,
-    )
 
 
 class Site:
@@ -93,7 +72,7 @@ class Site:
         )
         self.schedule = Schedule(absent_share=line.absent_share)
         self.words = ControlWords()
-        timing = timing or timing_of(roster)
+        timing = timing or line_timing(line)
         maker = RequestMaker(timing, line.retries, self.metrics.meters.request_ended)
         self.health = Health(self.schedule, self.store, self._wants_audit, clock)
         books = Books(self.store, self.metrics, self.health, self.words, self._has_drive)
@@ -228,6 +207,8 @@ class Site:
             stats.cyclic_late_most_s,
             {name: feed.time_s - feed.age_s for name, feed in feeds.items()},
             {name: feed.lapses for name, feed in stats.feeds.items()},
+            stats.refused,
+            stats.cyclic_skipped + stats.cyclic_dropped,
         )
 
 

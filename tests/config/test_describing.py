@@ -70,7 +70,7 @@ SAFE = "watchdog: {time: 2s, action: inhibit, configure: true}"
         (GOOD, "no watchdog is looked after in 2 of 2 drives (feeder, belt)"),
         (drive_with("watchdog: {time: 2s, action: none, configure: true}"), "nothing stops the"),
         (drive_with("watchdog: {time: 2s, action: inhibit}"), "forgets its watchdog at power-off"),
-        (drive_with("watchdog: {time: 600ms, action: inhibit, configure: true}"), "may act when"),
+        (drive_with("watchdog: {time: 150ms, action: inhibit, configure: true}"), "may act when"),
         (drive_with("watchdog: {time: 20ms, action: inhibit}", family="smvector"),
          "a watchdog of 20ms cannot be fed: one read of each watched drive (1) takes"),
         (drive_with("cyclic: [{code: C0150, every: 10ms}]"), "cyclic reads ask for"),
@@ -100,4 +100,9 @@ def test_a_watched_drive_on_a_plain_line_is_fine(family: str) -> None:
 def test_the_latency_follows_from_the_port_unless_written(text: str, latency_s: float) -> None:
     timing = line_timing(parsed(text).line)
     assert timing.adapter_latency_s == latency_s
-    assert (timing.baud, timing.turnaround_s, timing.quarantine_s) == (9600, 0.002, 0.5)
+    assert (timing.baud, timing.turnaround_s) == (9600, 0.002)
+    assert timing.quarantine_s == pytest.approx(0.03 + 2 * latency_s)
+
+
+def test_the_quarantine_is_no_longer_than_an_answer_can_be_late() -> None:
+    assert line_timing(parsed(line_with("late_answer: 10ms")).line).quarantine_s == 0.01

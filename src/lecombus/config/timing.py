@@ -15,10 +15,15 @@ __all__ = ["adapter_latency_s", "line_timing"]
 
 USB_LATENCY_S: Final = 0.016
 """The latency timer of FTDI adapters as shipped; other adapters stay below."""
+
 NETWORK_LATENCY_S: Final = 0.050
 """A device server on the same site, with its own buffering."""
 SIMULATED_LATENCY_S: Final = 0.005
 """No adapter at all, only a busy computer."""
+
+
+LEAST_QUARANTINE_S: Final = 0.03
+"""Silence after a failed exchange, besides twice the adapter's latency."""
 
 
 def adapter_latency_s(line: LineEntry) -> float:
@@ -31,10 +36,15 @@ def adapter_latency_s(line: LineEntry) -> float:
 
 
 def line_timing(line: LineEntry) -> LineTiming:
-    """Return the line's times for `drives.costs`; late answers are sat out as quarantine."""
+    """Return the line's times for `drives.costs`.
+
+    The quarantine covers what an adapter may still have in its buffers. Answers later than that,
+    up to `late_answer`, are not sat out but kept in doubt, which costs no line time.
+    """
+    latency_s = adapter_latency_s(line)
     return LineTiming(
         baud=line.baud,
         turnaround_s=line.turnaround_s,
-        adapter_latency_s=adapter_latency_s(line),
-        quarantine_s=line.late_answer_s,
+        adapter_latency_s=latency_s,
+        quarantine_s=min(line.late_answer_s, LEAST_QUARANTINE_S + 2.0 * latency_s),
     )

@@ -33,7 +33,7 @@ from ..drives import (
 from ..errors import ExchangeError
 from ..protocol.addressing import Code, Form
 from ..protocol.exchange import Result, ResultKind
-from ..protocol.telegrams import AckAnswer, ValueAnswer
+from ..protocol.telegrams import AckAnswer, UnknownCodeAnswer, ValueAnswer
 from ..protocol.values import Value
 from ..schedule.request import Outcome
 from .failures import error_of
@@ -138,8 +138,11 @@ class ReadJob:
             self.value = answer.value
             return Outcome.DONE, ""
         self.error = error_of(self.station, self.step, result, self.attempts)
-        if self.error.retryable and self.attempts <= self.retries and not _is_lost(result):
-            return None
+        if self.attempts <= self.retries and not _is_lost(result):
+            # One damaged character makes "no such code" of a value, so that is asked twice.
+            doubtful = type(answer) is UnknownCodeAnswer and self.attempts == 1
+            if self.error.retryable or doubtful:
+                return None
         refused = result.kind is ResultKind.ANSWERED
         return (Outcome.REFUSED if refused else Outcome.UNKNOWN), str(self.error)
 
