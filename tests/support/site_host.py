@@ -1,0 +1,357 @@
+"""A line on the virtual clock: a bare worker, or a whole site, over simulated drives in memory.
+
+`Rig` is schedule and worker without store, keeper and roster, for looking at telegrams and
+outcomes; `Plant` is a whole `Site` of a roster. Both are entered inside `virtual_loop.run`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Callable, Iterable
+from dataclasses import dataclass, field
+from types import TracebackType
+
+import anyio
+
+from lecombus.config import Roster, parse_roster
+from lecombus.drives import LineTiming, family
+from lecombus.line.jobs import Station
+from lecombus.line.port import Port, PortSettings, Receiver
+from lecombus.line.worker import ExchangeReport, LineWorker, WorkerOptions
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+from lecombus.readings import DriveState
+from lecombus.schedule import Outcome, Priority, Request, Schedule
+from lecombus.simulator.line import SimLine
+from lecombus.simulator.memory import MemoryEnd
+from lecombus.simulator.world import build
+from lecombus.site import Site
+from lecombus.stations import RequestMaker
+
+__all__ = ["Ended", "Plant", "Recorder", "Rig", "TappedEnd", "Telegram", "roster_of", "until"]
+
+WALL_S = 1_795_000_000.0
+PORT = PortSettings("sim:", 19200, "adapter", "line", "test")
+
+
+class Ended:
+    """Remembers how a request ended; a second end is a failure of the test."""
+
+    def __init__(self) -> None:
+        self.outcome: Outcome | None = None
+        self.reason = ""
+        self.at_s = 0.0
+        self.done = asyncio.Event()
+
+    def settle(self, outcome: Outcome, reason: str) -> None:
+        assert self.outcome is None, "a request ended twice"
+        self.outcome, self.reason = outcome, reason
+        self.at_s = asyncio.get_running_loop().time()
+        self.done.set()
+
+
+@dataclass
+class Recorder:
+    """An observer that remembers."""
+
+    reports: list[ExchangeReport] = field(default_factory=list)
+    line: list[tuple[float, bool, str]] = field(default_factory=list)
+    strays: list[tuple[bytes, bool]] = field(default_factory=list)
+
+    def exchange_ended(self, report: ExchangeReport) -> None:
+        self.reports.append(report)
+
+    def line_changed(self, up: bool, reason: str) -> None:
+        self.line.append((asyncio.get_running_loop().time(), up, reason))
+
+    def thinking(self, for_s: float) -> None:
+        pass
+
+    def stray_bytes(self, data: bytes, late_answer: bool) -> None:
+        self.strays.append((data, late_answer))
+
+    @property
+    def kinds(self) -> list[str]:
+        return [report.result.kind.value for report in self.reports]
+
+
+@dataclass(frozen=True)
+class Telegram:
+    """What the host handed to the port, parity stripped, and when."""
+
+    at_s: float
+    data: bytes
+
+
+class _TappedPort:
+    """A port that notes every telegram."""
+
+    def __init__(self, inner: Port, sent: list[Telegram]) -> None:
+        self._inner = inner
+        self._sent = sent
+        self.carries_parity = inner.carries_parity
+
+    def write(self, data: bytes) -> None:
+        stripped = bytes(byte & 0x7F for byte in data)
+        self._sent.append(Telegram(asyncio.get_running_loop().time(), stripped))
+        self._inner.write(data)
+
+    def discard_input(self) -> None:
+        self._inner.discard_input()
+
+    def abort(self) -> None:
+        self._inner.abort()
+
+    def describe(self) -> str:
+        return self._inner.describe()
+
+
+class _TappedReceiver:
+    """A receiver that notes when the last byte came."""
+
+    def __init__(self, inner: Receiver, heard: list[Telegram]) -> None:
+        self._inner = inner
+        self._heard = heard
+
+    def received(self, data: bytes) -> None:
+        stripped = bytes(byte & 0x7F for byte in data)
+        self._heard.append(Telegram(asyncio.get_running_loop().time(), stripped))
+        self._inner.received(data)
+
+    def lost(self, exc: Exception | None) -> None:
+        self._inner.lost(exc)
+
+
+class TappedEnd:
+    """A `MemoryEnd` whose telegrams are noted.
+
+    Attributes:
+        sent: Telegrams, oldest first.
+        heard: Bytes that came from the port.
+        tries: When somebody tried to open it.
+    """
+
+    def __init__(self, line: SimLine, *, latency_s: float = 0.0) -> None:
+        self.memory = MemoryEnd(line, latency_s=latency_s)
+        self.sent: list[Telegram] = []
+        self.heard: list[Telegram] = []
+        self.tries: list[float] = []
+
+    async def open(self, settings: PortSettings, receiver: Receiver) -> Port:
+        self.tries.append(asyncio.get_running_loop().time())
+        port = await self.memory.open(settings, _TappedReceiver(receiver, self.heard))
+        return _TappedPort(port, self.sent)
+
+    def unplug(self) -> None:
+        self.memory.unplug()
+
+    def replug(self) -> None:
+        self.memory.replug()
+
+    def say(self, data: bytes) -> None:
+        """Let bytes come from the adapter just now, whatever the line does."""
+        assert self.memory.port is not None
+        with_parity = bytes(byte | (byte.bit_count() & 1) << 7 for byte in data)
+        self.memory.port._receiver.received(with_parity)
+
+
+class Rig:
+    """Schedule and worker over simulated drives: `async with Rig(...) as rig`.
+
+    Args:
+        drives: Name, address and family of each.
+        options: How the line is worked.
+        retries: Repetitions.
+        baud: Bits per second.
+        opener: Opens the port instead of the simulated line.
+        Others as for `simulator.world.build`.
+    """
+
+    def __init__(
+        self,
+        drives: Iterable[tuple[str, int, str]] = (("a", 1, "8200vector"), ("b", 2, "8200vector")),
+        *,
+        options: WorkerOptions | None = None,
+        retries: int = 2,
+        baud: int = 19200,
+        faults: str = "",
+        seed: int = 0,
+        latency_s: float = 0.0,
+        spread: float = 0.0,
+        opener: Callable[[PortSettings, Receiver], object] | None = None,
+    ) -> None:
+        self._drives = list(drives)
+        self.options = options or WorkerOptions()
+        self.line = build(self._drives, baud=baud, faults=faults, seed=seed, spread=spread)
+        self.end = TappedEnd(self.line, latency_s=latency_s)
+        self.timing = LineTiming(
+            baud, turnaround_s=self.options.turnaround_s, adapter_latency_s=0.005,
+            quarantine_s=0.04,
+        )  # fmt: skip
+        self.maker = RequestMaker(self.timing, retries, lambda priority, outcome: None)
+        self.stations: dict[str, Station] = {}
+        self.schedule = Schedule()
+        for name, address, kind in self._drives:
+            described = family(kind)
+            self.stations[name] = Station(name, address, described, described.forms)
+            self.schedule.add_drive(name)
+        self.seen = Recorder()
+        self.worker = LineWorker(
+            PORT, opener or self.end.open, self.schedule, self.timing, self.options, self.seen  # type: ignore[arg-type]
+        )  # fmt: skip
+
+    async def __aenter__(self) -> Rig:
+        self._stack = contextlib.AsyncExitStack()
+        self.tasks = await self._stack.enter_async_context(anyio.create_task_group())
+        self.tasks.start_soon(self.worker.run)
+        if self.worker._connection._opener == self.end.open:
+            await until(lambda: self.worker.is_open)
+            await anyio.sleep(0.06)
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        exc: BaseException | None,
+        trace: TracebackType | None,
+    ) -> bool | None:
+        self.tasks.cancel_scope.cancel()
+        return await self._stack.__aexit__(kind, exc, trace)
+
+    @property
+    def now_s(self) -> float:
+        return asyncio.get_running_loop().time()
+
+    @property
+    def sent(self) -> list[Telegram]:
+        return self.end.sent
+
+    def submit(self, make: Callable[[Callable[[Outcome, str], None]], Request]) -> Ended:
+        ended = Ended()
+        self.worker.submit(make(ended.settle))
+        return ended
+
+    def read(self, drive: str, code: int, priority: Priority = Priority.INTERACTIVE) -> Ended:
+        station = self.stations[drive]
+        return self.submit(
+            lambda settle: self.maker.read(station, Code(code), priority, settle=settle)
+        )
+
+    def write(self, drive: str, code: int, value: int | str, *, verify: bool = False) -> Ended:
+        station = self.stations[drive]
+        wire = Value.parse(str(value))
+        return self.submit(
+            lambda settle: self.maker.write(station, Code(code), wire, settle=settle, verify=verify)
+        )
+
+
+@contextlib.asynccontextmanager
+async def _run(site: Site) -> AsyncIterator[None]:
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(site.keeper.run)
+        tasks.start_soon(site.worker.run)
+        yield
+        tasks.cancel_scope.cancel()
+
+
+class Plant:
+    """A whole site of a roster over simulated drives: `async with Plant(roster) as plant`.
+
+    Args:
+        roster: The roster's text, or the roster.
+        faults: Of the line, as `parse_faults` reads them.
+        seed: Where chance starts from.
+        options: How the line is worked, instead of by the roster.
+    """
+
+    def __init__(
+        self,
+        roster: str | Roster,
+        *,
+        faults: str = "",
+        seed: int = 0,
+        options: WorkerOptions | None = None,
+        spread: float = 0.0,
+    ) -> None:
+        self.roster = parse_roster(roster, "r.yaml") if isinstance(roster, str) else roster
+        self.line = build(
+            [(one.name, one.address, one.family) for one in self.roster.drives],
+            baud=self.roster.line.baud, faults=faults, seed=seed, spread=spread,
+        )  # fmt: skip
+        self.end = TappedEnd(self.line)
+        self._options = options
+        self.site: Site
+
+    async def __aenter__(self) -> Plant:
+        clock = asyncio.get_running_loop().time
+        self.site = Site(
+            self.roster, self.end.open, clock, lambda: WALL_S + clock(), options=self._options
+        )
+        self._running = _run(self.site)
+        await self._running.__aenter__()
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        exc: BaseException | None,
+        trace: TracebackType | None,
+    ) -> bool | None:
+        return await self._running.__aexit__(kind, exc, trace)
+
+    @property
+    def now_s(self) -> float:
+        return asyncio.get_running_loop().time()
+
+    def state(self, drive: str) -> DriveState:
+        return self.site.store.drive(drive).state
+
+    def sent_to(self, address: int, since_s: float = 0.0) -> list[Telegram]:
+        head = b"\x04%02d" % address
+        return [one for one in self.end.sent if one.at_s >= since_s and one.data[:3] == head]
+
+    async def online(self, *drives: str, within_s: float = 300.0) -> None:
+        """Wait until drives (none named: all) are online."""
+        names = drives or tuple(one.name for one in self.roster.drives)
+        await until(
+            lambda: all(self.state(name) is DriveState.ONLINE for name in names),
+            within_s=within_s,
+        )
+
+
+def roster_of(
+    drives: Iterable[tuple[str, int, str]],
+    *,
+    baud: int = 19200,
+    watchdog: str = "",
+    line: str = "",
+    drive: str = "",
+    rest: str = "",
+) -> str:
+    """Write a roster's text.
+
+    Args:
+        drives: Name, address, family.
+        baud: Bits per second.
+        watchdog: What stands behind `watchdog:` of every drive; empty for none.
+        line: More keys of the line, such as `, retries: 1`.
+        drive: More keys of every drive, such as `, cyclic: []`.
+        rest: More sections.
+    """
+    guard = f", watchdog: {watchdog}" if watchdog else ""
+    entries = "".join(
+        f"  - {{name: {name}, address: {address}, family: {kind}{guard}{drive}}}\n"
+        for name, address, kind in drives
+    )
+    return (
+        f"line: {{name: t, port: 'sim:', baud: {baud}, turnaround: 2ms{line}}}\n"
+        f"drives:\n{entries}{rest}\napi: {{socket: /tmp/x.sock}}\n"
+    )
+
+
+async def until(condition: Callable[[], bool], *, within_s: float = 60.0) -> None:
+    """Let virtual time pass until something is so."""
+    with anyio.fail_after(within_s):
+        while not condition():  # noqa: ASYNC110 - any condition of the site, without its help
+            await anyio.sleep(0.005)
