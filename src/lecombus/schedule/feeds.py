@@ -30,6 +30,7 @@ __all__ = ["HARD_PART", "SOFT_PART", "Feed", "Feeding", "Feeds"]
 
 SOFT_PART: Final = 0.5  # of the watchdog time: from then on a feed is due
 HARD_PART: Final = 0.9  # of the watchdog time: by then the feed is over
+ROUNDING_S: Final = 1e-9  # a feed that is just in time must not be late by a rounding error
 RETRY_LEAST_S: Final = 0.02  # below this, halving the time left is no longer worth a telegram
 
 
@@ -183,7 +184,8 @@ class Feeds:
         for feed in self.by_drive.values():
             if not feed.active:
                 continue
-            feed.left_out = max(now_s, feed.free_s()) + feed.cost_s > feed.hard_s
+            starts_s = max(now_s, feed.free_s())
+            feed.left_out = starts_s + feed.cost_s > feed.hard_s + ROUNDING_S
             if not feed.left_out:
                 found.append(feed)
             else:
@@ -230,18 +232,20 @@ class Feeds:
         end_s = now_s + worst_s
         total_s = 0.0
         earlier_s = math.inf  # by when the line must be free for the feeds before this one
+        broken = False  # a bound that can be mended
         first: Feed | None = None
         best: Feed | None = None
         for feed in self._in_order(now_s):
             total_s += feed.cost_s
             end_by_s = feed.hard_s - total_s
-            if feed.drive != drive and end_s > end_by_s and feed.free_s() <= now_s:
+            if feed.drive != drive and feed.free_s() <= now_s:
                 first = first or feed
-                safe = now_s + feed.worst_s <= earlier_s
-                if safe and (best is None or feed.time_s > best.time_s):
+                helps = end_s > end_by_s and now_s + feed.worst_s <= earlier_s
+                broken = broken or end_s > end_by_s
+                if helps and (best is None or feed.time_s > best.time_s):
                     best = feed
             earlier_s = min(earlier_s, end_by_s)
-        return best or first
+        return best or (first if broken else None)
 
     def retry_s(self, now_s: float) -> float:
         """Tell when it is worth asking again whether something fits that does not fit now."""

@@ -229,9 +229,11 @@ class Schedule:
 
     def _periodic(self, now_s: float) -> Request | None:
         """Find the probe or else the cyclic slot that is due."""
-        probe = self._probes.ready(now_s)
-        if probe is not None:
-            return probe.made()
+        while (probe := self._probes.ready(now_s)) is not None:
+            drive = self._drives[probe.drive]
+            if not drive.held:
+                return probe.made()
+            self._probes.schedule(probe, drive.held_until_s)
         entry = self._cadence.head(now_s, self._drives)
         return entry.made() if entry is not None else None
 
@@ -247,7 +249,9 @@ class Schedule:
             if feeds.fits(now_s, feed.worst_s, feed.drive):
                 return self._feeding(feed, now_s)
             if not feed.failures:
-                return self._feeding(feeds.first(now_s) or feed, now_s)
+                if not feeds.fits(now_s, feed.cost_s, feed.drive):
+                    feed = feeds.first(now_s) or feed
+                return self._feeding(feed, now_s)
             if feed.worst_s > feeds.most_s(feed.drive)[0]:
                 return self._feeding(feed, now_s)
             other = feeds.room(now_s, feed.worst_s, feed.drive)

@@ -1,0 +1,118 @@
+"""A stop goes first, whatever happens, and nothing that moves survives it."""
+
+from __future__ import annotations
+
+from lecombus.schedule import Outcome, Priority, Schedule
+from schedule.world import World
+
+P = Priority
+
+
+def test_a_stop_goes_even_to_held_and_parked_drives() -> None:
+    world = World().drives("a", "b")
+    world.schedule.hold("a", 5.0, 0.0)
+    world.schedule.park("b", 0.0, "silent")
+    stops = [world.submit("a", P.STOP), world.submit("b", P.STOP)]
+    assert [world.step(), world.step()] == stops
+
+
+def test_a_stop_goes_before_feeds_that_are_late() -> None:
+    world = World().drives("a")
+    world.feed("a", 1.0)
+    world.now_s = 3.0
+    stop = world.submit("a", P.STOP, worst_s=50.0)
+    assert world.step() is stop
+
+
+def test_a_stop_ends_the_waiting_motion_of_the_drives_it_stops_only() -> None:
+    world = World().drives("a", "b")
+    moving = world.submit("a", P.CONTROL, motion=True)
+    plain = world.submit("a", P.CONTROL)
+    other = world.submit("b", P.CONTROL, motion=True)
+    held_back = world.submit("a", P.INTERACTIVE, motion=True)
+    stop = world.submit("a", P.STOP, stops=("a",))
+    assert world.outcome(moving) == (Outcome.SUPERSEDED, "stopped")
+    assert world.outcome(held_back) == (Outcome.SUPERSEDED, "stopped")
+    world.run(1.0)
+    assert [sent.request for sent in world.sent] == [stop, plain, other]
+
+
+def test_a_stop_ends_deferred_motion() -> None:
+    world = World().drives("a")
+    moving = world.submit("a", P.CONTROL, motion=True)
+    world.schedule.next(0.0)
+    world.schedule.defer(moving, 1.0, 0.0)
+    stop = world.submit("a", P.STOP, stops=("a",))
+    assert world.outcome(moving) == (Outcome.SUPERSEDED, "stopped")
+    assert [sent.request for sent in world.run(2.0).sent] == [stop]
+
+
+def test_a_stop_of_one_member_ends_the_multicast_that_would_move_it() -> None:
+    world = World().drives("a", "b")
+    moving = world.submit("both", P.CONTROL, motion=True, members=("a", "b"))
+    world.submit("b", P.STOP, stops=("b",))
+    assert world.outcome(moving) == (Outcome.SUPERSEDED, "stopped")
+    assert world.schedule.stats(0.0).depth[P.CONTROL] == 0
+
+
+def test_motion_under_way_when_a_stop_comes_is_never_repeated() -> None:
+    world = World().drives("a")
+    moving = world.submit("a", P.CONTROL, motion=True)
+    assert world.schedule.next(0.0) is moving
+    stop = world.submit("a", P.STOP, stops=("a",))
+    world.schedule.finished(moving, 0.0, 0.1, False)
+    world.schedule.again(moving, 0.1)
+    # It was on the line once, so "never sent" would be untrue.
+    assert world.outcome(moving) == (Outcome.UNKNOWN, "stopped")
+    assert [sent.request for sent in world.run(1.0).sent] == [stop]
+
+
+def test_motion_chosen_but_not_sent_when_a_stop_comes_ends_as_never_sent() -> None:
+    world = World().drives("a")
+    moving = world.submit("a", P.CONTROL, motion=True)
+    world.schedule.next(0.0)
+    world.submit("a", P.STOP, stops=("a",))
+    world.schedule.defer(moving, 0.0, 0.0)
+    assert world.outcome(moving) == (Outcome.SUPERSEDED, "stopped")
+
+
+def test_motion_asked_for_after_the_stop_is_sent_and_may_be_repeated() -> None:
+    world = World().drives("a")
+    stop = world.submit("a", P.STOP, stops=("a",))
+    world.step()
+    moving = world.submit("a", P.CONTROL, motion=True)
+    assert world.schedule.next(world.now_s) is moving
+    world.schedule.finished(moving, 0.1, 0.2, False)
+    world.schedule.again(moving, 0.2)
+    assert not moving.settled
+    world.now_s = 0.2
+    assert world.step() is moving
+    assert stop.settled
+
+
+def test_stops_are_neither_superseded_nor_limited_nor_expired() -> None:
+    world = World(Schedule(limits={P.STOP: 1})).drives("a")
+    for _ in range(3000):
+        world.submit("a", P.STOP, supersedes="stop", stops=("a",), expires_at_s=0.0, motion=True)
+    world.run(100.0)
+    assert len(world.sent) == 3000
+    assert {outcome for _, outcome, _, _ in world.ended} == {Outcome.DONE}
+
+
+def test_the_next_step_of_a_stop_goes_before_all_else_and_outlives_other_stops() -> None:
+    world = World().drives("a")
+    steps = []
+
+    def after(request: object, _reached: bool) -> bool:
+        steps.append(request)
+        if request is stop and len(steps) < 3:
+            world.schedule.again(stop, world.now_s)
+            return True
+        return False
+
+    world.after = after
+    world.submit("a", P.CONTROL)
+    stop = world.submit("a", P.STOP, stops=("a",))
+    other = world.submit("a", P.STOP, stops=("a",))
+    world.run(1.0)
+    assert steps[:4] == [stop, stop, stop, other]
