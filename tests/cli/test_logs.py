@@ -17,10 +17,23 @@ def record(message: str, level: int = logging.INFO) -> logging.LogRecord:
     return made
 
 
-def test_an_event_is_time_level_logger_and_message() -> None:
-    assert EventFormatter("logfmt").format(record("line=hall-3 event=open")) == (
-        'time=2026-11-21T10:05:12.113Z level=info logger=line.worker msg="line=hall-3 event=open"'
+def test_an_event_is_time_level_logger_and_what_it_says() -> None:
+    said = "line=hall-3 event=port-lost reason=/dev/x: it's gone (url=a b)"
+    assert EventFormatter("logfmt").format(record(said)) == (
+        "time=2026-11-21T10:05:12.113Z level=info logger=line.worker "
+        'line=hall-3 event=port-lost reason="/dev/x: it\'s gone (url=a b)"'
     )
+
+
+def test_words_before_the_first_key_are_the_message() -> None:
+    line = EventFormatter("logfmt").format(record("gone for good line=hall-3 code="))
+    assert line.endswith('msg="gone for good" line=hall-3 code=""')
+
+
+def test_fields_are_fields_in_json_too() -> None:
+    event = json.loads(EventFormatter("json").format(record("line=hall-3 event=ready")))
+    assert (event["line"], event["event"]) == ("hall-3", "ready")
+    assert "msg" not in event
 
 
 @pytest.mark.parametrize("style", ["logfmt", "json"])

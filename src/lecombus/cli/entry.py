@@ -22,6 +22,7 @@ from lecombus.errors import (
     CodeValueError,
     ConfigError,
     LecombusError,
+    OperationError,
 )
 
 __all__ = ["COMMANDS", "lecombus", "main"]
@@ -128,9 +129,11 @@ def _as_command_error(exc: Exception) -> CommandError:
     if isinstance(exc, OSError):
         return _as_system_error(exc)
     status = Exit.USAGE if isinstance(exc, ConfigError | CodeValueError) else Exit.FAILED
-    remedy = str(getattr(exc, "remedy", ""))
     lines = str(exc).splitlines() or [type(exc).__name__]
-    return CommandError(status, *(Problem(line, remedy) for line in lines))
+    if isinstance(exc, OperationError):
+        found = Problem(" ".join(lines), exc.remedy, exc.kind, exc.drive, exc.code)
+        return CommandError(status, found)
+    return CommandError(status, *(Problem(line) for line in lines))
 
 
 def _as_system_error(exc: OSError) -> CommandError:

@@ -1,7 +1,8 @@
 """Logs of the daemon: one event a line on standard error, as logfmt or as JSON.
 
 The only place where handlers and levels are set. An event is never more than one line: newlines,
-other control characters and tracebacks are escaped. Under systemd the journal already keeps the
+other control characters and tracebacks are escaped. Messages say `key=value` themselves; those
+become fields of the event, quoted where they need it. Under systemd the journal already keeps the
 time, so it is left out and the line begins with the level in the form the journal reads.
 """
 
@@ -10,6 +11,7 @@ from __future__ import annotations
 import json
 import logging
 import os
+import re
 import sys
 import time
 from collections.abc import Mapping
@@ -18,6 +20,8 @@ __all__ = ["FORMATS", "LEVELS", "EventFormatter", "set_up_logging"]
 
 LEVELS = ("debug", "info", "warning", "error")
 FORMATS = ("logfmt", "json")
+
+_KEY = re.compile(r"(?:^|(?<= ))([a-z][a-z_]*)=")
 
 _JOURNAL_LEVELS: Mapping[str, str] = {
     "debug": "<7>", "info": "<6>", "warning": "<4>", "error": "<3>", "critical": "<2>",
@@ -43,7 +47,7 @@ class EventFormatter(logging.Formatter):
         fields = {"level": level, "logger": record.name.removeprefix("lecombus.")}
         if not self._journal:
             fields = {"time": _time_text(record.created), **fields}
-        fields["msg"] = record.getMessage()
+        fields.update(_fields_of(record.getMessage()))
         if record.exc_info:
             fields["exc"] = self.formatException(record.exc_info)
         line = json.dumps(fields) if self._json else " ".join(map(_pair, fields.items()))
@@ -63,6 +67,20 @@ def set_up_logging(level: str, style: str) -> None:
     root.handlers[:] = [handler]
     root.setLevel(logging.WARNING)
     logging.getLogger("lecombus").setLevel(level.upper())
+
+
+def _fields_of(message: str) -> dict[str, str]:
+    """Take a message such as `line=hall-3 event=port-lost reason=it is gone` apart.
+
+    A value goes on to the next key or to the end; what stands before the first key is the message.
+    """
+    starts = list(_KEY.finditer(message))
+    ends = [*(match.start() for match in starts), len(message)][1:]
+    text = message[: starts[0].start()]
+    fields = {"msg": text.strip()} if text.strip() else {}
+    for match, end in zip(starts, ends, strict=True):
+        fields[match[1]] = message[match.end() : end].strip()
+    return fields
 
 
 def _pair(item: tuple[str, str]) -> str:

@@ -50,14 +50,17 @@ def command(
     wanted = load_roster(roster)
     line = _build(wanted, faults, seed)
     # Blocked before the line's thread starts, so that only sigwait gets them.
-    signal.pthread_sigmask(signal.SIG_BLOCK, _ENDS)
-    with ExitStack() as stack:
-        if pty is not None:
-            port = stack.enter_context(PtyEnd(line, _free_link(pty))).path
-        else:
-            port = stack.enter_context(TcpEnd(line, _tcp_port(tcp or "0"))).url
-        _announce(wanted, port, as_json=as_json)
-        signal.sigwait(_ENDS)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDS)
+    try:
+        with ExitStack() as stack:
+            if pty is not None:
+                port = stack.enter_context(PtyEnd(line, _free_link(pty))).path
+            else:
+                port = stack.enter_context(TcpEnd(line, _tcp_port(tcp or "0"))).url
+            _announce(wanted, port, as_json=as_json)
+            signal.sigwait(_ENDS)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
     return Exit.DONE
 
 

@@ -1,0 +1,92 @@
+"""The command line against the real daemon: `lecombus run` on simulated drives, all commands."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from cli.conftest import Run
+
+
+@pytest.fixture
+def process(short_dir: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[subprocess.Popen[str]]:
+    """A daemon on simulated drives; LECOMBUS_SOCKET points at it once it is ready."""
+    roster, socket = short_dir / "hall-3.yaml", short_dir / "hall-3.sock"
+    roster.write_text(f"""\
+line: {{name: hall-3, port: "sim:", baud: 19200}}
+drives:
+  - {{name: feeder, address: 11, family: 8200vector}}
+  - {{name: belt, address: 12, family: 93xx}}
+groups:
+  conveyors: {{members: [feeder, belt]}}
+api: {{socket: {socket}}}
+""")
+    monkeypatch.setenv("LECOMBUS_SOCKET", str(socket))
+    with subprocess.Popen(
+        [sys.executable, "-m", "lecombus", "run", "-c", str(roster), "--log-format", "json"],
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as running:
+        assert running.stderr is not None
+        try:
+            for line in running.stderr:
+                if json.loads(line).get("event") == "ready":
+                    break
+            yield running
+        finally:
+            running.kill()
+
+
+@pytest.mark.usefixtures("process")
+def test_every_command_speaks_with_the_daemon(run: Run) -> None:
+    reading = json.loads(run("read", "feeder", "C0050", "--json").out)
+    assert (reading["drive"], reading["code"], reading["quality"]) == ("feeder", "C0050", "good")
+    assert run("read", "feeder", "C0050", "--stored").status == 0
+
+    written = run("write", "feeder", "C0046", "12.5", "--verify", "--json")
+    assert (written.status, written.err) == (0, "")
+    report = json.loads(written.out)
+    assert (report["outcome"], report["reading"]["value"]) == ("verified", 12.5)
+    assert run("read", "feeder", "C0046").out.split("\t")[2] == "12.5"
+
+    grouped = run("group", "conveyors", "C0040", "0", "--verify")
+    assert grouped.status == 0
+    assert [line.split("\t")[0] for line in grouped.out.splitlines()] == ["feeder", "belt"]
+
+    stopped = run("stop")
+    assert stopped.status == 0
+    assert {line.split("\t")[2] for line in stopped.out.splitlines()} == {"verified"}
+
+    listed = run("status")
+    assert [line.split("\t")[:4] for line in listed.out.splitlines()] == [
+        ["feeder", "11", "8200vector", "online"],
+        ["belt", "12", "93xx", "online"],
+    ]
+    values = [line.split("\t") for line in run("status", "feeder").out.splitlines()]
+    assert ["C0046", "12.5"] in [[cells[0], cells[2]] for cells in values]
+    both = json.loads(run("status", "--json").out)
+    assert {"line", "drives"} == set(both)
+
+
+@pytest.mark.usefixtures("process")
+def test_what_the_daemon_refuses_has_the_status_that_fits(run: Run) -> None:
+    assert run("read", "feedr", "C0050").status == 2
+    assert "feeder" in run("read", "feedr", "C0050").err
+    assert run("read", "feeder", "C6000").status == 1
+    assert run("write", "feeder", "C0011", "50").status == 4
+    assert run("write", "feeder", "C0046", "H00").status == 2
+    assert run("group", "nobody", "C0040", "0").status == 2
+    assert run("stop", "nobody").status == 2
+
+
+def test_a_daemon_that_was_ended_is_not_reachable(run: Run, process: subprocess.Popen[str]) -> None:
+    process.send_signal(signal.SIGTERM)
+    process.communicate(timeout=20)
+    assert process.returncode == 0
+    assert run("status").status == 3
