@@ -32,6 +32,7 @@ wheel:
 	@scripts/venv runtime
 	@.venv/bin/python -m pip --disable-pip-version-check --quiet wheel --no-deps --no-index \
 		--no-build-isolation --wheel-dir dist .
+	@rm -rf build
 
 lock:
 	@scripts/venv lock

@@ -19,14 +19,18 @@ __all__ = ["command"]
 @click.argument("group")
 @click.argument("code", type=CODE)
 @click.argument("value", type=VALUE)
-@click.option("--verify", is_flag=True, help="Read it back from every member afterwards.")
+@click.option(
+    "--verify/--no-verify",
+    default=None,
+    help="Read it back from every member; a multicast is, unless told otherwise.",
+)
 @click.option("--expires", type=DURATION, help="Not sent any more after so long, such as 2s.")
 @daemon_options
 def command(
     group: str,
     code: Code,
     value: Given,
-    verify: bool,
+    verify: bool | None,
     expires: float | None,
     socket: str | None,
     url: str | None,
@@ -35,7 +39,7 @@ def command(
     """Write VALUE to CODE of every drive of GROUP; the group `all` is every drive of the roster.
 
     It goes out as one multicast where the group allows that (`lecombus check` tells), which
-    nobody acknowledges: use --verify to know. Else one write follows the other.
+    nobody acknowledges, and is then read back. Else one write follows the other.
 
     Exit status 0 only if every member's outcome is done or verified. In a pipe: one line a member
     with drive, code, outcome, value read back, reason. With --json: the daemon's document,

@@ -76,7 +76,7 @@ def _fields_of(message: str) -> dict[str, str]:
     """
     starts = list(_KEY.finditer(message))
     ends = [*(match.start() for match in starts), len(message)][1:]
-    text = message[: starts[0].start()]
+    text = message[: starts[0].start()] if starts else message
     fields = {"msg": text.strip()} if text.strip() else {}
     for match, end in zip(starts, ends, strict=True):
         fields[match[1]] = message[match.end() : end].strip()

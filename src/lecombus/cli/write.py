@@ -15,15 +15,17 @@ from lecombus.readings import Json
 __all__ = ["command", "write_document"]
 
 
-def write_document(value: Given, expires: float | None, verify: bool) -> dict[str, Json]:
+def write_document(value: Given, expires: float | None, verify: bool | None) -> dict[str, Json]:
     """Return the body of a write request.
 
     Args:
         value: What to write.
         expires: Seconds after which it shall no longer be sent; None: the daemon's default.
-        verify: Whether to read it back.
+        verify: Whether to read it back; None: as the daemon sees fit.
     """
-    document: dict[str, Json] = {"value": value, "verify": verify}
+    document: dict[str, Json] = {"value": value}
+    if verify is not None:
+        document["verify"] = verify
     if expires is not None:
         document["expires"] = f"{round(expires * 1000)}ms"
     return document
