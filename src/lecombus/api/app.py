@@ -176,7 +176,11 @@ def add_writes(app: FastAPI, ops: OperationsPort, keys: Idempotency) -> None:
 
         async def act() -> Response:
             report = await ops.write(
-                drive, wanted, body.value, expires_s=body.expires_s, verify=body.verify
+                drive,
+                wanted,
+                body.value,
+                expires_s=body.expires_s,
+                verify=bool(body.verify),
             )
             problem = report_problem(report)
             return problem.response() if problem else json_response(report_json(report))

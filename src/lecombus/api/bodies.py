@@ -66,7 +66,13 @@ class WriteBody(Body):
         Number | None,
         Field(description=f"Not sent any more after this: {RIGHT['expires']}"),
     ] = None
-    verify: Annotated[bool, Field(description="Read the value back and compare")] = False
+    verify: Annotated[
+        bool | None,
+        Field(
+            description="Read the value back and compare. Not given: no for one drive and for one "
+            "write after another, yes for a multicast, which nobody acknowledges"
+        ),
+    ] = None
 
     @field_validator("value")
     @classmethod

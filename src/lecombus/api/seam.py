@@ -59,7 +59,7 @@ class OperationsPort(Protocol):
         value: Decimal | int | str,
         *,
         expires_s: float | None,
-        verify: bool,
+        verify: bool | None,
     ) -> GroupReport:
         """Write a code of every member of a group.
 

@@ -28,6 +28,7 @@ import uvicorn
 from anyio.abc import TaskStatus
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from lecombus.api.crowd import Connection, Crowd
 from lecombus.api.problems import Problem
 from lecombus.errors import OperationError
 
@@ -35,9 +36,6 @@ __all__ = ["ReadOnlyDoor", "Served", "serve"]
 
 SOCKET_MODE: Final = 0o660
 BACKLOG: Final = 128
-CONNECTION_LIMIT: Final = 256
-"""Connections and requests at a time: memory is bounded whatever clients do."""
-
 CLOSE_S: Final = 3
 """How long requests under way may take to end when the server closes."""
 
@@ -163,7 +161,7 @@ async def close_when_cancelled(listeners: list[Listener]) -> None:
 def configuration(app: ASGIApp) -> uvicorn.Config:
     """Return what uvicorn is told; everything that could surprise is switched off."""
     return uvicorn.Config(
-        app,
+        Crowd(app),
         log_config=None,
         log_level="warning",
         access_log=False,
@@ -171,7 +169,7 @@ def configuration(app: ASGIApp) -> uvicorn.Config:
         ws="none",
         proxy_headers=False,
         server_header=False,
-        limit_concurrency=CONNECTION_LIMIT,
+        http=Connection,
         backlog=BACKLOG,
         timeout_keep_alive=60,
         timeout_graceful_shutdown=CLOSE_S,
