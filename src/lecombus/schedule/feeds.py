@@ -201,11 +201,13 @@ class Feeds:
         earliest_s = math.inf
         for feed in self.by_drive.values():
             if feed.active:
-                next_s = feed.next_s()
+                next_s = feed.due_s
+                if next_s <= now_s:
+                    next_s = feed.next_s()
+                    if next_s <= now_s:
+                        found.append(feed)
                 if next_s < earliest_s:
                     earliest_s = next_s
-                if next_s <= now_s:
-                    found.append(feed)
         self._due_from_s = earliest_s
         found.sort(key=_hard)
         return found
