@@ -203,3 +203,14 @@ def test_asking_for_help_imports_nothing_heavy() -> None:
         [sys.executable, "-c", script], capture_output=True, text=True, timeout=15, check=True
     )
     assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_a_stop_does_not_wait_for_the_server_s_libraries() -> None:
+    script = (
+        "import sys; import lecombus.cli.stop; "
+        "print([name for name in ('fastapi', 'uvicorn', 'rich', 'serial') if name in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=15, check=True
+    )
+    assert done.stdout == "[]\n"

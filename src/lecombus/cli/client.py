@@ -20,7 +20,6 @@ from typing import Any
 
 import httpx
 
-from lecombus.api.exact import encode
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.reports import kind_of
 from lecombus.readings import Json
@@ -108,7 +107,7 @@ class Daemon:
         document: Mapping[str, Json] | None = None,
     ) -> Answer:
         headers = {"content-type": "application/json"} if document is not None else None
-        content = encode(dict(document)) if document is not None else None
+        content = _body(document) if document is not None else None
         try:
             response = self._client.request(
                 method, path, params=params, content=content, headers=headers
@@ -248,3 +247,16 @@ def _refused(http_status: int, data: Any) -> CommandError:
     if cause and cause not in problem:
         problem = f"{problem} ({cause})"
     return CommandError(status, Problem(problem, text("remedy"), kind, text("drive"), text("code")))
+
+
+def _body(document: Mapping[str, Json]) -> str:
+    """Write a flat document with its decimals exactly as they were given.
+
+    The API's own encoder would do, but its room imports FastAPI, 0.4 s before `stop` says a word.
+    """
+    members = (
+        f"{json.dumps(key)}: "
+        + (format(value, "f") if isinstance(value, Decimal) else json.dumps(value))
+        for key, value in document.items()
+    )
+    return "{" + ", ".join(members) + "}"
