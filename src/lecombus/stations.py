@@ -136,10 +136,15 @@ class RequestMaker:
         expires_at_s: float | None = None,
     ) -> Request:
         """Make a request that writes one code of all members with one telegram."""
-        slowest_s = max(one.family.longest_answer_time_s(code, write=True) for one in members)
+        slowest_s = max(
+            max(one.family.longest_answer_time_s(code, write=True), one.answer_time_s or 0.0)
+            for one in members
+        )
         form = Form.STANDARD if code.knows(Form.STANDARD) else Form.EXTENDED
         wire_s = write_request_chars(form, len(value.raw)) * self.timing.char_s
         whole_s = wire_s + slowest_s + self.timing.adapter_latency_s
+        longest_hold_s = max(one.hold_s for one in members)
+        group = dataclasses.replace(group, hold_s=longest_hold_s)
         job = MulticastJob(group, code, value, processing_s=slowest_s)
         return Request(
             group.name, priority, whole_s, whole_s, self._counted(priority, settle), job,
