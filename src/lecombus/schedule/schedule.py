@@ -388,7 +388,9 @@ class Schedule:
 
     def hold(self, name: str, until_s: float, now_s: float) -> None:
         """Leave a drive alone until a time, stops apart; others go on."""
-        drive = self._drives[name]
+        drive = self._drives.get(name)
+        if drive is None:  # taken out of the roster while it was spoken to
+            return
         if until_s <= max(now_s, drive.held_until_s if drive.held else now_s):
             return
         drive.held_until_s = until_s
