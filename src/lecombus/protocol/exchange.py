@@ -18,9 +18,10 @@ two the exchange is in one phase::
     FOREIGN  swallowed; after a pause: WAIT                    GARBLED, or ECHO if remembered
 
 PROBE is how `echo: auto` finds out: the host's telegrams begin with EOT and no answer does, so
-the first byte that returns tells. What cannot be this exchange's answer is never handed up, and
-after a bad answer the exchange goes on listening until its deadline: the right answer may still
-come, and the line must fall silent anyway before anyone speaks (EDB2102EN 8.3.5).
+the first byte that returns tells; it is remembered only when the whole echo has come. What cannot
+be this exchange's answer is never handed up, and after a bad answer the exchange goes on listening
+until its deadline: the right answer may still come, and the line must fall silent anyway before
+anyone speaks (EDB2102EN 8.3.5).
 
 Pure: time is an argument in seconds. Time-outs are given by the caller; retries, quarantine and
 the meaning of an answer belong to the line room.
@@ -249,7 +250,6 @@ class Exchange:
                 self._phase = _Phase.WAIT
                 return data
             self._phase = _Phase.ECHO
-            self.echo = True
         due = sent[self._echo_at : self._echo_at + len(data)]
         if data[: len(due)] != due:
             self._echo_fault = "the echo differs from what was sent: a collision or a broken line"
@@ -259,6 +259,7 @@ class Exchange:
         self._echo_at += len(due)
         if self._echo_at == len(sent):
             self._phase = _Phase.WAIT
+            self.echo = True
         return data[len(due) :]
 
     def _parse(self, data: bytes, now_s: float) -> Result | None:
