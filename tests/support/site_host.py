@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterable
 from dataclasses import dataclass, field
 from types import TracebackType
+from typing import Any
 
 import anyio
 
 from lecombus.config import Roster, parse_roster
-from lecombus.drives import LineTiming, family
+from lecombus.drives import LineTiming, StopAction, family
 from lecombus.line.jobs import Station
 from lecombus.line.port import Port, PortSettings, Receiver
 from lecombus.line.worker import ExchangeReport, LineWorker, WorkerOptions
@@ -28,8 +29,19 @@ from lecombus.simulator.memory import MemoryEnd
 from lecombus.simulator.world import build
 from lecombus.site import Site
 from lecombus.stations import RequestMaker
+from support.virtual_loop import run
 
-__all__ = ["Ended", "Plant", "Recorder", "Rig", "TappedEnd", "Telegram", "roster_of", "until"]
+__all__ = [
+    "Ended",
+    "Plant",
+    "Recorder",
+    "Rig",
+    "TappedEnd",
+    "Telegram",
+    "plainly",
+    "roster_of",
+    "until",
+]
 
 WALL_S = 1_795_000_000.0
 PORT = PortSettings("sim:", 19200, "adapter", "line", "test")
@@ -244,6 +256,40 @@ class Rig:
         return self.submit(
             lambda settle: self.maker.write(station, Code(code), wire, settle=settle, verify=verify)
         )
+
+
+def plainly(main: Coroutine[Any, Any, None], *, limit_s: float = 10_000.0) -> None:
+    """Run in virtual time; raise a lone error itself, without the groups round it."""
+    try:
+        run(main, limit_s=limit_s)
+    except BaseExceptionGroup as group:
+        error: BaseException = group
+        while isinstance(error, BaseExceptionGroup) and len(error.exceptions) == 1:
+            error = error.exceptions[0]
+        raise error from None
+
+
+def with_rig(test: Callable[[Rig], Awaitable[None]], *args: Any, **kwargs: Any) -> None:
+    """Run a test with a rig made of the other arguments."""
+
+    async def main() -> None:
+        async with Rig(*args, **kwargs) as rig:
+            await test(rig)
+
+    plainly(main())
+
+
+def stop(rig: Rig, drive: str, action: StopAction = StopAction.INHIBIT) -> Ended:
+    """Stop a drive whose control word is not known."""
+    station = rig.stations[drive]
+    return rig.submit(
+        lambda settle: rig.maker.stop(station, action, word=None, said=False, settle=settle)
+    )
+
+
+def reader(rig: Rig, drive: str, code: int, priority: Priority) -> Callable[[], Request]:
+    """What a cyclic entry or a feed is made from."""
+    return lambda: rig.maker.read(rig.stations[drive], Code(code), priority, retries=0)
 
 
 @contextlib.asynccontextmanager

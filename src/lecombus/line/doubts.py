@@ -38,8 +38,15 @@ class Doubts:
 
     def add(self, field: bytes, now_s: float) -> None:
         """Note that the answer with this code field (or `ACK_FIELD`) did not come in time."""
-        if self.window_s > 0.0:
+        if self.window_s > 0.0 and field:
             self._until_s[field] = now_s + self.window_s
+
+    def any(self, now_s: float) -> bool:
+        """Say whether any answer may still come; those that no longer may are forgotten."""
+        for field, until_s in list(self._until_s.items()):
+            if until_s <= now_s:
+                del self._until_s[field]
+        return bool(self._until_s)
 
     def resolve(self, field: bytes) -> bool:
         """Note that the late answer to a read has come after all.

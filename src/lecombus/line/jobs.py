@@ -103,6 +103,10 @@ class Job(Protocol):
     def step(self) -> Step:
         """The next exchange to run."""
 
+    @property
+    def cut_outcome(self) -> Outcome | None:
+        """How it ends if it is cut off between two steps; None: nothing was changed."""
+
     def advance(self, result: Result) -> Verdict:
         """Take the result of the step that was run."""
 
@@ -145,6 +149,11 @@ class ReadJob:
                 return None
         refused = result.kind is ResultKind.ANSWERED
         return (Outcome.REFUSED if refused else Outcome.UNKNOWN), str(self.error)
+
+    @property
+    def cut_outcome(self) -> Outcome | None:
+        """A read changes nothing."""
+        return None
 
 
 class WriteJob:
@@ -212,6 +221,11 @@ class WriteJob:
         if _is_lost(result) or self.write_class is not WriteClass.PLAIN:
             return Outcome.UNKNOWN, f"{self.error}; not repeated, it may have happened"
         return self._prove()
+
+    @property
+    def cut_outcome(self) -> Outcome | None:
+        """Acknowledged, or perhaps done."""
+        return Outcome.DONE if self._acknowledged else Outcome.UNKNOWN
 
     def _prove(self) -> Verdict:
         self._proving = ReadJob(self.station, self.code, self.retries)
@@ -311,6 +325,11 @@ class StopJob:
         self.error = error_of(self.station, self.step, result, self.attempts)
         return None if self.attempts <= self.retries else self._check()
 
+    @property
+    def cut_outcome(self) -> Outcome | None:
+        """A stop that was said and not proven is not known to have stopped anything."""
+        return Outcome.UNKNOWN if self.attempts or self._checking is not None else None
+
     def _learnt(self, result: Result) -> Verdict:
         self._learning = False
         answer = result.answer
@@ -365,6 +384,11 @@ class MulticastJob:
         self.processing_s = processing_s
         self.step = Step(StepKind.MULTICAST, code, value)
         self.error: ExchangeError | None = None
+
+    @property
+    def cut_outcome(self) -> Outcome | None:
+        """It has one step only."""
+        return Outcome.UNKNOWN
 
     def advance(self, result: Result) -> Verdict:
         """End: it went out, or the line or its echo failed."""

@@ -30,8 +30,8 @@ import anyio
 
 from ..drives import LineTiming
 from ..errors import LineClosedError, LineLostError
-from ..protocol.exchange import Exchange, Result, ResultKind
-from ..schedule import Priority, Request, Schedule
+from ..protocol.exchange import ACK_FIELD, Exchange, Result, ResultKind
+from ..schedule import Outcome, Priority, Request, Schedule
 from .connection import Connection
 from .doubts import Doubts
 from .jobs import Job, Step
@@ -44,6 +44,9 @@ __all__ = ["ExchangeReport", "LineWorker", "Observer", "WorkerOptions"]
 AFTER_OPEN_S = 0.05
 """Silence kept after opening a port: what an adapter had buffered comes out and is dropped."""
 
+LONGEST_CHATTER_S = 1.0
+"""For so long bytes nobody asked for put off the next telegram; a line that never falls silent
+would otherwise leave everybody waiting. Longer than any late answer."""
 
 LONGEST_REST_S = 1.0
 """An idle worker looks round at least this often: that is its sign of life."""
@@ -144,9 +147,10 @@ class LineWorker:
         self._nap: asyncio.Future[None] | None = None
         self._free_at_s = 0.0
         self._quiet_until_s = 0.0
+        self._chatter_ends_s = 0.0
         self._stop_waiting = False
         self._closing = False
-        self._heard_s = 0.0
+        self._unheard_from_s: float | None = None
         self._stall_s = options.stall_s
         self._answered_since_open = False
 
@@ -196,7 +200,7 @@ class LineWorker:
                 try:
                     await self._work()
                 finally:
-                    self._connection.drop()
+                    self._end_all()
             tasks.cancel_scope.cancel()
 
     # ---- what the port calls ----------------------------------------------------------------
@@ -212,9 +216,11 @@ class LineWorker:
         late = self._strays.feed(data)
         self._observer.stray_bytes(data, late)
         gap = self._questions.gap_s
-        if late and not len(self._doubts):
+        if now >= self._quiet_until_s:
+            self._chatter_ends_s = now + LONGEST_CHATTER_S
+        if late and not self._doubts.any(now):
             self._quiet_until_s = min(self._quiet_until_s, now + gap)
-        self._quiet_until_s = max(self._quiet_until_s, now + gap)
+        self._quiet_until_s = min(max(self._quiet_until_s, now + gap), self._chatter_ends_s)
 
     def lost(self, exc: Exception | None) -> None:
         """Take note that the port is gone."""
@@ -222,6 +228,12 @@ class LineWorker:
         if self._waiter is not None:
             self._end_exchange(self._exchange.lost(asyncio.get_running_loop().time()))
         self.nudge()
+
+    def _end_all(self) -> None:
+        """Close the port and leave nobody waiting."""
+        self._closing = True
+        self._connection.drop()
+        self.schedule.fail_all(asyncio.get_running_loop().time(), "the line is being closed")
 
     # ---- the loop ---------------------------------------------------------------------------
 
@@ -232,30 +244,31 @@ class LineWorker:
             self.close()
 
     async def _work(self) -> None:
+        loop = asyncio.get_running_loop()
         while not self._closing:
-            if not await self._open():
-                continue
-            await self._serve()
-            self._publish()
-            if not self._closing:
+            if await self._open():
+                if not await self._serve():
+                    return
                 self._line_lost()
+            self.rests += 1
+            # Also after a loss: a port may open well and fail at once, again and again.
+            await self._nap_until(loop.time() + self._connection.backoff_s())
 
     async def _open(self) -> bool:
-        """Try to open the port once; on failure wait for the backoff."""
+        """Try to open the port once."""
         loop = asyncio.get_running_loop()
         if not await self._connection.open():
             self._observer.line_changed(False, self._connection.why_not())
-            self.rests += 1
-            await self._nap_until(loop.time() + self._connection.backoff_s())
             return False
         port = self._connection.port
         assert port is not None
         self._exchange = Exchange(parity=port.carries_parity, echo=self.options.echo)
         self._strays.parity = self._questions.parity = port.carries_parity
         now = loop.time()
-        self._heard_s = now
+        self._unheard_from_s = None
         self._answered_since_open = False
         self._quiet_until_s = now + AFTER_OPEN_S
+        self._chatter_ends_s = self._quiet_until_s + LONGEST_CHATTER_S
         self._observer.line_changed(True, port.describe())
         return True
 
@@ -264,10 +277,10 @@ class LineWorker:
         self._connection.drop()
         self._stop_waiting = False
         self._observer.line_changed(False, reason)
-        self.schedule.fail_all(asyncio.get_running_loop().time(), f"{reason}: it was not sent")
+        self.schedule.fail_all(asyncio.get_running_loop().time(), reason)
 
-    async def _serve(self) -> None:
-        """Run exchanges until the port is lost or the worker is closed."""
+    async def _serve(self) -> bool:
+        """Run exchanges until the port is lost (True) or the worker is closed (False)."""
         loop = asyncio.get_running_loop()
         while not self._closing and not self._connection.is_lost:
             now = loop.time()
@@ -284,6 +297,8 @@ class LineWorker:
             if request.priority is not Priority.STOP:
                 self._stop_waiting = False
             await self._say(request, now)
+        self._publish()
+        return not self._closing
 
     async def _rest(self, now: float) -> None:
         """Nothing is due: sleep, but not so long that an idle line looks like a stuck one."""
@@ -308,7 +323,7 @@ class LineWorker:
         job: Job = request.work  # type: ignore[assignment]
         question = self._questions.ask(job, now, urgent=request.priority is Priority.STOP)
         if not isinstance(question, Question):
-            self.schedule.defer(request, question, now)
+            self._postpone(request, question, now)
             return
         try:
             waiter = self._begin(question, now)
@@ -320,6 +335,18 @@ class LineWorker:
             self._observer.thinking(question.thinking_s)
             result = await waiter
         self._conclude(request, job, question, result)
+
+    def _postpone(self, request: Request, until_s: float, now: float) -> None:
+        """Say it later: an old answer that could pass for its own may still come.
+
+        A feed ends instead, as a vain attempt: it is not the request that must wait but the need,
+        for which the schedule would at once find the same telegram again.
+        """
+        if request.priority is not Priority.WATCHDOG:
+            self.schedule.defer(request, until_s, now)
+            return
+        self.schedule.finished(request, now, now, reached=False)
+        request.end(Outcome.REFUSED, "an old answer that could pass for its own may still come")
 
     def _begin(self, question: Question, now: float) -> asyncio.Future[Result]:
         port = self._connection.port
@@ -365,6 +392,7 @@ class LineWorker:
                 self.schedule.hold(drive, ended + question.hold_s, ended)
         verdict = job.advance(result)
         if verdict is None:
+            request.cut_outcome = job.cut_outcome
             self.schedule.again(request, ended)
             self._stop_waiting = self._stop_waiting or request.priority is Priority.STOP
         else:
@@ -375,29 +403,43 @@ class LineWorker:
         ended = result.ended_s
         self._free_at_s = ended + self.options.turnaround_s
         if result.kind is ResultKind.ANSWERED:
-            self._heard_s = ended
+            self._unheard_from_s = None
             if not self._answered_since_open:
                 self._answered_since_open = True
                 self._stall_s = self.options.stall_s
                 self._connection.settled()
+            if question.ask.field == ACK_FIELD:
+                self._keep_doubt(ended)
             return 0.0
         if result.kind is ResultKind.SENT:
             return 0.0
-        if result.kind is ResultKind.GARBLED:
-            self._heard_s = ended
         self._doubts.add(question.ask.field, ended)
-        self._watch_for_stall(ended)
+        self._watch_for_stall(result)
         if not self.options.quarantine or result.kind is ResultKind.LOST:
             return 0.0
         self._strays.begin()
         self._quiet_until_s = ended + question.quarantine_s
+        self._chatter_ends_s = self._quiet_until_s + LONGEST_CHATTER_S
         return question.quarantine_s
 
-    def _watch_for_stall(self, now: float) -> None:
-        """Reopen a port over which nothing has come for long: some adapters stall silently."""
-        if not self._stall_s or now - self._heard_s < self._stall_s:
+    def _keep_doubt(self, now: float) -> None:
+        """An acknowledgement taken while an old one may come (a stop's) may be the old one."""
+        if self._doubts.blocked_until_s(ACK_FIELD, now) > now:
+            self._doubts.add(ACK_FIELD, now)
+
+    def _watch_for_stall(self, result: Result) -> None:
+        """Reopen a port over which nothing has come for long: some adapters stall silently.
+
+        Only time in which somebody was asked counts: a line may be idle for as long as it likes.
+        """
+        if result.kind is ResultKind.GARBLED:
+            self._unheard_from_s = None
             return
-        silent_s = now - self._heard_s
+        if self._unheard_from_s is None:
+            self._unheard_from_s = result.started_s
+        silent_s = result.ended_s - self._unheard_from_s
+        if not self._stall_s or silent_s < self._stall_s:
+            return
         if not self._answered_since_open:
             self._stall_s = min(self._stall_s * 2.0, 20.0 * self.options.stall_s)
         self._connection.note_loss(

@@ -1,0 +1,123 @@
+"""Answers that may still come: what is not said meanwhile, and what ends the doubt."""
+
+from __future__ import annotations
+
+import anyio
+
+from lecombus.line.worker import WorkerOptions
+from lecombus.schedule import Feeding, Outcome, Priority
+from lecombus.simulator.faults import Faults
+from support.site_host import Rig, reader, stop, until, with_rig
+
+STOP_A = b"\x0401\x02400\x03"
+"""C0040 = 0 to drive 1, without its block check."""
+
+THREE = (("a", 1, "8200vector"), ("b", 2, "8200vector"), ("c", 3, "8200vector"))
+
+
+def test_the_repetition_of_a_read_uses_the_other_addressing_form() -> None:
+    async def test(rig: Rig) -> None:
+        rig.line.drive_faults[1] = Faults(lost=1.0)
+        await rig.read("a", 150).done.wait()
+        assert [len(telegram.data) for telegram in rig.sent[:2]] == [6, 11]
+
+    with_rig(test, retries=2)
+
+
+def test_the_other_form_also_keeps_another_drive_s_read_apart() -> None:
+    async def test(rig: Rig) -> None:
+        rig.line.drive_faults[1] = Faults(lost=1.0)
+        rig.read("a", 150)
+        await rig.read("b", 150).done.wait()
+        assert rig.sent[0].data == b"\x0401?0\x05"
+        assert rig.sent[1].data == b"\x0402!009600\x05"
+
+    with_rig(test, retries=0)
+
+
+def test_no_write_goes_out_while_an_old_acknowledgement_may_come_but_reads_do() -> None:
+    async def test(rig: Rig) -> None:
+        rig.line.drive_faults[1] = Faults(lost=1.0)
+        first = rig.write("a", 12, "7")
+        await first.done.wait()
+        given_up_s = rig.seen.reports[0].result.ended_s
+        rig.line.drive_faults.clear()
+        second = rig.write("b", 12, "8")
+        read = rig.read("b", 50)
+        await read.done.wait()
+        assert read.outcome is Outcome.DONE
+        assert not second.done.is_set(), "the read is not held up by the write"
+        await second.done.wait()
+        assert second.outcome is Outcome.DONE
+        writes = [one for one in rig.sent if b"\x02" in one.data]
+        assert [one.data[1:3] for one in writes] == [b"01", b"02"]
+        assert writes[1].at_s >= given_up_s + 0.5
+
+    with_rig(test, retries=0)
+
+
+def test_a_stop_whose_acknowledgement_is_an_old_one_is_believed_only_when_read_back() -> None:
+    async def test(rig: Rig) -> None:
+        rig.line["a"].model.preset(40, "1")
+        rig.line.drive_faults[2] = Faults(late=1.0, late_s=(0.2, 0.2))
+        rig.write("b", 12, "7")
+        await until(lambda: bool(rig.worker._reports) or bool(rig.seen.reports))
+        rig.line.drive_faults[1] = Faults(unheard=1.0)
+        ended = stop(rig, "a")
+        await ended.done.wait()
+        assert ended.outcome is Outcome.UNKNOWN, "the drive heard nothing"
+
+    with_rig(test, retries=1)
+
+
+def test_an_acknowledgement_believed_by_a_stop_leaves_the_doubt_alive() -> None:
+    """Its own acknowledgement may still come, and must not pass for the next write's."""
+
+    async def test(rig: Rig) -> None:
+        rig.line.drive_faults[2] = Faults(late=1.0, late_s=(0.45, 0.45))
+        rig.write("b", 12, "7")
+        await until(lambda: bool(rig.worker._reports) or bool(rig.seen.reports))
+        rig.line.drive_faults[1] = Faults(late=1.0, late_s=(0.4, 0.4))
+        await anyio.sleep(0.35)
+        ended = stop(rig, "a")
+        await until(lambda: any(b"\x06" in one.data for one in rig.end.heard))
+        believed_s = rig.now_s
+        rig.line.drive_faults.clear()
+        await ended.done.wait()
+        third = rig.write("b", 12, "9")
+        await third.done.wait()
+        writes = [one for one in rig.sent if one.data.startswith(b"\x0402\x02")]
+        assert writes[-1].at_s >= believed_s + 0.5
+
+    with_rig(test, retries=0)
+
+
+def test_a_late_answer_frees_its_code_for_everybody() -> None:
+    async def test(rig: Rig) -> None:
+        rig.line.drive_faults[1] = Faults(late=1.0, late_s=(0.15, 0.15))
+        await rig.read("a", 150).done.wait()
+        assert len(rig.worker._doubts) == 1
+        await until(lambda: any(late for _, late in rig.seen.strays))
+        assert len(rig.worker._doubts) == 0
+        said = len(rig.sent)
+        await rig.read("b", 150).done.wait()
+        assert rig.sent[said].data == b"\x0402?0\x05", "the preferred form is free again"
+
+    with_rig(test, retries=0)
+
+
+def test_a_feed_that_may_not_be_said_yet_does_not_stop_the_line() -> None:
+    """All its telegrams may be in doubt at once; everything else must go on meanwhile."""
+
+    async def test(rig: Rig) -> None:
+        make = reader(rig, "a", 150, Priority.WATCHDOG)
+        rig.line.drive_faults[1] = Faults(lost=1.0)
+        rig.schedule.set_feeding("a", Feeding(0.6, make), rig.now_s)
+        for _ in range(3):
+            await rig.read("a", 150).done.wait()
+        ended = rig.read("b", 50)
+        with anyio.fail_after(5.0):
+            await ended.done.wait()
+        assert ended.outcome is Outcome.DONE
+
+    with_rig(test, retries=0, options=WorkerOptions(late_answer_s=5.0))
