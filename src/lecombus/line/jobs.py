@@ -214,6 +214,7 @@ class WriteJob:
         answer = result.answer
         if type(answer) is AckAnswer:
             self._acknowledged = True
+            self.error = None
             return self._prove() if self.verify else (Outcome.DONE, "")
         self.error = error_of(self.station, self.step, result, self.attempts)
         if result.kind is ResultKind.ANSWERED:
@@ -245,7 +246,10 @@ class WriteJob:
             self.error = None
             return Outcome.VERIFIED, ""
         if self._acknowledged:
-            return Outcome.REFUSED, f"acknowledged, but it reads {self.proof.raw} afterwards"
+            # An edge or a step may have happened and still read as before.
+            plain = self.write_class is WriteClass.PLAIN
+            outcome = Outcome.REFUSED if plain else Outcome.UNKNOWN
+            return outcome, f"acknowledged, but it reads {self.proof.raw} afterwards"
         if self.attempts <= self.retries:
             return self._again()
         return Outcome.REFUSED, f"{self.error}; it still reads {self.proof.raw}"
@@ -321,6 +325,7 @@ class StopJob:
             return self._learnt(result)
         self.attempts += 1
         if type(result.answer) is AckAnswer:
+            self.error = None
             return self._check()
         self.error = error_of(self.station, self.step, result, self.attempts)
         return None if self.attempts <= self.retries else self._check()

@@ -1,0 +1,277 @@
+"""Which sequence of results makes which outcome, and what is said in between."""
+
+from __future__ import annotations
+
+import pytest
+
+from lecombus.drives import StopAction, WriteClass, family
+from lecombus.errors import ExchangeError, NakError, NoReplyError, UnknownCodeError
+from lecombus.line.jobs import Job, MulticastJob, ReadJob, Station, StepKind, StopJob, WriteJob
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.exchange import Result, ResultKind
+from lecombus.protocol.telegrams import AckAnswer, Answer, NakAnswer, UnknownCodeAnswer, ValueAnswer
+from lecombus.protocol.values import Value
+from lecombus.schedule.request import Outcome
+
+VECTOR = family("8200vector")
+STATION = Station("a", 1, VECTOR, VECTOR.forms)
+CODE = Code(11)
+
+DONE, VERIFIED, REFUSED, UNKNOWN = (
+    Outcome.DONE, Outcome.VERIFIED, Outcome.REFUSED, Outcome.UNKNOWN,
+)  # fmt: skip
+
+
+def answered(answer: Answer) -> Result:
+    return Result(ResultKind.ANSWERED, 0.0, 0.02, answer)
+
+
+def failed(kind: ResultKind) -> Result:
+    return Result(kind, 0.0, 0.1, None, kind.value)
+
+
+RESULTS = {
+    "ack": answered(AckAnswer()),
+    "nak": answered(NakAnswer()),
+    "same": answered(ValueAnswer(b"11", Value.parse("7.0"))),
+    "other": answered(ValueAnswer(b"11", Value.parse("5"))),
+    "eot": answered(UnknownCodeAnswer(b"11")),
+    "none": failed(ResultKind.NO_REPLY),
+    "garbled": failed(ResultKind.GARBLED),
+    "echo": failed(ResultKind.ECHO),
+    "lost": failed(ResultKind.LOST),
+    "sent": failed(ResultKind.SENT),
+}
+
+
+def play(job: Job, results: str) -> tuple[str, Outcome | None, str]:
+    """Give a job results; say what it did (`R`ead, `W`rite, `M`ulticast) and how it ended."""
+    steps = ""
+    verdict: tuple[Outcome, str] | None = None
+    for name in results.split():
+        assert verdict is None, f"it had ended before {name!r}: {verdict}"
+        steps += job.step.kind.name[0]
+        verdict = job.advance(RESULTS[name])
+    return (steps, *(verdict or (None, "")))
+
+
+# ---- reads ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("results", "outcome"),
+    [
+        ("same", DONE),
+        ("none same", DONE),
+        ("garbled echo same", DONE),
+        ("none none none", UNKNOWN),
+        ("eot same", DONE),
+        ("eot eot", REFUSED),
+        ("none", None),
+        ("lost", UNKNOWN),
+        ("none lost", UNKNOWN),
+    ],
+)
+def test_a_read_is_repeated_a_limited_number_of_times(
+    results: str, outcome: Outcome | None
+) -> None:
+    job = ReadJob(STATION, CODE, 2)
+    assert play(job, results)[1] is outcome
+    assert job.cut_outcome is None, "a read that is cut off has changed nothing"
+    assert (job.value is not None) == (outcome is DONE)
+
+
+def test_the_error_of_a_read_says_who_what_and_how_often() -> None:
+    job = ReadJob(STATION, CODE, 1)
+    _, _, reason = play(job, "none none")
+    assert isinstance(job.error, NoReplyError)
+    assert reason == str(job.error) == "a (address 1), C0011: no reply (attempt 2)"
+    assert (job.error.record.address, job.error.record.code, job.error.record.attempt) == (1, 11, 2)
+    play(job := ReadJob(STATION, CODE, 0), "eot")
+    assert isinstance(job.error, UnknownCodeError)
+
+
+# ---- writes ---------------------------------------------------------------------------------
+
+TABLE = [
+    # class, verify, results, what was said, outcome, a word of the reason
+    ("plain", False, "ack", "W", DONE, ""),
+    ("plain", False, "nak", "W", REFUSED, "NAK"),
+    ("plain", True, "nak", "W", REFUSED, "NAK"),
+    ("plain", False, "none same", "WR", VERIFIED, ""),
+    ("plain", False, "garbled same", "WR", VERIFIED, ""),
+    ("plain", False, "echo same", "WR", VERIFIED, ""),
+    ("plain", False, "none other ack", "WRW", DONE, ""),
+    ("plain", True, "none other ack same", "WRWR", VERIFIED, ""),
+    ("plain", False, "none other nak", "WRW", REFUSED, "NAK"),
+    ("plain", False, "none other none other none other", "WRWRWR", REFUSED, "still reads 5"),
+    ("plain", False, "none none none none", "WRRR", UNKNOWN, "could not be read back"),
+    ("plain", False, "none eot eot", "WRR", UNKNOWN, "not acknowledged and could not be read back"),
+    ("plain", False, "none lost", "WR", UNKNOWN, "could not be read back"),
+    ("plain", False, "lost", "W", UNKNOWN, "may have happened"),
+    ("plain", True, "ack same", "WR", VERIFIED, ""),
+    ("plain", True, "ack other", "WR", REFUSED, "acknowledged, but it reads 5"),
+    ("plain", True, "ack none same", "WRR", VERIFIED, ""),
+    ("plain", True, "ack none none none", "WRRR", UNKNOWN, "acknowledged and could not be"),
+    ("plain", True, "ack lost", "WR", UNKNOWN, "acknowledged and could not be"),
+    *(
+        row
+        for kind in ("edge", "step", "save", "reset", "address")
+        for row in (
+            (kind, False, "ack", "W", DONE, ""),
+            (kind, False, "nak", "W", REFUSED, "NAK"),
+            (kind, False, "none", "W", UNKNOWN, "not repeated"),
+            (kind, False, "garbled", "W", UNKNOWN, "not repeated"),
+            (kind, False, "lost", "W", UNKNOWN, "not repeated"),
+            (kind, True, "none", "W", UNKNOWN, "not repeated"),
+            (kind, True, "ack same", "WR", VERIFIED, ""),
+            (kind, True, "ack other", "WR", UNKNOWN, "acknowledged, but it reads 5"),
+        )
+    ),
+]
+
+
+@pytest.mark.parametrize(("kind", "verify", "results", "said", "outcome", "word"), TABLE)
+def test_how_a_write_ends(
+    kind: str, verify: bool, results: str, said: str, outcome: Outcome, word: str
+) -> None:
+    job = WriteJob(
+        STATION, CODE, Value.decimal(7), write_class=WriteClass(kind), retries=2, verify=verify
+    )
+    steps, found, reason = play(job, results)
+    assert (steps, found) == (said, outcome)
+    assert word in reason
+
+
+def test_a_write_that_succeeded_in_the_end_has_no_error() -> None:
+    job = WriteJob(STATION, CODE, Value.decimal(7), write_class=WriteClass.PLAIN, retries=2)
+    play(job, "none same")
+    assert job.error is None
+    job = WriteJob(STATION, CODE, Value.decimal(7), write_class=WriteClass.PLAIN, retries=2)
+    play(job, "none other ack")
+    assert job.error is None
+
+
+def test_a_refused_write_keeps_the_drive_s_word_as_its_error() -> None:
+    job = WriteJob(STATION, CODE, Value.decimal(7), write_class=WriteClass.PLAIN, retries=2)
+    play(job, "none other nak")
+    assert isinstance(job.error, NakError)
+    assert isinstance(job.error, ExchangeError)
+
+
+@pytest.mark.parametrize(
+    ("results", "outcome"),
+    [("none", UNKNOWN), ("ack", DONE), ("none other", UNKNOWN), ("ack none", DONE)],
+)
+def test_a_write_cut_off_between_two_steps_ends_by_what_was_said(
+    results: str, outcome: Outcome
+) -> None:
+    job = WriteJob(
+        STATION, CODE, Value.decimal(7), write_class=WriteClass.PLAIN, retries=2, verify=True
+    )
+    assert play(job, results)[1] is None
+    assert job.cut_outcome is outcome
+
+
+# ---- stops ----------------------------------------------------------------------------------
+
+
+def value(code: int, raw: str) -> Result:
+    return answered(ValueAnswer(b"%02d" % code, Value.parse(raw)))
+
+
+def test_an_inhibit_is_said_and_read_back() -> None:
+    job = StopJob(STATION, StopAction.INHIBIT, word=None, retries=2)
+    assert (job.step.code, str(job.step.value and job.step.value.raw)) == (Code(40), "0")
+    assert job.advance(RESULTS["ack"]) is None
+    assert (job.step.kind, job.step.code) == (StepKind.READ, Code(150))
+    outcome, reason = job.advance(value(150, "H0080")) or (None, "")
+    assert outcome is VERIFIED
+    assert "C0150 reads H0080" in reason
+
+
+def test_a_quick_stop_with_an_unknown_word_reads_it_first_and_changes_only_its_bits() -> None:
+    job = StopJob(STATION, StopAction.QUICK_STOP, word=None, retries=2)
+    assert (job.step.kind, job.step.code) == (StepKind.READ, Code(135))
+    assert job.cut_outcome is None, "nothing was said yet"
+    job.advance(value(135, "H0A04"))
+    assert job.step.kind is StepKind.WRITE
+    assert job.step.value == Value.parse("H020C"), "bit 3 set, the reset bit 11 cleared"
+
+
+@pytest.mark.parametrize("result", ["none", "garbled", "eot", "other"])
+def test_a_word_that_cannot_be_read_makes_an_inhibit_of_the_quick_stop(result: str) -> None:
+    job = StopJob(STATION, StopAction.QUICK_STOP, word=None, retries=2)
+    job.advance(RESULTS[result] if result != "other" else value(135, "SABC"))
+    assert (job.step.kind, job.step.code) == (StepKind.WRITE, Code(40))
+    job.advance(RESULTS["ack"])
+    outcome, reason = job.advance(value(150, "H0080")) or (None, "")
+    assert outcome is VERIFIED
+    assert reason.startswith("inhibit")
+
+
+def test_a_stop_is_repeated_at_once_and_then_read_back_all_the_same() -> None:
+    job = StopJob(STATION, StopAction.INHIBIT, word=None, retries=2)
+    assert play(job, "none garbled none")[:2] == ("WWW", None)
+    assert job.step.kind is StepKind.READ
+    assert job.cut_outcome is UNKNOWN
+    verdict = job.advance(value(150, "H0080"))
+    assert verdict is not None
+    assert verdict[0] is VERIFIED, "the answers were lost, not the stop"
+    assert job.error is None
+
+
+def test_a_stop_refused_by_nak_is_repeated_and_read_back() -> None:
+    job = StopJob(STATION, StopAction.INHIBIT, word=None, retries=1)
+    assert play(job, "nak nak")[:2] == ("WW", None)
+    assert (job.advance(value(150, "H0000")) or (None,))[0] is REFUSED
+
+
+def test_a_stop_without_effect_is_said_again_and_then_called_so() -> None:
+    job = StopJob(STATION, StopAction.INHIBIT, word=None, retries=1)
+    job.advance(RESULTS["ack"])
+    assert job.advance(value(150, "H0000")) is None
+    assert job.step.kind is StepKind.WRITE
+    job.advance(RESULTS["ack"])
+    outcome, reason = job.advance(value(150, "H0000")) or (None, "")
+    assert outcome is REFUSED
+    assert "C0150 reads H0000" in reason
+
+
+def test_a_stop_of_a_silent_drive_is_unknown() -> None:
+    job = StopJob(STATION, StopAction.INHIBIT, word=None, retries=1)
+    steps, outcome, reason = play(job, "none none none none")
+    assert (steps, outcome) == ("WWRR", UNKNOWN)
+    assert "not read back" in reason
+
+
+@pytest.mark.parametrize("before", ["", "ack", "none"])
+def test_a_stop_ends_unknown_when_the_line_is_lost(before: str) -> None:
+    job = StopJob(STATION, StopAction.INHIBIT, word=None, retries=1)
+    play(job, before)
+    assert (job.advance(RESULTS["lost"]) or (None,))[0] is UNKNOWN
+
+
+def test_after_a_multicast_a_stop_begins_with_reading_back_and_is_said_alone_if_need_be() -> None:
+    job = StopJob(STATION, StopAction.INHIBIT, word=None, retries=1, said=True)
+    assert job.step.kind is StepKind.READ
+    assert job.cut_outcome is UNKNOWN
+    assert job.advance(value(150, "H0000")) is None
+    assert (job.step.kind, job.step.code) == (StepKind.WRITE, Code(40))
+
+
+def test_a_quick_stop_said_by_multicast_is_made_good_with_the_word_it_needs() -> None:
+    job = StopJob(STATION, StopAction.QUICK_STOP, word=4, retries=1, said=True)
+    job.advance(value(135, "H0004"))
+    assert job.step.value == Value.parse("H000C")
+
+
+# ---- multicasts -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("result", "outcome"), [("sent", DONE), ("echo", UNKNOWN), ("lost", UNKNOWN)]
+)
+def test_a_multicast_is_said_once(result: str, outcome: Outcome) -> None:
+    job = MulticastJob(STATION, CODE, Value.decimal(7), processing_s=0.05)
+    assert play(job, result)[:2] == ("M", outcome)
