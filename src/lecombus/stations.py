@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from .drives import LineTiming, StopAction, read_cost, write_cost
+from .errors import OperationError
 from .line.jobs import MulticastJob, ReadJob, Station, StopJob, WriteJob
 from .protocol.addressing import Code, Form
 from .protocol.timing import write_request_chars
@@ -172,8 +173,22 @@ class RequestMaker:
 
 
 def form_of(station: Station, code: Code) -> Form:
-    """The form a code is usually said in: the first of the station's that can carry it."""
-    return next((form for form in station.forms if code.knows(form)), Form.EXTENDED)
+    """The form a code is usually said in: the first of the station's that can carry it.
+
+    Raises:
+        OperationError: `no-such-code`: none can; it could never be sent.
+    """
+    for form in station.forms:
+        if code.knows(form):
+            return form
+    raise OperationError(
+        f"{station.name}: {code} cannot be asked for in standard addressing",
+        kind="no-such-code",
+        drive=station.name,
+        code=str(code),
+        remedy="standard addressing carries C0000 to C6229 without subcodes; write "
+        "`addressing: both` for this drive if it knows extended addressing",
+    )
 
 
 def is_switch(station: Station, code: Code) -> bool:
