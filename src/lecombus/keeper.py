@@ -19,6 +19,7 @@ What must not live here: telegrams, time-outs, who goes first.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import logging
 from collections.abc import Callable
@@ -29,7 +30,7 @@ from anyio.abc import TaskGroup
 
 from .config import DriveEntry
 from .drives import SoftwareGate, WatchdogTraits
-from .errors import LecombusError, OperationError, UnknownCodeError
+from .errors import LecombusError, OperationError, RefusedError, UnknownCodeError
 from .health import Health
 from .line.jobs import Station
 from .protocol.addressing import Code
@@ -157,6 +158,7 @@ class Keeper:
                     if name not in self._again:
                         self._health.audited(name)
                         await self._learn_the_rest(name)
+                    if name not in self._again:
                         return
         finally:
             self._auditing.discard(name)
@@ -170,8 +172,10 @@ class Keeper:
         logger.info("drive=%s event=audit-failed reason=%s", name, exc)
 
     async def _contact(self, name: str, station: Station) -> None:
+        """Any answer shows that the drive is there, also that it has no such code."""
         try:
-            await self._read(station, station.family.feed_code)
+            with contextlib.suppress(RefusedError):
+                await self._read(station, station.family.feed_code)
         finally:
             self.tried.add(name)
 
@@ -179,7 +183,8 @@ class Keeper:
         """Find out what is at the other end and put its watchdog in order."""
         family = station.family
         for code in {rule.code for rule in family.stops.values() if rule.value is None}:
-            await self._read(station, code)
+            with contextlib.suppress(UnknownCodeError):  # its quick stop will be an inhibit
+                await self._read(station, code)
         if family.software is not None:
             await self._audit_software(entry, station, family.software)
         if family.watchdog is not None and entry.watchdog is not None:

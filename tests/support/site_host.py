@@ -19,7 +19,7 @@ from lecombus.config import Roster, parse_roster
 from lecombus.drives import LineTiming, StopAction, family
 from lecombus.line.jobs import Station
 from lecombus.line.port import Port, PortSettings, Receiver
-from lecombus.line.worker import ExchangeReport, LineWorker, WorkerOptions
+from lecombus.line.worker import ExchangeReport, LineWorker, Observer, WorkerOptions
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 from lecombus.readings import DriveState
@@ -279,6 +279,16 @@ def with_rig(test: Callable[[Rig], Awaitable[None]], *args: Any, **kwargs: Any) 
     plainly(main())
 
 
+def with_plant(test: Callable[[Plant], Awaitable[None]], *args: Any, **kwargs: Any) -> None:
+    """Run a test with a plant made of the other arguments."""
+
+    async def main() -> None:
+        async with Plant(*args, **kwargs) as plant:
+            await test(plant)
+
+    plainly(main())
+
+
 def stop(rig: Rig, drive: str, action: StopAction = StopAction.INHIBIT) -> Ended:
     """Stop a drive whose control word is not known."""
     station = rig.stations[drive]
@@ -299,6 +309,27 @@ async def _run(site: Site) -> AsyncIterator[None]:
         tasks.start_soon(site.worker.run)
         yield
         tasks.cancel_scope.cancel()
+
+
+class _Tap:
+    """Stands before the books and keeps every report."""
+
+    def __init__(self, inner: Observer) -> None:
+        self._inner = inner
+        self.reports: list[ExchangeReport] = []
+
+    def exchange_ended(self, report: ExchangeReport) -> None:
+        self.reports.append(report)
+        self._inner.exchange_ended(report)
+
+    def line_changed(self, up: bool, reason: str) -> None:
+        self._inner.line_changed(up, reason)
+
+    def thinking(self, for_s: float) -> None:
+        self._inner.thinking(for_s)
+
+    def stray_bytes(self, data: bytes, late_answer: bool) -> None:
+        self._inner.stray_bytes(data, late_answer)
 
 
 class Plant:
@@ -334,6 +365,7 @@ class Plant:
         self.site = Site(
             self.roster, self.end.open, clock, lambda: WALL_S + clock(), options=self._options
         )
+        self.tap = self.site.worker._observer = _Tap(self.site.worker._observer)
         self._running = _run(self.site)
         await self._running.__aenter__()
         return self
@@ -349,6 +381,15 @@ class Plant:
     @property
     def now_s(self) -> float:
         return asyncio.get_running_loop().time()
+
+    @property
+    def reports(self) -> list[ExchangeReport]:
+        """Every exchange so far."""
+        return self.tap.reports
+
+    def apply(self, text: str) -> None:
+        """Take another roster."""
+        self.site.apply(parse_roster(text, "r.yaml"))
 
     def state(self, drive: str) -> DriveState:
         return self.site.store.drive(drive).state

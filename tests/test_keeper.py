@@ -1,0 +1,324 @@
+"""Watchdogs: audited at every start and return, armed where asked for, and never let run out."""
+
+from __future__ import annotations
+
+import random
+
+import anyio
+import pytest
+
+from lecombus.errors import LecombusError
+from lecombus.protocol.addressing import Code
+from lecombus.readings import DriveState
+from lecombus.simulator.faults import Faults
+from lecombus.simulator.parameters import CommError, ExtendedFault, Refusal
+from lecombus.store import DriveChanged
+from support.site_host import Plant, plainly, roster_of, until, with_plant
+
+ONE = [("a", 11, "8200vector")]
+GUARD = "{time: 2s, action: quick-stop, configure: true}"
+LOOK = "{time: 2s, action: quick-stop, configure: false}"
+
+FIVE = [
+    ("a", 11, "8200vector"),
+    ("b", 12, "821x"),
+    ("c", 13, "93xx"),
+    ("d", 21, "smvector"),
+    ("e", 22, "820x"),
+]
+
+
+def remark(plant: Plant, drive: str) -> str | None:
+    return plant.site.store.drive(drive).remarks.get("watchdog")
+
+
+def drop_code(plant: Plant, drive: str, number: int) -> None:
+    """Let a drive answer that it has no such code."""
+
+    def refuse(subcode: int) -> str:
+        raise Refusal(CommError.INVALID_CODE, ExtendedFault.CODE)
+
+    plant.line[drive].model.readers[number] = refuse
+
+
+def test_every_family_is_armed_as_the_roster_says_and_nothing_is_remarked() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        for name, _, _ in FIVE:
+            assert plant.line[name].model.watchdog_setting() == (2.0, 2)
+            assert remark(plant, name) is None
+        assert {report.result.kind.value for report in plant.reports} == {"answered"}, (
+            "a module's own codes take 500 ms and are waited for"
+        )
+        await anyio.sleep(30.0)
+        plant.line.advance(plant.now_s)
+        assert [plant.line[name].watchdog_fired for name, _, _ in FIVE] == [0] * 5
+
+    with_plant(test, roster_of(FIVE, watchdog=GUARD))
+
+
+def test_what_is_set_already_is_not_written_again() -> None:
+    async def test(plant: Plant) -> None:
+        plant.line["a"].model.preset(1923, "2000")
+        plant.line["a"].model.preset(1922, "2")
+        await plant.online()
+        assert not [entry for entry in plant.line["a"].log if entry.kind == "write"]
+
+    with_plant(test, roster_of(ONE, watchdog=GUARD))
+
+
+def test_without_configure_a_difference_stands_as_a_remark_and_nothing_is_written() -> None:
+    async def test(plant: Plant) -> None:
+        plant.line["a"].model.preset(1923, "1000")
+        plant.line["a"].model.preset(1922, "1")
+        await plant.online()
+        assert "inhibit after 1 s" in (remark(plant, "a") or "")
+        assert "quick-stop after 2 s" in (remark(plant, "a") or "")
+        assert not [entry for entry in plant.line["a"].log if entry.kind == "write"]
+        feeds = plant.site.schedule.stats(plant.now_s).feeds
+        assert feeds["a"].time_s == 1.0, "it is fed by what the drive really has"
+        await anyio.sleep(30.0)
+        plant.line.advance(plant.now_s)
+        assert plant.line["a"].watchdog_fired == 0
+
+    with_plant(test, roster_of(ONE, watchdog=LOOK, drive=", cyclic: []"))
+
+
+def test_a_watchdog_the_roster_does_not_name_is_remarked_and_not_fed() -> None:
+    async def test(plant: Plant) -> None:
+        plant.line["a"].model.preset(1922, "2")
+        await until(lambda: "the roster names none" in (remark(plant, "a") or ""))
+        assert "a" not in plant.site.schedule.stats(plant.now_s).feeds
+
+    with_plant(test, roster_of(ONE))
+
+
+def test_a_refused_setting_ends_in_a_remark_not_in_a_loop() -> None:
+    async def test(plant: Plant) -> None:
+        plant.line.drive_faults[11] = Faults(nak=1.0)
+        await plant.online()
+        assert "the drive's watchdog is off" in (remark(plant, "a") or "")
+
+    with_plant(test, roster_of(ONE, watchdog=GUARD))
+
+
+def test_a_module_that_lost_its_settings_in_a_power_failure_is_armed_again() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        drive = plant.line["a"]
+        drive.power_cycle(plant.now_s, 1.5)
+        assert drive.model.watchdog_setting()[1] == 0, "the module forgot"
+        await until(lambda: plant.state("a") is DriveState.DEGRADED)
+        await until(lambda: drive.model.watchdog_setting() == (2.0, 2))
+        await plant.online("a", within_s=5.0)
+        assert plant.state("b") is DriveState.ONLINE
+
+    drives = [*ONE, ("b", 12, "8200vector")]
+    with_plant(
+        test, roster_of(drives, watchdog=GUARD, drive=", cyclic: [{code: C0150, every: 300ms}]")
+    )
+
+
+@pytest.mark.parametrize("code", [1922, 1923])
+def test_a_drive_without_watchdog_codes_gets_a_remark_and_is_online(code: int) -> None:
+    async def test(plant: Plant) -> None:
+        drop_code(plant, "a", code)
+        await plant.online(within_s=20.0)
+        assert "cannot be seen" in (remark(plant, "a") or "")
+        said = len(plant.sent_to(11))
+        await anyio.sleep(30.0)
+        asked = [one.data[3:5] for one in plant.sent_to(11)[said:]]
+        assert b"RF" not in asked, "and it is not asked for ever"
+
+    with_plant(test, roster_of(ONE, watchdog=GUARD))
+
+
+@pytest.mark.parametrize("code", [135, 1921, 150])
+def test_a_drive_without_another_code_of_the_audit_comes_online_all_the_same(code: int) -> None:
+    async def test(plant: Plant) -> None:
+        drop_code(plant, "a", code)
+        await plant.online(within_s=20.0)
+        assert plant.line["a"].model.watchdog_setting() == (2.0, 2)
+
+    with_plant(test, roster_of(ONE, watchdog=GUARD))
+
+
+def test_a_device_without_a_description_is_online_once_it_answers_anything() -> None:
+    async def test(plant: Plant) -> None:
+        drop_code(plant, "g", 150)
+        await plant.online(within_s=20.0)
+
+    with_plant(test, roster_of([("g", 11, "generic")]))
+
+
+def test_a_drive_that_says_nonsense_about_its_watchdog_does_not_stop_the_others() -> None:
+    async def test(plant: Plant) -> None:
+        plant.line["a"].model.readers[1923] = lambda _: "Snonsense"
+        await plant.online("b")
+        assert plant.state("a") is DriveState.STARTING
+        assert "nonsense" in plant.site.store.drive("a").reason
+
+    with_plant(test, roster_of([*ONE, ("b", 12, "8200vector")], watchdog=GUARD))
+
+
+def test_a_returning_drive_is_audited_before_it_is_called_online() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.line.faults.absent = {11}
+        await until(lambda: plant.state("a") is DriveState.OFFLINE)
+        plant.line["a"].power_cycle(plant.now_s, 0.1)
+        states: list[tuple[float, DriveState]] = []
+
+        def note(event: object) -> None:
+            if isinstance(event, DriveChanged) and event.drive == "a":
+                states.append((plant.now_s, plant.state("a")))
+
+        plant.site.store.subscribe(note)
+        plant.line.faults.absent = set()
+        back_s = plant.now_s
+        await plant.online("a", within_s=60.0)
+        assert states[0][1] is DriveState.STARTING
+        assert states[-1][1] is DriveState.ONLINE
+        writes = [e for e in plant.line["a"].log if e.kind == "write" and e.time_s > back_s]
+        assert {entry.code for entry in writes} == {1922, 1923}
+        assert all(entry.time_s < states[-1][0] for entry in writes)
+
+    with_plant(test, roster_of(ONE, watchdog=GUARD))
+
+
+def test_after_the_line_came_back_every_drive_is_audited_again() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.end.unplug()
+        for name in "ab":
+            plant.line[name].power_cycle(plant.now_s, 0.0)
+        await anyio.sleep(1.0)
+        plant.end.replug()
+        await until(lambda: plant.site.worker.is_open)
+        await anyio.sleep(0.2)
+        assert plant.state("a") is DriveState.STARTING
+        await plant.online()
+        assert plant.line["a"].model.watchdog_setting() == (2.0, 2)
+        assert plant.line["b"].model.watchdog_setting() == (2.0, 2)
+
+    with_plant(test, roster_of([*ONE, ("b", 12, "8200vector")], watchdog=GUARD))
+
+
+def test_an_audit_asked_for_while_the_rest_is_learnt_is_not_forgotten() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        assert "a" in plant.site.keeper._auditing, "the rest is still being learnt"
+        plant.line["a"].power_cycle(plant.now_s, 0.0)
+        plant.site.keeper.audit_soon("a")
+        await until(lambda: plant.line["a"].model.watchdog_setting() == (2.0, 2), within_s=30.0)
+
+    with_plant(test, roster_of(ONE, watchdog=GUARD))
+
+
+def test_shortened_response_is_learnt_and_the_drive_left_alone_after_each_write() -> None:
+    async def test(plant: Plant) -> None:
+        plant.line["a"].model.preset(1921, "1")
+        await plant.online()
+        await anyio.sleep(5.0)
+        assert plant.site.requests.station("a").hold_s == 0.05
+        said = len(plant.end.sent)
+        for value in (20, 21, 22):
+            await plant.site.operations.write("a", Code(46), value)
+        mine = plant.end.sent[said:]
+        writes = [one.at_s for one in mine if b"\x02" in one.data]
+        for at_s in writes:
+            later = [one.at_s for one in mine if one.at_s > at_s]
+            assert not later or later[0] - at_s >= 0.05
+        await anyio.sleep(0.1)
+        plant.line.advance(plant.now_s)
+        assert plant.line["a"].text(46) == "22"
+
+    with_plant(test, roster_of(ONE, watchdog=GUARD))
+
+
+def test_the_keeper_cannot_end_silently() -> None:
+    async def main() -> None:
+        async with Plant(roster_of(ONE, watchdog=GUARD)) as plant:
+
+            def fail(name: str) -> None:
+                raise RuntimeError(f"a mistake in the books of {name}")
+
+            plant.site.health.audited = fail  # type: ignore[method-assign]
+            await anyio.sleep(60.0)
+            pytest.fail("the keeper's error was lost")
+
+    with pytest.raises(RuntimeError, match="books of a"):
+        plainly(main())
+
+
+ALL = [n for n in range(1, 35) if n % 10][:31]
+KINDS = ("8200vector", "smvector", "93xx", "821x")
+ABSENT = {5, 17, 29}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+def test_no_watchdog_of_31_drives_fires_in_ten_minutes_of_load_with_three_absent() -> None:
+    drives = [(f"d{n}", n, KINDS[n % 4]) for n in ALL]
+
+    async def test(plant: Plant) -> None:
+        plant.line.faults.absent = set(ABSENT)
+        chance = random.Random(1)
+        ended = {"begun": 0, "good": 0, "failed": 0}
+        started_s = plant.now_s
+        async with anyio.create_task_group() as callers:
+            while plant.now_s < started_s + 600.0:
+                name = f"d{chance.choice(ALL)}"
+                callers.start_soon(ask, plant, name, chance.choice((50, 52, 150)), ended)
+                await anyio.sleep(0.01)
+        plant.line.advance(plant.now_s)
+        present = [drive for drive in plant.line.drives if drive.address not in ABSENT]
+        assert [drive.watchdog_fired for drive in present] == [0] * len(present)
+        assert all(drive.model.watchdog_setting()[1] == 2 for drive in present), "all were armed"
+        assert ended["begun"] == ended["good"] + ended["failed"] >= 60_000
+        assert ended["good"] > 5_000
+        assert absent_share(plant, started_s + 60.0) <= 0.10
+
+    with_plant(test, roster_of(drives, watchdog=GUARD))
+
+
+async def ask(plant: Plant, name: str, code: int, ended: dict[str, int]) -> None:
+    ended["begun"] += 1
+    try:
+        await plant.site.operations.read(name, Code(code), timeout_s=2.0)
+    except LecombusError:
+        ended["failed"] += 1
+    else:
+        ended["good"] += 1
+
+
+def absent_share(plant: Plant, since_s: float) -> float:
+    """The part of line time that went to absent drives."""
+    spent_s = sum(
+        report.result.ended_s - report.result.started_s + report.quarantined_s
+        for report in plant.reports
+        if report.result.started_s >= since_s and int(report.drive[1:]) in ABSENT
+    )
+    return spent_s / (plant.now_s - since_s)
+
+
+@pytest.mark.parametrize("count", [1, 8])
+def test_absent_drives_take_no_more_than_their_share_however_many(count: int) -> None:
+    absent = set(ALL[:count])
+    drives = [(f"d{n}", n, KINDS[n % 4]) for n in ALL[:10]]
+
+    async def test(plant: Plant) -> None:
+        plant.line.faults.absent = absent
+        await until(
+            lambda: all(plant.state(f"d{n}") is DriveState.OFFLINE for n in absent), within_s=60.0
+        )
+        since_s = plant.now_s
+        await anyio.sleep(120.0)
+        spent_s = sum(
+            report.result.ended_s - report.result.started_s + report.quarantined_s
+            for report in plant.reports
+            if report.result.started_s >= since_s and int(report.drive[1:]) in absent
+        )
+        assert 0 < spent_s <= 0.10 * 120.0
+
+    with_plant(test, roster_of(drives))
