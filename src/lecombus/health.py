@@ -45,6 +45,7 @@ class _Record:
     state: DriveState
     make_probe: Callable[[], Request]
     misses: int = 0
+    audit_due: bool = False
 
 
 class Health:
@@ -115,6 +116,7 @@ class Health:
         """The keeper has found the drive in order, or has put it in order."""
         record = self._records.get(name)
         if record is not None and record.state is not DriveState.OFFLINE:
+            record.audit_due = False
             self._set(name, record, DriveState.ONLINE, "")
 
     def audit_failed(self, name: str, reason: str) -> None:
@@ -132,11 +134,13 @@ class Health:
             self._set(name, record, DriveState.STARTING, "it answers again: being audited")
             self._wants_audit(name)
         elif record.state is DriveState.DEGRADED:
-            if misses >= AUDIT_AFTER:
-                self._set(name, record, DriveState.DEGRADED, "it answers again: being audited")
-                self._wants_audit(name)
-            else:
+            if misses < AUDIT_AFTER and not record.audit_due:
                 self._set(name, record, DriveState.ONLINE, "")
+                return
+            self._set(name, record, DriveState.DEGRADED, "it answers again: being audited")
+            if misses >= AUDIT_AFTER:
+                record.audit_due = True
+                self._wants_audit(name)
 
     def _missed(self, name: str, record: _Record, fault: str) -> None:
         record.misses += 1

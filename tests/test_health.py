@@ -1,0 +1,158 @@
+"""How a drive's state follows from what its exchanges come to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from lecombus.drives import family
+from lecombus.health import Health
+from lecombus.protocol.exchange import ResultKind
+from lecombus.readings import DriveState
+from lecombus.schedule import Outcome, Priority, Request, Schedule
+from lecombus.store import Store
+
+STARTING, ONLINE, DEGRADED, OFFLINE = (
+    DriveState.STARTING, DriveState.ONLINE, DriveState.DEGRADED, DriveState.OFFLINE,
+)  # fmt: skip
+GOOD, MISSED = ResultKind.ANSWERED, ResultKind.NO_REPLY
+
+
+class Ward:
+    """A health with one drive."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+        self.schedule = Schedule()
+        self.schedule.add_drive("a")
+        self.store = Store(lambda: self.now_s, lambda: 1e9)
+        self.store.add_drive("a", 1, family("8200vector"))
+        self.audits = 0
+        self.health = Health(self.schedule, self.store, self._want, lambda: self.now_s)
+        self.health.add_drive("a", self._probe)
+
+    def _want(self, name: str) -> None:
+        self.audits += 1
+
+    def _probe(self) -> Request:
+        return Request("a", Priority.CYCLIC, 0.05, 0.1, lambda outcome, reason: None)
+
+    def exchange(self, *kinds: ResultKind) -> DriveState:
+        for kind in kinds:
+            self.health.exchange_ended("a", kind, "no answer in time")
+        return self.health.state("a")
+
+    def online(self) -> Ward:
+        self.exchange(GOOD)
+        self.health.audited("a")
+        return self
+
+
+def test_a_drive_is_online_only_when_it_was_audited_not_when_it_answers() -> None:
+    ward = Ward()
+    assert ward.exchange(GOOD, GOOD) is STARTING
+    ward.health.audited("a")
+    assert ward.health.state("a") is ONLINE
+
+
+@pytest.mark.parametrize(
+    ("before", "misses", "state"),
+    [(True, 1, DEGRADED), (True, 3, DEGRADED), (True, 4, OFFLINE), (False, 1, STARTING),
+     (False, 2, OFFLINE)],
+)  # fmt: skip
+def test_misses_in_a_row_degrade_a_drive_and_then_take_it_offline(
+    before: bool, misses: int, state: DriveState
+) -> None:
+    ward = Ward().online() if before else Ward()
+    assert ward.exchange(*[MISSED] * misses) is state
+
+
+def test_a_single_miss_is_forgiven_without_an_audit() -> None:
+    ward = Ward().online()
+    assert ward.exchange(MISSED, GOOD) is ONLINE
+    assert ward.audits == 0
+
+
+def test_two_misses_in_a_row_cost_an_audit_before_the_drive_is_online_again() -> None:
+    ward = Ward().online()
+    assert ward.exchange(MISSED, MISSED, GOOD) is DEGRADED
+    assert ward.audits == 1
+    assert ward.exchange(GOOD) is DEGRADED
+    ward.health.audited("a")
+    assert ward.health.state("a") is ONLINE
+
+
+def test_a_single_miss_while_an_audit_is_due_does_not_stand_in_for_it() -> None:
+    ward = Ward().online()
+    ward.exchange(MISSED, MISSED, GOOD)
+    assert ward.exchange(MISSED, GOOD) is DEGRADED
+    ward.health.audited("a")
+    assert ward.health.state("a") is ONLINE
+
+
+def test_a_lost_line_is_no_drive_s_fault() -> None:
+    ward = Ward().online()
+    assert ward.exchange(*[ResultKind.LOST] * 10) is ONLINE
+
+
+@pytest.mark.parametrize("kind", [ResultKind.GARBLED, ResultKind.ECHO])
+def test_every_other_failure_counts_as_a_miss(kind: ResultKind) -> None:
+    assert Ward().online().exchange(*[kind] * 4) is OFFLINE
+
+
+def test_an_offline_drive_is_probed_and_what_waits_for_it_ends() -> None:
+    ward = Ward().online()
+    ends: list[tuple[Outcome, str]] = []
+    waiting = Request("a", Priority.INTERACTIVE, 0.05, 0.1, lambda *end: ends.append(end))
+    ward.schedule.submit(waiting, ward.now_s)
+    ward.exchange(*[MISSED] * 4)
+    assert ends[0][0] is Outcome.REFUSED
+    assert "a is offline: 4 exchanges in a row failed" in ends[0][1]
+    probe = ward.schedule.next(ward.now_s)
+    assert probe is not None
+    assert probe.priority is Priority.CYCLIC
+
+
+def test_an_offline_drive_that_answers_is_audited_and_stays_starting_until_then() -> None:
+    ward = Ward().online()
+    ward.exchange(*[MISSED] * 4)
+    assert ward.exchange(GOOD) is STARTING
+    assert ward.audits == 1
+    assert ward.store.drive("a").reason == "it answers again: being audited"
+    ward.health.audited("a")
+    assert ward.health.state("a") is ONLINE
+
+
+def test_an_audit_that_ends_after_the_drive_went_offline_changes_nothing() -> None:
+    ward = Ward().online()
+    ward.exchange(*[MISSED] * 4)
+    ward.health.audited("a")
+    ward.health.audit_failed("a", "too late")
+    assert ward.health.state("a") is OFFLINE
+    assert "4 exchanges" in ward.store.drive("a").reason
+
+
+def test_a_reopened_line_begins_anew_with_every_drive() -> None:
+    ward = Ward().online()
+    ward.exchange(*[MISSED] * 4)
+    ward.health.line_opened()
+    assert ward.health.state("a") is STARTING
+    assert ward.audits == 1
+    assert ward.schedule.next(ward.now_s) is None, "it is no longer probed"
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda health: health.audited("a"),
+        lambda health: health.audit_failed("a", "x"),
+        lambda health: health.exchange_ended("a", MISSED, "x"),
+        lambda health: health.line_opened(),
+    ],
+)
+def test_what_is_said_of_a_drive_taken_out_is_ignored(call: Callable[[Health], None]) -> None:
+    ward = Ward().online()
+    ward.health.remove_drive("a")
+    call(ward.health)
+    assert ward.audits == 0
