@@ -37,7 +37,8 @@ class Books:
         metrics: Counters.
         health: Judges the drives.
         words: Control words.
-        is_drive: Whether a name is a drive of the roster (it may have left it meanwhile).
+        is_drive: Whether a name is a drive of the roster and has this address (None: any): it
+            may have left the roster meanwhile, or come back as another device.
     """
 
     def __init__(
@@ -46,7 +47,7 @@ class Books:
         metrics: Metrics,
         health: Health,
         words: ControlWords,
-        is_drive: Callable[[str], bool],
+        is_drive: Callable[[str, int | None], bool],
     ) -> None:
         self._store = store
         self._metrics = metrics
@@ -62,14 +63,11 @@ class Books:
         kind = report.step.kind
         outcome = "answered" if answer is not None else _OUTCOMES[result.kind]
         if kind is StepKind.MULTICAST:
-            if report.step.value is not None:
-                self._words.written(report.members, report.step.code, report.step.value)
-            for member in report.members:
-                if self._is_drive(member):
-                    self._store.value_written(member, report.step.code)
-        elif self._is_drive(report.drive):
-            if kind is StepKind.WRITE:
+            self._book_multicast(report)
+        elif self._is_drive(report.drive, report.address):
+            if kind is StepKind.WRITE and type(answer) is not NakAnswer:
                 self._store.value_written(report.drive, report.step.code)
+                self._words.disturbed(report.drive, report.step.code)
             if type(answer) is ValueAnswer:
                 code = report.step.code
                 self._store.value_read(report.drive, code, answer.value, result.ended_s)
@@ -82,6 +80,15 @@ class Books:
         else:
             return
         self._count(report, outcome)
+
+    def _book_multicast(self, report: ExchangeReport) -> None:
+        code, value = report.step.code, report.step.value
+        for member in report.members:
+            if self._is_drive(member, None):
+                self._store.value_written(member, code)
+            self._words.disturbed(member, code)
+            if value is not None and report.result.kind is ResultKind.SENT:
+                self._words.seen(member, code, value)
 
     def _book_failure(self, report: ExchangeReport, outcome: str) -> str:
         """A read that brought nothing leaves the value bad; a refused write leaves it as it is."""

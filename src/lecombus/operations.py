@@ -85,7 +85,14 @@ class Operations:
         station = self._requests.station(drive)
         await self._requests.read(station, code, priority, timeout_s=timeout_s)
         reading = self._store.reading(drive, code)
-        assert reading is not None, "a read that was done is in the store"
+        if reading is None:
+            raise OperationError(
+                f"the roster changed while {code} of {drive} was read",
+                kind="not-ready",
+                drive=drive,
+                code=str(code),
+                remedy="ask again",
+            )
         return reading
 
     async def write(

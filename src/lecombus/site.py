@@ -163,7 +163,8 @@ class Site:
         self.health.add_drive(entry.name, self.requests.maker.probe(station))
         for rule in kind.stops.values():
             if rule.value is None:
-                self.words.watch(entry.name, rule.code)
+                others = (one.code for one in kind.stops.values() if one is not rule)
+                self.words.watch(entry.name, rule.code, moved_by=others)
         self._cyclic[entry.name] = []
         for one in entry.cyclic:
             self.store.expect(entry.name, one.code, one.every_s)
@@ -189,8 +190,9 @@ class Site:
             self.store.remove_drive(name)
             self.metrics.meters.remove(name)
 
-    def _has_drive(self, name: str) -> bool:
-        return name in self._entries
+    def _has_drive(self, name: str, address: int | None) -> bool:
+        entry = self._entries.get(name)
+        return entry is not None and address in (None, entry.address)
 
     def _wants_audit(self, name: str) -> None:
         self.words.forget(name)

@@ -2,7 +2,9 @@
 
 A quick stop changes one bit of the control word, and must not wait for reading it first. lecombus
 is the line's only master, so the word it last read or wrote is the word the drive holds, until
-the drive restarts: it is forgotten whenever a drive goes offline or is audited anew.
+the drive restarts: it is forgotten whenever a drive goes offline or is audited anew. It is also
+forgotten when a write that changes it went unanswered, or went to a code that moves bits of it: a
+quick stop made from an old word could lift an inhibit (EDB2102EN 8.2, C0135 bit 9).
 """
 
 from __future__ import annotations
@@ -20,11 +22,19 @@ class ControlWords:
 
     def __init__(self) -> None:
         self._codes: dict[str, Code] = {}
+        self._moved_by: dict[str, frozenset[Code]] = {}
         self._words: dict[str, int] = {}
 
-    def watch(self, drive: str, code: Code) -> None:
-        """Remember this code of this drive from now on."""
+    def watch(self, drive: str, code: Code, *, moved_by: Iterable[Code] = ()) -> None:
+        """Remember this code of this drive from now on.
+
+        Args:
+            drive: The drive.
+            code: Its control word.
+            moved_by: Other codes whose writes change bits of it, as C0040 does bit 9.
+        """
         self._codes[drive] = code
+        self._moved_by[drive] = frozenset((code, *moved_by))
 
     def seen(self, drive: str, code: Code, value: Value) -> None:
         """Take a value that was read, or written and acknowledged."""
@@ -33,10 +43,10 @@ class ControlWords:
             if isinstance(number, int):
                 self._words[drive] = number
 
-    def written(self, drives: Iterable[str], code: Code, value: Value) -> None:
-        """Take a value that went to several drives at once."""
-        for drive in drives:
-            self.seen(drive, code, value)
+    def disturbed(self, drive: str, code: Code) -> None:
+        """Take note that a write went out: what it may have changed is no longer known."""
+        if code in self._moved_by.get(drive, ()):
+            self.forget(drive)
 
     def forget(self, drive: str) -> None:
         """Nothing is known of this drive's word any more."""

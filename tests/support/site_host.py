@@ -340,12 +340,14 @@ class Plant:
         faults: Of the line, as `parse_faults` reads them.
         seed: Where chance starts from.
         options: How the line is worked, instead of by the roster.
+        also: Drives on the line that the roster does not name.
     """
 
     def __init__(
         self,
         roster: str | Roster,
         *,
+        also: Iterable[tuple[str, int, str]] = (),
         faults: str = "",
         seed: int = 0,
         options: WorkerOptions | None = None,
@@ -353,7 +355,7 @@ class Plant:
     ) -> None:
         self.roster = parse_roster(roster, "r.yaml") if isinstance(roster, str) else roster
         self.line = build(
-            [(one.name, one.address, one.family) for one in self.roster.drives],
+            [*((one.name, one.address, one.family) for one in self.roster.drives), *also],
             baud=self.roster.line.baud, faults=faults, seed=seed, spread=spread,
         )  # fmt: skip
         self.end = TappedEnd(self.line)

@@ -64,6 +64,7 @@ class ExchangeReport:
         waited_s: From the moment the schedule took the request to the telegram.
         quarantined_s: How long the line is left alone because of it.
         members: For a multicast: the drives it reached.
+        address: Who was spoken to; by now the name may be another device's.
     """
 
     drive: str
@@ -73,6 +74,7 @@ class ExchangeReport:
     waited_s: float
     quarantined_s: float
     members: tuple[str, ...] = ()
+    address: int = 0
 
 
 class Observer(Protocol):
@@ -384,6 +386,7 @@ class LineWorker:
             ExchangeReport(
                 request.drive, job.step, result, request.priority,
                 result.started_s - request.submitted_at_s, quarantined_s, request.members,
+                job.station.address,
             )
         )  # fmt: skip
         self.schedule.finished(request, result.started_s, ended + quarantined_s, answered)

@@ -1,0 +1,193 @@
+"""A whole line put together: starting, taking another roster, and keeping what is known true."""
+
+from __future__ import annotations
+
+import contextlib
+
+import anyio
+import pytest
+
+from lecombus.drives import StopAction
+from lecombus.errors import ConfigError, OperationError
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+from lecombus.readings import DriveState, LineState, Quality
+from lecombus.schedule import Outcome
+from lecombus.simulator.faults import Faults
+from support.site_host import Plant, roster_of, until, with_plant
+
+AB = [("a", 11, "8200vector"), ("b", 12, "8200vector")]
+STATUS, SETPOINT, ENABLE, WORD = Code(150), Code(46), Code(40), Code(135)
+
+
+def test_a_site_has_tried_all_once_every_drive_was_asked_also_those_that_are_not_there() -> None:
+    async def test(plant: Plant) -> None:
+        plant.line.faults.absent = {12}
+        assert not plant.site.tried_all()
+        await until(plant.site.tried_all, within_s=10.0)
+        assert plant.site.store.line().state is LineState.OPEN
+        await plant.online("a")
+        assert plant.state("b") is DriveState.OFFLINE
+
+    with_plant(test, roster_of(AB))
+
+
+def test_a_reloaded_roster_leaves_alone_what_did_not_change() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        before = plant.site.store.reading("a", STATUS)
+        assert before is not None
+        plant.apply(roster_of([*AB, ("c", 13, "8200vector")]))
+        after = plant.site.store.reading("a", STATUS)
+        assert after is not None
+        assert (after.value, after.quality) == (before.value, Quality.GOOD)
+        assert plant.state("a") is DriveState.ONLINE
+        assert plant.state("c") is DriveState.STARTING
+
+    with_plant(test, roster_of(AB))
+
+
+def test_a_new_drive_is_audited_and_comes_online() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online("a")
+        plant.apply(roster_of(AB))
+        await plant.online("b")
+
+    with_plant(test, roster_of(AB[:1]), also=AB[1:])
+
+
+def test_a_drive_taken_out_is_spoken_to_no_more() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.apply(roster_of(AB[:1]))
+        await anyio.sleep(0.2)
+        since_s = plant.now_s
+        await anyio.sleep(20.0)
+        assert plant.sent_to(12, since_s) == []
+        assert plant.sent_to(11, since_s)
+        with pytest.raises(OperationError, match="no drive 'b'"):
+            await plant.site.operations.read("b", STATUS)
+
+    with_plant(test, roster_of(AB, watchdog="{time: 2s, action: inhibit, configure: true}"))
+
+
+@pytest.mark.parametrize("kept", [True, False])
+@pytest.mark.parametrize("writing", [True, False])
+def test_a_drive_may_be_taken_out_or_changed_while_it_is_spoken_to(
+    kept: bool, writing: bool
+) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        said = len(plant.end.sent)
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(ask, plant, writing)
+            await until(lambda: len(plant.end.sent) > said)
+            plant.apply(roster_of(AB, drive=", answer_time: 30ms") if kept else roster_of(AB[:1]))
+        await anyio.sleep(10.0)
+        assert plant.site.worker.is_open
+        assert plant.state("a") is DriveState.ONLINE
+
+    async def ask(plant: Plant, writing: bool) -> None:
+        with contextlib.suppress(OperationError):
+            if writing:
+                await plant.site.operations.write("b", SETPOINT, 20)
+            else:
+                await plant.site.operations.read("b", STATUS)
+
+    with_plant(test, roster_of(AB, drive=", cyclic: []") if not kept else roster_of(AB))
+
+
+def test_a_value_of_the_device_that_had_the_name_before_is_not_the_new_one_s() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.line[12].model.readers[50] = lambda _: "12"
+        plant.line[13].model.readers[50] = lambda _: "13"
+        said = len(plant.end.sent)
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(read_or_not, plant)
+            await until(lambda: len(plant.end.sent) > said)
+            assert plant.end.sent[-1].data[1:3] == b"12"
+            plant.apply(roster_of([AB[0], ("b", 13, "8200vector")], drive=", cyclic: []"))
+        found = plant.site.store.reading("b", Code(50))
+        assert found is None or found.value is None or found.value.raw == "13"
+
+    async def read_or_not(plant: Plant) -> None:
+        with contextlib.suppress(OperationError):
+            await plant.site.operations.read("b", Code(50))
+
+    with_plant(test, roster_of(AB, drive=", cyclic: []"), also=[("c", 13, "8200vector")])
+
+
+def test_a_roster_with_another_line_is_refused_and_nothing_changes() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        with pytest.raises(ConfigError, match="restart"):
+            plant.apply(roster_of(AB[:1], baud=9600))
+        assert plant.state("b") is DriveState.ONLINE
+
+    with_plant(test, roster_of(AB))
+
+
+def test_a_cadence_the_line_cannot_hold_is_remarked() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await anyio.sleep(30.0)
+        plant.site.note_cadence()
+        assert "cannot hold the cyclic reads" in plant.site.store.line().remarks["cadence"]
+        plant.apply(roster_of(AB))
+        await anyio.sleep(120.0)
+        plant.site.note_cadence()
+        assert "cadence" not in plant.site.store.line().remarks
+
+    with_plant(test, roster_of(AB, drive=", cyclic: [{code: C0150, every: 50ms}]"))
+
+
+def test_a_refused_write_leaves_what_is_known_as_it_is() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await plant.site.operations.read("a", SETPOINT)
+        plant.line.drive_faults[11] = Faults(nak=1.0)
+        report = await plant.site.operations.write("a", SETPOINT, 20)
+        assert (report.outcome, report.kind) == (Outcome.REFUSED, "nak")
+        reading = plant.site.store.reading("a", SETPOINT)
+        assert reading is not None
+        assert (reading.value, reading.quality) == (Value.parse("0"), Quality.GOOD)
+
+    with_plant(test, roster_of(AB))
+
+
+def test_a_quick_stop_after_an_inhibit_does_not_lift_the_inhibit() -> None:
+    """C0040 and bit 9 of the control word are one: a word known from before is out of date."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await plant.site.operations.write("a", WORD, "H0000")
+        await plant.site.operations.write("a", ENABLE, 1)
+        await plant.site.operations.read("a", WORD)
+        await plant.site.operations.stop(StopAction.INHIBIT, "a")
+        report = await plant.site.operations.stop(StopAction.QUICK_STOP, "a")
+        assert report.outcome is Outcome.VERIFIED
+        assert plant.line["a"].model.control & 0x0208 == 0x0208
+
+    with_plant(test, roster_of(AB))
+
+
+def test_a_control_word_whose_write_was_not_answered_is_read_before_it_is_changed() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await plant.site.operations.write("a", WORD, "H0000")
+        plant.line.drive_faults[11] = Faults(lost=1.0)
+        report = await plant.site.operations.write("a", WORD, "H0A00")
+        assert report.outcome is Outcome.UNKNOWN, "bit 11 makes an edge of it: never repeated"
+        plant.line.drive_faults.clear()
+        await plant.site.operations.stop(StopAction.QUICK_STOP, "a")
+        assert plant.line["a"].model.control & 0x0208 == 0x0208
+
+    with_plant(test, roster_of(AB, drive=", cyclic: []"))
+
+
+def test_what_a_site_is_asked_at_its_end_is_what_the_roster_says() -> None:
+    async def test(plant: Plant) -> None:
+        assert plant.site.stop_action() is StopAction.INHIBIT
+
+    with_plant(test, roster_of(AB, rest="on_shutdown: inhibit"))

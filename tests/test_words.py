@@ -1,0 +1,53 @@
+"""The control word a quick stop changes one bit of: known only while it is certain."""
+
+from __future__ import annotations
+
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+from lecombus.words import ControlWords
+
+WORD, INHIBIT = Code(135), Code(40)
+
+
+def known() -> ControlWords:
+    words = ControlWords()
+    words.watch("a", WORD, moved_by=(INHIBIT,))
+    words.seen("a", WORD, Value.parse("H0204"))
+    return words
+
+
+def test_a_word_read_is_known_until_it_is_forgotten() -> None:
+    words = known()
+    assert words.get("a") == 0x0204
+    words.forget("a")
+    assert words.get("a") is None
+
+
+def test_other_codes_and_drives_without_a_word_say_nothing() -> None:
+    words = known()
+    words.seen("a", Code(150), Value.parse("H1111"))
+    words.seen("b", WORD, Value.parse("H1111"))
+    assert (words.get("a"), words.get("b")) == (0x0204, None)
+
+
+def test_a_value_that_is_no_word_is_no_word() -> None:
+    words = ControlWords()
+    words.watch("a", WORD)
+    words.seen("a", WORD, Value.parse("Stext"))
+    assert words.get("a") is None
+
+
+def test_a_write_makes_the_word_uncertain_until_it_is_acknowledged_or_read() -> None:
+    words = known()
+    words.disturbed("a", WORD)
+    assert words.get("a") is None
+    words.seen("a", WORD, Value.parse("H0008"))
+    assert words.get("a") == 8
+
+
+def test_a_write_to_a_code_that_moves_the_word_makes_it_uncertain() -> None:
+    words = known()
+    words.disturbed("a", Code(46))
+    assert words.get("a") == 0x0204
+    words.disturbed("a", INHIBIT)
+    assert words.get("a") is None
