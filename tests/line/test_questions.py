@@ -1,0 +1,121 @@
+"""From a step to a telegram: its form, its time-outs, and when it may not be said yet."""
+
+from __future__ import annotations
+
+import pytest
+
+from lecombus.drives import LineTiming, StopAction, WriteClass, family, read_cost
+from lecombus.line.doubts import Doubts
+from lecombus.line.jobs import Job, MulticastJob, ReadJob, Station, StopJob, WriteJob
+from lecombus.line.questions import Question, Questions
+from lecombus.protocol.addressing import Code, Form, encode_code
+from lecombus.protocol.exchange import ACK_FIELD
+from lecombus.protocol.values import Value
+
+VECTOR, SLOW = family("8200vector"), family("820x")
+TIMING = LineTiming(9600, adapter_latency_s=0.016, quarantine_s=0.05)
+STATUS, SETPOINT = Code(150), Code(46)
+
+
+def station(kind: str = "8200vector", **more: object) -> Station:
+    described = family(kind)
+    return Station("a", 1, described, described.forms, **more)  # type: ignore[arg-type]
+
+
+def questions(*doubtful: bytes) -> Questions:
+    doubts = Doubts(0.5)
+    for field in doubtful:
+        doubts.add(field, 0.0)
+    return Questions(TIMING, doubts)
+
+
+def ask(where: Questions, job: Job, now_s: float = 0.1, *, urgent: bool = False) -> Question:
+    question = where.ask(job, now_s, urgent=urgent)
+    assert isinstance(question, Question), f"it may not be said before {question}"
+    return question
+
+
+def field(code: Code, form: Form = Form.STANDARD) -> bytes:
+    return encode_code(code, form)
+
+
+def writing() -> WriteJob:
+    return WriteJob(station(), SETPOINT, Value.decimal(20), write_class=WriteClass.PLAIN, retries=2)
+
+
+def test_a_read_carries_parity_where_we_make_it_and_not_where_a_device_does() -> None:
+    where = questions()
+    assert ask(where, ReadJob(station(), STATUS, 0)).ask.sent == b"\x84\x30\xb1\x3f\x30\x05"
+    where.parity = False
+    assert ask(where, ReadJob(station(), STATUS, 0)).ask.sent == b"\x0401?0\x05"
+
+
+@pytest.mark.parametrize("kind", ["820x", "8200vector", "93xx", "smvector", "generic"])
+@pytest.mark.parametrize("number", [150, 46, 1923])
+def test_the_time_outs_are_those_the_cost_model_gives_for_drive_code_and_form(
+    kind: str, number: int
+) -> None:
+    one, code = station(kind), Code(number)
+    made = ask(questions(), ReadJob(one, code, 0)).ask
+    cost = read_cost(TIMING, one.family, code, Form.STANDARD)
+    assert (made.request_s, made.first_byte_s, made.whole_s, made.gap_s) == (
+        cost.request_s, cost.first_byte_s, cost.whole_s, cost.gap_s,
+    )  # fmt: skip
+    longest_s = one.family.longest_answer_time_s(code, write=False)
+    assert made.whole_s > made.first_byte_s > made.request_s + longest_s
+
+
+def test_the_roster_s_word_on_the_answer_time_goes_before_the_family_s() -> None:
+    made = ask(questions(), ReadJob(station(answer_time_s=0.3), STATUS, 0)).ask
+    assert made.first_byte_s == pytest.approx(made.request_s + 0.6 + 0.036)
+
+
+def test_a_read_in_doubt_is_said_in_the_other_form_and_then_waits() -> None:
+    one = questions(field(STATUS))
+    assert ask(one, ReadJob(station(), STATUS, 0)).ask.field == field(STATUS, Form.EXTENDED)
+    both = questions(field(STATUS), field(STATUS, Form.EXTENDED))
+    assert both.ask(ReadJob(station(), STATUS, 0), 0.1, urgent=False) == 0.5
+    assert both.ask(ReadJob(station(), STATUS, 0), 0.1, urgent=True) == 0.5, "a stop's read too"
+
+
+def test_a_device_with_one_form_waits_at_once() -> None:
+    where = questions(field(STATUS))
+    assert where.ask(ReadJob(station("generic"), STATUS, 0), 0.1, urgent=False) == 0.5
+
+
+def test_a_feed_takes_another_code_instead() -> None:
+    where = questions(field(STATUS), field(STATUS, Form.EXTENDED))
+    job = ReadJob(station(), STATUS, 0, instead=(STATUS, Code(50)))
+    assert ask(where, job).ask.field == field(Code(50))
+    assert job.step.code == Code(50), "the answer is booked under the code that was asked for"
+
+
+def test_a_write_waits_while_an_old_acknowledgement_may_come_and_a_stop_does_not() -> None:
+    where = questions(ACK_FIELD)
+    assert where.ask(writing(), 0.1, urgent=False) == 0.5
+    stop = StopJob(station(), StopAction.INHIBIT, word=None, retries=0)
+    assert ask(where, stop, urgent=True).ask.field == ACK_FIELD
+    assert isinstance(where.ask(writing(), 0.5, urgent=False), Question)
+
+
+def test_a_multicast_waits_for_nothing_and_expects_nothing() -> None:
+    group = Station("g", 10, VECTOR, VECTOR.forms, hold_s=0.05)
+    job = MulticastJob(group, SETPOINT, Value.decimal(20), processing_s=0.2)
+    made = ask(questions(ACK_FIELD), job)
+    assert (made.ask.field, made.hold_s, made.quarantine_s) == (b"", 0.05, 0.0)
+    assert made.ask.whole_s >= made.ask.request_s + 0.2
+
+
+def test_a_write_holds_its_drive_off_and_a_read_does_not() -> None:
+    held = station("820x", hold_s=0.23)
+    job = WriteJob(held, SETPOINT, Value.decimal(20), write_class=WriteClass.PLAIN, retries=0)
+    assert ask(questions(), job).hold_s == 0.23
+    assert ask(questions(), ReadJob(held, STATUS, 0)).hold_s == 0.0
+
+
+def test_stations_with_the_same_address_do_not_share_telegrams_made_before() -> None:
+    """A reloaded roster makes a new station: its answer time must count."""
+    where = questions()
+    before = ask(where, ReadJob(station(), STATUS, 0))
+    after = ask(where, ReadJob(station(answer_time_s=1.0), STATUS, 0))
+    assert after.ask.first_byte_s > before.ask.first_byte_s

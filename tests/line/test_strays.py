@@ -1,0 +1,111 @@
+"""Bytes between exchanges: never values, but a late answer tells that a doubt is over."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lecombus.line.doubts import Doubts
+from lecombus.line.strays import Strays
+from lecombus.protocol.addressing import Code, Form, encode_code
+from lecombus.protocol.exchange import ACK_FIELD
+from lecombus.protocol.parser import with_parity
+from lecombus.protocol.telegrams import ACK_ANSWER, unknown_code_answer, value_answer
+from lecombus.protocol.values import Value
+
+FIELD = encode_code(Code(150), Form.STANDARD)
+OTHER = encode_code(Code(150), Form.EXTENDED)
+LATE = with_parity(value_answer(FIELD, Value.parse("H0900")))
+
+
+def doubtful(*fields: bytes) -> tuple[Doubts, Strays]:
+    doubts = Doubts(0.5)
+    for field in fields:
+        doubts.add(field, 0.0)
+    return doubts, Strays(doubts)
+
+
+def test_a_late_answer_ends_its_own_doubt_and_no_other() -> None:
+    doubts, strays = doubtful(FIELD, OTHER, ACK_FIELD)
+    assert strays.feed(LATE)
+    assert doubts.blocked_until_s(FIELD, 0.1) <= 0.1
+    assert doubts.blocked_until_s(OTHER, 0.1) == 0.5
+    assert doubts.blocked_until_s(ACK_FIELD, 0.1) == 0.5
+    assert (strays.bytes_total, strays.late_answers_total) == (len(LATE), 1)
+
+
+def test_so_does_a_late_no_such_code() -> None:
+    doubts, strays = doubtful(FIELD)
+    assert strays.feed(with_parity(unknown_code_answer(FIELD)))
+    assert not doubts.any(0.1)
+
+
+def test_an_acknowledgement_ends_no_doubt_because_noise_makes_one_too_easily() -> None:
+    doubts, strays = doubtful(ACK_FIELD)
+    assert strays.feed(with_parity(ACK_ANSWER))
+    assert doubts.blocked_until_s(ACK_FIELD, 0.1) == 0.5
+
+
+@pytest.mark.parametrize("place", range(len(LATE)))
+def test_a_damaged_late_answer_ends_no_doubt(place: int) -> None:
+    doubts, strays = doubtful(FIELD)
+    strays.feed(LATE[:place] + bytes((LATE[place] ^ 0x80,)) + LATE[place + 1 :])
+    assert doubts.any(0.1)
+
+
+@given(st.integers(1, len(LATE) - 1))
+def test_it_may_come_in_pieces(cut: int) -> None:
+    doubts, strays = doubtful(FIELD)
+    assert not strays.feed(LATE[:cut])
+    assert strays.feed(LATE[cut:])
+    assert not doubts.any(0.1)
+
+
+def test_listening_begins_anew_with_every_exchange_given_up() -> None:
+    doubts, strays = doubtful(FIELD)
+    strays.feed(LATE[:4])
+    strays.begin()
+    assert strays.feed(LATE)
+    assert not doubts.any(0.1)
+
+
+@given(st.lists(st.binary(max_size=20), max_size=10))
+def test_whatever_comes_is_only_counted(pieces: list[bytes]) -> None:
+    _, strays = doubtful(FIELD)
+    for piece in pieces:
+        strays.feed(piece)
+    assert strays.bytes_total == sum(map(len, pieces))
+
+
+def test_doubts_end_by_themselves_and_are_forgotten() -> None:
+    doubts, _ = doubtful(FIELD, OTHER)
+    assert doubts.any(0.4)
+    assert not doubts.any(0.5)
+    assert len(doubts) == 0
+
+
+def test_without_a_window_there_are_no_doubts() -> None:
+    doubts = Doubts(0.0)
+    doubts.add(FIELD, 0.0)
+    assert not doubts.any(0.0)
+
+
+def test_a_form_is_chosen_that_no_old_answer_can_answer() -> None:
+    doubts = Doubts(0.5)
+    forms = (Form.STANDARD, Form.EXTENDED)
+    assert doubts.form_for(Code(150), forms, 0.0)[0] is Form.STANDARD
+    doubts.add(FIELD, 0.0)
+    assert doubts.form_for(Code(150), forms, 0.1)[:2] == (Form.EXTENDED, OTHER)
+    assert doubts.form_for(Code(50), forms, 0.1)[0] is Form.STANDARD
+    doubts.add(OTHER, 0.2)
+    assert doubts.form_for(Code(150), forms, 0.3) == (None, b"", 0.5)
+    assert doubts.form_for(Code(150), forms, 0.5)[0] is Form.STANDARD
+
+
+def test_a_code_only_the_extended_form_can_say_waits_for_that() -> None:
+    doubts = Doubts(0.5)
+    code = Code(39, 1)
+    doubts.add(encode_code(code, Form.EXTENDED), 0.0)
+    forms = (Form.STANDARD, Form.EXTENDED)
+    assert doubts.form_for(code, forms, 0.1) == (None, b"", 0.5)
