@@ -23,15 +23,17 @@ from decimal import Decimal
 from .config import GroupEntry
 from .drives import (
     StopAction,
+    WriteClass,
     knows_stop,
     needs_control_word,
     stop_value,
 )
-from .errors import ExchangeError, LineError, OperationError, ScheduleError
-from .line.jobs import Station
-from .operations import Operations
+from .errors import ExchangeError, LineError, OperationError, QueueFullError, ScheduleError
+from .line.jobs import Station, StopJob
+from .operations import REMEDIES, Operations, kind_of
 from .protocol.addressing import Code
 from .protocol.values import Value
+from .readings import DriveState
 from .reports import GroupInfo, GroupReport, How, WriteReport
 from .requests import Ending
 from .schedule import Outcome, Priority, Request
@@ -75,23 +77,22 @@ class GroupOperations(Operations):
         Raises:
             OperationError: No such group, or one member may not be written.
             LineError: There is no line; nothing was sent.
-            QueueFullError: Too many requests wait; nothing was sent.
+            QueueFullError: Too many requests wait; nothing was sent to any member.
         """
         entry = self._group(group)
         stations = tuple(self._requests.station(name) for name in entry.members)
         wires = [self.permitted(one.name, one, code, value) for one in stations]
         expires_at_s = None if expires_s is None else self._clock() + expires_s
         if entry.multicast_address is None or len({wire.raw for wire in wires}) != 1:
-            endings = [
-                self.submit_write(one, code, wire, expires_at_s, verify=bool(verify))
-                for one, wire in zip(stations, wires, strict=True)
-            ]
+            waits = self._submit_each(stations, code, wires, expires_at_s, verify=bool(verify))
             reports = [
-                self.report(one.name, code, ending, *await ending.wait())
-                for one, ending in zip(stations, endings, strict=True)
+                self.report(one.name, code, wait, *await wait.wait())
+                if isinstance(wait, Ending)
+                else wait
+                for one, wait in zip(stations, waits, strict=True)
             ]
             return group_report(group, "one-by-one", reports)
-        outcome, reason = await self._multicast(
+        outcome, reason, kind = await self._multicast(
             Station(group, entry.multicast_address, stations[0].family, stations[0].forms),
             stations, code, wires[0], expires_at_s,
         )  # fmt: skip
@@ -99,8 +100,37 @@ class GroupOperations(Operations):
             proofs = await asyncio.gather(*(self._proof(one, code, wires[0]) for one in stations))
             return group_report(group, "multicast", proofs)
         told = Outcome.UNKNOWN if outcome is Outcome.DONE else outcome
-        reports = [WriteReport(one.name, code, told, reason) for one in stations]
+        reports = [
+            WriteReport(one.name, code, told, reason, kind=kind, remedy=REMEDIES.get(kind, ""))
+            for one in stations
+        ]
         return group_report(group, "multicast", reports)
+
+    def _submit_each(
+        self,
+        stations: Sequence[Station],
+        code: Code,
+        wires: Sequence[Value],
+        expires_at_s: float | None,
+        *,
+        verify: bool,
+    ) -> list[Ending | WriteReport]:
+        """Put a write for every member into the line.
+
+        Where the queue is full half way, the members left over are told so: the others' writes
+        are in the line already and will have their outcome.
+        """
+        waits: list[Ending | WriteReport] = []
+        for one, wire in zip(stations, wires, strict=True):
+            try:
+                waits.append(self.submit_write(one, code, wire, expires_at_s, verify=verify))
+            except QueueFullError as exc:
+                if not waits:
+                    raise
+                waits.append(
+                    WriteReport(one.name, code, Outcome.REFUSED, str(exc), kind="queue-full")
+                )
+        return waits
 
     async def _multicast(
         self,
@@ -109,8 +139,8 @@ class GroupOperations(Operations):
         code: Code,
         wire: Value,
         expires_at_s: float | None,
-    ) -> tuple[Outcome, str]:
-        """Send a group's write as one telegram."""
+    ) -> tuple[Outcome, str, str]:
+        """Send a group's write as one telegram; give outcome, reason and kind."""
         infos = [one.family.info(code) for one in stations]
         motion = any(info is not None and info.motion for info in infos)
         ending = Ending()
@@ -119,8 +149,13 @@ class GroupOperations(Operations):
             settle=ending.settle, expires_at_s=expires_at_s,
         )  # fmt: skip
         request.motion = motion
+        ending.request = request
         self._requests.worker.submit(request)
-        return await ending.wait()
+        for one in stations:
+            self._words.disturbed(one.name, code)
+        outcome, reason = await ending.wait()
+        kind = "" if outcome is Outcome.DONE else kind_of(ending, outcome, reason)
+        return outcome, reason, kind
 
     async def _proof(self, station: Station, code: Code, wire: Value) -> WriteReport:
         """Read a member back after a multicast."""
@@ -132,8 +167,11 @@ class GroupOperations(Operations):
         if found.means_same(wire):
             reading = self._store.reading(station.name, code)
             return WriteReport(station.name, code, Outcome.VERIFIED, reading=reading)
+        # An edge or a step may have happened and still read as before.
+        plain = station.family.write_class(code, wire) is WriteClass.PLAIN
+        outcome = Outcome.REFUSED if plain else Outcome.UNKNOWN
         text = f"it went out as a multicast, but {code} reads {found.raw}"
-        return WriteReport(station.name, code, Outcome.REFUSED, text, kind="not-in-effect")
+        return WriteReport(station.name, code, outcome, text, kind="not-in-effect")
 
     async def stop(self, action: StopAction, target: str) -> GroupReport:
         """Stop a drive, a group or all, ahead of everything else.
@@ -159,11 +197,12 @@ class GroupOperations(Operations):
         shared = self._shared_stop(target, stations, able, action)
         if shared is not None:
             self._requests.worker.submit(shared)
-        endings = [self._say_stop(one, action, said=shared is not None) for one in able]
-        reports = [
-            self.report(one.name, one.family.stops[action].code, ending, *await ending.wait())
-            for one, ending in zip(able, endings, strict=True)
-        ]
+        # Whoever answers is stopped first: one that is silent holds the line for seconds.
+        endings = {
+            one.name: self._say_stop(one, action, said=shared is not None)
+            for one in sorted(able, key=self._is_offline)
+        }
+        reports = [await self._stop_report(one, endings[one.name]) for one in able]
         reports += [
             WriteReport(
                 one.name, one.family.feed_code, Outcome.REFUSED,
@@ -173,6 +212,17 @@ class GroupOperations(Operations):
             for one in stations if one not in able
         ]  # fmt: skip
         return group_report(target, "multicast" if shared else "one-by-one", reports)
+
+    def _is_offline(self, station: Station) -> bool:
+        return self._store.drive(station.name).state is DriveState.OFFLINE
+
+    async def _stop_report(self, station: Station, ending: Ending) -> WriteReport:
+        """Wait for a stop; it is told by the code that was written, which may be an inhibit's."""
+        outcome, reason = await ending.wait()
+        job = ending.request.work if ending.request is not None else None
+        assert isinstance(job, StopJob)
+        code = station.family.stops[job.action].code
+        return self.report(station.name, code, ending, outcome, reason)
 
     def _group(self, group: str) -> GroupEntry:
         entry = self._groups.get(group)
@@ -230,6 +280,9 @@ class GroupOperations(Operations):
         )
         ending.request = request
         self._requests.worker.submit(request)
+        if action is StopAction.INHIBIT:
+            # A quick stop asked for meanwhile must read the word, not lift the inhibit.
+            self._words.disturbed(station.name, station.family.stops[action].code)
         return ending
 
 

@@ -20,7 +20,7 @@ from .protocol.addressing import Code
 from .protocol.values import Value
 from .readings import WRITE_LOCK, DriveState, Reading
 from .reports import WriteReport
-from .requests import Ending, Requests
+from .requests import Ending, Requests, is_line_lost
 from .schedule import Outcome, Priority
 from .store import Store
 from .words import ControlWords
@@ -139,6 +139,8 @@ class Operations:
             station, code, wire, settle=ending.settle, verify=verify, expires_at_s=expires_at_s
         )
         self._requests.worker.submit(ending.request)
+        # From now on a stop must read the control word this write may change.
+        self._words.disturbed(station.name, code)
         return ending
 
     # ---- checks -----------------------------------------------------------------------------
@@ -189,7 +191,7 @@ class Operations:
     ) -> WriteReport:
         """Say what came of a write or a stop, with what is known of the code now."""
         good = outcome in (Outcome.DONE, Outcome.VERIFIED)
-        kind = "" if good else kind_of(ending, outcome)
+        kind = "" if good else kind_of(ending, outcome, reason)
         reading = self._store.reading(drive, code)
         return WriteReport(
             drive, code, outcome, reason, kind=kind, remedy=REMEDIES.get(kind, ""), reading=reading
@@ -206,11 +208,13 @@ REMEDIES = {
 }
 
 
-def kind_of(ending: Ending, outcome: Outcome) -> str:
+def kind_of(ending: Ending, outcome: Outcome, reason: str) -> str:
     """Give the stable word for why a write was not done."""
     if outcome in (Outcome.EXPIRED, Outcome.SUPERSEDED):
         return outcome.value
     error = ending.error
+    if error is None and is_line_lost(reason):
+        return "line-lost"
     if error is None:
         return "not-in-effect" if ending.was_sent else "offline"
     if isinstance(error, NakError):

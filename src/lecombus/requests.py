@@ -176,7 +176,14 @@ def never_sent(outcome: Outcome, reason: str, station: Station, code: Code) -> O
     elif reason.startswith(f"{station.name} is offline"):
         kind = "offline"
         remedy = "check the drive's supply, its address and the wires; it is probed all the time"
+    elif is_line_lost(reason):
+        kind, remedy = "line-lost", "the port is being reopened; ask again when the line is open"
     return OperationError(
         f"{station.name}, {code}: {text}", kind=kind, drive=station.name, code=str(code),
         remedy=remedy,
     )  # fmt: skip
+
+
+def is_line_lost(reason: str) -> bool:
+    """Whether a request that waited ended because the line went: the reason begins with it."""
+    return reason.startswith("line ")

@@ -1,0 +1,302 @@
+"""Groups and stops: one telegram where that reaches exactly the members, a report for each."""
+
+from __future__ import annotations
+
+import asyncio
+
+import anyio
+import anyio.lowlevel
+import pytest
+
+from lecombus.drives import StopAction
+from lecombus.errors import OperationError, QueueFullError
+from lecombus.protocol.addressing import Code
+from lecombus.readings import DriveState
+from lecombus.schedule import Outcome, Priority
+from lecombus.simulator.faults import Faults
+from support.site_host import Plant, roster_of, until, with_plant
+
+TEENS = [("a", 11, "8200vector"), ("b", 12, "8200vector"), ("c", 13, "821x")]
+MIXED = [*TEENS, ("d", 21, "smvector"), ("g", 22, "generic")]
+STATUS, SETPOINT, ENABLE, PLAIN, WORD = Code(150), Code(46), Code(40), Code(11), Code(135)
+WRITABLE = ", cyclic: [], writable: [C0011, C0040, C0043, C0046, C0135]"
+GROUPS = "groups:\n  teens: {members: [a, b, c]}\n  two: {members: [a, b]}\n"
+ROSTER = roster_of(MIXED, drive=WRITABLE, rest=GROUPS)
+QUICK, INHIBIT = StopAction.QUICK_STOP, StopAction.INHIBIT
+
+
+def written(plant: Plant, since: int) -> list[bytes]:
+    """The addresses that were written to since the so-manieth telegram."""
+    return [one.data[1:3] for one in plant.end.sent[since:] if b"\x02" in one.data]
+
+
+def test_a_group_that_is_a_decade_goes_out_as_one_telegram_and_every_member_is_read_back() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        said = len(plant.end.sent)
+        report = await plant.site.operations.write_group("teens", SETPOINT, 20)
+        assert (report.how, report.outcome) == ("multicast", Outcome.VERIFIED)
+        assert [member.outcome for member in report.members] == [Outcome.VERIFIED] * 3
+        assert written(plant, said) == [b"10"]
+        assert [plant.line[name].text(46) for name in "abc"] == ["20"] * 3
+
+    with_plant(test, ROSTER)
+
+
+def test_another_group_goes_out_one_by_one() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        said = len(plant.end.sent)
+        report = await plant.site.operations.write_group("two", SETPOINT, 20)
+        assert (report.how, report.outcome) == ("one-by-one", Outcome.DONE)
+        assert written(plant, said) == [b"11", b"12"]
+
+    with_plant(test, ROSTER)
+
+
+def test_a_member_the_multicast_did_not_reach_is_named() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.line.drive_faults[12] = Faults(unheard=1.0)
+        asked = asyncio.create_task(plant.site.operations.write_group("teens", SETPOINT, 20))
+        await until(lambda: bool(written(plant, 0)) and written(plant, 0)[-1] == b"10")
+        await anyio.sleep(0.02)
+        plant.line.drive_faults.clear()
+        report = await asked
+        outcomes = {member.drive: member.outcome for member in report.members}
+        assert outcomes == {"a": Outcome.VERIFIED, "b": Outcome.REFUSED, "c": Outcome.VERIFIED}
+        assert report.outcome is Outcome.REFUSED
+        assert {member.kind for member in report.members} == {"", "not-in-effect"}
+
+    with_plant(test, ROSTER)
+
+
+def test_an_edge_said_by_multicast_that_reads_otherwise_may_still_have_happened() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        report = await plant.site.operations.write_group("teens", WORD, "H0A00")
+        assert report.how == "multicast"
+        for name in "abc":
+            plant.line[name].model.readers[135] = lambda _: "H0200"
+        report = await plant.site.operations.write_group("teens", WORD, "H0A00")
+        assert {member.outcome for member in report.members} == {Outcome.UNKNOWN}
+
+    with_plant(test, ROSTER)
+
+
+def test_a_multicast_that_was_not_sent_says_why_for_every_member() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        busy = [asyncio.create_task(plant.site.operations.read("a", STATUS)) for _ in range(9)]
+        await anyio.sleep(0.001)
+        report = await plant.site.operations.write_group("teens", PLAIN, 60, expires_s=0.03)
+        assert {(one.outcome, one.kind) for one in report.members} == {(Outcome.EXPIRED, "expired")}
+        setting = asyncio.create_task(plant.site.operations.write_group("teens", SETPOINT, 20))
+        await anyio.lowlevel.checkpoint()
+        await plant.site.operations.stop(INHIBIT, "a")
+        report = await setting
+        kinds = {(one.outcome, one.kind) for one in report.members}
+        assert kinds == {(Outcome.SUPERSEDED, "superseded")}
+        await asyncio.gather(*busy)
+        report_task = asyncio.create_task(plant.site.operations.write_group("teens", PLAIN, 60))
+        await anyio.sleep(0.001)
+        plant.end.unplug()
+        report = await report_task
+        assert {one.kind for one in report.members} == {"line-lost"}
+
+    with_plant(test, ROSTER)
+
+
+def test_one_member_that_may_not_be_written_keeps_everything_from_being_sent() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.line.faults.absent = {13}
+        for _ in range(2):
+            with pytest.raises(Exception, match="c"):
+                await plant.site.operations.read("c", STATUS)
+        assert plant.state("c") is DriveState.OFFLINE
+        said = len(plant.end.sent)
+        with pytest.raises(OperationError, match="c is offline"):
+            await plant.site.operations.write_group("teens", SETPOINT, 20)
+        assert written(plant, said) == []
+
+    with_plant(test, ROSTER)
+
+
+def fill(plant: Plant, *, leave: int) -> None:
+    """Fill the interactive queue up to a few places."""
+    requests = plant.site.requests
+    station = requests.station("d")
+    for _ in range(2000 - leave):
+        requests.worker.submit(requests.maker.read(station, STATUS, Priority.INTERACTIVE))
+
+
+def test_a_queue_that_fills_up_half_way_leaves_no_member_without_a_report() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        fill(plant, leave=1)
+        report = await plant.site.operations.write_group("two", PLAIN, 60)
+        first, second = report.members
+        assert (first.drive, first.outcome) == ("a", Outcome.DONE)
+        assert (second.drive, second.outcome, second.kind) == ("b", Outcome.REFUSED, "queue-full")
+        assert plant.line["b"].text(11) != "60"
+        assert report.outcome is Outcome.REFUSED
+
+    with_plant(test, ROSTER)
+
+
+def test_a_queue_that_is_full_from_the_beginning_is_an_error_and_nothing_is_sent() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        fill(plant, leave=0)
+        with pytest.raises(QueueFullError):
+            await plant.site.operations.write_group("two", PLAIN, 60)
+
+    with_plant(test, ROSTER)
+
+
+def test_groups_that_do_not_exist_are_named_with_those_that_do() -> None:
+    async def test(plant: Plant) -> None:
+        with pytest.raises(OperationError, match="no group 'x'") as caught:
+            await plant.site.operations.write_group("x", SETPOINT, 20)
+        assert "teens" in caught.value.remedy
+        with pytest.raises(OperationError) as caught:
+            await plant.site.operations.stop(INHIBIT, "x")
+        assert caught.value.kind == "no-such-drive"
+        assert {info.name for info in plant.site.operations.groups()} == {"teens", "two", "all"}
+
+    with_plant(test, ROSTER)
+
+
+# ---- stops ----------------------------------------------------------------------------------
+
+
+def test_a_stop_of_a_decade_is_one_telegram_and_is_proven_by_every_member() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await plant.site.operations.write_group("teens", ENABLE, 1)
+        said = len(plant.end.sent)
+        report = await plant.site.operations.stop(INHIBIT, "teens")
+        assert (report.how, report.outcome) == ("multicast", Outcome.VERIFIED)
+        assert written(plant, said) == [b"10"]
+        assert [plant.line[name].text(40) for name in "abc"] == ["0"] * 3
+
+    with_plant(test, ROSTER)
+
+
+def test_a_member_the_stop_did_not_reach_is_stopped_alone() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await plant.site.operations.write_group("teens", ENABLE, 1)
+        plant.line.drive_faults[12] = Faults(unheard=1.0)
+        said = len(plant.end.sent)
+        stopping = asyncio.create_task(plant.site.operations.stop(INHIBIT, "teens"))
+        await until(lambda: b"10" in written(plant, said))
+        await anyio.sleep(0.02)
+        plant.line.drive_faults.clear()
+        report = await stopping
+        assert report.outcome is Outcome.VERIFIED
+        assert written(plant, said) == [b"10", b"12"]
+        assert plant.line["b"].text(40) == "0"
+
+    with_plant(test, ROSTER)
+
+
+def test_stopping_all_with_a_device_nobody_describes_stops_the_others_and_says_so() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        report = await plant.site.operations.stop(INHIBIT, "all")
+        assert report.how == "one-by-one", "a broadcast would reach the device too"
+        kinds = {member.drive: member.kind for member in report.members}
+        assert kinds == {"a": "", "b": "", "c": "", "d": "", "g": "no-stop"}
+        assert [plant.line[name].text(40) for name in "abcd"] == ["0"] * 4
+        with pytest.raises(OperationError) as caught:
+            await plant.site.operations.stop(INHIBIT, "g")
+        assert caught.value.kind == "no-stop"
+
+    with_plant(test, ROSTER)
+
+
+def test_a_stop_is_sent_to_a_drive_that_is_offline_but_after_those_that_are_not() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.line.drive_faults[11] = Faults(lost=1.0)
+        await until(lambda: plant.state("a") is DriveState.OFFLINE)
+        said, since_s = len(plant.end.sent), plant.now_s
+        report = await plant.site.operations.stop(INHIBIT, "two")
+        assert written(plant, said)[0] == b"12", "who can be stopped at once is stopped first"
+        assert b"11" in written(plant, said), "its hearing may be well"
+        assert plant.line["a"].text(40) == "0"
+        assert [member.drive for member in report.members] == ["a", "b"]
+        assert [m.outcome for m in report.members] == [Outcome.UNKNOWN, Outcome.VERIFIED]
+        assert plant.now_s - since_s < 3.0
+
+    often = roster_of(TEENS, drive=", cyclic: [{code: C0150, every: 200ms}]", rest=GROUPS)
+    with_plant(test, often)
+
+
+def test_a_stop_goes_to_a_drive_that_was_not_audited_yet() -> None:
+    async def test(plant: Plant) -> None:
+        await until(lambda: plant.site.worker.is_open)
+        report = await plant.site.operations.stop(QUICK, "a")
+        assert report.outcome is Outcome.VERIFIED
+        assert plant.line["a"].model.control & 0x0008
+
+    with_plant(test, ROSTER)
+
+
+def test_a_quick_stop_that_became_an_inhibit_is_reported_as_one() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.site.words.forget("a")
+        plant.line["a"].model.readers[135] = lambda _: "Snone"
+        report = await plant.site.operations.stop(QUICK, "a")
+        assert report.outcome is Outcome.VERIFIED
+        assert report.members[0].code == ENABLE
+        assert plant.line["a"].text(40) == "0"
+
+    with_plant(test, ROSTER)
+
+
+def test_a_stop_is_never_superseded_by_another() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        stops = [plant.site.operations.stop(action, "two") for action in (QUICK, INHIBIT, QUICK)]
+        reports = await asyncio.gather(*stops)
+        assert [report.outcome for report in reports] == [Outcome.VERIFIED] * 3
+        assert plant.line["a"].model.control & 0x0208 == 0x0208
+
+    with_plant(test, ROSTER)
+
+
+@pytest.mark.parametrize(("code", "value"), [(ENABLE, 0), (WORD, "H0200")])
+def test_a_quick_stop_does_not_lift_an_inhibit_that_is_just_being_written(
+    code: Code, value: int | str
+) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await plant.site.operations.write("a", WORD, "H0000")
+        await plant.site.operations.read("a", WORD)
+        said = len(plant.end.sent)
+        writing = asyncio.create_task(plant.site.operations.write("a", code, value))
+        await until(lambda: len(plant.end.sent) > said)
+        report = await plant.site.operations.stop(QUICK, "a")
+        assert (await writing).outcome is Outcome.DONE
+        assert report.outcome is Outcome.VERIFIED
+        assert plant.line["a"].model.control & 0x0208 == 0x0208
+
+    with_plant(test, ROSTER)
+
+
+def test_nor_one_that_is_just_going_out_to_its_group() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await plant.site.operations.write_group("teens", WORD, "H0000")
+        said = len(plant.end.sent)
+        writing = asyncio.create_task(plant.site.operations.write_group("teens", ENABLE, 0))
+        await until(lambda: b"10" in written(plant, said))
+        await plant.site.operations.stop(QUICK, "a")
+        assert (await writing).outcome is Outcome.VERIFIED
+        assert plant.line["a"].model.control & 0x0208 == 0x0208
+
+    with_plant(test, ROSTER)

@@ -1,0 +1,275 @@
+"""What users may ask of one drive, and how it is told what came of it."""
+
+from __future__ import annotations
+
+import asyncio
+from decimal import Decimal
+
+import anyio
+import pytest
+
+from lecombus.drives import StopAction
+from lecombus.errors import (
+    ExchangeError,
+    LineLostError,
+    NoReplyError,
+    OperationError,
+    QueueFullError,
+    UnknownCodeError,
+)
+from lecombus.protocol.addressing import Code
+from lecombus.readings import Quality
+from lecombus.reports import WriteReport
+from lecombus.schedule import Outcome, Priority
+from lecombus.simulator.faults import Faults
+from support.site_host import Plant, roster_of, until, with_plant
+
+AB = [("a", 11, "8200vector"), ("b", 12, "8200vector")]
+STATUS, SETPOINT, ENABLE, PLAIN = Code(150), Code(46), Code(40), Code(11)
+WRITABLE = ", cyclic: [], writable: [C0011, C0012, C0040, C0043, C0046, C0135]"
+ROSTER = roster_of(AB, drive=WRITABLE)
+
+
+async def write(plant: Plant, code: Code, value: int | str, **more: object) -> WriteReport:
+    return await plant.site.operations.write("a", code, value, **more)  # type: ignore[arg-type]
+
+
+def test_a_read_gives_the_value_with_its_name_and_age() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        reading = await plant.site.operations.read("a", SETPOINT)
+        assert (reading.name, reading.unit, reading.quality) == (
+            "frequency setpoint", "Hz", Quality.GOOD,
+        )  # fmt: skip
+        assert reading.age_s == 0.0
+
+    with_plant(test, ROSTER)
+
+
+def test_any_code_may_be_read_and_an_unknown_one_says_so() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        assert (await plant.site.operations.read("a", Code(99))).value is not None
+        with pytest.raises(UnknownCodeError, match="C4711"):
+            await plant.site.operations.read("a", Code(4711))
+
+    with_plant(test, ROSTER)
+
+
+def test_a_drive_that_does_not_answer_is_named_in_the_error() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.line.drive_faults[11] = Faults(lost=1.0)
+        with pytest.raises(NoReplyError, match=r"a \(address 11\), C0150"):
+            await plant.site.operations.read("a", STATUS)
+
+    with_plant(test, ROSTER)
+
+
+@pytest.mark.parametrize(
+    ("code", "value", "kind"),
+    [
+        (Code(1), 1, "not-writable"),
+        (SETPOINT, "twenty", "bad-value"),
+        (SETPOINT, "0.00001", "bad-value"),
+        (Code(135), "Sabc", "bad-value"),
+    ],
+)
+def test_a_write_that_may_not_be_made_is_refused_before_anything_is_sent(
+    code: Code, value: str, kind: str
+) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        said = len(plant.sent_to(11))
+        with pytest.raises(OperationError) as caught:
+            await write(plant, code, value)
+        assert caught.value.kind == kind
+        assert caught.value.remedy
+        assert not [one for one in plant.sent_to(11)[said:] if b"\x02" in one.data]
+
+    with_plant(test, ROSTER)
+
+
+def test_a_drive_is_not_written_to_before_it_is_audited_nor_while_it_is_offline() -> None:
+    async def test(plant: Plant) -> None:
+        with pytest.raises(OperationError) as caught:
+            await write(plant, SETPOINT, 20)
+        assert caught.value.kind == "starting"
+        await plant.online()
+        plant.line.faults.absent = {11}
+        for _ in range(2):
+            with pytest.raises((ExchangeError, OperationError)):
+                await plant.site.operations.read("a", STATUS)
+        with pytest.raises(OperationError) as caught:
+            await write(plant, SETPOINT, 20)
+        assert caught.value.kind == "offline"
+        with pytest.raises(OperationError) as caught:
+            await plant.site.operations.read("a", STATUS)
+        assert caught.value.kind == "offline"
+
+    with_plant(test, ROSTER)
+
+
+@pytest.mark.parametrize(
+    ("code", "value", "verify", "faults", "outcome", "kind"),
+    [
+        (SETPOINT, 20, False, Faults(), Outcome.DONE, ""),
+        (SETPOINT, 20, True, Faults(), Outcome.VERIFIED, ""),
+        (SETPOINT, 9999, False, Faults(), Outcome.REFUSED, "nak"),
+        (SETPOINT, 20, False, Faults(lost=1.0), Outcome.UNKNOWN, "no-answer"),
+        (Code(43), 0, False, Faults(lost=1.0), Outcome.UNKNOWN, "no-answer"),
+    ],
+)
+def test_how_a_write_is_told(
+    code: Code, value: int, verify: bool, faults: Faults, outcome: Outcome, kind: str
+) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.line.drive_faults[11] = faults
+        report = await write(plant, code, value, verify=verify)
+        assert (report.outcome, report.kind) == (outcome, kind)
+        assert bool(report.remedy) == bool(kind)
+
+    with_plant(test, ROSTER)
+
+
+def test_a_write_the_drive_acknowledges_and_ignores_is_told_as_without_effect() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.line["a"].model.readers[46] = lambda _: "5"
+        report = await write(plant, SETPOINT, 20, verify=True)
+        assert (report.outcome, report.kind) == (Outcome.REFUSED, "not-in-effect")
+        assert report.reading is not None
+        assert report.reading.value is not None
+        assert report.reading.value.number == Decimal(5)
+
+    with_plant(test, ROSTER)
+
+
+def test_the_latest_setpoint_wins() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        tasks = [asyncio.create_task(write(plant, SETPOINT, value)) for value in (10, 20, 30, 40)]
+        reports = await asyncio.gather(*tasks)
+        assert [report.outcome for report in reports[:3]].count(Outcome.SUPERSEDED) >= 2
+        assert reports[1].kind == "superseded"
+        assert reports[3].outcome is Outcome.DONE
+        assert plant.line["a"].text(46) == "40"
+        log = [e.text for e in plant.line["a"].log if e.kind == "write" and e.code == 46]
+        assert log[-1] == "40"
+        assert len(log) <= 2
+
+    with_plant(test, ROSTER)
+
+
+def test_every_switching_write_counts_none_is_superseded_by_a_later_one() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        tasks = [asyncio.create_task(write(plant, ENABLE, value)) for value in (1, 0, 1)]
+        reports = await asyncio.gather(*tasks)
+        assert {report.outcome for report in reports} == {Outcome.DONE}
+
+    with_plant(test, ROSTER)
+
+
+def test_a_stop_ends_the_motion_writes_that_wait_and_lets_others_be() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        asked = (write(plant, PLAIN, 60), write(plant, SETPOINT, 20), write(plant, ENABLE, 1))
+        tasks = [asyncio.create_task(one) for one in asked]
+        await anyio.sleep(0.0)
+        stop = await plant.site.operations.stop(StopAction.INHIBIT, "a")
+        plain, setpoint, enable = await asyncio.gather(*tasks)
+        assert stop.outcome is Outcome.VERIFIED
+        assert plain.outcome is Outcome.DONE
+        assert Outcome.SUPERSEDED in {setpoint.outcome, enable.outcome}
+        assert plant.line["a"].text(40) == "0", "nothing may enable it after the stop"
+
+    with_plant(test, ROSTER)
+
+
+def test_a_write_that_is_too_late_is_never_sent() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        others = [asyncio.create_task(plant.site.operations.read("b", STATUS)) for _ in range(20)]
+        await anyio.sleep(0.001)
+        report = await write(plant, PLAIN, 60, expires_s=0.05)
+        assert (report.outcome, report.kind) == (Outcome.EXPIRED, "expired")
+        await asyncio.gather(*others)
+        assert plant.line["a"].text(11) != "60"
+
+    with_plant(test, ROSTER)
+
+
+def test_a_full_queue_is_said_at_once_and_nothing_is_sent() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        fill(plant, leave=0)
+        with pytest.raises(QueueFullError):
+            await write(plant, PLAIN, 60)
+        assert plant.line["a"].text(11) != "60"
+
+    with_plant(test, ROSTER)
+
+
+def fill(plant: Plant, *, leave: int) -> None:
+    """Fill the interactive queue up to a few places."""
+    requests = plant.site.requests
+    station = requests.station("b")
+    for _ in range(2000 - leave):
+        requests.worker.submit(requests.maker.read(station, STATUS, Priority.INTERACTIVE))
+
+
+def test_without_a_line_nothing_is_kept_for_later() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.end.unplug()
+        await until(lambda: not plant.site.worker.is_open)
+        for asked in (
+            write(plant, SETPOINT, 20),
+            plant.site.operations.stop(StopAction.INHIBIT, "a"),
+            plant.site.operations.read("a", STATUS),
+        ):
+            with pytest.raises(LineLostError):
+                await asked
+
+    with_plant(test, ROSTER)
+
+
+def test_what_the_loss_of_the_line_ends_is_told_as_that() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        reads = [asyncio.create_task(plant.site.operations.read("b", STATUS)) for _ in range(5)]
+        writing = asyncio.create_task(write(plant, PLAIN, 60))
+        stopping = asyncio.create_task(plant.site.operations.stop(StopAction.INHIBIT, "all"))
+        await anyio.sleep(0.005)
+        plant.end.unplug()
+        ends = await asyncio.gather(*reads, return_exceptions=True)
+        kinds = [getattr(end, "kind", None) or type(end).__name__ for end in ends]
+        assert set(kinds) <= {"line-lost", "LineLostError", "NoReplyError"}, kinds
+        report = await writing
+        assert (report.outcome, report.kind) == (Outcome.REFUSED, "line-lost")
+        stop = await stopping
+        assert {member.kind for member in stop.members} == {"line-lost"}
+
+    with_plant(test, ROSTER)
+
+
+def test_cancelling_a_caller_neither_cuts_a_telegram_nor_confuses_the_next() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.line["a"].model.readers[50] = lambda _: "11"
+        plant.line["b"].model.readers[50] = lambda _: "22"
+        for delay_s in (0.001, 0.004, 0.010, 0.025, 0.030):
+            said = len(plant.end.sent)
+            with anyio.move_on_after(delay_s):
+                await plant.site.operations.read("a", Code(50))
+            reading = await plant.site.operations.read("b", Code(50))
+            assert reading.value is not None
+            assert reading.value.raw == "22"
+            telegrams = plant.end.sent[said:]
+            assert all(one.data.endswith(b"\x05") for one in telegrams)
+            results = [report.result.kind.value for report in plant.reports[-2:]]
+            assert results == ["answered", "answered"]
+
+    with_plant(test, ROSTER)
