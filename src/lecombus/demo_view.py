@@ -75,7 +75,7 @@ def headline(roster: Roster, socket: Path) -> str:
     return (
         f"lecombus demo: {len(roster.drives)} simulated drives at {roster.line.baud} baud; "
         f"Ctrl-C ends it\nmetrics: http://{http}/metrics   values: http://{http}/v1/drives\n"
-        f"commands: lecombus --socket {socket} status"
+        f"commands: lecombus status --socket {socket}"
     )
 
 

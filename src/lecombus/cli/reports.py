@@ -104,6 +104,8 @@ def _show_outcomes(reports: Sequence[Document], title: str = "") -> None:
     rows = []
     for report in reports:
         reading: Document = report.get("reading") or {}
+        if reading.get("quality") != "good":
+            reading = {}  # what was read before the write is not what it reads now
         unit = table_text(reading.get("unit"))
         reads = " ".join(filter(None, (table_text(reading.get("value")), unit)))
         said = [table_text(report.get(key)) for key in ("reason", "detail", "cause", "remedy")]
