@@ -1,5 +1,6 @@
 # make demo    simulated drives of five families with a live view; needs Python 3.11, no hardware
 # make test    everything that CI checks, from nothing (make test ARGS="tests/cli -x" for a part)
+# make test-long  what takes a minute or more by its nature, such as a full line under load
 # make check   the part of it that runs no code: lint, format, types, imports
 # make bench   the figures of docs, ours and the peers' in one run
 # make wheel   dist/lecombus-*.whl, built offline from the lock
@@ -7,7 +8,7 @@
 
 ARGS ?=
 
-.PHONY: demo test check bench wheel lock format clean
+.PHONY: demo test test-long check bench wheel lock format clean
 
 demo:
 	@scripts/venv runtime
@@ -19,6 +20,11 @@ test:
 	@scripts/debian-packages
 	@scripts/check
 	@.venv/bin/python -m pytest $(ARGS)
+
+test-long:
+	@scripts/venv dev
+	@scripts/debian-packages
+	@.venv/bin/python -m pytest -m "long and not hardware" $(ARGS)
 
 check:
 	@scripts/venv dev

@@ -1,0 +1,249 @@
+"""Signals, and what the service manager is told, by a real datagram socket."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import anyio
+import pytest
+
+from lecombus import daemon as daemon_module
+from lecombus import site
+from lecombus.config import parse_roster
+from lecombus.line.worker import LineWorker
+from lecombus.simulator import PtyEnd
+from support.daemon_host import Daemon, Wanted, roster_text, running, short_dir, sim_line, until
+
+pytestmark = [pytest.mark.real, pytest.mark.timeout(40)]
+
+BELT: Wanted = ("belt", 12, "smvector")
+WINDER: Wanted = ("winder", 21, "93xx")
+FAN: Wanted = ("fan", 23, "smvector")
+DRIVES = (BELT, WINDER)
+WATCHDOG = "{time: 2s, action: inhibit, configure: true}"
+
+
+class Manager:
+    """A service manager's end of NOTIFY_SOCKET."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind(str(path))
+        self._socket.settimeout(0.1)
+        self._ended = threading.Event()
+        self._told: list[tuple[float, str]] = []
+        self._thread = threading.Thread(target=self._listen)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._ended.set()
+        self._thread.join()
+        self._socket.close()
+
+    @property
+    def told(self) -> list[str]:
+        """All states told so far, in order."""
+        return [state for _, state in self._told]
+
+    def at(self, state: str) -> float:
+        """When a state was told last."""
+        return max(at_s for at_s, told in self._told if told == state)
+
+    def _listen(self) -> None:
+        while not self._ended.is_set():
+            try:
+                data = self._socket.recv(4096)
+            except TimeoutError:
+                continue
+            self._told += [(time.monotonic(), state) for state in data.decode().split("\n")]
+
+
+@contextmanager
+def managed(
+    *, faults: str = "", drives: tuple[Wanted, ...] = DRIVES, more: str = ""
+) -> Iterator[tuple[Daemon, Manager, PtyEnd]]:
+    """Run a daemon as a service manager would, with watchdogs that inhibit after 2 s."""
+    with (
+        short_dir() as folder,
+        PtyEnd(sim_line((*DRIVES, FAN), faults=faults), folder / "device") as end,
+    ):
+        manager = Manager(folder / "notify")
+        text = roster_text(end.path, folder, drives, watchdog=WATCHDOG, more=more)
+        try:
+            with running(text, folder, env={"NOTIFY_SOCKET": str(manager.path)}) as daemon:
+                yield daemon, manager, end
+        finally:
+            manager.close()
+
+
+def heard(end: PtyEnd) -> dict[str, int]:
+    """How many requests each drive has heard."""
+    with end.lock:
+        return {drive.name: len(drive.log) for drive in end.line.drives}
+
+
+def fired(end: PtyEnd) -> dict[str, int]:
+    """How often each drive's watchdog has expired up to now."""
+    with end.lock:
+        end.line.advance(time.monotonic())
+        return {drive.name: drive.watchdog_fired for drive in end.line.drives}
+
+
+def test_ready_is_told_once_the_last_drive_was_tried_and_not_before() -> None:
+    """Three of five drives are absent: being tried takes each of them a time-out or two."""
+    absent = tuple((f"ghost-{n}", n, "smvector") for n in (31, 32, 33))
+    with managed(drives=(*DRIVES, *absent)) as (daemon, manager, end):
+        while "READY=1" not in manager.told:
+            was_ready = daemon.client.get("/readyz").status_code == 200
+            assert not was_ready or daemon.get("/v1/line")["state"] == "open"
+        states = daemon.states()
+        assert min(heard(end)[name] for name, _, _ in DRIVES) > 0
+        assert {states[name] for name, _, _ in absent} == {"offline"}
+        assert daemon.client.get("/readyz").status_code == 200
+        assert manager.told.count("READY=1") == 1
+
+
+def test_a_line_that_cannot_be_opened_is_alive_but_not_ready() -> None:
+    with managed() as (daemon, manager, end):
+        until(lambda: "READY=1" in manager.told, "ready")
+        end.unplug()
+        until(lambda: daemon.client.get("/readyz").status_code == 503, "not ready any more")
+        pings = manager.told.count("WATCHDOG=1")
+        until(lambda: manager.told.count("WATCHDOG=1") > pings + 2, "pings go on")
+        assert daemon.client.get("/healthz").status_code == 200
+        assert daemon.end() == 0
+
+
+def test_sigterm_inhibits_the_drives_if_wanted_and_ends_with_status_0() -> None:
+    with managed(more="on_shutdown: inhibit") as (daemon, manager, end):
+        daemon.until_online()
+        for name, code in (("belt", "C0135"), ("winder", "C0135")):
+            answer = daemon.client.put(f"/v1/drives/{name}/codes/{code}", json={"value": "H0000"})
+            assert answer.status_code == 200, answer.text
+        assert not any(inhibited(end, name) for name in ("belt", "winder"))
+        began_s = time.monotonic()
+        assert daemon.end() == 0
+        assert time.monotonic() - began_s < 5.0
+        assert all(inhibited(end, name) for name in ("belt", "winder"))
+        assert manager.told[-1] == "STOPPING=1"
+        assert not daemon.socket.exists()
+        with end.lock:
+            assert end.line.collisions == 0
+            assert end.line.aborted == 0
+        assert "Traceback" not in daemon.log()
+
+
+def inhibited(end: PtyEnd, name: str) -> bool:
+    """Whether bit 9 of the control word is set: controller inhibit."""
+    with end.lock:
+        return bool(int(end.line[name].text(135)[1:], 16) & 1 << 9)
+
+
+def test_requests_under_way_at_sigterm_all_get_an_answer() -> None:
+    with managed() as (daemon, _, end):
+        daemon.until_online()
+        statuses: list[int] = []
+
+        def ask() -> None:
+            path = "/v1/drives/belt/codes/C0050?fresh=true"
+            statuses.append(daemon.client.get(path).status_code)
+
+        askers = [threading.Thread(target=ask) for _ in range(8)]
+        before = heard(end)["belt"]
+        for asker in askers:
+            asker.start()
+        until(lambda: heard(end)["belt"] > before, "the first is under way")
+        assert daemon.end() == 0
+        for asker in askers:
+            asker.join()
+        assert len(statuses) == len(askers)
+        assert set(statuses) <= {200, 503}
+
+
+def test_a_wrong_roster_is_refused_at_sighup_with_every_mistake_and_the_old_one_kept() -> None:
+    with managed() as (daemon, manager, end):
+        daemon.until_online()
+        good = daemon.roster.read_text()
+        bad = good.replace("address: 12", "address: 20").replace("93xx", "94xx")
+        daemon.roster.write_text(bad)
+        daemon.tell(signal.SIGHUP)
+        until(lambda: manager.told.count("READY=1") == 2, "reloading is over")
+        refused = [row for row in daemon.log().splitlines() if "event=reload-refused" in row]
+        assert len(refused) == 2, daemon.log()
+        assert all(str(daemon.roster) in row for row in refused)
+        assert "94xx" in refused[0] + refused[1]
+        assert daemon.states() == {"belt": "online", "winder": "online"}
+        reloading = manager.told.index("RELOADING=1")
+        assert manager.told[reloading + 1].startswith("MONOTONIC_USEC=")
+        assert "READY=1" in manager.told[reloading:]
+        assert daemon.end() == 0
+        assert fired(end) == {"belt": 0, "winder": 0, "fan": 0}
+
+
+@pytest.mark.slow
+def test_drives_come_and_go_at_sighup_while_the_others_stay_fed() -> None:
+    with managed() as (daemon, _, end):
+        daemon.until_online()
+        folder = daemon.folder
+        with_fan = roster_text(end.path, folder, (*DRIVES, FAN), watchdog=WATCHDOG)
+        without_belt = roster_text(end.path, folder, (WINDER, FAN), watchdog=WATCHDOG)
+        since = daemon.get("/v1/drives/winder")["since"]
+        daemon.roster.write_text(with_fan)
+        daemon.tell(signal.SIGHUP)
+        until(lambda: daemon.states().get("fan") == "online", "the new drive is online")
+        assert daemon.get("/v1/drives/winder")["since"] == since
+        daemon.roster.write_text(without_belt)
+        daemon.tell(signal.SIGHUP)
+        until(lambda: "belt" not in daemon.states(), "the old drive is gone")
+        assert daemon.client.get("/v1/drives/belt").status_code == 404
+        before = heard(end)
+        # The drive taken out is not spoken to any more: its own watchdog acts, the others' do not.
+        until(lambda: fired(end)["belt"] == 1, "the watchdog of the drive taken out acts")
+        assert heard(end)["belt"] == before["belt"]
+        assert fired(end) == {"belt": 1, "winder": 0, "fan": 0}
+        assert daemon.metric('lecombus_drive_up{line="test",drive="belt"') == {}
+        assert daemon.end() == 0
+
+
+def test_pings_stop_when_the_line_task_stalls_though_all_else_goes_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """In this process: the real line task never hangs, so one that does takes its place."""
+
+    async def hang(_: LineWorker) -> None:
+        await anyio.sleep_forever()
+
+    monkeypatch.setattr(LineWorker, "run", hang)
+    monkeypatch.setattr(site, "STUCK_S", 0.5)
+    with short_dir() as folder:
+        manager = Manager(folder / "notify")
+        monkeypatch.setenv("NOTIFY_SOCKET", str(manager.path))
+        try:
+            roster = parse_roster(roster_text("sim:", folder), "roster.yaml")
+            anyio.run(end_when_unhealthy, daemon_module.Daemon(roster, None), manager)
+        finally:
+            manager.close()
+    assert manager.told[-1] == "STOPPING=1"
+    assert "READY=1" not in manager.told
+
+
+async def end_when_unhealthy(stuck: daemon_module.Daemon, manager: Manager) -> None:
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(stuck.main)
+        for _ in range(1000):
+            await anyio.sleep(0.01)
+            if stuck.site is not None and not stuck.healthy()[0]:
+                break
+        pings = manager.told.count("WATCHDOG=1")
+        assert pings > 0
+        for _ in range(10):  # the daemon looks ten times a second until it is ready
+            await anyio.sleep(0.1)
+        assert manager.told.count("WATCHDOG=1") <= pings + 1
+        stuck.end()
