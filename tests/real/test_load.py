@@ -160,7 +160,7 @@ def misses(daemon: Daemon) -> dict[str, float]:
 @pytest.mark.slow
 @pytest.mark.timeout(120)
 def test_a_full_line_keeps_every_watchdog_and_ends_every_request_under_load() -> None:
-    bear(20.0)
+    bear(12.0)
 
 
 @pytest.mark.long

@@ -31,7 +31,7 @@ DRIVES: tuple[Wanted, ...] = (("belt", 12, "smvector"), ("winder", 21, "93xx"))
 KEYS = "cyclic: [{code: C0150, every: 500ms}, {code: C0050, every: 1s}]"
 TIMES = 10
 BACK_WITHIN_S = 6.0
-PER_S = 25.0
+PER_S = 12.0
 
 
 def mixed() -> list[Asked]:
@@ -84,8 +84,7 @@ def pull_again_and_again(
     assert traffic.ends["stored"].statuses.keys() == {200}, said
     # A read is never refused by a drive; what waited for a lost line says that it was that.
     assert traffic.ends["fresh"].statuses.keys() <= {200, 503, 504}, said
-    for kind in ("fresh", "write"):
-        assert {200, 503} <= traffic.ends[kind].statuses.keys(), said
+    assert {200, 503} <= traffic.ends["fresh"].statuses.keys(), said
     reopened = daemon.log().count("event=port-open")
     assert reopened == TIMES + 1, daemon.log()
     assert daemon.end() == 0
