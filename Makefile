@@ -32,7 +32,7 @@ check:
 
 bench:
 	@scripts/venv bench
-	@.venv/bin/python tests/benchmarks/run.py $(ARGS)
+	@PYTHONPATH=src:tests .venv/bin/python -m benchmarks.run $(ARGS)
 
 wheel:
 	@scripts/venv runtime

@@ -1,0 +1,145 @@
+"""A child: the whole daemon, with what a benchmark wants of it besides.
+
+`python -m benchmarks.daemon_child ROSTER [unpaced]`. The daemon is the one `lecombus
+run` runs; HTTP answers on the roster's socket and port. Asked from outside, it can keep a thousand background reads
+waiting, leave all drives alone for a while, stop a drive at a moment, and say what processor time
+it has used for how many exchanges.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import logging
+import sys
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import anyio
+
+import lecombus.daemon
+from lecombus.config import line_timing, load_roster
+from lecombus.daemon import SWITCH_INTERVAL_S, Daemon
+from lecombus.drives import StopAction
+from lecombus.line.loop import run as run_loop
+from lecombus.protocol.addressing import Code
+from lecombus.readings import DriveState
+from lecombus.schedule import Outcome, Priority
+from lecombus.site import Site
+
+from .children import answer_lines
+
+__all__ = ["main"]
+
+STATUS = Code(150)
+
+
+class Bench:
+    """What is asked of a daemon during a benchmark."""
+
+    def __init__(self, daemon: Daemon) -> None:
+        self._daemon = daemon
+        self._closed = False
+        self._background = 0
+
+    @property
+    def site(self) -> Site:
+        """The daemon's line."""
+        assert self._daemon.site is not None
+        return self._daemon.site
+
+    async def answer(self, question: dict[str, Any]) -> Any:
+        """Answer one question."""
+        what = question.pop("what")
+        return await getattr(self, what)(**question)
+
+    async def online(self) -> bool:
+        """Wait until every drive has been audited."""
+        store = self.site.store
+        changed = anyio.Event()
+
+        def look(_: object) -> None:
+            if all(info.state is DriveState.ONLINE for info in store.drives()):
+                changed.set()
+
+        store.subscribe(look)
+        look(None)
+        await changed.wait()
+        store.unsubscribe(look)
+        return True
+
+    async def background(self, count: int) -> int:
+        """Keep so many background reads waiting from now on."""
+        names = self.site.store.names()
+        for number in range(count):
+            self._read_again(names[number % len(names)])
+        return count
+
+    def _read_again(self, name: str) -> None:
+        def again(outcome: Outcome, reason: str) -> None:
+            self._background += 1
+            self._read_again(name)
+
+        requests = self.site.requests
+        request = requests.maker.read(
+            requests.station(name), STATUS, Priority.BACKGROUND, settle=again
+        )
+        requests.worker.submit(request)
+
+    async def hold(self, for_s: float) -> float:
+        """Leave all drives alone for a while; answers when nothing is under way any more."""
+        now = anyio.current_time()
+        for name in self.site.store.names():
+            self.site.schedule.hold(name, now + for_s, now)
+        await anyio.sleep(0.2)
+        return now + for_s
+
+    async def used(self) -> dict[str, float]:
+        """Processor time, exchanges and background reads so far."""
+        worker = self.site.worker
+        return {
+            "cpu_s": time.process_time(),
+            "exchanges": worker.exchanges,
+            "background": self._background,
+        }
+
+    async def spend(self, for_s: float) -> float:
+        """Processor time per exchange over a while, seconds."""
+        cpu_s, exchanges = time.process_time(), self.site.worker.exchanges
+        await anyio.sleep(for_s)
+        return (time.process_time() - cpu_s) / (self.site.worker.exchanges - exchanges)
+
+    async def stop(self, drive: str, after_s: float) -> float:
+        """Stop a drive some time from now; gives the moment at which that was asked."""
+        await anyio.sleep(after_s)
+        asked_s = time.monotonic()
+        await self.site.operations.stop(StopAction.INHIBIT, drive)
+        return asked_s
+
+
+async def serve(path: Path, unpaced: bool) -> None:
+    """Run daemon and questions side by side."""
+    roster = load_roster(path)
+    if unpaced:  # a responder answers before a telegram of this baud rate could have left
+        timing = dataclasses.replace(line_timing(roster.line), paced=False)
+        vars(lecombus.daemon)["Site"] = partial(Site, timing=timing)
+    daemon = Daemon(roster, None)
+    bench = Bench(daemon)
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(daemon.main)
+        await asyncio.sleep(0)
+        await answer_lines(bench.answer)
+        daemon.end()
+
+
+def main(roster: str, pace: str = "paced") -> None:
+    """Serve until the input ends."""
+    logging.disable(logging.WARNING)
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    run_loop(serve, Path(roster), pace == "unpaced")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

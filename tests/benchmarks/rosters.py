@@ -1,0 +1,42 @@
+"""The rosters of the benchmarks: one status word of every drive, and nothing else cyclic."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from .paced_line import drives
+
+__all__ = ["write_roster"]
+
+
+def write_roster(
+    folder: Path, port: Path, *, baud: int, turnaround_ms: int, http: int, every_ms: int = 500
+) -> Path:
+    """Write a roster for 31 drives; at 500 ms and 19200 baud the line is never idle.
+
+    Args:
+        folder: Where roster and socket are put.
+        port: The line's port.
+        baud: Its baud rate.
+        turnaround_ms: The pause between exchanges.
+        http: The TCP port of the API.
+        every_ms: How often each drive is asked.
+    """
+    rows = [
+        f"  - {{name: {name}, address: {address}, family: {family}, "
+        f"cyclic: [{{code: C0150, every: {every_ms}ms}}]}}"
+        for name, address, family in drives(31)
+    ]
+    text = "\n".join(
+        [
+            f"line: {{name: bench, port: '{port}', baud: {baud}, turnaround: {turnaround_ms}ms, "
+            "echo: no}",
+            "drives:",
+            *rows,
+            f"api: {{socket: {folder / 'api.sock'}, http: '127.0.0.1:{http}'}}",
+            "",
+        ]
+    )
+    path = folder / f"roster-{baud}-{turnaround_ms}-{every_ms}.yaml"
+    path.write_text(text)
+    return path

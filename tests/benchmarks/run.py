@@ -1,0 +1,72 @@
+"""`make bench`: every figure that lecombus promises, measured beside its peers in one run.
+
+Takes about eight minutes. Nothing is promised of a machine that is busy with something else: the
+table says how busy it was. `--write` puts the table into docs/figures.md; `--only` measures some
+of the figures (cycles, exchanges, stops, starts), `--quick` all with two rounds, for a look.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import sys
+import tempfile
+from collections.abc import Callable
+from datetime import date
+from pathlib import Path
+
+from . import cycles, exchanges, starts, stops
+from .children import OTHER_CORE, ROOT, pin
+from .machine import Noise, describe
+from .table import Row, render
+
+__all__ = ["main"]
+
+ROUNDS = 5
+PARTS: dict[str, Callable[[Path, int], list[Row]]] = {
+    "exchanges": exchanges.measure,
+    "cycles": cycles.measure,
+    "stops": stops.measure,
+    "starts": starts.measure,
+}
+FIGURES = ROOT / "docs" / "figures.md"
+
+PREFACE = """\
+# Figures
+
+Measured by `make bench`: medians of {rounds} rounds (least and most in brackets), lecombus and the
+peers in turn in the same run, ratios taken round by round. {date}, {machine}.
+Meanwhile {noise}.
+
+"""
+
+
+def main() -> int:
+    """Measure, and print one table; 1 when a promise was missed."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--write", action="store_true", help=f"also write {FIGURES.name}")
+    parser.add_argument("--quick", action="store_true", help="two rounds of each")
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS))
+    wanted = parser.parse_args()
+    rounds = 2 if wanted.quick else ROUNDS
+    pin(OTHER_CORE)
+    noise = Noise()
+    rows: list[Row] = []
+    for part in wanted.only:
+        print(f"measuring {part} ..", file=sys.stderr)
+        with tempfile.TemporaryDirectory(prefix="lb-") as folder:
+            rows += PARTS[part](Path(folder), rounds)
+    used = resource.getrusage(resource.RUSAGE_CHILDREN), resource.getrusage(resource.RUSAGE_SELF)
+    children_s = sum(one.ru_utime + one.ru_stime for one in used)
+    text = PREFACE.format(
+        rounds=rounds, date=date.today(), machine=describe(), noise=noise.report(children_s)
+    )
+    text += render(rows) + "\n"
+    print(text)
+    if wanted.write:
+        FIGURES.write_text(text)
+    return 0 if all(row.met for row in rows) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
