@@ -27,14 +27,14 @@ import anyio
 import anyio.lowlevel
 import anyio.to_thread
 
-from . import __version__
-from .api import create_app, serve
-from .config import Roster, RosterError, load_roster
-from .errors import LecombusError
-from .line.loop import run as run_loop
-from .simulated import opener_for
-from .site import Site
-from .systemd import Notifier
+from lecombus import __version__
+from lecombus.api import create_app, serve
+from lecombus.config import Roster, RosterError, load_roster
+from lecombus.errors import LecombusError
+from lecombus.line.loop import run as run_loop
+from lecombus.simulated import opener_for
+from lecombus.site import Site
+from lecombus.systemd import Notifier
 
 __all__ = ["Daemon", "plain_errors", "run"]
 

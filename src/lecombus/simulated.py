@@ -6,12 +6,12 @@ not in the line room, because the line must know nothing of the simulator.
 
 from __future__ import annotations
 
-from .config import Roster
-from .line.opening import open_port
-from .line.port import PortOpener
-from .simulator.line import SimLine
-from .simulator.memory import MemoryEnd
-from .simulator.world import build
+from lecombus.config import Roster
+from lecombus.line.opening import open_port
+from lecombus.line.port import PortOpener
+from lecombus.simulator.line import SimLine
+from lecombus.simulator.memory import MemoryEnd
+from lecombus.simulator.world import build
 
 __all__ = ["SIM_URL", "opener_for", "simulated_line"]
 

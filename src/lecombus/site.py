@@ -12,23 +12,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from . import __version__
-from .books import Books
-from .config import DriveEntry, Roster, line_timing
-from .drives import LineTiming, StopAction, family
-from .errors import ConfigError
-from .group_operations import GroupOperations
-from .health import Health
-from .keeper import Keeper
-from .line.jobs import Station
-from .line.port import PortOpener, PortSettings
-from .line.worker import LineWorker, WorkerOptions
-from .metrics import Figures, Metrics
-from .requests import Requests
-from .schedule import Cyclic, Schedule
-from .stations import RequestMaker
-from .store import Store
-from .words import ControlWords
+from lecombus import __version__
+from lecombus.config import DriveEntry, Roster, line_timing
+from lecombus.drives import LineTiming, StopAction, family
+from lecombus.errors import ConfigError
+from lecombus.line.jobs import Station
+from lecombus.line.port import PortOpener, PortSettings
+from lecombus.line.worker import LineWorker, WorkerOptions
+from lecombus.metrics import Figures, Metrics
+from lecombus.operations.control_words import ControlWords
+from lecombus.operations.group_operations import GroupOperations
+from lecombus.operations.request_maker import RequestMaker
+from lecombus.operations.requests import Requests
+from lecombus.schedule import Cyclic, Schedule
+from lecombus.store import Store
+from lecombus.supervision.books import Books
+from lecombus.supervision.health import Health
+from lecombus.supervision.keeper import Keeper
 
 __all__ = ["Site"]
 

@@ -15,7 +15,7 @@ from lecombus.api.idempotency import KEEP_S, KEY_LIMIT, Idempotency
 from lecombus.api.problems import ProblemError
 from lecombus.drives import StopAction
 from lecombus.errors import CodeValueError, OperationError, QueueFullError
-from lecombus.reports import WriteReport
+from lecombus.operations.reports import WriteReport
 from lecombus.schedule.request import Outcome
 from support.api_line import FREQUENCY, Line
 

@@ -14,9 +14,9 @@ from lecombus.api import create_app
 from lecombus.drives import StopAction, family
 from lecombus.errors import LecombusError
 from lecombus.metrics import Metrics
+from lecombus.operations.reports import GroupInfo, GroupReport, WriteReport
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
-from lecombus.reports import GroupInfo, GroupReport, WriteReport
 from lecombus.schedule.request import Outcome, Priority
 from lecombus.store import DriveState, LineState, Reading, Store
 
@@ -78,7 +78,7 @@ class FakeOperations:
         value: Decimal | int | str,
         *,
         expires_s: float | None,
-        verify: bool,
+        verify: bool | None,
     ) -> GroupReport:
         await self._ask("write_group", group, code, value, expires_s, verify)
         return self._group_report(group, code)

@@ -20,6 +20,7 @@ from lecombus.drives import LineTiming, StopAction, family
 from lecombus.line.jobs import Station
 from lecombus.line.port import Port, PortSettings, Receiver
 from lecombus.line.worker import ExchangeReport, LineWorker, Observer, WorkerOptions
+from lecombus.operations.request_maker import RequestMaker
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 from lecombus.readings import DriveState
@@ -28,7 +29,6 @@ from lecombus.simulator.line import SimLine
 from lecombus.simulator.memory import MemoryEnd
 from lecombus.simulator.world import build
 from lecombus.site import Site
-from lecombus.stations import RequestMaker
 from support.virtual_loop import run
 
 __all__ = [

@@ -42,9 +42,9 @@ from lecombus.api.problems import Problem, ProblemError, group_problem, problem_
 from lecombus.api.seam import OperationsPort
 from lecombus.errors import CodeValueError, LecombusError
 from lecombus.metrics import OPENMETRICS_TYPE, TEXT_TYPE, Metrics, wants_openmetrics
+from lecombus.operations.reports import GroupInfo, GroupReport, WriteReport
 from lecombus.protocol.addressing import Code
 from lecombus.readings import DriveInfo, Json
-from lecombus.reports import GroupInfo, GroupReport, WriteReport
 from lecombus.store import Store
 
 __all__ = ["Check", "create_app"]

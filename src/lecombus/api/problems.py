@@ -46,8 +46,8 @@ from lecombus.errors import (
     ScheduleError,
     UnknownCodeError,
 )
+from lecombus.operations.reports import GroupReport, WriteReport
 from lecombus.readings import Json
-from lecombus.reports import GroupReport, WriteReport
 from lecombus.schedule.request import Outcome
 
 __all__ = [

@@ -12,8 +12,8 @@ from decimal import Decimal
 from typing import Protocol
 
 from lecombus.drives import StopAction
+from lecombus.operations.reports import GroupInfo, GroupReport, WriteReport
 from lecombus.protocol.addressing import Code
-from lecombus.reports import GroupInfo, GroupReport, WriteReport
 from lecombus.schedule.request import Priority
 from lecombus.store import Reading
 

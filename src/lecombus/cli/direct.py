@@ -19,11 +19,11 @@ from lecombus.line.loop import run
 from lecombus.line.opening import open_port
 from lecombus.line.port import Port, PortSettings, Receiver
 from lecombus.line.worker import ExchangeReport, LineWorker, WorkerOptions
+from lecombus.operations.request_maker import RequestMaker
+from lecombus.operations.requests import Requests
 from lecombus.protocol import Code, Value
 from lecombus.readings import Quality, Reading
-from lecombus.requests import Requests
 from lecombus.schedule import Outcome, Priority, Schedule
-from lecombus.stations import RequestMaker
 
 __all__ = ["read_directly"]
 

@@ -7,11 +7,11 @@ from collections.abc import Callable
 import pytest
 
 from lecombus.drives import family
-from lecombus.health import Health
 from lecombus.protocol.exchange import ResultKind
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority, Request, Schedule
 from lecombus.store import Store
+from lecombus.supervision.health import Health
 
 STARTING, ONLINE, DEGRADED, OFFLINE = (
     DriveState.STARTING, DriveState.ONLINE, DriveState.DEGRADED, DriveState.OFFLINE,

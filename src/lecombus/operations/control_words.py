@@ -11,8 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from .protocol.addressing import Code
-from .protocol.values import Value
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
 
 __all__ = ["ControlWords"]
 

@@ -28,17 +28,17 @@ from dataclasses import dataclass
 import anyio
 from anyio.abc import TaskGroup
 
-from .config import DriveEntry
-from .drives import SoftwareGate, WatchdogTraits
-from .errors import LecombusError, OperationError, RefusedError, UnknownCodeError
-from .health import Health
-from .line.jobs import Station
-from .protocol.addressing import Code
-from .protocol.values import Value
-from .readings import WRITE_LOCK, DriveState
-from .requests import Requests
-from .schedule import Feeding, Outcome, Priority, Schedule
-from .store import Store
+from lecombus.config import DriveEntry
+from lecombus.drives import SoftwareGate, WatchdogTraits
+from lecombus.errors import LecombusError, OperationError, RefusedError, UnknownCodeError
+from lecombus.line.jobs import Station
+from lecombus.operations.requests import Requests
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+from lecombus.readings import WRITE_LOCK, DriveState
+from lecombus.schedule import Feeding, Outcome, Priority, Schedule
+from lecombus.store import Store
+from lecombus.supervision.health import Health
 
 __all__ = ["Keeper", "WatchdogSetting"]
 

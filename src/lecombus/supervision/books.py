@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from .health import Health
-from .line.jobs import StepKind
-from .line.worker import ExchangeReport
-from .metrics import Metrics
-from .protocol.exchange import ResultKind
-from .protocol.telegrams import AckAnswer, NakAnswer, UnknownCodeAnswer, ValueAnswer
-from .readings import LineState
-from .store import Store
-from .words import ControlWords
+from lecombus.line.jobs import StepKind
+from lecombus.line.worker import ExchangeReport
+from lecombus.metrics import Metrics
+from lecombus.operations.control_words import ControlWords
+from lecombus.protocol.exchange import ResultKind
+from lecombus.protocol.telegrams import AckAnswer, NakAnswer, UnknownCodeAnswer, ValueAnswer
+from lecombus.readings import LineState
+from lecombus.store import Store
+from lecombus.supervision.health import Health
 
 __all__ = ["Books"]
 

@@ -20,24 +20,24 @@ import logging
 from collections.abc import Iterable, Sequence
 from decimal import Decimal
 
-from .config import GroupEntry
-from .drives import (
+from lecombus.config import GroupEntry
+from lecombus.drives import (
     StopAction,
     WriteClass,
     knows_stop,
     needs_control_word,
     stop_value,
 )
-from .errors import ExchangeError, LineError, OperationError, QueueFullError, ScheduleError
-from .line.jobs import Station, StopJob
-from .operations import REMEDIES, Operations, kind_of
-from .protocol.addressing import Code
-from .protocol.values import Value
-from .readings import DriveState
-from .reports import GroupInfo, GroupReport, How, WriteReport
-from .requests import Ending
-from .schedule import Outcome, Priority, Request
-from .stations import ignore_end
+from lecombus.errors import ExchangeError, LineError, OperationError, QueueFullError, ScheduleError
+from lecombus.line.jobs import Station, StopJob
+from lecombus.operations.drive_operations import REMEDIES, Operations, kind_of
+from lecombus.operations.reports import GroupInfo, GroupReport, How, WriteReport
+from lecombus.operations.request_maker import ignore_end
+from lecombus.operations.requests import Ending
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+from lecombus.readings import DriveState
+from lecombus.schedule import Outcome, Priority, Request
 
 __all__ = ["GroupOperations"]
 

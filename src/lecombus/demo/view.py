@@ -8,10 +8,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-from .config import Roster
-from .protocol.addressing import Code
-from .readings import Quality, Reading
-from .site import Site
+from lecombus.config import Roster
+from lecombus.protocol.addressing import Code
+from lecombus.readings import Quality, Reading
+from lecombus.site import Site
 
 if TYPE_CHECKING:
     from rich.live import Live

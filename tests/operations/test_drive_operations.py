@@ -17,9 +17,9 @@ from lecombus.errors import (
     QueueFullError,
     UnknownCodeError,
 )
+from lecombus.operations.reports import WriteReport
 from lecombus.protocol.addressing import Code
 from lecombus.readings import Quality
-from lecombus.reports import WriteReport
 from lecombus.schedule import Outcome, Priority
 from lecombus.simulator.faults import Faults
 from support.site_host import Plant, roster_of, until, with_plant

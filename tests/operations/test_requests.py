@@ -12,9 +12,9 @@ from lecombus.errors import (
     OperationError,
     QueueFullError,
 )
+from lecombus.operations.requests import Requests, never_sent
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
-from lecombus.requests import Requests, never_sent
 from lecombus.schedule import Outcome, Priority
 from lecombus.simulator.faults import Faults
 from support.site_host import Rig, with_rig

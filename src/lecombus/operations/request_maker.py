@@ -11,13 +11,13 @@ import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from .drives import LineTiming, StopAction, read_cost, write_cost
-from .errors import OperationError
-from .line.jobs import MulticastJob, ReadJob, Station, StopJob, WriteJob
-from .protocol.addressing import Code, Form
-from .protocol.timing import write_request_chars
-from .protocol.values import Value
-from .schedule import Outcome, Priority, Request, Settle
+from lecombus.drives import LineTiming, StopAction, read_cost, write_cost
+from lecombus.errors import OperationError
+from lecombus.line.jobs import MulticastJob, ReadJob, Station, StopJob, WriteJob
+from lecombus.protocol.addressing import Code, Form
+from lecombus.protocol.timing import write_request_chars
+from lecombus.protocol.values import Value
+from lecombus.schedule import Outcome, Priority, Request, Settle
 
 __all__ = ["RequestMaker", "ignore_end"]
 

@@ -21,10 +21,10 @@ import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from .protocol.exchange import ResultKind
-from .readings import DriveState
-from .schedule import Request, Schedule
-from .store import Store
+from lecombus.protocol.exchange import ResultKind
+from lecombus.readings import DriveState
+from lecombus.schedule import Request, Schedule
+from lecombus.store import Store
 
 __all__ = ["Health"]
 

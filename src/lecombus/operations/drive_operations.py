@@ -12,18 +12,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from decimal import Decimal
 
-from .config import DriveEntry, GroupEntry
-from .drives import encode_for
-from .errors import CodeValueError, NakError, OperationError
-from .line.jobs import Station
-from .protocol.addressing import Code
-from .protocol.values import Value
-from .readings import WRITE_LOCK, DriveState, Reading
-from .reports import WriteReport
-from .requests import Ending, Requests, is_line_lost
-from .schedule import Outcome, Priority
-from .store import Store
-from .words import ControlWords
+from lecombus.config import DriveEntry, GroupEntry
+from lecombus.drives import encode_for
+from lecombus.errors import CodeValueError, NakError, OperationError
+from lecombus.line.jobs import Station
+from lecombus.operations.control_words import ControlWords
+from lecombus.operations.reports import WriteReport
+from lecombus.operations.requests import Ending, Requests, is_line_lost
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+from lecombus.readings import WRITE_LOCK, DriveState, Reading
+from lecombus.schedule import Outcome, Priority
+from lecombus.store import Store
 
 __all__ = ["Operations"]
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from lecombus.operations.control_words import ControlWords
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
-from lecombus.words import ControlWords
 
 WORD, INHIBIT = Code(135), Code(40)
 

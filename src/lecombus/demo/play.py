@@ -17,12 +17,12 @@ from pathlib import Path
 
 import anyio
 
-from .config import Roster, parse_roster
-from .daemon import Daemon, plain_errors
-from .demo_view import View
-from .errors import LecombusError
-from .line.loop import run as run_loop
-from .protocol.addressing import Code
+from lecombus.config import Roster, parse_roster
+from lecombus.daemon import Daemon, plain_errors
+from lecombus.demo.view import View
+from lecombus.errors import LecombusError
+from lecombus.line.loop import run as run_loop
+from lecombus.protocol.addressing import Code
 
 __all__ = ["run_demo"]
 

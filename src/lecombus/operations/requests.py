@@ -10,13 +10,13 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
-from .errors import ExchangeError, OperationError
-from .line.jobs import ReadJob, Station
-from .line.worker import LineWorker
-from .protocol.addressing import Code
-from .protocol.values import Value
-from .schedule import Outcome, Priority, Request
-from .stations import RequestMaker
+from lecombus.errors import ExchangeError, OperationError
+from lecombus.line.jobs import ReadJob, Station
+from lecombus.line.worker import LineWorker
+from lecombus.operations.request_maker import RequestMaker
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+from lecombus.schedule import Outcome, Priority, Request
 
 __all__ = ["Ending", "Requests"]
 

@@ -7,10 +7,10 @@ import pytest
 from lecombus.drives import LineTiming, StopAction, family
 from lecombus.errors import OperationError
 from lecombus.line.jobs import MulticastJob, ReadJob, Station, WriteJob
+from lecombus.operations.request_maker import RequestMaker, form_of, ignore_end
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value
 from lecombus.schedule import Outcome, Priority, Request
-from lecombus.stations import RequestMaker, form_of, ignore_end
 
 COUNTED: list[tuple[Priority, Outcome]] = []
 TIMING = LineTiming(9600, adapter_latency_s=0.016, quarantine_s=0.05)
