@@ -1,9 +1,9 @@
 """A child: the whole daemon, with what a benchmark wants of it besides.
 
-`python -m benchmarks.daemon_child ROSTER [unpaced]`. The daemon is the one `lecombus
-run` runs; HTTP answers on the roster's socket and port. Asked from outside, it can keep a thousand background reads
-waiting, leave all drives alone for a while, stop a drive at a moment, and say what processor time
-it has used for how many exchanges.
+`python -m benchmarks.daemon_child ROSTER [unpaced]`. The daemon is the one `lecombus run` runs;
+HTTP answers on the roster's socket and port. Asked from outside, it can keep a thousand background
+reads waiting, leave all drives alone for a while, stop a drive at a moment, and say what processor
+time it has used for how many exchanges.
 """
 
 from __future__ import annotations
