@@ -16,7 +16,8 @@ from dataclasses import dataclass, field
 import anyio
 import pytest
 
-from lecombus.line.worker import ExchangeReport, WorkerOptions
+from lecombus.line.observer import ExchangeReport
+from lecombus.line.worker import WorkerOptions
 from lecombus.protocol.telegrams import ValueAnswer
 from lecombus.protocol.values import Format
 from lecombus.schedule import Outcome

@@ -22,11 +22,13 @@ from typing import Any
 import serial_asyncio
 
 from lecombus.drives import LineTiming, family
-from lecombus.line.jobs import ReadJob, Station
+from lecombus.line.jobs import ReadJob
 from lecombus.line.loop import new_event_loop
+from lecombus.line.observer import ExchangeReport
 from lecombus.line.opening import open_port
 from lecombus.line.port import PortSettings
-from lecombus.line.worker import ExchangeReport, LineWorker, WorkerOptions
+from lecombus.line.station import Station
+from lecombus.line.worker import LineWorker, WorkerOptions
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.controls import with_parity
 from lecombus.protocol.telegrams import read_telegram
@@ -113,6 +115,9 @@ class Again:
     def next(self, now_s: float) -> Request:
         """Give it again."""
         return Request("d01", Priority.CYCLIC, 0.001, 0.1, settled, self._job)
+
+    def prepare(self) -> None:
+        """Nothing is to be prepared."""
 
     def finished(self, request: Request, started_s: float, now_s: float, reached: bool) -> None:
         """Book nothing."""

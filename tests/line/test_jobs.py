@@ -6,7 +6,9 @@ import pytest
 
 from lecombus.drives import StopAction, WriteClass, family
 from lecombus.errors import ExchangeError, NakError, NoReplyError, UnknownCodeError
-from lecombus.line.jobs import Job, MulticastJob, ReadJob, Station, StepKind, StopJob, WriteJob
+from lecombus.line.jobs import MulticastJob, ReadJob, WriteJob
+from lecombus.line.station import Job, Station, StepKind
+from lecombus.line.stop_job import StopJob
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.exchange import Result, ResultKind
 from lecombus.protocol.telegrams import AckAnswer, Answer, NakAnswer, UnknownCodeAnswer, ValueAnswer

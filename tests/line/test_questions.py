@@ -6,8 +6,10 @@ import pytest
 
 from lecombus.drives import LineTiming, StopAction, WriteClass, family, read_cost
 from lecombus.line.doubts import Doubts
-from lecombus.line.jobs import Job, MulticastJob, ReadJob, Station, StopJob, WriteJob
+from lecombus.line.jobs import MulticastJob, ReadJob, WriteJob
 from lecombus.line.questions import Question, Questions
+from lecombus.line.station import Job, Station
+from lecombus.line.stop_job import StopJob
 from lecombus.protocol.addressing import Code, Form, encode_code
 from lecombus.protocol.exchange import ACK_FIELD
 from lecombus.protocol.values import Value

@@ -9,7 +9,7 @@ import anyio
 import pytest
 
 from lecombus.drives import StopAction
-from lecombus.line.jobs import Station
+from lecombus.line.station import Station
 from lecombus.line.worker import WorkerOptions
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.telegrams import ValueAnswer

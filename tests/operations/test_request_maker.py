@@ -6,7 +6,8 @@ import pytest
 
 from lecombus.drives import LineTiming, StopAction, family
 from lecombus.errors import OperationError
-from lecombus.line.jobs import MulticastJob, ReadJob, Station, WriteJob
+from lecombus.line.jobs import MulticastJob, ReadJob, WriteJob
+from lecombus.line.station import Station
 from lecombus.operations.request_maker import RequestMaker, form_of, ignore_end
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value

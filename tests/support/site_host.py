@@ -17,9 +17,10 @@ import anyio
 
 from lecombus.config import Roster, parse_roster
 from lecombus.drives import LineTiming, StopAction, family
-from lecombus.line.jobs import Station
+from lecombus.line.observer import ExchangeReport, Observer
 from lecombus.line.port import Port, PortSettings, Receiver
-from lecombus.line.worker import ExchangeReport, LineWorker, Observer, WorkerOptions
+from lecombus.line.station import Station
+from lecombus.line.worker import LineWorker, WorkerOptions
 from lecombus.operations.request_maker import RequestMaker
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value

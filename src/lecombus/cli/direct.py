@@ -14,11 +14,12 @@ from lecombus.api.exact import encode
 from lecombus.cli.reports import Document
 from lecombus.drives import LineTiming, family
 from lecombus.errors import LecombusError, LineLostError
-from lecombus.line.jobs import Station
 from lecombus.line.loop import run
+from lecombus.line.observer import ExchangeReport
 from lecombus.line.opening import open_port
 from lecombus.line.port import Port, PortSettings, Receiver
-from lecombus.line.worker import ExchangeReport, LineWorker, WorkerOptions
+from lecombus.line.station import Station
+from lecombus.line.worker import LineWorker, WorkerOptions
 from lecombus.operations.request_maker import RequestMaker
 from lecombus.operations.requests import Requests
 from lecombus.protocol import Code, Value

@@ -6,8 +6,6 @@ they are errors that carry what was on the wire.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from ..errors import (
     ChecksumReportedError,
     EchoError,
@@ -21,9 +19,7 @@ from ..errors import (
 )
 from ..protocol.exchange import Result, ResultKind
 from ..protocol.telegrams import NakAnswer, TransmissionErrorAnswer, UnknownCodeAnswer
-
-if TYPE_CHECKING:
-    from .jobs import Station, Step
+from .station import Station, Step
 
 __all__ = ["error_of"]
 

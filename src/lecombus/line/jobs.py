@@ -1,114 +1,28 @@
-"""What is said to a drive to get one request done: a read, a write with its proof, a stop.
-
-A job is the part of a request that knows the protocol. The schedule carries it without looking
-in; the worker asks it for the next step, runs that step as one exchange and gives it the result,
-until the job says how the request ended. Between two steps of a job anything more urgent may run.
+"""What is said to get one request done: a read, a write with its proof, a multicast.
 
 Rules held here (EDB2102EN 8.3.5; CMVLC401A 6):
 
 * a read may be repeated, a limited number of times;
 * a write whose acknowledgement did not come is read back first. Only a plain value is then
   written again; an edge, a step, a save is not: it may have happened;
-* NAK is an answer and is not repeated;
-* a stop is repeated at once, for saying it twice does no harm, and is read back in the end.
+* NAK is an answer and is not repeated.
 
 What must not live here: telegrams, time-outs, who goes first.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import Enum
-from typing import Protocol
-
-from ..drives import (
-    Family,
-    StopAction,
-    WriteClass,
-    confirm_codes,
-    needs_control_word,
-    stop_confirmed,
-    stop_value,
-)
+from ..drives import WriteClass
 from ..errors import ExchangeError
-from ..protocol.addressing import Code, Form
+from ..protocol.addressing import Code
 from ..protocol.exchange import Result, ResultKind
 from ..protocol.telegrams import AckAnswer, UnknownCodeAnswer, ValueAnswer
 from ..protocol.values import Value
 from ..schedule.request import Outcome
 from .failures import error_of
+from .station import Station, Step, StepKind, Verdict
 
-__all__ = [
-    "Job",
-    "MulticastJob",
-    "ReadJob",
-    "Station",
-    "Step",
-    "StepKind",
-    "StopJob",
-    "Verdict",
-    "WriteJob",
-]
-
-Verdict = tuple[Outcome, str] | None
-"""How a request ended and why, or None when another step is wanted."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Station:
-    """A drive as the line sees it.
-
-    Args:
-        name: Its name in the roster.
-        address: 1..99, not ending in 0; for a multicast the group address.
-        family: Its description, with the roster's overrides applied.
-        forms: The addressing forms it is spoken to in, the preferred first.
-        hold_s: How long it is left alone after a write, seconds: with shortened response time
-            (C1921 = 1) the module acknowledges before it has passed the value on.
-        answer_time_s: The roster's word on how long it thinks, seconds; None: the family's.
-    """
-
-    name: str
-    address: int
-    family: Family
-    forms: tuple[Form, ...]
-    hold_s: float = 0.0
-    answer_time_s: float | None = None
-
-
-class StepKind(Enum):
-    """What one exchange does."""
-
-    READ = "read"
-    WRITE = "write"
-    MULTICAST = "multicast"
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """One exchange to be run: read `code`, or write `value` to it."""
-
-    kind: StepKind
-    code: Code
-    value: Value | None = None
-
-
-class Job(Protocol):
-    """What the worker needs of a job."""
-
-    station: Station
-    error: ExchangeError | None
-
-    @property
-    def step(self) -> Step:
-        """The next exchange to run."""
-
-    @property
-    def cut_outcome(self) -> Outcome | None:
-        """How it ends if it is cut off between two steps; None: nothing was changed."""
-
-    def advance(self, result: Result) -> Verdict:
-        """Take the result of the step that was run."""
+__all__ = ["MulticastJob", "ReadJob", "WriteJob"]
 
 
 class ReadJob:
@@ -258,118 +172,6 @@ class WriteJob:
         self._proving = None
         self.step = Step(StepKind.WRITE, self.code, self.value)
         return None
-
-
-class StopJob:
-    """Stop one drive: say it until it is acknowledged, then read back whether it took effect.
-
-    A quick stop changes one bit of the control word. Where the word is not known it is read
-    first; where it cannot be read the drive is inhibited instead, because a guessed word could
-    start what was standing still.
-
-    Args:
-        station: The drive.
-        action: How it shall stop.
-        word: Its control word as last read or written; None when not known.
-        retries: How often a failed attempt is repeated.
-        said: The stop was already said by a multicast; begin with reading back.
-    """
-
-    __slots__ = (
-        "_checking",
-        "_learning",
-        "action",
-        "attempts",
-        "error",
-        "proof",
-        "retries",
-        "station",
-        "step",
-        "word",
-    )  # fmt: skip
-
-    def __init__(
-        self,
-        station: Station,
-        action: StopAction,
-        *,
-        word: int | None,
-        retries: int,
-        said: bool = False,
-    ) -> None:
-        self.station = station
-        self.action = action
-        self.word = word
-        self.retries = retries
-        self.attempts = 0
-        self.proof: Value | None = None
-        self.error: ExchangeError | None = None
-        self._checking: ReadJob | None = None
-        needs_word = needs_control_word(station.family, action)
-        self._learning = needs_word and word is None and not said
-        if self._learning:
-            self.step = Step(StepKind.READ, station.family.stops[action].code)
-        elif said:
-            self._check()
-        else:
-            self._say()
-
-    def advance(self, result: Result) -> Verdict:
-        """Go from learning the word to saying the stop, and on to its proof."""
-        if result.kind is ResultKind.LOST:
-            self.error = error_of(self.station, self.step, result, self.attempts + 1)
-            return Outcome.UNKNOWN, str(self.error)
-        if self._checking is not None:
-            return self._checked(self._checking, result)
-        if self._learning:
-            return self._learnt(result)
-        self.attempts += 1
-        if type(result.answer) is AckAnswer:
-            self.error = None
-            return self._check()
-        self.error = error_of(self.station, self.step, result, self.attempts)
-        return None if self.attempts <= self.retries else self._check()
-
-    @property
-    def cut_outcome(self) -> Outcome | None:
-        """A stop that was said and not proven is not known to have stopped anything."""
-        return Outcome.UNKNOWN if self.attempts or self._checking is not None else None
-
-    def _learnt(self, result: Result) -> Verdict:
-        self._learning = False
-        answer = result.answer
-        if type(answer) is ValueAnswer and isinstance(answer.value.number, int):
-            self.word = answer.value.number
-        else:
-            self.action = StopAction.INHIBIT
-        return self._say()
-
-    def _say(self) -> Verdict:
-        self._checking = None
-        code, value = stop_value(self.station.family, self.action, self.word)
-        self.step = Step(StepKind.WRITE, code, value)
-        return None
-
-    def _check(self) -> Verdict:
-        code = confirm_codes(self.station.family, self.action)[0]
-        self._checking = ReadJob(self.station, code, self.retries)
-        self.step = self._checking.step
-        return None
-
-    def _checked(self, checking: ReadJob, result: Result) -> Verdict:
-        verdict = checking.advance(result)
-        if verdict is None:
-            return None
-        self.proof, code = checking.value, checking.step.code
-        if self.proof is None:
-            self.error = checking.error
-            return Outcome.UNKNOWN, f"{self.action} was said but not read back: {verdict[1]}"
-        if stop_confirmed(self.station.family, self.action, code, self.proof):
-            self.error = None
-            return Outcome.VERIFIED, f"{self.action}: {code} reads {self.proof.raw}"
-        if self.attempts <= self.retries:
-            return self._say()
-        return Outcome.REFUSED, f"{self.action} was said, but {code} reads {self.proof.raw}"
 
 
 class MulticastJob:

@@ -20,7 +20,8 @@ from ..protocol.parser import with_parity
 from ..protocol.telegrams import read_telegram, write_telegram
 from ..protocol.timing import write_request_chars
 from .doubts import Doubts
-from .jobs import Job, MulticastJob, ReadJob, Station, Step, StepKind
+from .jobs import MulticastJob, ReadJob
+from .station import Job, Station, Step, StepKind
 
 __all__ = ["Question", "Questions"]
 

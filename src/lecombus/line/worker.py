@@ -24,7 +24,6 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass
-from typing import Protocol
 
 import anyio
 
@@ -34,63 +33,18 @@ from ..protocol.exchange import ACK_FIELD, Exchange, Result, ResultKind
 from ..schedule import Outcome, Priority, Request, Schedule
 from .connection import Connection
 from .doubts import Doubts
-from .jobs import Job, Step
+from .observer import ExchangeReport, Observer
 from .port import PortOpener, PortSettings
 from .questions import Question, Questions
+from .silence import Silence
+from .stall import StallWatch
+from .station import Job
 from .strays import Strays
 
 __all__ = ["ExchangeReport", "LineWorker", "Observer", "WorkerOptions"]
 
-AFTER_OPEN_S = 0.05
-"""Silence kept after opening a port: what an adapter had buffered comes out and is dropped."""
-
-LONGEST_CHATTER_S = 1.0
-"""For so long bytes nobody asked for put off the next telegram; a line that never falls silent
-would otherwise leave everybody waiting. Longer than any late answer."""
-
 LONGEST_REST_S = 1.0
 """An idle worker looks round at least this often: that is its sign of life."""
-
-
-@dataclass(slots=True)
-class ExchangeReport:
-    """One exchange that ended, for whoever keeps the books.
-
-    Args:
-        drive: The drive's (for a multicast the group's) name.
-        step: What was said.
-        result: How it ended.
-        priority: The class it ran in.
-        waited_s: From the moment the schedule took the request to the telegram.
-        quarantined_s: How long the line is left alone because of it.
-        members: For a multicast: the drives it reached.
-        address: Who was spoken to; by now the name may be another device's.
-    """
-
-    drive: str
-    step: Step
-    result: Result
-    priority: Priority
-    waited_s: float
-    quarantined_s: float
-    members: tuple[str, ...] = ()
-    address: int = 0
-
-
-class Observer(Protocol):
-    """Whoever wants to know what happens on the line; must return quickly and never raise."""
-
-    def exchange_ended(self, report: ExchangeReport) -> None:
-        """An exchange ended; called while the next drive is already thinking, if there is one."""
-
-    def line_changed(self, up: bool, reason: str) -> None:
-        """The port was opened (`up`) or lost."""
-
-    def thinking(self, for_s: float) -> None:
-        """A telegram went out; nothing can arrive for so many seconds."""
-
-    def stray_bytes(self, data: bytes, late_answer: bool) -> None:
-        """Bytes came outside an exchange; `late_answer`: they were an old answer, whole."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,14 +101,10 @@ class LineWorker:
         self._waiter: asyncio.Future[Result] | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._nap: asyncio.Future[None] | None = None
-        self._free_at_s = 0.0
-        self._quiet_until_s = 0.0
-        self._chatter_ends_s = 0.0
+        self._silence = Silence(options.turnaround_s)
+        self._stall = StallWatch(options.stall_s)
         self._stop_waiting = False
         self._closing = False
-        self._unheard_from_s: float | None = None
-        self._stall_s = options.stall_s
-        self._answered_since_open = False
 
     # ---- what others call -------------------------------------------------------------------
 
@@ -217,12 +167,8 @@ class LineWorker:
             return
         late = self._strays.feed(data)
         self._observer.stray_bytes(data, late)
-        gap = self._questions.gap_s
-        if now >= self._quiet_until_s:
-            self._chatter_ends_s = now + LONGEST_CHATTER_S
-        if late and not self._doubts.any(now):
-            self._quiet_until_s = min(self._quiet_until_s, now + gap)
-        self._quiet_until_s = min(max(self._quiet_until_s, now + gap), self._chatter_ends_s)
+        over = late and not self._doubts.any(now)
+        self._silence.heard(now, self._questions.gap_s, nothing_in_doubt=over)
 
     def lost(self, exc: Exception | None) -> None:
         """Take note that the port is gone."""
@@ -266,11 +212,8 @@ class LineWorker:
         assert port is not None
         self._exchange = Exchange(parity=port.carries_parity, echo=self.options.echo)
         self._strays.parity = self._questions.parity = port.carries_parity
-        now = loop.time()
-        self._unheard_from_s = None
-        self._answered_since_open = False
-        self._quiet_until_s = now + AFTER_OPEN_S
-        self._chatter_ends_s = self._quiet_until_s + LONGEST_CHATTER_S
+        self._stall.opened()
+        self._silence.opened(loop.time())
         self._observer.line_changed(True, port.describe())
         return True
 
@@ -286,7 +229,7 @@ class LineWorker:
         loop = asyncio.get_running_loop()
         while not self._closing and not self._connection.is_lost:
             now = loop.time()
-            if now < self._free_at_s or now < self._quiet_until_s:
+            if now < self._silence.free_at_s or now < self._silence.quiet_until_s:
                 if await self._stay_quiet(now):
                     continue
                 now = loop.time()
@@ -312,12 +255,12 @@ class LineWorker:
     async def _stay_quiet(self, now: float) -> bool:
         """Keep the turnaround, and the quarantine unless a stop waits; True: ask again."""
         self._publish()
-        if now < self._free_at_s:
-            await self._nap_until(self._free_at_s, deaf=True)
+        if now < self._silence.free_at_s:
+            await self._nap_until(self._silence.free_at_s, deaf=True)
             return True
         if self._stop_waiting:
             return False
-        await self._nap_until(self._quiet_until_s)
+        await self._nap_until(self._silence.quiet_until_s)
         return True
 
     async def _say(self, request: Request, now: float) -> None:
@@ -335,6 +278,7 @@ class LineWorker:
         else:
             self._publish()
             self._observer.thinking(question.thinking_s)
+            self.schedule.prepare()
             result = await waiter
         self._conclude(request, job, question, result)
 
@@ -404,12 +348,9 @@ class LineWorker:
     def _after(self, question: Question, result: Result) -> float:
         """Set from when the line is free again; returns the quarantine in seconds."""
         ended = result.ended_s
-        self._free_at_s = ended + self.options.turnaround_s
+        self._silence.exchange_ended(ended)
         if result.kind is ResultKind.ANSWERED:
-            self._unheard_from_s = None
-            if not self._answered_since_open:
-                self._answered_since_open = True
-                self._stall_s = self.options.stall_s
+            if self._stall.answered():
                 self._connection.settled()
             if question.ask.field == ACK_FIELD:
                 self._keep_doubt(ended)
@@ -417,37 +358,21 @@ class LineWorker:
         if result.kind is ResultKind.SENT:
             return 0.0
         self._doubts.add(question.ask.field, ended)
-        self._watch_for_stall(result)
+        silent_s = self._stall.failed(result)
+        if silent_s is not None:
+            self._connection.note_loss(
+                LineLostError(f"no byte from any drive for {silent_s:.0f} s: the port is reopened")
+            )
         if not self.options.quarantine or result.kind is ResultKind.LOST:
             return 0.0
         self._strays.begin()
-        self._quiet_until_s = ended + question.quarantine_s
-        self._chatter_ends_s = self._quiet_until_s + LONGEST_CHATTER_S
+        self._silence.answer_missing(ended, question.quarantine_s)
         return question.quarantine_s
 
     def _keep_doubt(self, now: float) -> None:
         """An acknowledgement taken while an old one may come (a stop's) may be the old one."""
         if self._doubts.blocked_until_s(ACK_FIELD, now) > now:
             self._doubts.add(ACK_FIELD, now)
-
-    def _watch_for_stall(self, result: Result) -> None:
-        """Reopen a port over which nothing has come for long: some adapters stall silently.
-
-        Only time in which somebody was asked counts: a line may be idle for as long as it likes.
-        """
-        if result.kind is ResultKind.GARBLED:
-            self._unheard_from_s = None
-            return
-        if self._unheard_from_s is None:
-            self._unheard_from_s = result.started_s
-        silent_s = result.ended_s - self._unheard_from_s
-        if not self._stall_s or silent_s < self._stall_s:
-            return
-        if not self._answered_since_open:
-            self._stall_s = min(self._stall_s * 2.0, 20.0 * self.options.stall_s)
-        self._connection.note_loss(
-            LineLostError(f"no byte from any drive for {silent_s:.0f} s: the port is reopened")
-        )
 
     def _publish(self) -> None:
         if not self._reports:

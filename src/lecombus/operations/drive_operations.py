@@ -15,7 +15,7 @@ from decimal import Decimal
 from lecombus.config import DriveEntry, GroupEntry
 from lecombus.drives import encode_for
 from lecombus.errors import CodeValueError, NakError, OperationError
-from lecombus.line.jobs import Station
+from lecombus.line.station import Station
 from lecombus.operations.control_words import ControlWords
 from lecombus.operations.reports import WriteReport
 from lecombus.operations.requests import Ending, Requests, is_line_lost

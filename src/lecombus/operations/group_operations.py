@@ -29,7 +29,8 @@ from lecombus.drives import (
     stop_value,
 )
 from lecombus.errors import ExchangeError, LineError, OperationError, QueueFullError, ScheduleError
-from lecombus.line.jobs import Station, StopJob
+from lecombus.line.station import Station
+from lecombus.line.stop_job import StopJob
 from lecombus.operations.drive_operations import REMEDIES, Operations, kind_of
 from lecombus.operations.reports import GroupInfo, GroupReport, How, WriteReport
 from lecombus.operations.request_maker import ignore_end

@@ -13,7 +13,9 @@ from dataclasses import dataclass
 
 from lecombus.drives import LineTiming, StopAction, read_cost, write_cost
 from lecombus.errors import OperationError
-from lecombus.line.jobs import MulticastJob, ReadJob, Station, StopJob, WriteJob
+from lecombus.line.jobs import MulticastJob, ReadJob, WriteJob
+from lecombus.line.station import Station
+from lecombus.line.stop_job import StopJob
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.timing import write_request_chars
 from lecombus.protocol.values import Value

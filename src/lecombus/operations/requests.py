@@ -11,7 +11,8 @@ import asyncio
 from collections.abc import Callable
 
 from lecombus.errors import ExchangeError, OperationError
-from lecombus.line.jobs import ReadJob, Station
+from lecombus.line.jobs import ReadJob
+from lecombus.line.station import Station
 from lecombus.line.worker import LineWorker
 from lecombus.operations.request_maker import RequestMaker
 from lecombus.protocol.addressing import Code

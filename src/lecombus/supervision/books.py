@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from lecombus.line.jobs import StepKind
-from lecombus.line.worker import ExchangeReport
+from lecombus.line.observer import ExchangeReport
+from lecombus.line.station import StepKind
 from lecombus.metrics import Metrics
 from lecombus.operations.control_words import ControlWords
 from lecombus.protocol.exchange import ResultKind

@@ -31,7 +31,7 @@ from anyio.abc import TaskGroup
 from lecombus.config import DriveEntry
 from lecombus.drives import SoftwareGate, WatchdogTraits
 from lecombus.errors import LecombusError, OperationError, RefusedError, UnknownCodeError
-from lecombus.line.jobs import Station
+from lecombus.line.station import Station
 from lecombus.operations.requests import Requests
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value

@@ -1,0 +1,56 @@
+"""What the worker tells others: every exchange, every change of the line.
+
+The seam between the line and whoever keeps the books of it. Nothing here decides anything.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from ..protocol.exchange import Result
+from ..schedule import Priority
+from .station import Step
+
+__all__ = ["ExchangeReport", "Observer"]
+
+
+@dataclass(slots=True)
+class ExchangeReport:
+    """One exchange that ended, for whoever keeps the books.
+
+    Args:
+        drive: The drive's (for a multicast the group's) name.
+        step: What was said.
+        result: How it ended.
+        priority: The class it ran in.
+        waited_s: From the moment the schedule took the request to the telegram.
+        quarantined_s: How long the line is left alone because of it.
+        members: For a multicast: the drives it reached.
+        address: Who was spoken to; by now the name may be another device's.
+    """
+
+    drive: str
+    step: Step
+    result: Result
+    priority: Priority
+    waited_s: float
+    quarantined_s: float
+    members: tuple[str, ...] = ()
+    address: int = 0
+
+
+class Observer(Protocol):
+    """Whoever wants to know what happens on the line; must return quickly and never raise."""
+
+    def exchange_ended(self, report: ExchangeReport) -> None:
+        """An exchange ended; called while the next drive is already thinking, if there is one."""
+
+    def line_changed(self, up: bool, reason: str) -> None:
+        """The port was opened (`up`) or lost."""
+
+    def thinking(self, for_s: float) -> None:
+        """A telegram went out; nothing can arrive for so many seconds."""
+
+    def stray_bytes(self, data: bytes, late_answer: bool) -> None:
+        """Bytes came outside an exchange; `late_answer`: they were an old answer, whole."""

@@ -1,0 +1,83 @@
+"""What a job is to the worker: a station to speak to, the next step to say, and how it ended.
+
+A job is the part of a request that knows the protocol. The schedule carries it without looking
+in; the worker asks it for the next step, runs that step as one exchange and gives it the result,
+until the job says how the request ended. Between two steps of a job anything more urgent may run.
+
+What must not live here: the jobs themselves (`jobs`, `stop_job`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+from ..drives import Family
+from ..errors import ExchangeError
+from ..protocol.addressing import Code, Form
+from ..protocol.exchange import Result
+from ..protocol.values import Value
+from ..schedule.request import Outcome
+
+__all__ = ["Job", "Station", "Step", "StepKind", "Verdict"]
+
+Verdict = tuple[Outcome, str] | None
+"""How a request ended and why, or None when another step is wanted."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Station:
+    """A drive as the line sees it.
+
+    Args:
+        name: Its name in the roster.
+        address: 1..99, not ending in 0; for a multicast the group address.
+        family: Its description, with the roster's overrides applied.
+        forms: The addressing forms it is spoken to in, the preferred first.
+        hold_s: How long it is left alone after a write, seconds: with shortened response time
+            (C1921 = 1) the module acknowledges before it has passed the value on.
+        answer_time_s: The roster's word on how long it thinks, seconds; None: the family's.
+    """
+
+    name: str
+    address: int
+    family: Family
+    forms: tuple[Form, ...]
+    hold_s: float = 0.0
+    answer_time_s: float | None = None
+
+
+class StepKind(Enum):
+    """What one exchange does."""
+
+    READ = "read"
+    WRITE = "write"
+    MULTICAST = "multicast"
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One exchange to be run: read `code`, or write `value` to it."""
+
+    kind: StepKind
+    code: Code
+    value: Value | None = None
+
+
+class Job(Protocol):
+    """What the worker needs of a job."""
+
+    station: Station
+    error: ExchangeError | None
+
+    @property
+    def step(self) -> Step:
+        """The next exchange to run."""
+
+    @property
+    def cut_outcome(self) -> Outcome | None:
+        """How it ends if it is cut off between two steps; None: nothing was changed."""
+
+    def advance(self, result: Result) -> Verdict:
+        """Take the result of the step that was run."""
