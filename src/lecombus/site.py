@@ -16,8 +16,8 @@ from lecombus import __version__
 from lecombus.config import DriveEntry, Roster, line_timing
 from lecombus.drives import LineTiming, StopAction, family
 from lecombus.errors import ConfigError
-from lecombus.line.jobs import Station
 from lecombus.line.port import PortOpener, PortSettings
+from lecombus.line.station import Station
 from lecombus.line.worker import LineWorker, WorkerOptions
 from lecombus.metrics import Figures, Metrics
 from lecombus.operations.control_words import ControlWords
@@ -35,8 +35,8 @@ __all__ = ["Site"]
 SAID_FROM = 1.05
 """A cadence stretched by less than this is not worth a remark."""
 
-STUCK_S = 5.0
-"""Far longer than any exchange: the longest time-out at 1200 baud is about 4 s."""
+STUCK_S = 6.0
+"""Longer than any exchange (at 1200 baud about 4 s) and than the pause before a reopening (5 s)."""
 
 ECHO = {"auto": None, "yes": True, "no": False}
 

@@ -320,3 +320,17 @@ def test_the_stubborn_late_answer_of_one_drive_is_not_used_for_the_next() -> Non
         assert len(values) == 1
 
     with_rig(test, retries=3)
+
+
+def test_debug_logs_show_every_telegram_and_every_byte_that_comes(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async def test(rig: Rig) -> None:
+        await rig.read("a", 150).done.wait()
+
+    with caplog.at_level("DEBUG", logger="lecombus.line.worker"):
+        with_rig(test)
+    said = [one.getMessage() for one in caplog.records if one.levelname == "DEBUG"]
+    assert "event=sent bytes=84 30 b1 3f 30 05" in said[0]
+    came = "".join(text.partition("bytes=")[2] for text in said[1:] if "event=received" in text)
+    assert came.startswith("82"), "STX with its parity bit"

@@ -226,9 +226,7 @@ class Family:
         times = self.answer_times.get(code.number, self.other_answer_time)
         return times.slow_write_s if write else times.slow_read_s
 
-    def patience_s(
-        self, code: Code, *, write: bool, answer_time_s: float | None = None
-    ) -> float:
+    def patience_s(self, code: Code, *, write: bool, answer_time_s: float | None = None) -> float:
         """Give how long to wait for a drive to begin its answer, seconds.
 
         About twice the longest answer time; where the manual gives a limit already, a fifth more

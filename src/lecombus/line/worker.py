@@ -23,6 +23,7 @@ about the drives (store). Source of the timing rules: EDB2102EN 8.3.5.
 from __future__ import annotations
 
 import asyncio
+import logging
 from dataclasses import dataclass
 
 import anyio
@@ -42,6 +43,8 @@ from .station import Job
 from .strays import Strays
 
 __all__ = ["ExchangeReport", "LineWorker", "Observer", "WorkerOptions"]
+
+logger = logging.getLogger(__name__)
 
 LONGEST_REST_S = 1.0
 """An idle worker looks round at least this often: that is its sign of life."""
@@ -92,6 +95,8 @@ class LineWorker:
         self.exchanges = 0
         self.rests = 0
         self._observer = observer
+        self._name = settings.line
+        self._talkative = logger.isEnabledFor(logging.DEBUG)
         self._doubts = Doubts(options.late_answer_s if options.quarantine else 0.0)
         self._questions = Questions(timing, self._doubts)
         self._strays = Strays(self._doubts)
@@ -160,6 +165,8 @@ class LineWorker:
     def received(self, data: bytes) -> None:
         """Take bytes from the port."""
         now = asyncio.get_running_loop().time()
+        if self._talkative:
+            logger.debug("line=%s event=received bytes=%s", self._name, data.hex(" "))
         if self._waiter is not None:
             result = self._exchange.feed(data, now)
             if result is not None:
@@ -201,6 +208,7 @@ class LineWorker:
             self.rests += 1
             # Also after a loss: a port may open well and fail at once, again and again.
             await self._nap_until(loop.time() + self._connection.backoff_s())
+            self.rests += 1
 
     async def _open(self) -> bool:
         """Try to open the port once."""
@@ -300,6 +308,8 @@ class LineWorker:
         loop = asyncio.get_running_loop()
         self._exchange.begin(question.ask, now)
         port.write(question.ask.sent)
+        if self._talkative:
+            logger.debug("line=%s event=sent bytes=%s", self._name, question.ask.sent.hex(" "))
         self._waiter = waiter = loop.create_future()
         self._timer = loop.call_at(self._exchange.deadline_s(), self._on_deadline)
         return waiter
