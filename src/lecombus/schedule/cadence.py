@@ -163,6 +163,11 @@ class Cadence:
             drive.entries.append(entry)
         return None
 
+    def prepare(self) -> None:
+        """Make the request of the slot that comes next, so that it need not be made in haste."""
+        if self.next_s() is not None:
+            self._heap[0][2].made()
+
     def next_s(self) -> float | None:
         """Tell when the next slot is due."""
         heap = self._heap

@@ -188,6 +188,10 @@ class Schedule:
         self._more = True
         return None
 
+    def prepare(self) -> None:
+        """Do beforehand what the next choice would have to do: call it while the line is busy."""
+        self._cadence.prepare()
+
     def _run_timers(self, now_s: float) -> None:
         for what in self._waiting.run_timers(now_s):
             if isinstance(what, Entry):
