@@ -284,7 +284,9 @@ class Exchange:
         field = self._ask.field
         if field == ACK_FIELD:
             return type(answer) is AckAnswer or type(answer) is NakAnswer
-        if isinstance(answer, ValueAnswer | UnknownCodeAnswer | TransmissionErrorAnswer):
+        if type(answer) is ValueAnswer:  # nearly always; the union below is made at every call
+            return answer.field == field
+        if isinstance(answer, UnknownCodeAnswer | TransmissionErrorAnswer):
             return answer.field == field
         return False
 
