@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from random import Random
 
 import pytest
@@ -35,11 +36,13 @@ def test_a_feed_runs_while_three_vain_attempts_still_fit_before_its_deadline() -
     assert world.schedule.stats(5.0).feeds["a"].margin_least_s == pytest.approx(0.5, abs=0.0201)
 
 
-def test_a_short_watchdog_is_fed_at_half_its_time_at_the_earliest() -> None:
+def test_a_short_watchdog_does_not_take_the_whole_line() -> None:
     world = World().drives("a")
-    world.feed("a", 0.5)  # three vain attempts before 0.45 s would begin at 0.15 s
+    world.feed("a", 0.5)
     world.run(1.1)
-    assert world.starts(lambda r: True) == pytest.approx([0.25, 0.5, 0.75, 1.0], abs=0.06)
+    # Three vain attempts before 0.45 s would begin at 0.13 s. The best slack is 0.45 s less the
+    # exchange that feeds less the next one, 0.41 s: half of it is kept, from 0.43 s backwards.
+    assert world.starts(lambda r: True) == pytest.approx([0.225, 0.45, 0.675, 0.9], abs=0.001)
 
 
 def test_any_answered_exchange_feeds() -> None:
@@ -68,7 +71,7 @@ def test_due_feeds_go_by_deadline_and_above_interactive_below_control() -> None:
     world = World().drives("a", "b")
     world.feed("a", 3.8)  # over by 3.42 s, due at 3.12 s
     world.feed("b", 3.7)  # over by 3.33 s, due at 3.03 s
-    world.now_s = 3.15
+    world.now_s = 3.19  # so late that feeds and interactive do not take turns
     control = world.submit("c", P.CONTROL)
     reading = world.submit("c")
     order = [world.step() for _ in range(4)]
@@ -111,11 +114,12 @@ def test_interactive_goes_before_feeds_that_can_still_wait() -> None:
     assert world.step() is None
 
 
-def test_a_feed_begins_so_early_that_all_drives_have_their_turn_with_failures() -> None:
+def test_an_idle_line_is_woken_so_early_that_all_drives_have_their_turn() -> None:
     world = World().drives(*(names := [f"d{number}" for number in range(30)]))
     for name in names:
         world.feed(name, 2.0)
-    world.run(2.0)
+    world.run(60.0)
+    assert sum(feed.misses for feed in world.schedule.stats(60.0).feeds.values()) == 0
     # 1.8 s less thirty feeds of 0.02 s less the spare of 0.3 s.
     assert world.sent[0].at_s == pytest.approx(0.9, abs=0.021)
 
@@ -128,7 +132,8 @@ def test_a_cyclic_slot_that_feeds_soon_goes_before_one_that_does_not() -> None:
     world.run(0.1)  # both have had their first slot
     world.now_s = 1.25  # due at 1.48 s at the latest, and the next slot of a is at 5 s
     first, second = world.step(), world.step()
-    assert first is not None and second is not None
+    assert first is not None
+    assert second is not None
     assert (first.drive, second.drive) == ("a", "b")
     assert first.priority is P.CYCLIC
 
@@ -139,12 +144,9 @@ def test_a_slot_does_not_stand_back_for_feeding_ones_for_ever() -> None:
         world.feed(name, 2.0)
         world.cyclic(name, 0.4)
     world.cyclic("late", 0.4)
-    world.saturate(P.INTERACTIVE, ["late"], depth=1, cost_s=0.005)
-    world.after, after = None, world.after
     world.run(30.0)
-    assert after is not None
     starts = world.starts(lambda r: r.drive == "late" and r.priority is P.CYCLIC)
-    assert max(b - a for a, b in zip(starts, starts[1:], strict=False)) < 4.0
+    assert max(b - a for a, b in pairwise(starts)) < 4.0
 
 
 def test_a_failed_feed_is_tried_again_at_once_when_time_is_short() -> None:

@@ -27,6 +27,7 @@ from lecombus.schedule.request import Request
 __all__ = ["STRETCH_WINDOW_S", "Cadence", "Cyclic", "Entry"]
 
 STRETCH_WINDOW_S: Final = 10.0
+STAND_BACK_PERIODS: Final = 2.0  # so late, a slot no longer stands back for one that feeds
 _SNAPSHOT_EVERY_S: Final = 0.5
 # Stretch when virtual time practically stands still; a figure that can still be shown.
 _STRETCH_MOST: Final = 1000.0
@@ -167,6 +168,11 @@ class Cadence:
         """Make the request of the slot that comes next, so that it need not be made in haste."""
         if self.next_s() is not None:
             self._heap[0][2].made()
+
+    def may_wait(self, entry: Entry, now_s: float) -> bool:
+        """Tell whether a due slot may stand back for another: not when it has for long."""
+        late_s = now_s - entry.due_v - self.offset_s
+        return late_s <= STAND_BACK_PERIODS * entry.cyclic.period_s
 
     def next_s(self) -> float | None:
         """Tell when the next slot is due."""

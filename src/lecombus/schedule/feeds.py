@@ -1,8 +1,10 @@
 """Watchdog deadlines: which drive must hear something by when, and what may run before that.
 
 A drive's watchdog runs from the last exchange it answered, counted from that exchange's start. A
-feed is due at half the watchdog time, and must be over at nine tenths of it (the hard deadline);
-the rest is kept for clocks, operating systems and the wire.
+feed must be over at nine tenths of the watchdog time (the hard deadline); the rest is kept for
+clocks, operating systems and the wire. It is due while three failed attempts would still fit
+before that, but not before half the watchdog time: fed earlier than needed, a full line has time
+for little else, because most feeds come by whatever was due anyhow if they are only waited for.
 
 The slack check. With the feeds sorted by hard deadline, an exchange that can hold the line for w
 seconds may start only if for every feed i: now + w + (cost of feeds 1..i) <= hard_i. So there is a
@@ -12,9 +14,14 @@ for the fed drive, the sum at its new place equals the old sum of the feed befor
 deadline is later than that one's. An L once computed thus stays a safe bound, and the usual check
 is one comparison; it is computed again, O(n log n), only when the bound is reached.
 
+The spare. Costs are those of answered exchanges, and a lost answer holds the line for longer. So
+feeding begins while L is still further away than three failed attempts, though never further than
+half of what it is at best, so that short watchdogs do not take the whole line (`spare_s`).
+
 A feed that can no longer be in time is left out of L: waiting for it would cost the others
-theirs. A drive that does not answer is tried again after half the time that is left, so that it
-cannot keep the line for itself; beyond its deadline it is tried every half watchdog time.
+theirs. A drive that does not answer is tried again after half the time that is left, or sooner if
+else its spare attempts would not fit, so that it cannot keep the line for itself; once its
+watchdog has fired it is tried every half watchdog time.
 """
 
 from __future__ import annotations
@@ -26,12 +33,15 @@ from typing import Final
 
 from lecombus.schedule.request import Request
 
-__all__ = ["HARD_PART", "SOFT_PART", "Feed", "Feeding", "Feeds"]
+__all__ = ["HARD_PART", "SOFT_PART", "SPARE_ATTEMPTS", "Feed", "Feeding", "Feeds"]
 
 SOFT_PART: Final = 0.5  # of the watchdog time: from then on a feed is due
 HARD_PART: Final = 0.9  # of the watchdog time: by then the feed is over
 ROUNDING_S: Final = 1e-9  # a feed that is just in time must not be late by a rounding error
-RETRY_LEAST_S: Final = 0.02  # below this, halving the time left is no longer worth a telegram
+SPARE_ATTEMPTS: Final = 3  # a feed is due while so many failed attempts would still fit
+RETRY_LEAST_S: Final = 0.02  # least pause between two attempts, and least time worth one
+WAKE_S: Final = 1e-6
+SPARE_PART: Final = 0.5  # of the best slack: more is not kept for failed attempts
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +80,7 @@ class Feed:
         "misses",
         "request",
         "retry_at_s",
+        "soft_s",
         "time_s",
         "worst_s",
     )
@@ -91,11 +102,25 @@ class Feed:
 
     def _count_from(self, at_s: float) -> None:
         self.fed_at_s = at_s
-        self.due_s = at_s + self.time_s * SOFT_PART
         self.hard_s = at_s + self.time_s * HARD_PART
+        self.soft_s = at_s + self.time_s * SOFT_PART
+        self.due_s = max(self.soft_s, self.hard_s - SPARE_ATTEMPTS * self.worst_s)
         self.retry_at_s = -math.inf
         self.failures = 0
         self.missed = self.lapsed = False  # counted already
+
+    def follow(self, old: Feed) -> None:
+        """Take the place of the drive's feed so far: its count and the moment it was last fed.
+
+        Counting from now instead would forget how long ago the last exchange began: half a second
+        and more where a module answers slowly.
+        """
+        self.fed, self.misses, self.lapses = old.fed, old.misses, old.lapses
+        self.margin_last_s, self.margin_least_s = old.margin_last_s, old.margin_least_s
+        if old.active:
+            self._count_from(old.fed_at_s)
+            self.failures, self.retry_at_s = old.failures, old.retry_at_s
+            self.missed, self.lapsed = old.missed, old.lapsed
 
     def restart(self, now_s: float) -> None:
         """Count anew after a pause, without judging the pause."""
@@ -124,9 +149,15 @@ class Feed:
     def failed(self, now_s: float) -> None:
         """Note that the drive did not answer, and when to try again."""
         self.failures += 1
-        left_s = (self.hard_s - now_s) / 2
-        pause_s = left_s if left_s > RETRY_LEAST_S else self.time_s * SOFT_PART
-        self.retry_at_s = now_s + pause_s
+        left_s = self.hard_s - now_s
+        if left_s <= RETRY_LEAST_S:  # late, but the watchdog may not have fired yet
+            left_s = self.fed_at_s + self.time_s - now_s
+        if left_s <= RETRY_LEAST_S:
+            self.retry_at_s = now_s + self.time_s * SOFT_PART
+            return
+        spare = max(SPARE_ATTEMPTS - self.failures, 1)
+        pause_s = min(left_s / 2, left_s - spare * self.worst_s)
+        self.retry_at_s = now_s + max(pause_s, RETRY_LEAST_S)
 
     def made(self) -> Request:
         """Build the feeding request."""
@@ -147,16 +178,18 @@ class Feed:
 class Feeds:
     """The watchdogs of all drives of a line."""
 
-    __slots__ = ("_due_from_s", "_latest_end_s", "by_drive")
+    __slots__ = ("_due_from_s", "_latest_end_s", "_spare_s", "by_drive")
 
     def __init__(self) -> None:
         self.by_drive: dict[str, Feed] = {}
         self._latest_end_s = math.inf  # a lower bound of L, see above
         self._due_from_s = math.inf  # a lower bound: no feed is due before
+        self._spare_s: float | None = None  # see `spare_s`; None: to be computed
 
     def changed(self) -> None:
         """Forget the bounds: a feed was added, taken away, paused or restarted."""
         self._latest_end_s = self._due_from_s = -math.inf
+        self._spare_s = None
 
     def fits(self, now_s: float, worst_s: float, drive: str) -> bool:
         """Tell whether an exchange with a drive may start now.
@@ -212,6 +245,26 @@ class Feeds:
         found.sort(key=_hard)
         return found
 
+    def spare_s(self) -> float:
+        """Tell how much slack is kept for attempts that fail, seconds."""
+        if self._spare_s is None:
+            worst_s = max((f.worst_s for f in self.by_drive.values() if f.active), default=0.0)
+            best_s = max(self.most_s("")[0], 0.0)
+            self._spare_s = min(SPARE_ATTEMPTS * worst_s, SPARE_PART * best_s)
+        return self._spare_s
+
+    def pressing(self, now_s: float, spare_s: float) -> Feed | None:
+        """Find the feed to run first if less than so much slack is left, whether due or not.
+
+        It is the earliest deadline of those past half their time; before that, whichever helps.
+        """
+        if not self.by_drive or self.fits(now_s, spare_s, ""):
+            return None
+        for feed in self._in_order(now_s):
+            if feed.soft_s <= now_s and not feed.failures and feed.free_s() <= now_s:
+                return feed
+        return self.room(now_s, spare_s, "")
+
     def first(self, now_s: float) -> Feed | None:
         """Find the earliest hard deadline of all drives that answer and may be spoken to."""
         for feed in self._in_order(now_s):
@@ -219,10 +272,23 @@ class Feeds:
                 return feed
         return None
 
-    def next_s(self) -> float | None:
-        """Tell when the next feed is due."""
-        times = [feed.next_s() for feed in self.by_drive.values() if feed.active]
-        return min(times) if times else None
+    def next_s(self, now_s: float) -> float | None:
+        """Tell when a feed may be due or pressing, after there was none just now."""
+        feeds = [feed for feed in self.by_drive.values() if feed.active]
+        if not feeds:
+            return None
+        times = [feed.next_s() for feed in feeds]
+        latest_s, total_s = math.inf, 0.0
+        for feed in self._in_order(now_s):
+            total_s += feed.cost_s
+            latest_s = min(latest_s, feed.hard_s - total_s)
+        # A hair later, so that rounding does not find the slack just large enough.
+        pressing_s = latest_s - self.spare_s() + WAKE_S
+        if pressing_s > now_s:
+            times.append(pressing_s)
+        else:  # it presses, and whoever could be fed may not be spoken to yet
+            times += [at_s for feed in feeds if (at_s := feed.free_s()) > now_s]
+        return min(times)
 
     def room(self, now_s: float, worst_s: float, drive: str) -> Feed | None:
         """Choose the feed to run first so that an exchange that does not fit may follow.

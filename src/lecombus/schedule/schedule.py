@@ -4,10 +4,16 @@ Theory of operation. `next` answers which request goes now, and marks it as unde
 books the exchange. Both are O(log n), whatever is queued. The choice, in this order:
 
 1. A stop, always, whatever its drive is doing (what else a stop does: waiting.py).
-2. If a lower class has earned its share (shares.py): due feeds, then that class.
-3. Control, then due feeds by hard deadline, interactive, cyclic (next steps of cyclic requests,
-   then probes, then slots by cadence), background. Within a class first come, first served; what
-   comes back through `again` goes ahead of its class.
+2. If a lower class has earned its share (shares.py): urgent feeds, then that class.
+3. Control, then urgent feeds by hard deadline, interactive, cyclic (next steps of cyclic
+   requests, then probes, then slots by cadence), background. Within a class first come, first
+   served; what comes back through `again` goes ahead of its class.
+
+A feed is urgent when it is due, or when the slack of all watchdogs together is less than the
+spare kept for failed attempts (feeds.py). While a third of that spare is left, urgent feeds and
+interactive requests take turns, so that a sweep of feeds does not keep a person waiting; below
+that feeds go first. A feed that is not urgent yet, but will be soon (twice the spare), costs no
+telegram of its own: where a cyclic slot would go, it is one of that drive, run early.
 
 Whatever is chosen, a stop apart, must pass the slack check (feeds.py): it is begun only if every
 watchdog can still be fed in time should it take its longest. If it does not pass, the feed that
@@ -33,7 +39,7 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 from lecombus.schedule.cadence import Cadence, Cyclic, Entry
-from lecombus.schedule.feeds import Feed, Feeding, Feeds
+from lecombus.schedule.feeds import SPARE_ATTEMPTS, Feed, Feeding, Feeds
 from lecombus.schedule.request import (
     DEFERRED,
     OUT,
@@ -52,6 +58,8 @@ __all__ = ["Schedule"]
 REFUSE_BATCH: Final = 16  # requests refused per choice for want of slack
 # Feeds run to let one request fit, per fed drive, before it is put off for a while.
 ROOMS_PER_FEED: Final = 4
+TURNS_PART: Final = 2 / 3  # of the spare: with less slack, urgent feeds no longer take turns
+SOON: Final = 2.0  # times the spare: with less slack, cyclic slots are chosen to feed
 _LOWER: Final = (Priority.INTERACTIVE, Priority.CYCLIC, Priority.BACKGROUND)
 
 
@@ -75,6 +83,7 @@ class Schedule:
         self._shares = Shares()
         self._speaking_to: str | None = None
         self._more = False  # the last choice stopped early: there is more to do at once
+        self._fed_last = False  # an urgent feed went last: it is the turn of interactive
 
     # -- what the line has ------------------------------------------------------------------------
 
@@ -95,13 +104,15 @@ class Schedule:
     def set_feeding(self, name: str, feeding: Feeding | None, now_s: float) -> None:
         """Keep a drive's watchdog from now on, or no longer.
 
-        Its time is counted from now: call this when the drive has just been reached.
+        Its time is counted from the last exchange that fed it; from now, if it is a new one.
         `feeding.make` is called once at once, for the cost; that request becomes the first feed.
         """
         drive = self._drives[name]
-        self._feeds.by_drive.pop(name, None)
+        old = self._feeds.by_drive.pop(name, None)
         if feeding is not None:
             feed = self._feeds.by_drive[name] = Feed(name, feeding, now_s)
+            if old is not None:
+                feed.follow(old)
             feed.active = drive.parked is None
             if drive.held:
                 feed.held_until_s = drive.held_until_s
@@ -219,17 +230,35 @@ class Schedule:
         feed = self._waiting.head(Priority.WATCHDOG, now_s)
         if feed is not None:
             return feed, False
-        feed = self._due_feed(now_s)
-        if feed is not None:
-            return feed, True
-        if entitled is not None:
-            ahead = control is not None or entitled is not next(iter(heads))
-            heads[entitled].by_credit = ahead
-            return heads[entitled], False
-        for first in heads.values():
-            first.by_credit = False
-            return first, False
+        interactive = heads.get(Priority.INTERACTIVE)
+        if interactive is None or not self._has_turn(now_s):
+            feed = self._urgent_feed(now_s)
+            if feed is not None:
+                self._fed_last = True
+                return feed, True
+        self._fed_last = False
+        ahead = entitled is not None and (control is not None or entitled is not next(iter(heads)))
+        for first in heads.values() if entitled is None else (heads[entitled],):
+            early = self._early_slot(first, now_s)
+            chosen = early or first
+            chosen.by_credit = ahead
+            return chosen, early is not None
         return None, False
+
+    def _has_turn(self, now_s: float) -> bool:
+        """Tell whether interactive goes now even if a feed is urgent."""
+        feeds = self._feeds
+        return self._fed_last and feeds.fits(now_s, TURNS_PART * feeds.spare_s(), "")
+
+    def _early_slot(self, slot: Request, now_s: float) -> Request | None:
+        """Find a cyclic slot, to be run in place of another, of a drive to be fed soon."""
+        cadence, entry = self._cadence, slot.source
+        if type(entry) is not Entry or not cadence.may_wait(entry, now_s):
+            return None
+        feed = self._feeds.pressing(now_s, SOON * self._feeds.spare_s())
+        early = cadence.early(feed.drive, now_s) if feed and feed.drive != slot.drive else None
+        fits = early is not None and feed and self._as_feed(early.made(), feed, now_s)
+        return early.made() if early is not None and fits else None
 
     def _periodic(self, now_s: float) -> Request | None:
         """Find the probe or else the cyclic slot that is due."""
@@ -241,18 +270,18 @@ class Schedule:
         entry = self._cadence.head(now_s, self._drives)
         return entry.made() if entry is not None else None
 
-    def _due_feed(self, now_s: float) -> Request | None:
-        """Find the telegram for the feed that goes first.
+    def _urgent_feed(self, now_s: float) -> Request | None:
+        """Find the telegram for the feed that goes first, if any is urgent.
 
         When time is short it is the one with the earliest deadline of all, due or not. A drive
-        that does not answer may take its longest: it waits until that fits, or, if it never will,
+        that never answers may take its longest: it waits until that fits, or, if it never will,
         is tried all the same, at its own slow pace.
         """
         feeds = self._feeds
         for feed in feeds.due(now_s):
             if feeds.fits(now_s, feed.worst_s, feed.drive):
                 return self._feeding(feed, now_s)
-            if not feed.failures:
+            if feed.failures < SPARE_ATTEMPTS:  # a lost answer or two: the spare is kept for it
                 if not feeds.fits(now_s, feed.cost_s, feed.drive):
                     feed = feeds.first(now_s) or feed
                 return self._feeding(feed, now_s)
@@ -262,7 +291,8 @@ class Schedule:
             if other is not None:
                 return self._feeding(other, now_s)
             feed.retry_at_s = feeds.retry_s(now_s)
-        return None
+        pressing = feeds.pressing(now_s, feeds.spare_s())
+        return None if pressing is None else self._feeding(pressing, now_s)
 
     def _feeding(self, feed: Feed, now_s: float) -> Request:
         """Choose the telegram that feeds a drive: one that is wanted anyway, if there is one."""
@@ -356,7 +386,7 @@ class Schedule:
             waiting.timers[0][0] if waiting.timers else None,
             waiting.expiries.next_s(),
             self._cadence.next_s(),
-            self._feeds.next_s(),
+            self._feeds.next_s(now_s),
             self._probes.next_s(now_s),
         )
         return min((at_s for at_s in times if at_s is not None), default=None)
