@@ -16,6 +16,7 @@ What must not live here: anything about drives, telegrams or HTTP beyond putting
 from __future__ import annotations
 
 import contextlib
+import gc
 import logging
 import signal
 import sys
@@ -189,6 +190,9 @@ class Daemon:
                 self._ready = True
                 self._notifier.tell("READY=1", f"STATUS=line {self._roster.line.name} is open")
                 logger.info("event=ready line=%s", self._roster.line.name)
+                # What lives by now lives to the end. Collecting it took 76 ms, with 31 drives, in
+                # which no telegram went out.
+                gc.freeze()
             if self.healthy()[0]:
                 self._notifier.tell("WATCHDOG=1")
             await anyio.sleep(TICK_S if self._ready else TICK_S / 10.0)
