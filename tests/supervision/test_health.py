@@ -58,8 +58,7 @@ def test_a_drive_is_online_only_when_it_was_audited_not_when_it_answers() -> Non
 
 @pytest.mark.parametrize(
     ("before", "misses", "state"),
-    [(True, 1, DEGRADED), (True, 3, DEGRADED), (True, 4, OFFLINE), (False, 1, STARTING),
-     (False, 2, OFFLINE)],
+    [(True, 1, DEGRADED), (True, 3, DEGRADED), (True, 4, OFFLINE), (False, 1, OFFLINE)],
 )  # fmt: skip
 def test_misses_in_a_row_degrade_a_drive_and_then_take_it_offline(
     before: bool, misses: int, state: DriveState

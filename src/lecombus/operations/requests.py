@@ -97,7 +97,13 @@ class Requests:
         return station
 
     async def read(
-        self, station: Station, code: Code, priority: Priority, *, timeout_s: float = 10.0
+        self,
+        station: Station,
+        code: Code,
+        priority: Priority,
+        *,
+        timeout_s: float = 10.0,
+        retries: int | None = None,
     ) -> Value:
         """Read one code now.
 
@@ -106,6 +112,7 @@ class Requests:
             code: What to read.
             priority: The class to run in.
             timeout_s: Not begun after this long, seconds.
+            retries: How often a failed attempt is repeated; None: as the roster says.
 
         Raises:
             ExchangeError: The drive did not answer, or refused.
@@ -115,7 +122,12 @@ class Requests:
         """
         ending = Ending()
         request = self.maker.read(
-            station, code, priority, settle=ending.settle, expires_at_s=self._clock() + timeout_s
+            station,
+            code,
+            priority,
+            settle=ending.settle,
+            retries=retries,
+            expires_at_s=self._clock() + timeout_s,
         )
         self.worker.submit(request)
         outcome, reason = await ending.wait()

@@ -33,8 +33,9 @@ logger = logging.getLogger(__name__)
 OFFLINE_AFTER = 4
 """Failed exchanges in a row: on a line that loses one answer in eight, once in 4000 exchanges."""
 
-OFFLINE_AFTER_STARTING = 2
-"""A drive that has not answered since the start is given up sooner: it is probably not there."""
+OFFLINE_AFTER_STARTING = 1
+"""A drive that has not answered since the start is probably not there, and others wait behind it;
+if it is, the probe that follows at once finds it."""
 
 AUDIT_AFTER = 2
 """Failures in a row after which a drive is audited again when it answers."""

@@ -172,10 +172,19 @@ class Keeper:
         logger.info("drive=%s event=audit-failed reason=%s", name, exc)
 
     async def _contact(self, name: str, station: Station) -> None:
-        """Any answer shows that the drive is there, also that it has no such code."""
+        """Any answer shows that the drive is there, also that it has no such code.
+
+        One attempt only: at the start others' watchdogs are waiting behind an absent drive.
+        """
         try:
             with contextlib.suppress(RefusedError):
-                await self._read(station, station.family.feed_code)
+                await self._requests.read(
+                    station,
+                    station.family.feed_code,
+                    Priority.INTERACTIVE,
+                    timeout_s=PATIENCE_S,
+                    retries=0,
+                )
         finally:
             self.tried.add(name)
 
