@@ -25,7 +25,7 @@ def test_groups_say_whether_one_telegram_reaches_them() -> None:
         ("one", "one-by-one", None),
     ]
     lines = describe(parsed(text)).lines()
-    assert "group both: 2 drives, one multicast telegram to address 10" in lines
+    assert "group both: 2 drives, one multicast to 10 (reaches every drive at 11 to 19)" in lines
     assert "group one: 1 drive, one write after another" in lines
 
 

@@ -61,18 +61,18 @@ def test_an_unknown_key_that_resembles_none_is_told_all_of_them() -> None:
 @pytest.mark.parametrize(
     ("port", "expected"),
     [
-        ("''", "`port` `` is no port, give a device path, socket://HOST:PORT, "
-         "rfc2217://HOST:PORT or sim:"),
+        ("''", "`port` `` is no port, give a device path, socket://HOST:PORT "
+         "or sim:"),
         ("sockt://h:1", "`port` `sockt://h:1` has the unknown scheme `sockt`, did you mean "
          "`socket`?"),
-        ("http://h:1", "`port` `http://h:1` has the unknown scheme `http`, socket, rfc2217 or sim "
+        ("http://h:1", "`port` `http://h:1` has the unknown scheme `http`, socket or sim "
          "would be right"),
         ("socket://host", "`port` `socket://host` is not a host with a port, write "
          "socket://HOST:PORT, such as socket://192.0.2.7:4001"),
         ("socket:host:1", "`port` `socket:host:1` has no host, write socket://HOST:PORT, such as "
          "socket://192.0.2.7:4001"),
-        ("rfc2217://h:70000", "`port` `rfc2217://h:70000` is not a host with a port, write "
-         "rfc2217://HOST:PORT, such as rfc2217://192.0.2.7:4001"),
+        ("socket://h:70000", "`port` `socket://h:70000` is not a host with a port, write "
+         "socket://HOST:PORT, such as socket://192.0.2.7:4001"),
         ("socket://h:0", "`port` `socket://h:0` has the port number 0, write socket://HOST:PORT, "
          "such as socket://192.0.2.7:4001"),
         ("ttyUSB0", "`port` `ttyUSB0` is no whole path, write /dev/ttyUSB0"),
@@ -83,6 +83,23 @@ def test_an_unknown_key_that_resembles_none_is_told_all_of_them() -> None:
 )  # fmt: skip
 def test_a_wrong_port(port: str, expected: str) -> None:
     assert only(GOOD.replace("/dev/serial/by-id/usb-1", port)) == f"3:9: {expected}"
+
+
+@pytest.mark.parametrize(
+    ("port", "instead"),
+    [
+        ("rfc2217://server:4002", ("socket://server:4002 ", "tcp,4002`")),
+        ("RFC2217://[::1]:23?timeout=3", ("socket://[::1]:23 ", "tcp,23`")),
+        ("rfc2217://server", ("socket://HOST:4001 ", "tcp,4001`")),
+    ],
+)
+def test_a_remote_controlled_port_is_refused_with_the_lines_to_write_instead(
+    port: str, instead: tuple[str, str]
+) -> None:
+    words = only(GOOD.replace("/dev/serial/by-id/usb-1", port))
+    assert words.startswith(f"3:9: `port` `{port}` is not supported, write socket://")
+    for right in (*instead, "connector: serialdev,/dev/ttyUSB0,BAUDn81,local", "`parity: port`"):
+        assert right in words
 
 
 @pytest.mark.parametrize("direction", ["kernel", "rts"])
@@ -358,8 +375,7 @@ def test_a_lapse_needs_a_stop_the_family_knows(lease: str) -> None:
 def test_missing_keys_are_asked_for_with_what_to_give() -> None:
     assert said("line: {}\ndrives: [{}]\n") == [
         "1:7: the line has no `name`, give a line name such as hall-3",
-        "1:7: the line has no `port`, give a device path, socket://HOST:PORT, "
-        "rfc2217://HOST:PORT or sim:",
+        "1:7: the line has no `port`, give a device path, socket://HOST:PORT or sim:",
         "2:10: the drive has no `address`, give a whole number, 1 to 99",
         f"2:10: the drive has no `family`, give {FAMILIES.removesuffix(' would be right')}",
         "2:10: the drive has no `name`, give a drive name such as feeder-2",

@@ -89,7 +89,7 @@ def test_a_quoted_number_is_a_number(address: str) -> None:
     ("written", "port"),
     [("sim", "sim:"), ('"sim:"', "sim:"), ("socket://192.0.2.7:4001", "socket://192.0.2.7:4001"),
      ("socket://[2001:db8::1]:4001", "socket://[2001:db8::1]:4001"), ("/dev/ttyS0", "/dev/ttyS0"),
-     ("rfc2217://moxa.local:4001", "rfc2217://moxa.local:4001")],
+     ("socket://moxa.local:4001", "socket://moxa.local:4001")],
 )  # fmt: skip
 def test_ports_of_every_kind(written: str, port: str) -> None:
     assert parsed(GOOD.replace("/dev/serial/by-id/usb-1", written)).line.port == port

@@ -12,7 +12,7 @@ from lecombus.cli.arguments import json_option, roster_option
 from lecombus.cli.exits import Exit
 from lecombus.cli.screen import on_terminal, show_rows
 from lecombus.config import RosterError, load_roster
-from lecombus.config.describing import Description, describe
+from lecombus.config.describing import Description, describe, multicast_words
 
 __all__ = ["command"]
 
@@ -66,7 +66,7 @@ def _show(description: Description) -> None:
             group.name,
             "one write after another"
             if group.multicast_address is None
-            else f"one multicast to {group.multicast_address:02d}",
+            else multicast_words(group.multicast_address),
             ", ".join(group.members),
         )
         for group in description.groups

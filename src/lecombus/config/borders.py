@@ -6,6 +6,7 @@ business of whoever opens it: a roster is checked on machines that have neither.
 
 from __future__ import annotations
 
+import contextlib
 import ipaddress
 import re
 from typing import Any, Final
@@ -15,16 +16,22 @@ from lecombus.config.mistakes import did_you_mean, nearest, one_of, shown
 
 __all__ = ["AbsolutePath", "Host", "HttpPlace", "PortPlace", "is_network_port"]
 
-_SCHEMES: Final = ("socket", "rfc2217", "sim")
+_SCHEMES: Final = ("socket", "sim")
 _HOST_PORT: Final = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+):([0-9]{1,5})", re.ASCII)
-_PORT_FORMS: Final = "a device path, socket://HOST:PORT, rfc2217://HOST:PORT or sim:"
+_PORT_FORMS: Final = "a device path, socket://HOST:PORT or sim:"
+_RAW_SERVER: Final = (
+    "write socket://{where} and have the device server pass raw bytes at 8 data bits, no parity, 1 "
+    "stop bit; for ser2net: `accepter: tcp,{port}` and `connector: serialdev,/dev/ttyUSB0,BAUDn81,"
+    "local` with the line's baud; a server that can only do 7E1 works with `parity: port`"
+)
+"""What to have instead of rfc2217://: nothing needs remote control of a port (ADR 3)."""
 LONGEST_SOCKET_PATH: Final = 107
 """Linux takes 108 bytes with the closing NUL (unix(7), `sun_path`)."""
 
 
 def is_network_port(port: str) -> bool:
     """Tell whether a roster's port is reached over TCP."""
-    return port.startswith(("socket://", "rfc2217://"))
+    return port.startswith("socket://")
 
 
 def _split_host_port(text: str) -> tuple[str, int]:
@@ -52,6 +59,8 @@ class PortPlace(ScalarKind):
         scheme, colon, rest = text.partition(":")
         if colon and scheme in _SCHEMES:
             return text if scheme == "sim" else self._network(text, scheme, rest)
+        if colon and scheme.lower() == "rfc2217":
+            raise self._remote_control(rest)
         if colon:
             right = did_you_mean(scheme, _SCHEMES, f"{one_of(_SCHEMES)} would be right")
             raise Wrong(f"has the unknown scheme {shown(scheme)}", right)
@@ -77,11 +86,19 @@ class PortPlace(ScalarKind):
             raise Wrong("has the port number 0", right)
         return text
 
+    def _remote_control(self, rest: str) -> Wrong:
+        where, port = "HOST:4001", 4001
+        with contextlib.suppress(Wrong):
+            given = rest.removeprefix("//").split("?")[0].rstrip("/")
+            _, port = _split_host_port(given)
+            where = given
+        return Wrong("is not supported", _RAW_SERVER.format(where=where, port=port))
+
     def schema(self) -> dict[str, Any]:
         """See `Kind`."""
         return {
             "type": "string",
-            "pattern": r"^(/.*[^/]|(socket|rfc2217)://.+:[0-9]+.*|sim(:.*)?)$",
+            "pattern": r"^(/.*[^/]|socket://.+:[0-9]+.*|sim(:.*)?)$",
         }
 
 

@@ -13,8 +13,9 @@ from typing import Any
 from lecombus.config.durations import format_duration
 from lecombus.config.models import DriveEntry, GroupEntry, Roster
 from lecombus.config.suspicions import cyclic_load, find_warnings
+from lecombus.protocol.addressing import group_reach
 
-__all__ = ["DescribedDrive", "DescribedGroup", "Description", "describe"]
+__all__ = ["DescribedDrive", "DescribedGroup", "Description", "describe", "multicast_words"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +140,13 @@ def _how(group: DescribedGroup) -> str:
     drives = f"{count} drive{'s' if count != 1 else ''}"
     if group.multicast_address is None:
         return f"{drives}, one write after another"
-    return f"{drives}, one multicast telegram to address {group.multicast_address:02d}"
+    return f"{drives}, {multicast_words(group.multicast_address)}"
+
+
+def multicast_words(address: int) -> str:
+    """Say what one multicast telegram reaches: whoever listens there, in the roster or not."""
+    reach = group_reach(address)
+    return f"one multicast to {address:02d} (reaches every drive at {reach[0]} to {reach[-1]})"
 
 
 def _gathered(keys: tuple[str, ...]) -> list[str]:

@@ -47,8 +47,8 @@ _LINE: Final = Table("line", (
     Key("name", Name("line", capitals=True),
         "Name of the line: metrics label, socket and file names, lecombus@NAME.", required=True),
     Key("port", PortPlace(),
-        "A device by its stable path (/dev/serial/by-id/..), socket://HOST:PORT, "
-        "rfc2217://HOST:PORT, or sim: for built-in simulated drives.", required=True),
+        "A device by its stable path (/dev/serial/by-id/..), socket://HOST:PORT, or sim: "
+        "for built-in simulated drives.", required=True),
     Key("baud", WholeChoice(BAUDS), "Bits a second, the same in every drive (C0125, P411).",
         default=9600),
     Key("medium", Choice(get_args(models.Medium)),

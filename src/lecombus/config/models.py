@@ -53,7 +53,7 @@ class LineEntry(_Model):
 
     Args:
         name: Its name: metrics label, socket and file names.
-        port: Device path, `socket://HOST:PORT`, `rfc2217://HOST:PORT` or `sim:`.
+        port: Device path, `socket://HOST:PORT` or `sim:`.
         baud: 1200, 2400, 4800, 9600 or 19200 bit/s.
         medium: What the drives hang on; bounds their number.
         repeaters: An RS-485 line with repeaters: 90 drives instead of 31.

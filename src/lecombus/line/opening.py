@@ -26,13 +26,10 @@ SCHEMES = ("socket://HOST:PORT", "sim:")
 """What a port may be besides a device path, as it is written."""
 
 RFC2217_REFUSAL = (
-    "rfc2217:// is not supported: a line's settings never change while it runs, so no remote "
-    "control of the port is needed. Have the device server pass raw bytes at 8 data bits, no "
-    "parity, 1 stop bit, and use socket://{where}. For ser2net: `accepter: tcp,{port}` and "
-    "`connector: serialdev,/dev/ttyUSB0,{baud}n81,local` (8N1: parity is made here); a server that "
-    "can only do 7E1 works with `parity: port`"
+    "rfc2217:// is not supported: use socket://HOST:PORT, and have the device server pass raw "
+    "bytes at 8 data bits, no parity, 1 stop bit"
 )
-"""Why not, and what to use instead."""
+"""Why not, and what to use instead; a roster is told the lines to write by `config.borders`."""
 
 
 async def open_port(settings: PortSettings, receiver: Receiver) -> Port:
@@ -45,18 +42,17 @@ async def open_port(settings: PortSettings, receiver: Receiver) -> Port:
     Raises:
         LineLostError: It cannot be opened; the message says why and what to do.
     """
-    mistake = url_mistake(settings.url, baud=settings.baud)
+    mistake = url_mistake(settings.url)
     if mistake is not None:
         raise LineLostError(mistake, line=settings.line)
     return await _OPENERS.get(_scheme(settings.url), open_serial)(settings, receiver)
 
 
-def url_mistake(url: str, *, baud: int = 9600, others: tuple[str, ...] = ()) -> str | None:
+def url_mistake(url: str, *, others: tuple[str, ...] = ()) -> str | None:
     """Say what is wrong with a port's URL and what would be right.
 
     Args:
         url: The URL or device path.
-        baud: Bits a second, for the example in the message.
         others: Further schemes that the caller opens itself, such as `sim`.
 
     Returns:
@@ -66,7 +62,7 @@ def url_mistake(url: str, *, baud: int = 9600, others: tuple[str, ...] = ()) -> 
     if scheme in others:
         return None
     if scheme == "rfc2217":
-        return f"{url}: {_rfc2217_refusal(url, baud)}"
+        return f"{url}: {RFC2217_REFUSAL}"
     if scheme == "socket":
         try:
             host_and_port(url)
@@ -76,14 +72,6 @@ def url_mistake(url: str, *, baud: int = 9600, others: tuple[str, ...] = ()) -> 
         known = ", ".join(SCHEMES)
         return f"{url!r} is no port: use a device path such as /dev/serial/by-id/.., or {known}"
     return None
-
-
-def _rfc2217_refusal(url: str, baud: int) -> str:
-    try:
-        where, port = url.partition("://")[2], host_and_port(url)[1]
-    except ValueError:
-        where, port = "HOST:4001", 4001
-    return RFC2217_REFUSAL.format(where=where, port=port, baud=baud)
 
 
 def _scheme(url: str) -> str:
