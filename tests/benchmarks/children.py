@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import ctypes
 import json
 import os
 import signal
@@ -22,6 +23,7 @@ from typing import Any
 __all__ = ["MASTER_CORE", "OTHER_CORE", "ROOT", "Child", "answer_lines", "child", "pin"]
 
 ROOT = Path(__file__).parents[2]
+PR_SET_PDEATHSIG = 1
 CORES = sorted(os.sched_getaffinity(0))
 MASTER_CORE, OTHER_CORE = CORES[-1], CORES[0]
 
@@ -72,13 +74,19 @@ def environment() -> dict[str, str]:
     return {**kept, "PYTHONPATH": f"{ROOT / 'src'}:{ROOT / 'tests'}"}
 
 
+def die_with_parent() -> None:
+    """Leave no child behind, stopped or not, when the run is killed."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
 @contextlib.contextmanager
 def child(module: str, *words: str | Path, core: int = OTHER_CORE) -> Iterator[Child]:
     """Run `benchmarks.<module>` as a child on a core, and end it."""
     command = [sys.executable, "-m", f"benchmarks.{module}", *map(str, words)]
     process = subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment()
-    )
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment(),
+        preexec_fn=die_with_parent,
+    )  # fmt: skip
     os.sched_setaffinity(process.pid, {core})
     try:
         yield Child(process)

@@ -28,6 +28,7 @@ from lecombus.protocol.addressing import Code
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority
 from lecombus.site import Site
+from lecombus.supervision import keeper
 
 from .children import answer_lines
 
@@ -119,9 +120,17 @@ class Bench:
         return asked_s
 
 
+async def learn_nothing(self: object, name: str) -> None:
+    """Instead of what a drive is asked once, in the background, after it has come online.
+
+    It waits ahead of the thousand reads, and its answers are shorter than theirs.
+    """
+
+
 async def serve(path: Path, unpaced: bool) -> None:
     """Run daemon and questions side by side."""
     roster = load_roster(path)
+    vars(keeper)["Keeper"]._learn_the_rest = learn_nothing
     if unpaced:  # a responder answers before a telegram of this baud rate could have left
         timing = dataclasses.replace(line_timing(roster.line), paced=False)
         vars(lecombus.daemon)["Site"] = partial(Site, timing=timing)

@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from .children import MASTER_CORE, Child, child, environment
+from .children import MASTER_CORE, Child, child, die_with_parent, environment
 from .cycles import scraped
 from .machine import free_port
 from .rosters import write_roster
@@ -55,7 +55,7 @@ def running(roster: Path) -> Iterator[subprocess.Popen[bytes]]:
     """Run the command as a user does, and end it."""
     process = subprocess.Popen(
         [sys.executable, "-m", "lecombus", "run", "-c", roster],
-        stderr=subprocess.DEVNULL, env=environment(),
+        stderr=subprocess.DEVNULL, env=environment(), preexec_fn=die_with_parent,
     )  # fmt: skip
     os.sched_setaffinity(process.pid, {MASTER_CORE})
     try:
