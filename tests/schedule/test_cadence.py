@@ -125,3 +125,12 @@ def test_a_removed_entry_is_asked_no_longer() -> None:
     world.run(2.0)
     assert len(world.sent) == count
     assert world.schedule.wake_at_s(2.0) is None
+
+
+def test_a_slot_stands_back_for_two_of_its_periods_at_most() -> None:
+    world = World().drives("a")
+    entry = world.cyclic("a", 0.5)
+    world.run(0.1)  # its next slot is at 0.5 s
+    cadence = world.schedule._cadence
+    assert cadence.may_wait(entry, 1.49)
+    assert not cadence.may_wait(entry, 1.51)

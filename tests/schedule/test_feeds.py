@@ -161,6 +161,42 @@ def test_a_failed_feed_is_tried_again_at_once_when_time_is_short() -> None:
     assert len(tries) >= 4
 
 
+@pytest.mark.parametrize("at_s", [1.0, 1.75])
+def test_a_long_exchange_does_not_stake_the_drives_own_watchdog(at_s: float) -> None:
+    world = World().drives("a")
+    world.feed("a", 2.0)
+    long = world.submit("a", worst_s=0.9)
+    world.now_s = at_s  # not answered it would end at 1.9 s and later, and the feed after it
+    feed, then = world.step(), world.step()
+    assert feed is not None
+    assert (feed.priority, then) == (P.WATCHDOG, long)
+
+
+def test_a_drive_late_by_one_lost_answer_is_asked_again_at_once() -> None:
+    world = World().drives("a")
+    world.feed("a", 0.5)
+    world.silent.add("a")
+    world.now_s = 0.45
+    world.step()
+    world.silent.clear()
+    world.run(0.7)
+    assert world.sent[1].at_s == pytest.approx(0.57)  # 0.02 s after the vain attempt
+
+
+def test_what_one_lost_answer_makes_late_is_fed_before_its_watchdog_fires() -> None:
+    world = World().drives(*(names := [f"d{number}" for number in range(10)]))
+    for name in names:
+        world.feed(name, 2.0)
+    world.now_s = 1.59  # ten feeds of 0.02 s just fit before 1.8 s, but the first is not answered
+    world.silent.add("d0")
+    world.step()
+    world.silent.clear()
+    world.run(2.0)
+    stats = world.schedule.stats(2.0).feeds.values()
+    assert sum(feed.lapses for feed in stats) == 0
+    assert sum(feed.misses for feed in stats) > 0
+
+
 def test_lost_answers_do_not_make_a_full_line_late() -> None:
     world = World().drives(*(names := [f"d{number}" for number in range(30)]))
     for name in names:

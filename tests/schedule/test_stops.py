@@ -116,3 +116,14 @@ def test_the_next_step_of_a_stop_goes_before_all_else_and_outlives_other_stops()
     other = world.submit("a", P.STOP, stops=("a",))
     world.run(1.0)
     assert steps[:4] == [stop, stop, stop, other]
+
+
+def test_a_stop_that_was_said_is_proven_after_the_others_are_said() -> None:
+    world = World().drives("a", "b", "c")
+    stops = [world.submit(name, P.STOP) for name in "abc"]
+    first = world.schedule.next(0.0)
+    assert first is stops[0]
+    world.schedule.finished(first, 0.0, 0.02, True)
+    world.schedule.again(first, 0.02, behind=True)
+    order = [world.schedule.next(0.02 * (n + 1)) for n in range(3)]
+    assert order == [stops[1], stops[2], stops[0]]

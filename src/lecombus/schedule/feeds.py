@@ -21,7 +21,7 @@ half of what it is at best, so that short watchdogs do not take the whole line (
 A feed that can no longer be in time is left out of L: waiting for it would cost the others
 theirs. A drive that does not answer is tried again after half the time that is left, or sooner if
 else its spare attempts would not fit, so that it cannot keep the line for itself; once its
-watchdog has fired it is tried every half watchdog time.
+watchdog has fired and those are used up, it is tried every half watchdog time.
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ ROUNDING_S: Final = 1e-9  # a feed that is just in time must not be late by a ro
 SPARE_ATTEMPTS: Final = 3  # a feed is due while so many failed attempts would still fit
 RETRY_LEAST_S: Final = 0.02  # least pause between two attempts, and least time worth one
 WAKE_S: Final = 1e-6
+FRESH_PART: Final = 0.25  # of the watchdog time
 SPARE_PART: Final = 0.5  # of the best slack: more is not kept for failed attempts
 
 
@@ -152,12 +153,20 @@ class Feed:
         left_s = self.hard_s - now_s
         if left_s <= RETRY_LEAST_S:  # late, but the watchdog may not have fired yet
             left_s = self.fed_at_s + self.time_s - now_s
-        if left_s <= RETRY_LEAST_S:
+        if left_s <= RETRY_LEAST_S and self.failures >= SPARE_ATTEMPTS:
             self.retry_at_s = now_s + self.time_s * SOFT_PART
             return
         spare = max(SPARE_ATTEMPTS - self.failures, 1)
         pause_s = min(left_s / 2, left_s - spare * self.worst_s)
         self.retry_at_s = now_s + max(pause_s, RETRY_LEAST_S)
+
+    def outlasts(self, now_s: float, worst_s: float) -> bool:
+        """Tell whether a vain exchange with the drive would leave time to feed it afterwards.
+
+        None longer than the watchdog does; a drive fed just now is as ready for it as ever.
+        """
+        fresh = now_s - self.fed_at_s < self.time_s * FRESH_PART
+        return fresh or now_s + worst_s + self.cost_s <= self.hard_s
 
     def made(self) -> Request:
         """Build the feeding request."""
@@ -245,6 +254,27 @@ class Feeds:
         found.sort(key=_hard)
         return found
 
+    def own_first(self, now_s: float, worst_s: float, drive: str) -> Feed | None:
+        """Find the drive's own feed if it goes before a longer exchange with that drive.
+
+        Not answered, the exchange would make it late.
+        """
+        own = self.by_drive.get(drive)
+        if own is None or not own.active or own.failures or worst_s <= own.worst_s:
+            return None
+        return None if own.outlasts(now_s, worst_s) or own.free_s() > now_s else own
+
+    def never(self, worst_s: float, drive: str) -> str:
+        """Say why an exchange with a drive can never run, if it cannot; else an empty text."""
+        most_s, whose = self.most_s(drive)
+        if worst_s <= most_s:
+            return ""
+        return (
+            f"it may hold the line for {worst_s:.3f} s, and {most_s:.3f} s is the most that "
+            f"keeping the watchdogs leaves at any time (drive {whose}, watchdog "
+            f"{self.by_drive[whose].time_s:g} s)"
+        )
+
     def spare_s(self) -> float:
         """Tell how much slack is kept for attempts that fail, seconds."""
         if self._spare_s is None:
@@ -266,11 +296,19 @@ class Feeds:
         return self.room(now_s, spare_s, "")
 
     def first(self, now_s: float) -> Feed | None:
-        """Find the earliest hard deadline of all drives that answer and may be spoken to."""
-        for feed in self._in_order(now_s):
-            if not feed.failures and feed.free_s() <= now_s:
-                return feed
-        return None
+        """Find the earliest hard deadline of all drives that answer and may be spoken to.
+
+        One that is past it counts until its watchdog fires: the last tenth is there to be used.
+        """
+        found = [
+            feed
+            for feed in self.by_drive.values()
+            if feed.active
+            and feed.failures < SPARE_ATTEMPTS
+            and feed.free_s() <= now_s
+            and now_s + feed.cost_s <= feed.fed_at_s + feed.time_s
+        ]
+        return min(found, key=_hard, default=None)
 
     def next_s(self, now_s: float) -> float | None:
         """Tell when a feed may be due or pressing, after there was none just now."""

@@ -16,9 +16,8 @@ that feeds go first. A feed that is not urgent yet, but will be soon (twice the 
 telegram of its own: where a cyclic slot would go, it is one of that drive, run early.
 
 Whatever is chosen, a stop apart, must pass the slack check (feeds.py): it is begun only if every
-watchdog can still be fed in time should it take its longest. If it does not pass, the feed that
-stands in its way runs first, due or not. If it could not pass right after all drives had been fed,
-it never will: it is refused, with the figures.
+watchdog can still be fed in time should it take its longest. If it does not, the feed that stands
+in its way runs first, due or not. If it never could, it is refused, with the figures.
 
 A feed is whatever is useful: the drive's first waiting control or interactive request, else its
 next cyclic slot run early, else the read that its `Feeding` makes.
@@ -155,13 +154,15 @@ class Schedule:
         """
         self._waiting.submit(request, now_s)
 
-    def again(self, request: Request, now_s: float, not_before_s: float = 0.0) -> None:
-        """Take a request back for its next step, ahead of its class.
+    def again(
+        self, request: Request, now_s: float, not_before_s: float = 0.0, *, behind: bool = False
+    ) -> None:
+        """Take a request back for its next step, ahead of its class or `behind` it.
 
         Call it directly after `finished`. It is ended instead if a stop, a later request or
         parking came meanwhile. Its expiry no longer counts: it has begun.
         """
-        self._waiting.go_ahead(request)
+        self._waiting.place(request, behind=behind)
         self._waiting.take_back(request, not_before_s, now_s)
 
     def defer(self, request: Request, until_s: float, now_s: float) -> None:
@@ -314,22 +315,21 @@ class Schedule:
             return False
         if request.worst_s <= feed.worst_s and request.cost_s <= feed.cost_s:
             return True
+        if not feed.outlasts(now_s, request.worst_s):
+            return False
         return self._feeds.fits(now_s, request.worst_s, feed.drive)
 
     def _admit(self, request: Request, now_s: float) -> Request | None:
         """Let a request go if no watchdog can suffer; else run what must go first, or end it."""
         feeds = self._feeds
+        own = feeds.own_first(now_s, request.worst_s, request.drive)
+        if own is not None:
+            return own.made()
         if feeds.fits(now_s, request.worst_s, request.drive):
             return request
-        most_s, whose = feeds.most_s(request.drive)
-        if request.worst_s > most_s:
-            self._refuse(
-                request,
-                f"it may hold the line for {request.worst_s:.3f} s, and {most_s:.3f} s is the "
-                f"most that keeping the watchdogs leaves at any time (drive {whose}, watchdog "
-                f"{feeds.by_drive[whose].time_s:g} s)",
-                now_s,
-            )
+        reason = feeds.never(request.worst_s, request.drive)
+        if reason:
+            self._refuse(request, reason, now_s)
             return None
         if request.rooms < ROOMS_PER_FEED * len(feeds.by_drive):
             feed = feeds.room(now_s, request.worst_s, request.drive)

@@ -152,10 +152,18 @@ class Waiting:
 
     # -- coming back ------------------------------------------------------------------------------
 
-    def go_ahead(self, request: Request) -> None:
-        """Give a request that comes back a place ahead of its class."""
-        self._ahead += 1
-        request.place = self._ahead
+    def place(self, request: Request, *, behind: bool) -> None:
+        """Give a request that comes back a place ahead of its class, or behind what waits now.
+
+        Behind goes a stop that was said and has only to be proven: it must not keep the next
+        drive waiting for its own.
+        """
+        if behind:
+            self._serial += 1
+            request.place = self._serial
+        else:
+            self._ahead += 1
+            request.place = self._ahead
 
     def take_back(self, request: Request, until_s: float, now_s: float) -> None:
         """Take back a request that was chosen, to wait until a time and then at its place."""
