@@ -190,6 +190,20 @@ def test_a_line_that_is_not_open_shows_no_fresh_value(
     assert quality(store) == (Quality.BAD, f"line {state}: unplugged")
 
 
+@pytest.mark.parametrize("state", [LineState.LOST, LineState.CLOSED])
+def test_no_drive_looks_well_while_the_line_is_not_open(
+    store: Store, clocks: Clocks, state: LineState
+) -> None:
+    clocks.tick(5)
+    store.line_state(state, "unplugged")
+    (info,) = store.drives()
+    assert info == store.drive("feeder")
+    assert (info.state, info.reason) == (DriveState.OFFLINE, f"line {state}: unplugged")
+    assert info.since_s == NOON_S + 5
+    store.line_state(LineState.OPEN)
+    assert store.drive("feeder").state is DriveState.ONLINE
+
+
 def test_codes_asked_for_once_are_bounded_and_cyclic_ones_stay(
     store: Store, clocks: Clocks
 ) -> None:

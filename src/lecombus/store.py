@@ -316,16 +316,16 @@ class Store:
         return (*cyclic, *record.on_demand)
 
     def drive(self, drive: str) -> DriveInfo:
-        """Return how a drive is doing.
+        """Return how a drive is doing; offline while the line is not open.
 
         Raises:
             OperationError: `no-such-drive`.
         """
-        return describe(self._record(drive))
+        return self._describe(self._record(drive))
 
     def drives(self) -> list[DriveInfo]:
         """Return how every drive is doing, in the order they were added."""
-        return [describe(record) for record in self._drives.values()]
+        return [self._describe(record) for record in self._drives.values()]
 
     def names(self) -> tuple[str, ...]:
         """Return the names of the drives, in the order they were added."""
@@ -396,12 +396,31 @@ class Store:
             age_s,
         )
 
+    def _describe(self, record: DriveRecord) -> DriveInfo:
+        """Return a snapshot of a drive: no drive looks well over a line that is not there."""
+        state, reason, since_s = record.state, record.reason, record.since_s
+        if self._line_state is not LineState.OPEN:
+            state, reason = DriveState.OFFLINE, self._why_no_line()
+            since_s = max(since_s, self._line_since_s)
+        return DriveInfo(
+            record.name,
+            record.address,
+            record.family.name,
+            state,
+            reason,
+            since_s,
+            MappingProxyType(dict(record.remarks)),
+        )
+
+    def _why_no_line(self) -> str:
+        return with_cause(f"line {self._line_state.value}", self._line_reason)
+
     def _quality(
         self, record: DriveRecord, cell: Cell, age_s: float | None
     ) -> tuple[Quality, str | None]:
         """Decide by the rules of the module's docstring, in their order."""
         if self._line_state is not LineState.OPEN:
-            return Quality.BAD, with_cause(f"line {self._line_state.value}", self._line_reason)
+            return Quality.BAD, self._why_no_line()
         if cell.failure is not None:
             return Quality.BAD, cell.failure
         if age_s is None:
@@ -429,19 +448,6 @@ def make_cell(family: Family, code: Code) -> Cell:
     if info is None:
         return Cell(code, "", None, None)
     return Cell(code, info.name, info.unit, info.format.value)
-
-
-def describe(record: DriveRecord) -> DriveInfo:
-    """Return a snapshot of a drive's record."""
-    return DriveInfo(
-        record.name,
-        record.address,
-        record.family.name,
-        record.state,
-        record.reason,
-        record.since_s,
-        MappingProxyType(dict(record.remarks)),
-    )
 
 
 def set_remark(remarks: dict[str, str], key: str, text: str | None) -> bool:

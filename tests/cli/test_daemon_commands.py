@@ -8,6 +8,7 @@ import pytest
 
 from cli.conftest import Run
 from cli.daemon_stub import DaemonStub
+from lecombus.cli import status
 
 READING = (
     '{"drive": "feeder", "code": "C0046", "subcode": 0, "name": "frequency setpoint",'
@@ -183,10 +184,30 @@ def test_status_lists_the_drives_with_why(run: Run, daemon: DaemonStub) -> None:
     ran = run("status")
     assert (ran.status, ran.out) == (
         0,
-        "feeder\t11\t8200vector\toffline\tno answer; C1923 is 0\n",
+        "line\thall-3\topen\t\nfeeder\t11\t8200vector\toffline\tno answer; C1923 is 0\n",
     )
     both = run("status", "--json").out
     assert both == f'{{"line": {line}, "drives": {drives}}}\n'
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_status_begins_with_a_line_that_is_lost(
+    run: Run, daemon: DaemonStub, monkeypatch: pytest.MonkeyPatch, terminal: bool
+) -> None:
+    daemon.answers["GET /v1/line"] = (
+        200,
+        '{"line": "hall-3", "state": "lost", "reason": "/dev/ttyS9: no such device", '
+        '"stretch": 1.000, "remarks": {}}',
+    )
+    daemon.answers["GET /v1/drives"] = (200, '{"drives": []}')
+    if terminal:
+        monkeypatch.setattr(status, "on_terminal", lambda: True)
+    first = run("status").out.splitlines()[0]
+    assert first == (
+        "line hall-3: lost, /dev/ttyS9: no such device"
+        if terminal
+        else "line\thall-3\tlost\t/dev/ttyS9: no such device"
+    )
 
 
 def test_status_of_a_drive_lists_its_values(run: Run, daemon: DaemonStub) -> None:

@@ -63,8 +63,9 @@ def test_every_command_speaks_with_the_daemon(run: Run) -> None:
     assert stopped.status == 0
     assert {line.split("\t")[2] for line in stopped.out.splitlines()} == {"verified"}
 
-    listed = run("status")
-    assert [line.split("\t")[:4] for line in listed.out.splitlines()] == [
+    line, *listed = run("status").out.splitlines()
+    assert line.split("\t")[:3] == ["line", "hall-3", "open"]
+    assert [line.split("\t")[:4] for line in listed] == [
         ["feeder", "11", "8200vector", "online"],
         ["belt", "12", "93xx", "online"],
     ]

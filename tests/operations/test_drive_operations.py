@@ -19,7 +19,7 @@ from lecombus.errors import (
 )
 from lecombus.operations.reports import WriteReport
 from lecombus.protocol.addressing import Code
-from lecombus.readings import Quality
+from lecombus.readings import LineState, Quality
 from lecombus.schedule import Outcome, Priority
 from lecombus.simulator.faults import Faults
 from support.site_host import Plant, roster_of, until, with_plant
@@ -92,6 +92,9 @@ def test_a_write_that_may_not_be_made_is_refused_before_anything_is_sent(
 
 def test_a_drive_is_not_written_to_before_it_is_audited_nor_while_it_is_offline() -> None:
     async def test(plant: Plant) -> None:
+        with pytest.raises(LineLostError, match="not been opened yet: nothing was sent"):
+            await write(plant, SETPOINT, 20)
+        await until(lambda: plant.site.worker.is_open)
         with pytest.raises(OperationError) as caught:
             await write(plant, SETPOINT, 20)
         assert caught.value.kind == "starting"
@@ -225,6 +228,10 @@ def test_without_a_line_nothing_is_kept_for_later() -> None:
         await plant.online()
         plant.end.unplug()
         await until(lambda: not plant.site.worker.is_open)
+        line = plant.site.store.line()
+        assert (line.state, line.reason) == (LineState.LOST, "the simulated line was unplugged")
+        drive = plant.site.store.drive("a")
+        assert drive.reason == "line lost: the simulated line was unplugged"
         for asked in (
             write(plant, SETPOINT, 20),
             plant.site.operations.stop(StopAction.INHIBIT, "a"),

@@ -8,7 +8,7 @@ import pytest
 
 from lecombus.drives import family
 from lecombus.protocol.exchange import ResultKind
-from lecombus.readings import DriveState
+from lecombus.readings import DriveState, LineState
 from lecombus.schedule import Outcome, Priority, Request, Schedule
 from lecombus.store import Store
 from lecombus.supervision.health import Health
@@ -27,6 +27,7 @@ class Ward:
         self.schedule = Schedule()
         self.schedule.add_drive("a")
         self.store = Store(lambda: self.now_s, lambda: 1e9)
+        self.store.line_state(LineState.OPEN)
         self.store.add_drive("a", 1, family("8200vector"))
         self.audits = 0
         self.health = Health(self.schedule, self.store, self._want, lambda: self.now_s)

@@ -22,9 +22,10 @@ __all__ = ["command"]
 def command(drive: str | None, socket: str | None, url: str | None, as_json: bool) -> int:
     """Show the line and all its drives, or DRIVE with every value that is known of it.
 
-    Nothing is sent to the line. In a pipe: one line a drive (drive, address, family, state,
-    reason), or one a value (code, name, value, unit, quality, age, reason). With --json:
-    {"line": .., "drives": ..}, the daemon's documents, or with DRIVE the drive's document.
+    Nothing is sent to the line. In a pipe: first the line (the word `line`, name, state, reason),
+    then one line a drive (drive, address, family, state, reason); or one a value (code, name,
+    value, unit, quality, age, reason). With --json: {"line": .., "drives": ..}, the daemon's
+    documents, or with DRIVE the drive's document.
     """
     with connect(socket, url) as daemon:
         if drive:
@@ -51,12 +52,11 @@ def _listed(data: Sequence[Document] | Document, key: str) -> Sequence[Document]
 
 
 def _show_line(line: Document, drives: Sequence[Document]) -> None:
-    title = f"line {line.get('line') or line.get('name') or ''}: {line.get('state')}"
-    if line.get("reason"):
-        title += f", {line['reason']}"
-    stretch = line.get("stretch")
-    if stretch is not None and float(stretch) > 1.0:
-        title += f"; cyclic reads take {stretch} times their period"
+    name, state, why = table_text(line.get("line")), table_text(line.get("state")), _why(line)
+    if on_terminal():
+        click.echo(f"line {name}: {state}" + (f", {why}" if why else ""))
+    else:
+        show_rows((), [("line", name, state, why)])
     rows = [
         (
             table_text(drive.get("drive") or drive.get("name")),
@@ -67,7 +67,7 @@ def _show_line(line: Document, drives: Sequence[Document]) -> None:
         )
         for drive in drives
     ]
-    show_rows(("drive", "address", "family", "state", "why"), rows, title=title)
+    show_rows(("drive", "address", "family", "state", "why"), rows)
 
 
 def _show_drive(drive: Document) -> None:
@@ -91,8 +91,8 @@ def _show_drive(drive: Document) -> None:
     show_rows(("code", "name", "value", "unit", "quality", "age", "why"), rows)
 
 
-def _why(drive: Document) -> str:
-    """Return the reason of a drive's state and everything that stands to be said about it."""
-    remarks: Document = drive.get("remarks") or {}
-    parts = [table_text(drive.get("reason")), *(table_text(text) for text in remarks.values())]
+def _why(one: Document) -> str:
+    """Return the reason of a drive's or line's state and what else stands to be said about it."""
+    remarks: Document = one.get("remarks") or {}
+    parts = [table_text(one.get("reason")), *(table_text(text) for text in remarks.values())]
     return "; ".join(part for part in parts if part)

@@ -21,7 +21,7 @@ from lecombus.operations.reports import WriteReport
 from lecombus.operations.requests import Ending, Requests, is_line_lost
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
-from lecombus.readings import WRITE_LOCK, DriveState, Reading
+from lecombus.readings import WRITE_LOCK, DriveState, LineState, Reading
 from lecombus.schedule import Outcome, Priority
 from lecombus.store import Store
 
@@ -158,7 +158,9 @@ class Operations:
                 remedy=f"add {code} to this drive's `writable` list in the roster",
             )
         state = self._store.drive(drive)
-        if state.state in (DriveState.OFFLINE, DriveState.STARTING):
+        # Without a line no drive answers: the worker says so when it is asked, and why.
+        is_open = self._store.line().state is LineState.OPEN
+        if is_open and state.state in (DriveState.OFFLINE, DriveState.STARTING):
             raise OperationError(
                 f"{drive} is {state.state.value}: {state.reason}",
                 kind="offline" if state.state is DriveState.OFFLINE else "starting",

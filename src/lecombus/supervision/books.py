@@ -122,7 +122,9 @@ class Books:
             self._store.line_state(LineState.OPEN, reason)
             self._health.line_opened()
         else:
-            self._store.line_state(LineState.LOST, reason)
+            # The store's line needs no telling which line it is.
+            told = reason.partition(": ")[2] if reason.startswith("line ") else reason
+            self._store.line_state(LineState.LOST, told)
 
     def thinking(self, for_s: float) -> None:
         """Use the time in which nothing can arrive for a page that was asked for."""
