@@ -171,6 +171,18 @@ def test_groups_that_do_not_exist_are_named_with_those_that_do() -> None:
 # ---- stops ----------------------------------------------------------------------------------
 
 
+def test_all_members_are_told_to_stop_before_the_first_is_asked_whether_it_did() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        said = len(plant.end.sent)
+        report = await plant.site.operations.stop(INHIBIT, "two")
+        assert (report.how, report.outcome) == ("one-by-one", Outcome.VERIFIED)
+        stops = [one.data[1:3] + one.data[3:4] for one in plant.end.sent[said:]]
+        assert stops[:2] == [b"11\x02", b"12\x02"]
+
+    with_plant(test, ROSTER)
+
+
 def test_a_stop_of_a_decade_is_one_telegram_and_is_proven_by_every_member() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()

@@ -350,8 +350,9 @@ class LineWorker:
         verdict = job.advance(result)
         if verdict is None:
             request.cut_outcome = job.cut_outcome
-            self.schedule.again(request, ended)
-            self._stop_waiting = self._stop_waiting or request.priority is Priority.STOP
+            stop = request.priority is Priority.STOP
+            self.schedule.again(request, ended, behind=stop and job.cut_outcome is not None)
+            self._stop_waiting = self._stop_waiting or stop
         else:
             request.end(*verdict)
 
