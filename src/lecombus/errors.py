@@ -11,6 +11,7 @@
     │   └── LineClosedError
     ├── ExchangeError                     record: address, code, attempt, elapsed_s, bytes
     │   ├── NoReplyError
+    │   ├── CutReplyError
     │   ├── GarbledReplyError             + expected_bcc, got_bcc
     │   ├── UnexpectedReplyError
     │   ├── EchoError
@@ -37,6 +38,7 @@ __all__ = [
     "ChecksumReportedError",
     "CodeValueError",
     "ConfigError",
+    "CutReplyError",
     "DeadlineMissedError",
     "DescriptionError",
     "EchoError",
@@ -170,6 +172,10 @@ class NoReplyError(ExchangeError):
 
     Not a `TimeoutError`, so that no caller's own time-out handling swallows it.
     """
+
+
+class CutReplyError(ExchangeError):
+    """The line was lost before the answer was whole: that says nothing about the drive."""
 
 
 class GarbledReplyError(ExchangeError):

@@ -16,6 +16,7 @@ from lecombus.api.documents import (
     ReadingDocument,
 )
 from lecombus.errors import (
+    CutReplyError,
     GarbledReplyError,
     LecombusError,
     LineClosedError,
@@ -162,6 +163,7 @@ async def test_a_path_that_names_no_code_is_404(client: httpx.AsyncClient, code:
         (UnknownCodeError("no such code"), 404, "no-such-code"),
         (NakError("NAK"), 409, "nak"),
         (LineLostError("unplugged"), 503, "line-lost"),
+        (CutReplyError("feeder: the line was lost"), 503, "line-lost"),
         (LineClosedError("closing"), 503, "line-closed"),
         (QueueFullError(priority="interactive", depth=9, limit=9), 503, "queue-full"),
         (OperationError("offline", kind="offline", drive="feeder"), 504, "offline"),

@@ -208,6 +208,18 @@ async def test_a_group_that_was_not_reached_whole_is_a_problem_with_its_members(
     assert problem["detail"] == "conveyors: not done by feeder, belt"
 
 
+async def test_a_member_that_was_sent_nothing_names_no_code(
+    client: httpx.AsyncClient, line: Line
+) -> None:
+    line.ops.report = lambda drive, code: WriteReport(
+        drive, None, Outcome.REFUSED, "no inhibit is known", kind="no-stop"
+    )
+    answer = await client.post("/v1/stop", json={"action": "inhibit", "target": "all"})
+    members = [OutcomeDocument.model_validate(one) for one in answer.json()["members"]]
+    assert answer.status_code == 409
+    assert {(one.code, one.subcode, one.outcome) for one in members} == {(None, None, "refused")}
+
+
 async def test_stop_names_action_and_target(client: httpx.AsyncClient, line: Line) -> None:
     body = {"action": "quick-stop", "target": "all"}
     answer = await client.post("/v1/stop", json=body)

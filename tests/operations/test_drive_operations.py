@@ -10,6 +10,7 @@ import pytest
 
 from lecombus.drives import StopAction
 from lecombus.errors import (
+    CutReplyError,
     ExchangeError,
     LineLostError,
     NoReplyError,
@@ -243,6 +244,29 @@ def test_without_a_line_nothing_is_kept_for_later() -> None:
     with_plant(test, ROSTER)
 
 
+def test_what_the_loss_of_the_line_cuts_off_is_not_put_down_to_the_drive() -> None:
+    async def cut(plant: Plant) -> None:
+        sent = len(plant.end.sent)
+        await until(lambda: len(plant.end.sent) > sent)
+        plant.end.unplug()
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        reading = asyncio.create_task(plant.site.operations.read("a", STATUS))
+        await cut(plant)
+        with pytest.raises(CutReplyError, match="the line was lost during the exchange"):
+            await reading
+        plant.end.replug()
+        await plant.online()
+        writing = asyncio.create_task(write(plant, SETPOINT, 20))
+        await cut(plant)
+        report = await writing
+        assert (report.outcome, report.kind) == (Outcome.UNKNOWN, "line-lost")
+        assert "read the code then to see what it holds" in report.remedy
+
+    with_plant(test, ROSTER)
+
+
 def test_what_the_loss_of_the_line_ends_is_told_as_that() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()
@@ -253,7 +277,7 @@ def test_what_the_loss_of_the_line_ends_is_told_as_that() -> None:
         plant.end.unplug()
         ends = await asyncio.gather(*reads, return_exceptions=True)
         kinds = [getattr(end, "kind", None) or type(end).__name__ for end in ends]
-        assert set(kinds) <= {"line-lost", "LineLostError", "NoReplyError"}, kinds
+        assert set(kinds) <= {"line-lost", "LineLostError", "CutReplyError"}, kinds
         report = await writing
         assert (report.outcome, report.kind) == (Outcome.REFUSED, "line-lost")
         stop = await stopping

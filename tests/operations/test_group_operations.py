@@ -221,6 +221,8 @@ def test_stopping_all_with_a_device_nobody_describes_stops_the_others_and_says_s
         assert report.how == "one-by-one", "a broadcast would reach the device too"
         kinds = {member.drive: member.kind for member in report.members}
         assert kinds == {"a": "", "b": "", "c": "", "d": "", "g": "no-stop"}
+        codes = {member.drive: str(member.code) for member in report.members}
+        assert (codes["a"], codes["g"]) == ("C0040", "None"), "nothing was written to it"
         assert [plant.line[name].text(40) for name in "abcd"] == ["0"] * 4
         with pytest.raises(OperationError) as caught:
             await plant.site.operations.stop(INHIBIT, "g")

@@ -357,8 +357,8 @@ def report_json(report: WriteReport) -> dict[str, Json]:
     """Return a write's JSON form."""
     return {
         "drive": report.drive,
-        "code": f"C{report.code.number:04d}",
-        "subcode": report.code.subcode,
+        "code": None if report.code is None else f"C{report.code.number:04d}",
+        "subcode": None if report.code is None else report.code.subcode,
         "outcome": report.outcome.value,
         "reason": report.reason or None,
         "cause": report.cause or None,

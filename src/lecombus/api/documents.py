@@ -109,8 +109,8 @@ class OutcomeDocument(Document):
     """How one write ended."""
 
     drive: str
-    code: str
-    subcode: int
+    code: Annotated[str | None, Field(description="Null where none could be written")]
+    subcode: int | None
     outcome: Annotated[
         str, Field(description="done, verified, refused, expired, superseded or unknown")
     ]

@@ -15,8 +15,8 @@ shows the same table.
 422  the request cannot be understood, or the value cannot be sent
 500  a mistake in lecombus
 502  the answer was garbled or belonged to something else
-503  never sent: line lost or closed, queue full, expired while waiting (`Retry-After` where
-     asking again makes sense)
+503  the line is lost or closed, or it was never sent: queue full, expired while waiting
+     (`Retry-After` where asking again makes sense)
 504  no answer, drive offline, or unknown: it may have happened
 ==== ==================================================================================
 
@@ -34,6 +34,7 @@ from starlette.responses import Response
 from lecombus.api.exact import encode
 from lecombus.errors import (
     CodeValueError,
+    CutReplyError,
     ExchangeError,
     LecombusError,
     LineClosedError,
@@ -214,6 +215,7 @@ KINDS: Final[tuple[tuple[type[LecombusError], str], ...]] = (
     (UnknownCodeError, "no-such-code"),
     (NakError, "nak"),
     (NoReplyError, "no-answer"),
+    (CutReplyError, "line-lost"),
     (RefusedError, "refused"),
     (ExchangeError, "garbled"),
     (LineClosedError, "line-closed"),
@@ -236,7 +238,7 @@ def report_problem(report: WriteReport) -> Problem | None:
         kind,
         report.reason or kind,
         drive=report.drive,
-        code=str(report.code),
+        code="" if report.code is None else str(report.code),
         cause=report.cause,
         remedy=report.remedy,
         outcome=report.outcome.value,

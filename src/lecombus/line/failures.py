@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from ..errors import (
     ChecksumReportedError,
+    CutReplyError,
     EchoError,
     ExchangeError,
     ExchangeRecord,
@@ -36,7 +37,7 @@ _BY_KIND: dict[ResultKind, type[ExchangeError]] = {
     ResultKind.NO_REPLY: NoReplyError,
     ResultKind.GARBLED: GarbledReplyError,
     ResultKind.ECHO: EchoError,
-    ResultKind.LOST: NoReplyError,
+    ResultKind.LOST: CutReplyError,
 }
 
 

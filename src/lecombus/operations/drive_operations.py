@@ -14,7 +14,7 @@ from decimal import Decimal
 
 from lecombus.config import DriveEntry, GroupEntry
 from lecombus.drives import encode_for
-from lecombus.errors import CodeValueError, NakError, OperationError
+from lecombus.errors import CodeValueError, CutReplyError, NakError, OperationError
 from lecombus.line.station import Station
 from lecombus.operations.control_words import ControlWords
 from lecombus.operations.reports import WriteReport
@@ -194,10 +194,11 @@ class Operations:
         """Say what came of a write or a stop, with what is known of the code now."""
         good = outcome in (Outcome.DONE, Outcome.VERIFIED)
         kind = "" if good else kind_of(ending, outcome, reason)
+        remedy = REMEDIES.get(kind, "")
+        if outcome is Outcome.UNKNOWN and kind == "line-lost":
+            remedy = CUT_REMEDY
         reading = self._store.reading(drive, code)
-        return WriteReport(
-            drive, code, outcome, reason, kind=kind, remedy=REMEDIES.get(kind, ""), reading=reading
-        )
+        return WriteReport(drive, code, outcome, reason, kind=kind, remedy=remedy, reading=reading)
 
 
 REMEDIES = {
@@ -208,6 +209,8 @@ REMEDIES = {
     "line-lost": "the port is being reopened; ask again when the line is open",
     "expired": "allow more time, or ask less of the line",
 }
+CUT_REMEDY = "the port is being reopened; read the code then to see what it holds"
+"""Where it may have happened, asking again blindly is not the thing to do."""
 
 
 def kind_of(ending: Ending, outcome: Outcome, reason: str) -> str:
@@ -221,4 +224,4 @@ def kind_of(ending: Ending, outcome: Outcome, reason: str) -> str:
         return "not-in-effect" if ending.was_sent else "offline"
     if isinstance(error, NakError):
         return "nak"
-    return "line-lost" if "line was lost" in str(error) else "no-answer"
+    return "line-lost" if isinstance(error, CutReplyError) else "no-answer"

@@ -28,7 +28,14 @@ from lecombus.drives import (
     needs_control_word,
     stop_value,
 )
-from lecombus.errors import ExchangeError, LineError, OperationError, QueueFullError, ScheduleError
+from lecombus.errors import (
+    CutReplyError,
+    ExchangeError,
+    LineError,
+    OperationError,
+    QueueFullError,
+    ScheduleError,
+)
 from lecombus.line.station import Station
 from lecombus.line.stop_job import StopJob
 from lecombus.operations.drive_operations import REMEDIES, Operations, kind_of
@@ -164,7 +171,9 @@ class GroupOperations(Operations):
             found = await self._requests.read(station, code, Priority.INTERACTIVE)
         except (ExchangeError, LineError, OperationError, ScheduleError) as exc:
             text = f"it went out as a multicast and could not be read back: {exc}"
-            return WriteReport(station.name, code, Outcome.UNKNOWN, text, kind="no-answer")
+            lost = isinstance(exc, CutReplyError | LineError)
+            kind = "line-lost" if lost else "no-answer"
+            return WriteReport(station.name, code, Outcome.UNKNOWN, text, kind=kind)
         if found.means_same(wire):
             reading = self._store.reading(station.name, code)
             return WriteReport(station.name, code, Outcome.VERIFIED, reading=reading)
@@ -206,7 +215,7 @@ class GroupOperations(Operations):
         reports = [await self._stop_report(one, endings[one.name]) for one in able]
         reports += [
             WriteReport(
-                one.name, one.family.feed_code, Outcome.REFUSED,
+                one.name, None, Outcome.REFUSED,
                 f"no {action} is known for family {one.family.name}: nothing was sent to it",
                 kind="no-stop",
             )

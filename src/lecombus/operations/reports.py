@@ -25,7 +25,7 @@ class WriteReport:
 
     Args:
         drive: The drive's name.
-        code: What was written.
+        code: What was written; None where there was nothing to write, as for an unknown stop.
         outcome: The one outcome it had.
         reason: What happened, in words; empty when it was done.
         cause: The likely cause, in words, such as "C0001 is not 3"; empty where none is known.
@@ -36,7 +36,7 @@ class WriteReport:
     """
 
     drive: str
-    code: Code
+    code: Code | None
     outcome: Outcome
     reason: str = ""
     cause: str = ""
