@@ -69,10 +69,14 @@ class RequestMaker:
         )
         job = ReadJob(station, code, self.retries if retries is None else retries, instead)
         return Request(
-            station.name, priority, cost.expected_s, cost.worst_s,
-            self._counted(priority, settle), job,
+            station.name,
+            priority,
+            cost.expected_s + self.timing.turnaround_s,
+            cost.worst_s + self.timing.turnaround_s,
+            self._counted(priority, settle),
+            job,
             expires_at_s=expires_at_s,
-        )  # fmt: skip
+        )
 
     def write(
         self,
@@ -103,8 +107,8 @@ class RequestMaker:
         return Request(
             station.name,
             priority,
-            cost.expected_s,
-            cost.worst_s,
+            cost.expected_s + self.timing.turnaround_s,
+            cost.worst_s + self.timing.turnaround_s,
             self._counted(priority, settle),
             job,
             expires_at_s=expires_at_s,
@@ -121,10 +125,14 @@ class RequestMaker:
         form = form_of(station, code)
         cost = read_cost(self.timing, station.family, code, form, station.answer_time_s)
         return Request(
-            station.name, Priority.STOP, cost.expected_s, cost.worst_s,
-            self._counted(Priority.STOP, settle), job,
+            station.name,
+            Priority.STOP,
+            cost.expected_s + self.timing.turnaround_s,
+            cost.worst_s + self.timing.turnaround_s,
+            self._counted(Priority.STOP, settle),
+            job,
             stops=(station.name,),
-        )  # fmt: skip
+        )
 
     def multicast(
         self,
@@ -150,9 +158,16 @@ class RequestMaker:
         group = dataclasses.replace(group, hold_s=longest_hold_s)
         job = MulticastJob(group, code, value, processing_s=slowest_s)
         return Request(
-            group.name, priority, whole_s, whole_s, self._counted(priority, settle), job,
-            stops=stops, members=tuple(one.name for one in members), expires_at_s=expires_at_s,
-        )  # fmt: skip
+            group.name,
+            priority,
+            whole_s,
+            whole_s,
+            self._counted(priority, settle),
+            job,
+            stops=stops,
+            members=tuple(one.name for one in members),
+            expires_at_s=expires_at_s,
+        )
 
     def probe(self, station: Station) -> Callable[[], Request]:
         """Give the maker of the read that asks an offline drive whether it is back.
@@ -169,7 +184,14 @@ class RequestMaker:
             cost = read_cost(self.timing, quiet.family, code, forms[0], quiet.answer_time_s)
             job = ReadJob(quiet, code, 0)
             settle = self._counted(Priority.CYCLIC, ignore_end)
-            return Request(quiet.name, Priority.CYCLIC, cost.expected_s, cost.worst_s, settle, job)
+            return Request(
+                quiet.name,
+                Priority.CYCLIC,
+                cost.expected_s + self.timing.turnaround_s,
+                cost.worst_s + self.timing.turnaround_s,
+                settle,
+                job,
+            )
 
         return make
 
