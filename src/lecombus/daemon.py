@@ -1,11 +1,12 @@
 """The daemon: builds everything of one line and runs it. Start reading here.
 
 Order of things. The roster is loaded before anything is opened. Then two task groups, one inside
-the other: outside the line (worker, keeper), inside the faces (API, signals, service manager). At
-the end the faces go first: no new requests, those under way end; then `on_shutdown` is said in
-the stop class while the line still runs; then the worker ends after its telegram, and the port is
-closed. An error in any task ends the daemon, which the service manager starts again: nothing here
-dies in silence.
+the other: outside the line (worker, keeper), inside the faces (API, signals, service manager). The
+API takes its places before the port is opened: where another daemon has them, its line is not
+disturbed. At the end the faces go first: no new requests, those under way end; then `on_shutdown`
+is said in the stop class while the line still runs; then the worker ends after its telegram, and
+the port is closed. An error in any task ends the daemon, which the service manager starts again:
+nothing here dies in silence.
 
 SIGTERM and SIGINT end it. SIGHUP reads the roster again, in a thread, and applies it or says what
 is wrong and keeps the old one.
@@ -90,6 +91,14 @@ def plain_errors() -> Iterator[None]:
         raise error from None
 
 
+def place(http: tuple[str, int] | None) -> str:
+    """Write where HTTP is served as one would type it; `none` where it is not."""
+    if http is None:
+        return "none"
+    host, port = http
+    return f"[{host.strip('[]')}]:{port}" if ":" in host else f"{host}:{port}"
+
+
 class Daemon:
     """One line with everything round it.
 
@@ -118,12 +127,12 @@ class Daemon:
             __version__, self._roster.line.name, len(self._roster.drives),
         )  # fmt: skip
         async with anyio.create_task_group() as line:
-            line.start_soon(site.keeper.run)
-            line.start_soon(site.worker.run)
             async with anyio.create_task_group() as faces:
                 faces.start_soon(self._watch_signals)
-                faces.start_soon(self._tick, site)
                 await self._serve(faces, site)
+                line.start_soon(site.keeper.run)
+                line.start_soon(site.worker.run)
+                faces.start_soon(self._tick, site)
                 await self._end.wait()
                 self._notifier.tell("STOPPING=1")
                 logger.info("event=stopping line=%s", self._roster.line.name)
@@ -151,7 +160,7 @@ class Daemon:
         )
         http = None if api.http is None else (api.http.host, api.http.port)
         served = await faces.start(serve, app, Path(api.socket), http)
-        logger.info("event=serving socket=%s http=%s", served.socket_path, served.http)
+        logger.info("event=serving socket=%s http=%s", served.socket_path, place(served.http))
 
     # ---- signals and the service manager ----------------------------------------------------
 

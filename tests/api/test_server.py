@@ -131,6 +131,7 @@ async def test_a_folder_that_is_not_there_is_an_error_with_its_name(
     with pytest.raises(OperationError, match="nowhere") as caught:
         await serve(line.app, tmp_path / "nowhere" / "s")
     assert caught.value.kind == "cannot-listen"
+    assert "`api.socket`" in caught.value.remedy
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.5", "example.com", "::"])

@@ -86,6 +86,21 @@ def test_what_the_daemon_refuses_has_the_status_that_fits(run: Run) -> None:
     assert run("stop", "nobody").status == 2
 
 
+@pytest.mark.usefixtures("process")
+def test_a_second_daemon_names_the_first_and_never_opens_the_port(short_dir: Path) -> None:
+    roster = short_dir / "hall-3.yaml"
+    second = subprocess.run(
+        [sys.executable, "-m", "lecombus", "run", "-c", str(roster), "--log-level", "debug"],
+        capture_output=True,
+        text=True,
+        timeout=15,
+        check=False,
+    )
+    assert second.returncode == 1
+    assert f"another lecombus serves {short_dir}/hall-3.sock; one daemon per line" in second.stderr
+    assert "event=port-open" not in second.stderr
+
+
 def test_a_daemon_that_was_ended_is_not_reachable(run: Run, process: subprocess.Popen[str]) -> None:
     process.send_signal(signal.SIGTERM)
     process.communicate(timeout=20)

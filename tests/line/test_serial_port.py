@@ -640,7 +640,7 @@ def test_rts_is_on_from_before_the_telegram_until_it_left(
 
     with caplog.at_level(logging.WARNING):
         with_port(pty, body, direction="rts")
-    assert "direction: rts switches the transceiver from a program" in caplog.text
+    assert "event=rts-switched port=" in caplog.text
 
 
 def test_rts_stays_on_over_telegrams_that_follow_at_once(pty: Pty, rts_line: RtsLine) -> None:
@@ -697,6 +697,7 @@ def test_a_kernel_name_is_warned_about_where_a_stable_one_exists(
     assert devices.connected() == (str(stable),)
     with caplog.at_level(logging.WARNING):
         with_port(pty, body)
+    assert f"event=unstable-name port={pty.path} reason=" in caplog.text
     assert f"use {stable}" in caplog.text
 
 
@@ -723,4 +724,4 @@ def test_a_driver_without_low_latency_is_used_and_noted(
 
     with caplog.at_level(logging.INFO):
         with_port(pty, body)
-    assert "has no low latency mode" in caplog.text
+    assert "event=no-low-latency port=" in caplog.text

@@ -191,7 +191,8 @@ def unix_socket(path: Path) -> Iterator[socket.socket]:
         listening.listen(BACKLOG)  # at once: a socket nobody listens on looks stale
     except OSError as exc:
         listening.close()
-        raise cannot_listen(str(path), exc, "check that its folder exists and is ours") from exc
+        remedy = f"make {path.parent}, writable for this user, or name another by `api.socket`"
+        raise cannot_listen(str(path), exc, remedy) from exc
     finally:
         os.umask(before)
     ours = path.stat()

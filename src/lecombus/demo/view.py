@@ -87,7 +87,7 @@ def row(site: Site, name: str) -> list[str]:
     frequency, word = readings
     return [
         name,
-        family.title,
+        family.name,
         info.state.value,
         cell(frequency),
         cell(word),

@@ -38,9 +38,10 @@ __all__ = ["Device", "open_device", "reason"]
 _log = logging.getLogger(__name__)
 
 _RTS_WARNING = (
-    "line=%s port=%s direction: rts switches the transceiver from a program; a drive may answer "
-    "after 1 ms already, which no program can promise to meet: an adapter that switches by "
-    "itself (direction: adapter) or the kernel's driver (direction: kernel) is safe"
+    "line=%s event=rts-switched port=%s reason=direction: rts switches the transceiver from a "
+    "program; a drive may answer after 1 ms already, which no program can promise to meet: an "
+    "adapter that switches by itself (direction: adapter) or the kernel's driver (direction: "
+    "kernel) is safe"
 )
 
 
@@ -139,13 +140,13 @@ def _remark(device: Device, settings: PortSettings) -> None:
     try:
         device.set_low_latency_mode(True)
     except (OSError, ValueError) as exc:
-        _log.info("line=%s port=%s has no low latency mode (%s)", line, path, exc)
+        _log.info("line=%s event=no-low-latency port=%s reason=%s", line, path, exc)
     if settings.direction == "rts":
         _log.warning(_RTS_WARNING, line, path)
     stable = devices.stable_name(path)
     if stable is not None and devices.real_path(path) == path:
-        text = "line=%s port=%s may be another adapter after replugging; use %s"
-        _log.warning(text, line, path, stable)
+        text = "it may be another adapter after replugging: use %s"
+        _log.warning("line=%s event=unstable-name port=%s reason=" + text, line, path, stable)
 
 
 def _why_not_open(settings: PortSettings, exc: Exception) -> str:

@@ -76,7 +76,9 @@ class MemoryPort:
 
     def describe(self) -> str:
         """What this port is, for people."""
-        return f"sim: {len(self._line.drives)} drives in memory at {self._line.baud} bit/s"
+        count = len(self._line.drives)
+        drives = "1 drive" if count == 1 else f"{count} drives"
+        return f"sim: {drives} in memory at {self._line.baud} bit/s"
 
     def pull(self) -> None:
         """Lose the port as when it is unplugged; the receiver is told from the loop."""

@@ -1,0 +1,32 @@
+"""The demo's table fits a terminal of the usual width."""
+
+from __future__ import annotations
+
+import io
+
+from rich.console import Console
+
+from lecombus.demo.play import ROSTER, SETPOINTS, WATCHDOG
+from lecombus.demo.view import row, table
+from support.site_host import Plant, with_plant
+
+WIDTH = 80
+
+
+def test_the_table_of_the_demo_fits_80_columns() -> None:
+    text = ROSTER.format(watchdog=WATCHDOG, socket="/tmp/demo.sock", http="127.0.0.1:0")
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        rows = [row(plant.site, name) for name in SETPOINTS]
+        out = io.StringIO()
+        Console(file=out, width=WIDTH, color_system=None).print(table("demo", rows, ""))
+        lines = out.getvalue().splitlines()
+        assert max(map(len, lines)) <= WIDTH
+        assert all("…" not in line for line in lines)
+        for cells in rows:
+            assert any(f"│ {cells[0]} " in line and f" {cells[1]} " in line for line in lines), (
+                lines
+            )
+
+    with_plant(test, text)
