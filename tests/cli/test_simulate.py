@@ -68,6 +68,26 @@ def test_the_same_over_tcp(run: Run, roster: Path) -> None:
         assert ran.status == 0
 
 
+def test_the_link_of_a_simulator_that_runs_is_left_alone(
+    run: Run, roster: Path, tmp_path: Path
+) -> None:
+    link = tmp_path / "line"
+    with simulated("-c", str(roster), "--pty", str(link)):
+        leads_to = link.readlink()
+        ran = run("simulate", "-c", str(roster), "--pty", str(link))
+        assert (ran.status, ran.out) == (2, "")
+        assert "a simulator still serves it" in ran.err
+        assert "end that one first" in ran.err
+        assert link.readlink() == leads_to
+
+
+def test_a_link_left_behind_is_replaced(run: Run, roster: Path, tmp_path: Path) -> None:
+    link = tmp_path / "line"
+    link.symlink_to("/dev/pts/no-such-terminal")
+    with simulated("-c", str(roster), "--pty", str(link)):
+        assert link.exists()
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_it_ends_cleanly_and_leaves_no_link(
     roster: Path, tmp_path: Path, number: signal.Signals
@@ -93,6 +113,13 @@ def test_what_cannot_be_served_is_said(run: Run, roster: Path, words: list[str],
     ran = run("simulate", "-c", str(roster), *words)
     assert ran.status == 2
     assert said in ran.err
+
+
+@pytest.mark.parametrize("address", ["0", "20", "90", "100", "-1"])
+def test_an_address_that_no_drive_has_is_refused_at_once(run: Run, address: str) -> None:
+    ran = run("read", "--port", "/dev/none", "--address", address, "C0050")
+    assert (ran.status, ran.out) == (2, "")
+    assert f"no drive has the address {address}; it is 1 to 99, and not 10, 20 .. 90" in ran.err
 
 
 def test_a_port_that_is_not_there_is_a_failure_of_the_line(run: Run, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from lecombus.cli.client import connect
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.reports import show_reading
 from lecombus.protocol import BAUDS as ALL_BAUDS
-from lecombus.protocol import Code
+from lecombus.protocol import Code, is_drive_address
 
 __all__ = ["command"]
 
@@ -23,7 +23,7 @@ BAUDS = [str(baud) for baud in ALL_BAUDS]
 @click.argument("words", nargs=-1, metavar="[DRIVE] CODE")
 @click.option("--stored", is_flag=True, help="What the daemon knows; nothing is sent.")
 @click.option("--port", metavar="DEVICE", help="Open this port; no daemon. Needs --address.")
-@click.option("--address", type=click.IntRange(1, 99), help="The drive's address on that port.")
+@click.option("--address", type=int, help="The drive's address on that port.")
 @click.option("--family", default="generic", show_default=True, help="The drive's family.")
 @click.option("--baud", type=click.Choice(BAUDS), default="9600", show_default=True)
 @daemon_options
@@ -48,12 +48,10 @@ def command(
     "quality", "reason", "time", "age_s"}. A value of quality bad makes the exit status 1.
     """
     if port:
+        code = _only_code(words)
         from lecombus.cli.direct import read_directly
 
-        code = _only_code(words)
-        if address is None:
-            raise CommandError(Exit.USAGE, Problem("--port needs --address", "give the drive's"))
-        answer_text, reading = read_directly(port, int(baud), address, family, code)
+        answer_text, reading = read_directly(port, int(baud), _drive_address(address), family, code)
     else:
         drive, code = _drive_and_code(words)
         with connect(socket, url) as daemon:
@@ -64,6 +62,17 @@ def command(
         click.echo(answer_text)
         return Exit.FAILED if reading.get("quality") == "bad" else Exit.DONE
     return show_reading(reading)
+
+
+def _drive_address(address: int | None) -> int:
+    """Return an address that one drive answers at; groups are never answered."""
+    if address is None:
+        raise CommandError(Exit.USAGE, Problem("--port needs --address", "give the drive's"))
+    if not is_drive_address(address):
+        problem = f"no drive has the address {address}"
+        remedy = "it is 1 to 99, and not 10, 20 .. 90, which are groups that nobody answers for"
+        raise CommandError(Exit.USAGE, Problem(problem, remedy))
+    return address
 
 
 def _only_code(words: Sequence[str]) -> Code:

@@ -74,6 +74,14 @@ def _build(roster: Roster, faults: str, seed: int) -> SimLine:
 
 
 def _free_link(path: Path) -> Path:
+    """Return a path that may become a link: free, or a link that leads nowhere any more.
+
+    A pseudo terminal is gone with the process that made it, so one that is there is alive.
+    """
+    if path.is_symlink() and path.exists():
+        problem = f"{path} leads to {path.readlink()}: a simulator still serves it, or it is a port"
+        remedy = "end that one first, or name another path; if it is neither, remove the link"
+        raise CommandError(Exit.USAGE, Problem(problem, remedy))
     if path.exists() and not path.is_symlink():
         raise CommandError(
             Exit.USAGE, Problem(f"{path} exists and is no link", "name a path that is free")
@@ -99,8 +107,7 @@ def _announce(roster: Roster, port: str, *, as_json: bool) -> None:
         click.echo(json.dumps({**document, "drives": drives}))
         return
     click.echo(port)
-    click.echo(
-        f"{len(roster.drives)} simulated drives of {roster.line.name} at {roster.line.baud} baud; "
-        "Ctrl-C ends them",
-        err=True,
-    )
+    count = len(roster.drives)
+    what = "1 simulated drive" if count == 1 else f"{count} simulated drives"
+    text = f"{what} of {roster.line.name} at {roster.line.baud} baud; Ctrl-C ends this"
+    click.echo(text, err=True)
