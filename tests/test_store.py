@@ -159,7 +159,7 @@ def test_a_value_read_once_goes_stale_after_ten_seconds(store: Store, clocks: Cl
     clocks.tick(9.9)
     assert quality(store)[0] is Quality.GOOD
     clocks.tick(0.2)
-    assert quality(store)[0] is Quality.STALE
+    assert quality(store) == (Quality.STALE, "read 10.1 s ago, not read cyclically")
 
 
 def test_a_failed_attempt_makes_the_value_bad_until_the_next_good_one(

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from lecombus.protocol.values import Value
 
 __all__ = [
+    "NOT_CYCLIC",
     "WRITE_LOCK",
     "DriveInfo",
     "DriveState",
@@ -71,6 +72,10 @@ class LineState(StrEnum):
 
 WRITE_LOCK = "software"
 """The remark that stands on a drive as long as nothing but stops may be written to it."""
+
+
+NOT_CYCLIC = "not read cyclically"
+"""In the reason of a value that is stale only because nobody asked for it again."""
 
 
 @lru_cache(maxsize=256)

@@ -31,6 +31,7 @@ from typing import TYPE_CHECKING, Final
 
 from lecombus.errors import OperationError
 from lecombus.readings import (
+    NOT_CYCLIC,
     DriveInfo,
     DriveState,
     LineInfo,
@@ -427,9 +428,11 @@ class Store:
             return Quality.BAD, "not read yet"
         if record.state is DriveState.OFFLINE:
             return Quality.STALE, with_cause("drive offline", record.reason)
-        allowed_s = self._fresh_for_s
-        if cell.every_s is not None:
-            allowed_s = 2 * cell.every_s * self._stretch + CYCLIC_GRACE_S
+        if cell.every_s is None:
+            if age_s > self._fresh_for_s:
+                return Quality.STALE, f"read {age_s:.1f} s ago, {NOT_CYCLIC}"
+            return Quality.GOOD, None
+        allowed_s = 2 * cell.every_s * self._stretch + CYCLIC_GRACE_S
         if age_s > allowed_s:
             return Quality.STALE, f"read {age_s:.1f} s ago, {allowed_s:.1f} s allowed"
         return Quality.GOOD, None

@@ -220,6 +220,31 @@ def test_status_of_a_drive_lists_its_values(run: Run, daemon: DaemonStub) -> Non
     assert ran.out == "C0046\tfrequency setpoint\t50.10\tHz\tgood\t0.4 s\t\n"
 
 
+def test_words_are_shown_by_their_digits_and_what_was_read_once_without_alarm(
+    run: Run, daemon: DaemonStub
+) -> None:
+    word = READING.replace(
+        '50.10, "raw": "50.10", "format": "VD"', '8, "raw": "H0008", "format": "VH"'
+    )
+    once = READING.replace('"good", "reason": null', '"stale", "reason": "{}"').replace(
+        "0.4", "130.0"
+    )
+    reason = "read 130.0 s ago, not read cyclically"
+    values = ", ".join((word, once.replace("{}", reason), once.replace("{}", "drive offline")))
+    daemon.answers["GET /v1/drives/feeder"] = (200, f'{{"drive": "feeder", "values": [{values}]}}')
+    rows = [line.split("\t")[2:] for line in run("status", "feeder").out.splitlines()]
+    assert rows == [
+        ["H0008", "Hz", "good", "0.4 s", ""],
+        ["50.10", "Hz", "once", "2 min", ""],
+        ["50.10", "Hz", "stale", "2 min", "drive offline"],
+    ]
+    daemon.answers["GET /v1/drives/feeder/codes/C0046?fresh=true"] = (200, word)
+    assert run("read", "feeder", "C0046").out == "feeder\tC0046\tH0008\tHz\tgood\t\n"
+    written = WRITTEN.replace(READING, word)
+    daemon.answers["PUT /v1/drives/feeder/codes/C0046"] = (200, written)
+    assert run("write", "feeder", "C0046", "H0008").out.split("\t")[3] == "H0008 Hz"
+
+
 def test_a_daemon_that_ends_before_it_answers_is_not_reachable(
     run: Run, daemon: DaemonStub
 ) -> None:

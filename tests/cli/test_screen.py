@@ -46,6 +46,19 @@ def test_a_cell_is_shown_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
             "feeder C0039/1: 35.4 [stale: drive offline]",
         ),
         (
+            {"value": 34424, "raw": "H8678", "format": "VH", "quality": "good"},
+            "feeder C0039/1: H8678",
+        ),
+        (
+            {
+                "value": 2000,
+                "quality": "stale",
+                "reason": "read 130.0 s ago, not read cyclically",
+                "age_s": 130.0,
+            },
+            "feeder C0039/1: 2000 [2 min old]",
+        ),
+        (
             {"value": None, "quality": "bad", "reason": "not read yet"},
             "feeder C0039/1: no value [bad: not read yet]",
         ),

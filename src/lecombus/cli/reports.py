@@ -15,15 +15,18 @@ import click
 
 from lecombus.cli.exits import Exit
 from lecombus.cli.screen import age, on_terminal, show_rows, table_text
+from lecombus.readings import NOT_CYCLIC
 
 __all__ = [
     "Document",
     "code_of",
     "kind_of",
+    "quality_of",
     "show_group",
     "show_reading",
     "show_write",
     "status_of",
+    "value_of",
 ]
 
 Document = Mapping[str, Any]
@@ -53,20 +56,36 @@ def code_of(document: Document) -> str:
     return f"{code}/{subcode}" if subcode and "/" not in code else code
 
 
+def value_of(reading: Document) -> str:
+    """Return a value as people know it: a word by its digits on the wire, such as `H8678`."""
+    return table_text(reading.get("raw" if reading.get("format") == "VH" else "value"))
+
+
+def quality_of(reading: Document) -> tuple[str, str]:
+    """Return how far a value may be trusted, and why not further.
+
+    What is stale only because it was read once, as most parameters are, alarms nobody: its age
+    says it all.
+    """
+    quality, reason = table_text(reading.get("quality")), table_text(reading.get("reason"))
+    if quality == "stale" and reason.endswith(NOT_CYCLIC):
+        return "once", ""
+    return quality, reason
+
+
 def show_reading(reading: Document) -> Exit:
     """Print one value; on a terminal as a sentence, in a pipe as cells.
 
     Returns:
         FAILED for a value of quality bad.
     """
-    code, quality = code_of(reading), table_text(reading.get("quality"))
-    value, unit = table_text(reading.get("value")), table_text(reading.get("unit"))
-    reason = table_text(reading.get("reason"))
+    code, (quality, reason) = code_of(reading), quality_of(reading)
+    value, unit = value_of(reading), table_text(reading.get("unit"))
     if on_terminal():
         name = f" ({reading['name']})" if reading.get("name") else ""
         shown = " ".join(part for part in (value or "no value", unit) if part)
         line = f"{reading.get('drive', '')} {code}{name}: {shown}"
-        if quality != "good":
+        if quality not in ("good", "once"):
             line += f" [{quality}: {reason}]" if reason else f" [{quality}]"
         elif reading.get("age_s") is not None and float(reading["age_s"]) >= 1.0:
             line += f" [{age(reading['age_s'])} old]"
@@ -107,7 +126,7 @@ def _show_outcomes(reports: Sequence[Document], title: str = "") -> None:
         if reading.get("quality") != "good":
             reading = {}  # what was read before the write is not what it reads now
         unit = table_text(reading.get("unit"))
-        reads = " ".join(filter(None, (table_text(reading.get("value")), unit)))
+        reads = " ".join(filter(None, (value_of(reading), unit)))
         said = [table_text(report.get(key)) for key in ("reason", "detail", "cause", "remedy")]
         why = "; ".join(dict.fromkeys(part for part in said if part))
         drive, outcome = table_text(report.get("drive")), table_text(report.get("outcome"))

@@ -10,7 +10,7 @@ import click
 from lecombus.cli.arguments import daemon_options
 from lecombus.cli.client import connect
 from lecombus.cli.exits import Exit
-from lecombus.cli.reports import Document, code_of
+from lecombus.cli.reports import Document, code_of, quality_of, value_of
 from lecombus.cli.screen import age, on_terminal, show_rows, table_text
 
 __all__ = ["command"]
@@ -24,8 +24,8 @@ def command(drive: str | None, socket: str | None, url: str | None, as_json: boo
 
     Nothing is sent to the line. In a pipe: first the line (the word `line`, name, state, reason),
     then one line a drive (drive, address, family, state, reason); or one a value (code, name,
-    value, unit, quality, age, reason). With --json: {"line": .., "drives": ..}, the daemon's
-    documents, or with DRIVE the drive's document.
+    value, unit, quality, age, reason; quality `once`: not asked for again). With --json: {"line":
+    .., "drives": ..}, the daemon's documents, or with DRIVE the drive's document.
     """
     with connect(socket, url) as daemon:
         if drive:
@@ -80,13 +80,14 @@ def _show_drive(drive: Document) -> None:
         (
             code_of(value),
             table_text(value.get("name")),
-            table_text(value.get("value")),
+            value_of(value),
             table_text(value.get("unit")),
-            table_text(value.get("quality")),
+            quality,
             age(value.get("age_s")),
-            table_text(value.get("reason")),
+            reason,
         )
         for value in _listed(drive, "values")
+        for quality, reason in [quality_of(value)]
     ]
     show_rows(("code", "name", "value", "unit", "quality", "age", "why"), rows)
 
