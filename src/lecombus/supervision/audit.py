@@ -15,7 +15,8 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 
 from lecombus.config import DriveEntry
@@ -60,6 +61,10 @@ class WatchdogSetting:
         return self.action != 0 and self.time_s > 0.0
 
 
+Turn = Callable[[], AbstractAsyncContextManager[object]]
+"""Gives what is entered while the line is asked; slow drives are given the same lock."""
+
+
 class Audit:
     """Asks drives the questions of an audit.
 
@@ -98,20 +103,35 @@ class Audit:
                 retries=0,
             )
 
-    async def examine(self, entry: DriveEntry, station: Station) -> None:
+    async def examine(self, entry: DriveEntry, station: Station, turn: Turn) -> None:
         """Find out what is at the other end and put its watchdog in order.
+
+        In two turns: what a drive's watchdog does is looked at before any drive's is set, because
+        one that is off needs no feeding, and with less to feed setting them goes faster.
+
+        Args:
+            entry: What the roster says of the drive.
+            station: The drive.
+            turn: Entered for each of the two; slow drives take turns.
 
         Raises:
             LecombusError: It could not be finished.
         """
         family = station.family
-        for code in {rule.code for rule in family.stops.values() if rule.value is None}:
-            with contextlib.suppress(UnknownCodeError):  # its quick stop will be an inhibit
-                await self._read(station, code)
-        if family.software is not None:
-            await self._audit_software(entry, station, family.software)
-        if family.watchdog is not None and entry.watchdog is not None:
-            await self._audit_watchdog(entry, station, family.watchdog)
+        watched = family.watchdog is not None and entry.watchdog is not None
+        async with turn():
+            for code in {rule.code for rule in family.stops.values() if rule.value is None}:
+                with contextlib.suppress(UnknownCodeError):  # its quick stop will be an inhibit
+                    await self._read(station, code)
+            if family.software is not None:
+                await self._audit_software(entry, station, family.software)
+            action = None
+            if watched and family.watchdog is not None:
+                action = await self._look(entry.name, station, family.watchdog)
+        if action is not None and family.watchdog is not None:
+            async with turn():
+                with self._remarking(entry.name):
+                    await self._audit_watchdog(entry, station, family.watchdog, action)
 
     async def learn_the_rest(self, entry: DriveEntry, station: Station) -> None:
         """What a drive need not be kept from work for: read when the line has time.
@@ -153,22 +173,36 @@ class Audit:
             logger.warning("drive=%s event=software-unknown reason=%s", entry.name, text)
         self._store.note(entry.name, WRITE_LOCK, text)
 
+    async def _look(self, name: str, station: Station, traits: WatchdogTraits) -> int | None:
+        """Read what the watchdog does; None: it cannot be seen, and a remark says so."""
+        action: int | None = None
+        with self._remarking(name):
+            action = int(number(await self._read(station, traits.action_code)))
+            if action == 0:
+                self._feed(name, None)
+        return action
+
+    @contextlib.contextmanager
+    def _remarking(self, name: str) -> Iterator[None]:
+        """Make a remark of what can never be read, instead of asking for it for ever."""
+        try:
+            yield
+        except UnknownCodeError as exc:
+            self._store.note(name, REMARK, f"its watchdog cannot be seen: {exc}")
+        except OperationError as exc:
+            if exc.kind != DOES_NOT_FIT:
+                raise
+            self._store.note(name, REMARK, f"its watchdog cannot be checked: {exc}")
+
     async def _audit_watchdog(
-        self, entry: DriveEntry, station: Station, traits: WatchdogTraits
+        self, entry: DriveEntry, station: Station, traits: WatchdogTraits, action: int
     ) -> None:
         wanted = entry.watchdog
         assert wanted is not None
         target = WatchdogSetting(wanted.time_s, traits.actions[wanted.action])
-        try:
-            found = await self._find(entry.name, station, traits, target)
-        except UnknownCodeError as exc:
-            self._store.note(entry.name, REMARK, f"its watchdog cannot be seen: {exc}")
-            return
-        except OperationError as exc:
-            if exc.kind != DOES_NOT_FIT:
-                raise
-            self._store.note(entry.name, REMARK, f"its watchdog cannot be checked: {exc}")
-            return
+        found = WatchdogSetting(
+            await self._find_time(entry.name, station, traits, target, action), action
+        )
         locked = WRITE_LOCK in self._store.drive(entry.name).remarks
         if found != target and wanted.configure and not locked:
             logger.info(
@@ -178,19 +212,22 @@ class Audit:
             found = await self._configure(station, traits, found, target)
         self._settle(entry.name, traits, found, target)
 
-    async def _find(
-        self, name: str, station: Station, traits: WatchdogTraits, target: WatchdogSetting
-    ) -> WatchdogSetting:
-        """Read the setting; of one that was in order the action alone.
+    async def _find_time(
+        self,
+        name: str,
+        station: Station,
+        traits: WatchdogTraits,
+        target: WatchdogSetting,
+        action: int,
+    ) -> float:
+        """Read the time, unless the action shows that nothing was lost since it was in order.
 
-        A module that lost its settings with its supply has its action back at 0, so the action
-        tells, and reading a module's own code keeps everybody else waiting for half a second.
+        A module that lost its settings with its supply has its action back at 0, and reading a
+        module's own code keeps everybody else waiting for half a second.
         """
-        if target.armed and self._known.get(name) == target:
-            action = int(number(await self._read(station, traits.action_code)))
-            if action == target.action:
-                return target
-        return await self._read_setting(station, traits)
+        if target.armed and action == target.action and self._known.get(name) == target:
+            return target.time_s
+        return number(await self._read(station, traits.time_code)) / 1000.0
 
     async def _configure(
         self,
@@ -200,8 +237,6 @@ class Audit:
         target: WatchdogSetting,
     ) -> WatchdogSetting:
         """Write what differs, the action last: until then an idle watchdog needs no feeding."""
-        if not found.armed:
-            self._feed(station.name, None)
         proven = True
         if found.time_s != target.time_s:
             proven &= await self._write(station, traits.time_code, target.time_s * 1000.0)

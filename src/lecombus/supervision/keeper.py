@@ -146,8 +146,9 @@ class Keeper:
             await self._audits.contact(station)
         finally:
             self.tried.add(entry.name)
-        async with self._one_at_a_time if is_slow(station) else contextlib.nullcontext():
-            await self._audits.examine(entry, station)
+        slow = is_slow(station)
+        turn = (lambda: self._one_at_a_time) if slow else contextlib.nullcontext
+        await self._audits.examine(entry, station, turn)
 
     async def _learn_the_rest(self, name: str) -> None:
         entry = self._entries.get(name)
