@@ -76,6 +76,8 @@ STATUS_BY_KIND: Final[Mapping[str, tuple[int, str]]] = {
     "refused": (409, "Refused"),
     "superseded": (409, "Superseded"),
     "not-in-effect": (409, "Written, but not in effect"),
+    "starting": (409, "Drive not audited yet"),
+    "does-not-fit": (409, "Would make a watchdog feed late"),
     "no-stop": (409, "No such stop for this drive"),
     "no-control-word": (409, "Control word not known"),
     "too-big": (413, "Body too big"),
