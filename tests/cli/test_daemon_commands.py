@@ -199,10 +199,15 @@ def test_status_begins_with_a_line_that_is_lost(
         '{"line": "hall-3", "state": "lost", "reason": "/dev/ttyS9: no such device", '
         '"stretch": 1.000, "remarks": {}}',
     )
-    daemon.answers["GET /v1/drives"] = (200, '{"drives": []}')
+    daemon.answers["GET /v1/drives"] = (
+        200,
+        '{"drives": [{"drive": "feeder", "state": "offline", '
+        '"reason": "line lost: /dev/ttyS9: no such device", "remarks": {"x": "y"}}]}',
+    )
     if terminal:
         monkeypatch.setattr(status, "on_terminal", lambda: True)
-    first = run("status").out.splitlines()[0]
+    first, drive = run("status").out.splitlines()
+    assert drive.endswith("\toffline\tline lost; y"), "why the line is lost is said once"
     assert first == (
         "line hall-3: lost, /dev/ttyS9: no such device"
         if terminal

@@ -77,7 +77,7 @@ SAFE = "watchdog: {time: 2s, action: inhibit, configure: true}"
         (drive_with("writable: [C0150]"), "(controller status word) is writable here, read only"),
         (drive_with("writable: [C0125]", "allow_address_change: true"), "answers elsewhere"),
         (drive_with("lease: {required: true, on_lapse: hold}"), "shows as a permanent alarm"),
-        (drive_with("lease: {required: true}"), "a lease is required for 1 of 1 drives, but"),
+        (drive_with("lease: {required: true}"), "a lease is required for 1 of 1 drive, but"),
     ],
 )  # fmt: skip
 def test_what_is_valid_but_suspicious_is_said(text: str, piece: str) -> None:

@@ -63,7 +63,7 @@ def _show_line(line: Document, drives: Sequence[Document]) -> None:
             table_text(drive.get("address")),
             table_text(drive.get("family")),
             table_text(drive.get("state")),
-            _why(drive),
+            _why(drive).replace(f"line {state}: {line.get('reason')}", f"line {state}"),
         )
         for drive in drives
     ]

@@ -12,7 +12,7 @@ from typing import Any
 
 from lecombus.config.durations import format_duration
 from lecombus.config.models import DriveEntry, GroupEntry, Roster
-from lecombus.config.suspicions import cyclic_load, find_warnings
+from lecombus.config.suspicions import counted, cyclic_load, find_warnings
 from lecombus.protocol.addressing import group_reach
 
 __all__ = ["DescribedDrive", "DescribedGroup", "Description", "describe", "multicast_words"]
@@ -104,7 +104,7 @@ def describe(roster: Roster) -> Description:
     return Description(
         file=roster.file,
         line=f"line {line.name}: {line.medium} on {line.port}, {line.baud} baud, "
-        f"{len(roster.drives)} drive{'s' if len(roster.drives) != 1 else ''}",
+        f"{counted(roster.drives)}",
         cyclic_load=round(cyclic_load(roster), 4),
         drives=tuple(map(_drive, roster.drives)),
         groups=tuple(_group(name, group) for name, group in roster.groups.items()),

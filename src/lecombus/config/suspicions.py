@@ -8,7 +8,7 @@ What must not live here: rules that refuse (see `checks`).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 from lecombus.config.borders import is_network_port
@@ -18,11 +18,16 @@ from lecombus.config.timing import line_timing
 from lecombus.drives import LineTiming, WriteClass, family, read_cost
 from lecombus.protocol.addressing import Code, Form
 
-__all__ = ["cyclic_load", "find_warnings"]
+__all__ = ["counted", "cyclic_load", "find_warnings"]
 
 _LATE_ANSWER_SAFE_S: Final = 0.5
 """Longest processing time of the 2102 module. Source: EDB2102EN 3.5 (C1920..C1923, 500 ms)."""
 _UNSTABLE: Final = ("/dev/ttyUSB", "/dev/ttyACM")
+
+
+def counted(drives: Sequence[DriveEntry]) -> str:
+    """Return `1 drive` or `31 drives`."""
+    return "1 drive" if len(drives) == 1 else f"{len(drives)} drives"
 
 
 def find_warnings(roster: Roster) -> list[str]:
@@ -122,7 +127,7 @@ def _unwatched(roster: Roster) -> Iterator[str]:
     if names:
         shown = ", ".join(names[:6]) + (" .." if len(names) > 6 else "")
         yield (
-            f"no watchdog is looked after in {len(names)} of {len(roster.drives)} drives "
+            f"no watchdog is looked after in {len(names)} of {counted(roster.drives)} "
             f"({shown}): they run on if the line is cut, or stop if theirs is set in the drive"
         )
 
@@ -132,7 +137,7 @@ def _leases(roster: Roster) -> Iterator[str]:
     required = [drive for drive in roster.drives if drive.lease.required]
     if required:
         yield (
-            f"a lease is required for {len(required)} of {len(roster.drives)} drives, but this "
+            f"a lease is required for {len(required)} of {counted(roster.drives)}, but this "
             "version does not enforce it: whoever reaches the API may move them"
         )
 
