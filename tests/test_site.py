@@ -32,6 +32,18 @@ def test_a_site_has_tried_all_once_every_drive_was_asked_also_those_that_are_not
     with_plant(test, roster_of(AB))
 
 
+def test_a_drive_that_answers_and_reports_a_fault_does_not_look_healthy() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        assert not [key for key in plant.site.store.drive("a").remarks if key.startswith("fault")]
+        plant.line["a"].trip(50)
+        await until(lambda: "fault C0150" in plant.site.store.drive("a").remarks)
+        assert "C0150 reads H" in plant.site.store.drive("a").remarks["fault C0150"]
+        assert not [key for key in plant.site.store.drive("b").remarks if key.startswith("fault")]
+
+    with_plant(test, roster_of(AB))
+
+
 def test_a_reloaded_roster_leaves_alone_what_did_not_change() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()

@@ -68,6 +68,12 @@ def test_misses_in_a_row_degrade_a_drive_and_then_take_it_offline(
     assert ward.exchange(*[MISSED] * misses) is state
 
 
+def test_a_drive_that_has_answered_keeps_the_patience_of_one_while_it_waits_for_its_audit() -> None:
+    ward = Ward()
+    assert ward.exchange(GOOD, MISSED, MISSED, MISSED) is STARTING
+    assert ward.exchange(MISSED) is OFFLINE
+
+
 def test_a_single_miss_is_forgiven_without_an_audit() -> None:
     ward = Ward().online()
     assert ward.exchange(MISSED, GOOD) is ONLINE

@@ -12,8 +12,10 @@ from lecombus.line.observer import ExchangeReport
 from lecombus.line.station import StepKind
 from lecombus.metrics import Metrics
 from lecombus.operations.control_words import ControlWords
+from lecombus.protocol.addressing import Code
 from lecombus.protocol.exchange import ResultKind
 from lecombus.protocol.telegrams import AckAnswer, NakAnswer, UnknownCodeAnswer, ValueAnswer
+from lecombus.protocol.values import Value
 from lecombus.readings import LineState
 from lecombus.store import Store
 from lecombus.supervision.health import Health
@@ -72,6 +74,7 @@ class Books:
                 code = report.step.code
                 self._store.value_read(report.drive, code, answer.value, result.ended_s)
                 self._words.seen(report.drive, code, answer.value)
+                self._note_fault(report.drive, code, answer.value)
             elif not (type(answer) is AckAnswer and kind is StepKind.WRITE):
                 outcome = self._book_failure(report, outcome)
             elif report.step.value is not None:
@@ -80,6 +83,17 @@ class Books:
         else:
             return
         self._count(report, outcome)
+
+    def _note_fault(self, drive: str, code: Code, value: Value) -> None:
+        """A drive that answers well and reports a fault must not look healthy in the lists."""
+        word = self._store.family(drive).words.get(code)
+        number = value.number
+        if word is None or not isinstance(number, int):
+            return
+        fault = word.active_fault(number)
+        if fault is not None:
+            text = f"the drive reports a fault: {code} reads {value.raw}" if fault else None
+            self._store.note(drive, f"fault {code}", text)
 
     def _book_multicast(self, report: ExchangeReport) -> None:
         code, value = report.step.code, report.step.value

@@ -33,8 +33,8 @@ logger = logging.getLogger(__name__)
 OFFLINE_AFTER = 4
 """Failed exchanges in a row: on a line that loses one answer in eight, once in 4000 exchanges."""
 
-OFFLINE_AFTER_STARTING = 1
-"""A drive that has not answered since the start is probably not there, and others wait behind it;
+OFFLINE_AFTER_UNHEARD = 1
+"""A drive that has not answered since the line was opened is probably not there, and others wait behind it;
 if it is, the probe that follows at once finds it."""
 
 AUDIT_AFTER = 2
@@ -46,6 +46,7 @@ class _Record:
     state: DriveState
     make_probe: Callable[[], Request]
     misses: int = 0
+    heard: bool = False
     audit_due: bool = False
 
 
@@ -93,6 +94,7 @@ class Health:
                 self._schedule.set_probe(name, None, now)
                 self._schedule.unpark(name, now)
             record.misses = 0
+            record.heard = False
             self._set(name, record, DriveState.STARTING, "the line was opened: to be audited")
             self._wants_audit(name)
 
@@ -108,6 +110,7 @@ class Health:
         if record is None:
             return
         if kind is ResultKind.ANSWERED:
+            record.heard = True
             if record.misses or record.state is DriveState.OFFLINE:
                 self._answered(name, record)
         elif kind is not ResultKind.LOST:
@@ -148,8 +151,9 @@ class Health:
         if record.state is DriveState.OFFLINE:
             return
         starting = record.state is DriveState.STARTING
-        if record.misses >= (OFFLINE_AFTER_STARTING if starting else OFFLINE_AFTER):
-            reason = f"{record.misses} exchanges in a row failed, the last one: {fault}"
+        if record.misses >= (OFFLINE_AFTER if record.heard else OFFLINE_AFTER_UNHEARD):
+            many = f"{record.misses} exchanges in a row" if record.misses > 1 else "the exchange"
+            reason = f"{many} failed: {fault}"
             self._set(name, record, DriveState.OFFLINE, reason)
             now = self._clock()
             self._schedule.park(name, now, f"{name} is offline: {reason}")
