@@ -51,7 +51,7 @@ def test_a_stop_goes_out_right_after_the_exchange_it_was_submitted_in() -> None:
             rig.read("b", 150)
         await anyio.sleep(0.010)
         said = len(rig.sent)
-        assert rig.worker._waiter is not None, "it must be submitted during an exchange"
+        assert rig.worker._under_way is not None, "it must be submitted during an exchange"
         ended = stop(rig, "a")
         await until(lambda: len(rig.sent) > said)
         telegram = rig.sent[said]

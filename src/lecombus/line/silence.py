@@ -36,6 +36,10 @@ class Silence:
         self.free_at_s = 0.0
         self.quiet_until_s = 0.0
 
+    def is_over(self, now_s: float) -> bool:
+        """Whether there is no quarantine; the turnaround may still run."""
+        return now_s >= self.quiet_until_s
+
     def opened(self, now_s: float) -> None:
         """A port was opened."""
         self._quarantine(now_s, AFTER_OPEN_S)

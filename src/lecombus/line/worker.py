@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import anyio
@@ -103,7 +104,9 @@ class LineWorker:
         self._connection = Connection(settings, opener, self)
         self._exchange = Exchange(parity=True, echo=options.echo)
         self._reports: list[ExchangeReport] = []
-        self._waiter: asyncio.Future[Result] | None = None
+        self._under_way: tuple[Request, Job, Question] | None = None
+        self._run: asyncio.Future[None] | None = None
+        self._pause: asyncio.TimerHandle | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._nap: asyncio.Future[None] | None = None
         self._silence = Silence(options.turnaround_s)
@@ -167,7 +170,7 @@ class LineWorker:
         now = asyncio.get_running_loop().time()
         if self._talkative:
             logger.debug("line=%s event=received bytes=%s", self._name, data.hex(" "))
-        if self._waiter is not None:
+        if self._under_way is not None:
             result = self._exchange.feed(data, now)
             if result is not None:
                 self._end_exchange(result)
@@ -180,8 +183,11 @@ class LineWorker:
     def lost(self, exc: Exception | None) -> None:
         """Take note that the port is gone."""
         self._connection.note_loss(exc)
-        if self._waiter is not None:
+        if self._under_way is not None:
             self._end_exchange(self._exchange.lost(asyncio.get_running_loop().time()))
+        elif self._pause is not None:
+            self._pause.cancel()
+            self._guarded(self._go_on)
         self.nudge()
 
     def _end_all(self) -> None:
@@ -237,21 +243,28 @@ class LineWorker:
         loop = asyncio.get_running_loop()
         while not self._closing and not self._connection.is_lost:
             now = loop.time()
-            if now < self._silence.free_at_s or now < self._silence.quiet_until_s:
-                if await self._stay_quiet(now):
-                    continue
-                now = loop.time()
-            request = self.schedule.next(now)
-            if request is None:
+            if (now < self._silence.free_at_s or now < self._silence.quiet_until_s) and (
+                await self._stay_quiet(now)
+            ):
+                continue
+            if self._say_next(loop.time()):
+                await self._run_ends()
+            else:
                 self._publish()
                 self._stop_waiting = False
                 await self._rest(now)
-                continue
-            if request.priority is not Priority.STOP:
-                self._stop_waiting = False
-            await self._say(request, now)
         self._publish()
         return not self._closing
+
+    async def _run_ends(self) -> None:
+        """Wait while one exchange follows the other."""
+        if self._under_way is None and self._pause is None:
+            return
+        self._run = asyncio.get_running_loop().create_future()
+        try:
+            await self._run
+        finally:
+            self._run = None
 
     async def _rest(self, now: float) -> None:
         """Nothing is due: sleep, but not so long that an idle line looks like a stuck one."""
@@ -271,24 +284,74 @@ class LineWorker:
         await self._nap_until(self._silence.quiet_until_s)
         return True
 
-    async def _say(self, request: Request, now: float) -> None:
-        """Run the next step of a request as one exchange."""
+    # ---- one exchange after the other, without leaving the receive path ---------------------
+
+    def _say_next(self, now: float) -> bool:
+        """Begin what the schedule wants said, if it wants anything; False: it does not."""
+        request = self.schedule.next(now)
+        if request is None:
+            return False
+        if request.priority is not Priority.STOP:
+            self._stop_waiting = False
+        self._say(request, now)
+        return True
+
+    def _say(self, request: Request, now: float) -> None:
+        """Begin the next step of a request as one exchange."""
         job: Job = request.work  # type: ignore[assignment]
         question = self._questions.ask(job, now, urgent=request.priority is Priority.STOP)
         if not isinstance(question, Question):
             self._postpone(request, question, now)
             return
+        self._under_way = (request, job, question)
         try:
-            waiter = self._begin(question, now)
+            self._begin(question, now)
         except LineLostError as exc:
             self._connection.note_loss(exc)
-            result = self._exchange.lost(now)
+            self._end_exchange(self._exchange.lost(now))
         else:
             self._publish()
             self._observer.thinking(question.thinking_s)
             self.schedule.prepare()
-            result = await waiter
-        self._conclude(request, job, question, result)
+
+    def _end_exchange(self, result: Result) -> None:
+        """Conclude the exchange under way and go on.
+
+        This runs in the event loop's callbacks, where an error would be logged and forgotten: it
+        is handed to the worker's task, which ends with it.
+        """
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        under_way, self._under_way = self._under_way, None
+        if under_way is None:
+            return
+        self._guarded(lambda: self._conclude(*under_way, result))
+        self._guarded(self._go_on)
+
+    def _guarded(self, act: Callable[[], None]) -> None:
+        try:
+            act()
+        except BaseException as exc:  # whatever it is, it must end the worker and not vanish
+            if self._run is None or self._run.done():
+                raise
+            self._run.set_exception(exc)
+
+    def _go_on(self) -> None:
+        """Say the next thing at once where the line is free; else leave it to the worker's task."""
+        loop = asyncio.get_running_loop()
+        self._pause = None
+        now = loop.time()
+        if not self._closing and not self._connection.is_lost and self._silence.is_over(now):
+            if now < self._silence.free_at_s:
+                self._publish()
+                self._pause = loop.call_at(self._silence.free_at_s, self._guarded, self._go_on)
+                return
+            self._say_next(now)
+        if self._under_way is None:
+            self._publish()  # before whoever waited for the result looks for it in the books
+            if self._run is not None and not self._run.done():
+                self._run.set_result(None)
 
     def _postpone(self, request: Request, until_s: float, now: float) -> None:
         """Say it later: an old answer that could pass for its own may still come.
@@ -302,17 +365,15 @@ class LineWorker:
         self.schedule.finished(request, now, now, reached=False)
         request.end(Outcome.REFUSED, "an old answer that could pass for its own may still come")
 
-    def _begin(self, question: Question, now: float) -> asyncio.Future[Result]:
+    def _begin(self, question: Question, now: float) -> None:
         port = self._connection.port
         assert port is not None
-        loop = asyncio.get_running_loop()
         self._exchange.begin(question.ask, now)
         port.write(question.ask.sent)
         if self._talkative:
             logger.debug("line=%s event=sent bytes=%s", self._name, question.ask.sent.hex(" "))
-        self._waiter = waiter = loop.create_future()
+        loop = asyncio.get_running_loop()
         self._timer = loop.call_at(self._exchange.deadline_s(), self._on_deadline)
-        return waiter
 
     def _on_deadline(self) -> None:
         loop = asyncio.get_running_loop()
@@ -321,14 +382,6 @@ class LineWorker:
             self._timer = loop.call_at(self._exchange.deadline_s(), self._on_deadline)
         else:
             self._end_exchange(result)
-
-    def _end_exchange(self, result: Result) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
-        waiter, self._waiter = self._waiter, None
-        if waiter is not None:
-            waiter.set_result(result)
 
     def _conclude(self, request: Request, job: Job, question: Question, result: Result) -> None:
         """Tell schedule, doubts and job; the observer is told after the next telegram."""
