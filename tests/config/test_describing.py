@@ -106,3 +106,52 @@ def test_the_latency_follows_from_the_port_unless_written(text: str, latency_s: 
 
 def test_the_quarantine_is_no_longer_than_an_answer_can_be_late() -> None:
     assert line_timing(parsed(line_with("late_answer: 10ms")).line).quarantine_s == 0.01
+
+
+def watched(times: list[str], family: str = "8200vector", more: str = "configure: true") -> str:
+    """Return a roster of drives d1, d2 .. with these watchdog times, watched only by the line."""
+    drives = [
+        f"  - {{name: d{number}, address: {number + (number - 1) // 9}, family: {family}, "
+        f"cyclic: [], watchdog: {{time: {time}, action: quick-stop, {more}}}}}\n"
+        for number, time in enumerate(times, 1)
+    ]
+    return GOOD.partition("drives:")[0] + "drives:\n" + "".join(drives)
+
+
+def test_watchdogs_that_can_be_neither_read_nor_set_beside_the_feeding_are_told() -> None:
+    (told,) = warned(watched(["1s"] * 8))
+    assert told.startswith(
+        "the watchdogs of 8 drives (d1, d2, d3, d4, d5, d6, d7, d8) can be neither checked nor set "
+        "while the others are fed: reading C1922 may hold the line for 0.73 s and 0.59 s is left; "
+    )
+    assert "a watchdog time of at least 1.2 s, a higher baud rate or fewer drives" in told
+    assert warned(watched(["1.2s"] * 8)) == []
+    assert warned(watched(["1s"] * 4)) == []
+
+
+def test_a_higher_baud_rate_makes_room_for_slow_codes() -> None:
+    slow = watched(["2s"] * 31)
+    assert "of at least 2.2 s" in warned(slow)[0]
+    assert warned(watched(["2.2s"] * 31)) == []
+    assert warned(slow.replace("drives:", "  baud: 19200\ndrives:", 1)) == []
+
+
+def test_only_drives_whose_codes_are_slow_can_be_without_room() -> None:
+    assert warned(watched(["1s"] * 8, family="smvector")) == []
+    mixed = watched(["1s"] * 8).replace("8200vector", "smvector", 7)
+    (told,) = warned(mixed)
+    assert told.startswith("the watchdog of 1 drive (d8) can be neither checked nor set")
+
+
+def test_a_long_watchdog_beside_a_short_one_takes_nothing_from_its_room() -> None:
+    assert warned(watched(["1s", *["30s"] * 10])) == []
+    (told,) = warned(watched(["500ms"]))
+    assert "while it is fed" in told
+
+
+def test_what_is_true_of_many_drives_is_said_once() -> None:
+    told = warned(watched(["3s", "3s", "2.5s"], more="configure: false"))
+    assert told == [
+        "3 drives (d1, d2, d3): a 2102 module forgets its watchdog at power-off; without "
+        "configure: true it is only reported then"
+    ]

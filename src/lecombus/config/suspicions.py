@@ -1,14 +1,16 @@
 """What is valid in a roster but makes one wonder: said by `check`, never a reason to refuse.
 
 Each rule is one function that yields sentences; the sentence says what will happen, then what
-could be done. Numbers come from the same cost model as time-outs and the schedule.
+could be done. Numbers come from the same cost model as time-outs and the schedule. What is true of
+single drives is yielded with the drive's name, and said once for all drives of which it is true.
 
 What must not live here: rules that refuse (see `checks`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
 from lecombus.config.borders import is_network_port
@@ -22,6 +24,8 @@ __all__ = ["counted", "cyclic_load", "find_warnings"]
 
 _LATE_ANSWER_SAFE_S: Final = 0.5
 """Longest processing time of the 2102 module. Source: EDB2102EN 3.5 (C1920..C1923, 500 ms)."""
+_USABLE_PART: Final = 0.9
+"""Of a watchdog time: by then a feed must be over (`schedule.feeds`)."""
 _UNSTABLE: Final = ("/dev/ttyUSB", "/dev/ttyACM")
 
 
@@ -35,13 +39,27 @@ def find_warnings(roster: Roster) -> list[str]:
     timing = line_timing(roster.line)
     found = list(_line(roster.line))
     found.extend(_load(roster, timing))
-    found.extend(_feeding(roster, timing))
+    found.extend(_gathered(_feeding(roster, timing)))
+    found.extend(_slow_codes(roster, timing))
     found.extend(_unwatched(roster))
     found.extend(_leases(roster))
-    for drive in roster.drives:
-        found.extend(_watchdog(drive))
-        found.extend(_writable(drive))
+    found.extend(_gathered(text for drive in roster.drives for text in _watchdog(drive)))
+    found.extend(_gathered(text for drive in roster.drives for text in _writable(drive)))
     return found
+
+
+def _gathered(told: Iterable[tuple[str, str]]) -> Iterator[str]:
+    """Yield what is said of drives, once for all of which the same is said.
+
+    Args:
+        told: Names of drives, and what is said of each.
+    """
+    drives: dict[str, list[str]] = {}
+    for name, text in told:
+        drives.setdefault(text, []).append(name)
+    for text, names in drives.items():
+        first = names[0] if len(names) == 1 else f"{len(names)} drives ({', '.join(names)})"
+        yield f"{first}: {text}"
 
 
 def _line(line: LineEntry) -> Iterator[str]:
@@ -96,29 +114,103 @@ def _load(roster: Roster, timing: LineTiming) -> Iterator[str]:
         )
 
 
-def _feeding(roster: Roster, timing: LineTiming) -> Iterator[str]:
+def _watched(roster: Roster) -> list[tuple[DriveEntry, float]]:
+    """Return the drives to be fed, with their watchdog times in seconds."""
+    return [
+        (drive, drive.watchdog.time_s)
+        for drive in roster.drives
+        if drive.watchdog is not None and drive.watchdog.action != "none"
+    ]
+
+
+def _feeding(roster: Roster, timing: LineTiming) -> Iterator[tuple[str, str]]:
     """Warn of watchdogs that act when one answer is lost while the others wait to be fed."""
-    watched = [drive for drive in roster.drives if drive.watchdog is not None
-               and drive.watchdog.action != "none"]  # fmt: skip
+    watched = _watched(roster)
     if not watched:
         return
-    times = [_reading_s(drive, family(drive.family).feed_code, timing) for drive in watched]
+    times = [_reading_s(drive, family(drive.family).feed_code, timing) for drive, _ in watched]
     round_s = sum(usual for usual, _ in times)
     need_s = round_s + max(worst for _, worst in times)
-    for drive in watched:
-        assert drive.watchdog is not None
-        time_s = drive.watchdog.time_s
+    for drive, time_s in watched:
         if time_s < round_s:
             yield (
-                f"{drive.name}: a watchdog of {format_duration(time_s)} cannot be fed: one read "
-                f"of each watched drive ({len(watched)}) takes {round_s * 1000:.0f}ms at "
-                f"{timing.baud} baud"
+                drive.name,
+                f"a watchdog of {format_duration(time_s)} cannot be fed: one read of each watched "
+                f"drive ({len(watched)}) takes {round_s * 1000:.0f}ms at {timing.baud} baud",
             )
         elif time_s < need_s:
             yield (
-                f"{drive.name}: a watchdog of {format_duration(time_s)} may act when one answer is "
-                f"lost; {need_s:.1f}s would outlast that"
+                drive.name,
+                f"a watchdog of {format_duration(time_s)} may act when one answer is lost; "
+                f"{_up(need_s)}s would outlast that",
             )
+
+
+def _slow_codes(roster: Roster, timing: LineTiming) -> Iterator[str]:
+    """Warn of watchdogs whose own codes take longer to read than the others can wait for food.
+
+    The schedule begins nothing that could make a feed late, so it never begins such a read: the
+    watchdog would stay as it is in the drive, and only a remark on the drive would tell.
+    """
+    feeds = [
+        (time_s, _reading_s(drive, family(drive.family).feed_code, timing)[0])
+        for drive, time_s in _watched(roster)
+    ]
+    if not feeds:
+        return
+    room_s = _room_s(feeds)
+    slow: list[tuple[DriveEntry, Code, float]] = []
+    for drive in roster.drives:
+        traits = family(drive.family).watchdog
+        if drive.watchdog is not None and traits is not None:
+            worst_s = _reading_s(drive, traits.action_code, timing)[1]
+            if worst_s > room_s:
+                slow.append((drive, traits.action_code, worst_s))
+    if slow:
+        _, code, worst_s = max(slow, key=lambda one: one[2])
+        left = f"{room_s:.2f} s is left" if room_s > 0 else "no time is left"
+        which = "watchdog" if len(slow) == 1 else "watchdogs"
+        fed = "the others are" if len(feeds) > 1 else "it is"
+        yield (
+            f"the {which} of {counted([drive for drive, _, _ in slow])} "
+            f"({', '.join(drive.name for drive, _, _ in slow)}) can be neither checked nor set "
+            f"while {fed} fed: reading {code} may hold the line for {worst_s:.2f} s and {left}; "
+            f"a watchdog time of at least {_up(_least_time_s(feeds, worst_s))} s, a higher baud "
+            "rate or fewer drives on the line would do"
+        )
+
+
+def _room_s(feeds: Sequence[tuple[float, float]]) -> float:
+    """Return the longest exchange that fits beside the feeding when all have just been fed.
+
+    Args:
+        feeds: Watchdog times and costs of a feed, seconds.
+    """
+    return min(_USABLE_PART * time_s - _before(feeds, time_s) for time_s, _ in feeds)
+
+
+def _before(feeds: Sequence[tuple[float, float]], time_s: float) -> float:
+    """Return the cost of the feeds that come before a watchdog of `time_s`, its own included."""
+    return sum(cost_s for other_s, cost_s in feeds if other_s <= time_s)
+
+
+def _least_time_s(feeds: Sequence[tuple[float, float]], worst_s: float) -> float:
+    """Return the least watchdog time beside which an exchange of `worst_s` fits, seconds.
+
+    Times below are taken to be raised to it; each step takes in those that it has reached.
+    """
+    least_s = max(
+        time_s for time_s, _ in feeds
+        if _USABLE_PART * time_s - _before(feeds, time_s) < worst_s
+    )  # fmt: skip
+    while (need_s := (worst_s + _before(feeds, least_s)) / _USABLE_PART) > least_s:
+        least_s = need_s
+    return least_s
+
+
+def _up(seconds: float) -> str:
+    """Write a time rounded up to tenths: rounded down it would not do."""
+    return f"{math.ceil(round(seconds * 10, 6)) / 10:.1f}"
 
 
 def _unwatched(roster: Roster) -> Iterator[str]:
@@ -142,30 +234,31 @@ def _leases(roster: Roster) -> Iterator[str]:
         )
 
 
-def _watchdog(drive: DriveEntry) -> Iterator[str]:
+def _watchdog(drive: DriveEntry) -> Iterator[tuple[str, str]]:
     traits = family(drive.family).watchdog
     if drive.watchdog is None or traits is None:
         return
     if drive.watchdog.action == "none":
-        yield f"{drive.name}: watchdog action none means that nothing stops the drive"
+        yield drive.name, "watchdog action none means that nothing stops the drive"
     if traits.volatile and not drive.watchdog.configure:
         yield (
-            f"{drive.name}: a 2102 module forgets its watchdog at power-off; without configure: "
-            "true it is only reported then"
+            drive.name,
+            "a 2102 module forgets its watchdog at power-off; without configure: true it is only "
+            "reported then",
         )
 
 
-def _writable(drive: DriveEntry) -> Iterator[str]:
+def _writable(drive: DriveEntry) -> Iterator[tuple[str, str]]:
     of = family(drive.family)
     for code in sorted(drive.writable - of.writable):
         info = of.info(code)
         if info is None:
             continue
         if not info.writable:
-            yield f"{drive.name}: {code} ({info.name}) is writable here, read only in its manual"
+            yield drive.name, f"{code} ({info.name}) is writable here, read only in its manual"
         elif info.write_class is WriteClass.SAVE:
-            yield f"{drive.name}: each write of {code} ({info.name}) wears the drive's memory"
+            yield drive.name, f"each write of {code} ({info.name}) wears the drive's memory"
         elif info.write_class is WriteClass.ADDRESS:
-            yield f"{drive.name}: after a write of {code} ({info.name}) the drive answers elsewhere"
+            yield drive.name, f"after a write of {code} ({info.name}) the drive answers elsewhere"
     if drive.lease.required and drive.lease.on_lapse == "hold":
-        yield f"{drive.name}: on_lapse hold lets the drive run on, and shows as a permanent alarm"
+        yield drive.name, "on_lapse hold lets the drive run on, and shows as a permanent alarm"
