@@ -75,7 +75,9 @@ class Site:
         timing = timing or line_timing(line)
         maker = RequestMaker(timing, line.retries, self.metrics.meters.request_ended)
         self.health = Health(self.schedule, self.store, self._wants_audit, clock)
-        books = Books(self.store, self.metrics, self.health, self.words, self._has_drive)
+        self._books = books = Books(
+            self.store, self.metrics, self.health, self.words, self._has_drive
+        )
         self.worker = LineWorker(
             PortSettings(line.port, line.baud, line.direction, line.parity, line.name),
             opener,
@@ -184,6 +186,7 @@ class Site:
         self.schedule.remove_drive(name, self._clock(), f"{name} was taken out of the roster")
         self.requests.remove_station(name)
         self.words.forget(name)
+        self._books.forget(name)
         for one in entry.cyclic:
             self.store.expect(name, one.code, None)
         if not kept:

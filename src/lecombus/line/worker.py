@@ -32,9 +32,11 @@ import anyio
 from ..drives import LineTiming
 from ..errors import LineClosedError, LineLostError
 from ..protocol.exchange import ACK_FIELD, Exchange, Result, ResultKind
+from ..protocol.telegrams import ValueAnswer
 from ..schedule import Outcome, Priority, Request, Schedule
 from .connection import Connection
 from .doubts import Doubts
+from .jobs import ReadJob
 from .observer import ExchangeReport, Observer
 from .port import PortOpener, PortSettings
 from .questions import Question, Questions
@@ -105,6 +107,7 @@ class LineWorker:
         self._exchange = Exchange(parity=True, echo=options.echo)
         self._reports: list[ExchangeReport] = []
         self._under_way: tuple[Request, Job, Question] | None = None
+        self._unsettled: tuple[Request, ReadJob, Result] | None = None
         self._run: asyncio.Future[None] | None = None
         self._pause: asyncio.TimerHandle | None = None
         self._timer: asyncio.TimerHandle | None = None
@@ -384,19 +387,21 @@ class LineWorker:
             self._end_exchange(result)
 
     def _conclude(self, request: Request, job: Job, question: Question, result: Result) -> None:
-        """Tell schedule, doubts and job; the observer is told after the next telegram."""
+        """Tell schedule, doubts and job; the observer is told after the next telegram.
+
+        A read that brought its value and that nobody waits for in a hurry has nothing more to
+        say: it is settled after the next telegram too, for the line is waiting.
+        """
         ended = result.ended_s
         answered = result.kind is ResultKind.ANSWERED
         self.exchanges += 1
         quarantined_s = self._after(question, result)
-        self._reports.append(
-            ExchangeReport(
-                request.drive, job.step, result, request.priority,
-                result.started_s - request.submitted_at_s, quarantined_s, request.members,
-                job.station.address,
-            )
-        )  # fmt: skip
         self.schedule.finished(request, result.started_s, ended + quarantined_s, answered)
+        patient = request.expires_at_s is None and type(result.answer) is ValueAnswer
+        if patient and type(job) is ReadJob:
+            self._unsettled = (request, job, result)
+            return
+        self._report(request, job, result, quarantined_s)
         if question.hold_s and (answered or not question.ask.field):
             for drive in request.members or (request.drive,):
                 self.schedule.hold(drive, ended + question.hold_s, ended)
@@ -408,6 +413,20 @@ class LineWorker:
             self._stop_waiting = self._stop_waiting or stop
         else:
             request.end(*verdict)
+
+    def _report(self, request: Request, job: Job, result: Result, quarantined_s: float) -> None:
+        self._reports.append(
+            ExchangeReport(
+                request.drive,
+                job.step,
+                result,
+                request.priority,
+                result.started_s - request.submitted_at_s,
+                quarantined_s,
+                request.members,
+                job.station.address,
+            )
+        )
 
     def _after(self, question: Question, result: Result) -> float:
         """Set from when the line is free again; returns the quarantine in seconds."""
@@ -439,6 +458,14 @@ class LineWorker:
             self._doubts.add(ACK_FIELD, now)
 
     def _publish(self) -> None:
+        """Settle the read that was put off, and tell the observer of every exchange since."""
+        if self._unsettled is not None:
+            request, job, result = self._unsettled
+            self._unsettled = None
+            self._report(request, job, result, 0.0)
+            outcome = job.advance(result)
+            assert outcome is not None, "a value ends a read"
+            request.end(*outcome)
         if not self._reports:
             return
         reports, self._reports = self._reports, []

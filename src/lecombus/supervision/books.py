@@ -56,7 +56,7 @@ class Books:
         self._health = health
         self._words = words
         self._is_drive = is_drive
-        self.line_was_open = False
+        self._raw_words: dict[tuple[str, Code], str] = {}
 
     def exchange_ended(self, report: ExchangeReport) -> None:
         """Book one exchange."""
@@ -84,12 +84,20 @@ class Books:
             return
         self._count(report, outcome)
 
+    def forget(self, drive: str) -> None:
+        """The drive has left the roster; what comes back by its name may be another device."""
+        for key in [key for key in self._raw_words if key[0] == drive]:
+            del self._raw_words[key]
+
     def _note_fault(self, drive: str, code: Code, value: Value) -> None:
         """A drive that answers well and reports a fault must not look healthy in the lists."""
+        if self._raw_words.get((drive, code)) == value.raw:
+            return
         word = self._store.family(drive).words.get(code)
         number = value.number
         if word is None or not isinstance(number, int):
             return
+        self._raw_words[drive, code] = value.raw
         fault = word.active_fault(number)
         if fault is not None:
             text = f"the drive reports a fault: {code} reads {value.raw}" if fault else None

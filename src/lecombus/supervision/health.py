@@ -34,8 +34,8 @@ OFFLINE_AFTER = 4
 """Failed exchanges in a row: on a line that loses one answer in eight, once in 4000 exchanges."""
 
 OFFLINE_AFTER_UNHEARD = 1
-"""A drive that has not answered since the line was opened is probably not there, and others wait behind it;
-if it is, the probe that follows at once finds it."""
+"""A drive that has not answered since the line was opened is probably not there, and others wait
+behind it; if it is, the probe that follows at once finds it."""
 
 AUDIT_AFTER = 2
 """Failures in a row after which a drive is audited again when it answers."""
