@@ -10,6 +10,8 @@ from typing import Any
 from lecombus.api.problems import STATUS_BY_KIND
 from lecombus.cli.entry import COMMANDS
 from lecombus.config import roster_json_schema
+from lecombus.drives import FAMILY_NAMES, family
+from lecombus.protocol.addressing import Code
 from support.site_host import Plant, roster_of, with_plant
 
 ROOT = Path(__file__).parent.parent
@@ -58,6 +60,23 @@ def test_the_readme_has_every_default_of_the_line() -> None:
         name = quoted(cells[0])[0].removeprefix("line.")
         if name in line and "default" in line[name]:
             assert cells[1] == str(line[name]["default"]).lower(), name
+
+
+def test_the_readme_names_setpoints_that_may_be_written() -> None:
+    told = {name: cells[-1] for cells in rows(README, "## What is supported")
+            for name in quoted(cells[0])}  # fmt: skip
+    assert sorted(told) == sorted(FAMILY_NAMES)
+    for name, text in told.items():
+        named = re.findall(r"(C\d{4})(?: or (C\d{4}))? in ", text)
+        codes = {Code.parse(code) for pair in named for code in pair if code}
+        readable = {Code.parse(code) for code in re.findall(r"(C\d{4}) is read only", text)}
+        assert codes == {
+            code for code in family(name).writable
+            if (info := family(name).info(code)) is not None
+            and ("setpoint" in info.name or "speed command" in info.name)
+        }  # fmt: skip
+        assert readable.isdisjoint(family(name).writable)
+        assert (Code(46) in readable) == (name in ("93xx", "smvector"))
 
 
 def test_the_readme_has_every_command_in_the_order_of_the_help() -> None:
