@@ -124,6 +124,16 @@ def test_a_line_name_must_be_usable_in_file_names(name: str) -> None:
         ("100", "is out of range, 1..99 without 10, 20 .. 90 are right"),
         ("-1", "is out of range, 1..99 without 10, 20 .. 90 are right"),
         ("013", "begins with 0, which some YAML readers take for octal, write 13"),
+        (
+            "010",
+            "begins with 0, which some YAML readers take for octal, 1..99 without 10, 20 .. 90 "
+            "are right",
+        ),
+        (
+            "0113",
+            "begins with 0, which some YAML readers take for octal, 1..99 without 10, 20 .. 90 "
+            "are right",
+        ),
         ("11:30", "is no whole number, give a whole number, 1 to 99"),
         ("0x0B", "is no whole number, give a whole number, 1 to 99"),
         ("1_1", "is no whole number, give a whole number, 1 to 99"),
@@ -356,7 +366,7 @@ def test_what_no_description_can_stop_is_not_stopped_at_the_end(action: str) -> 
     text = roster_with(f"on_shutdown: {action}").replace("smvector", "generic")
     assert only(text) == (
         f"11:14: on_shutdown is {action}, but family generic of drive `belt` (line 8) knows no "
-        f"{action}, write nothing"
+        f"{action}, write `nothing`"
     )
 
 
@@ -437,3 +447,27 @@ def test_a_file_full_of_mistakes_is_given_up_in_good_time() -> None:
     found = said(text)
     assert len(found) == 501
     assert found[-1].endswith("after 500 mistakes no more are looked for, correct these first")
+
+
+def test_behind_an_unknown_family_everything_else_is_checked_too() -> None:
+    told = said(drive_with(
+        "watchdog: {time: 66s, action: quick-stopp}", "writable: [C0999999]", "cyclic: [x]",
+        "answer_time: 2", family="8200vektor",
+    ))  # fmt: skip
+    assert [one.partition(" ")[0] for one in told] == ["7:13:", "8:22:", "8:35:", "9:16:", "10:14:",
+                                                       "11:18:"]  # fmt: skip
+    assert told[1] == (
+        "8:22: a watchdog time of 66s is out of range for every family, 1ms to 65.535s would be "
+        "right"
+    )
+    assert told[2] == (
+        "8:35: no family's watchdog has an action `quick-stopp`, did you mean `quick-stop`? none, "
+        "inhibit, quick-stop or trip would be right"
+    )
+
+
+def test_behind_an_unknown_family_what_one_family_can_do_passes() -> None:
+    told = only(drive_with("watchdog: {time: 20ms, action: trip}", family="8200vektor"))
+    assert told.startswith("7:13: `family`")
+    _, second = said(drive_with("watchdog: {time: 0.0205s, action: trip}", family="8200vektor"))
+    assert "is no whole number of milliseconds" in second

@@ -91,6 +91,25 @@ def test_a_write_that_may_not_be_made_is_refused_before_anything_is_sent(
     with_plant(test, ROSTER)
 
 
+@pytest.mark.parametrize(
+    ("writable", "told"),
+    [
+        ("", "there are C0040, C0043, C0046, C0135, C1922, C1923"),
+        (", writable: [C0046]", "there is C0046"),
+        (", writable: []", "there is nothing"),
+    ],
+)
+def test_a_refusal_says_what_may_be_written(writable: str, told: str) -> None:
+    async def test(plant: Plant) -> None:
+        with pytest.raises(OperationError) as caught:
+            await write(plant, Code(1), 1)
+        assert caught.value.remedy == (
+            f"add C0001 to this drive's `writable` list in the roster, where now {told}"
+        )
+
+    with_plant(test, roster_of(AB, drive=f", cyclic: []{writable}"))
+
+
 def test_a_drive_is_not_written_to_before_it_is_audited_nor_while_it_is_offline() -> None:
     async def test(plant: Plant) -> None:
         with pytest.raises(LineLostError, match="not been opened yet: nothing was sent"):

@@ -173,7 +173,11 @@ def _check_shutdown(roster: Entry, drives: list[Entry], mistakes: Mistakes) -> N
     )
     others = [word for word in StopAction if word != action and all(
         knows_stop(family(drive.get("family")), word) for drive in cannot)]  # fmt: skip
-    mistakes.note(roster.place("on_shutdown"), what, f"write {one_of([*others, 'nothing'])}")
+    mistakes.note(
+        roster.place("on_shutdown"),
+        what,
+        f"write {one_of(f'`{word}`' for word in [*others, 'nothing'])}",
+    )
 
 
 def _check_default_lapse(roster: Entry, drives: list[Entry], mistakes: Mistakes) -> None:

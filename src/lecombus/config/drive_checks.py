@@ -5,10 +5,20 @@ See `checks` for how a check behaves. Without a usable family only the rules tha
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from lecombus.config.durations import format_duration
 from lecombus.config.mistakes import Mistakes, Place, did_you_mean, one_of, shown
 from lecombus.config.shapes import Entry, Item, Items
-from lecombus.drives import Family, StopAction, WatchdogTraits, WriteClass, family, knows_stop
+from lecombus.drives import (
+    FAMILY_NAMES,
+    Family,
+    StopAction,
+    WatchdogTraits,
+    WriteClass,
+    family,
+    knows_stop,
+)
 from lecombus.protocol.addressing import Code, Form
 
 __all__ = ["check_drive", "check_lapse"]
@@ -19,10 +29,12 @@ def check_drive(drive: Entry, mistakes: Mistakes) -> None:
     _check_doubles(drive, mistakes)
     _check_forms(drive, mistakes)
     name = drive.get("family")
+    watchdog = drive.get("watchdog")
     if name is None:
+        if isinstance(watchdog, Entry):
+            _check_watchdog_of_any(watchdog, mistakes)
         return
     of = family(name)
-    watchdog = drive.get("watchdog")
     if of.watchdog is None and "watchdog" in drive.nodes:
         what = f"no watchdog is known for family {name}"
         mistakes.note(drive.place("watchdog"), what, "remove the key")
@@ -45,27 +57,57 @@ def check_lapse(drive: Entry, action: str, place: Place, mistakes: Mistakes) -> 
         mistakes.note(place, what, f"write on_lapse: {one_of([*known, 'silence', 'hold'])}")
 
 
+def _check_watchdog_of_any(watchdog: Entry, mistakes: Mistakes) -> None:
+    """Note what no family's watchdog can do, where the family is not known."""
+    known = [traits for name in FAMILY_NAMES if (traits := family(name).watchdog) is not None]
+    low_s, high_s = min(one.low_s for one in known), max(one.high_s for one in known)
+    actions = list(dict.fromkeys(action for one in known for action in one.actions))
+    time_s, action = watchdog.get("time"), watchdog.get("action")
+    if time_s is not None and not low_s <= time_s <= high_s:
+        what = f"a watchdog time of {format_duration(time_s)} is out of range for every family"
+        mistakes.note(watchdog.place("time"), what, _range(low_s, high_s))
+    elif time_s is not None:
+        _check_whole_ms(time_s, watchdog.place("time"), mistakes)
+    if action is not None and action not in actions:
+        _note_action(watchdog.place("action"), "no family's watchdog has an action", action,
+                     actions, mistakes)  # fmt: skip
+
+
+def _note_action(
+    place: Place, who: str, action: str, actions: Collection[str], mistakes: Mistakes
+) -> None:
+    allowed = one_of(actions)
+    right = did_you_mean(action, actions, f"{allowed} would be right")
+    right = right if right.startswith(allowed) else f"{right} {allowed} would be right"
+    mistakes.note(place, f"{who} {shown(action)}", right)
+
+
 def _check_watchdog(watchdog: Entry, name: str, traits: WatchdogTraits, mistakes: Mistakes) -> None:
     time_s = watchdog.get("time")
     if time_s is not None:
         _check_time(time_s, watchdog.place("time"), name, traits, mistakes)
     action = watchdog.get("action")
     if action is not None and action not in traits.actions:
-        allowed = one_of(traits.actions)
-        what = f"the watchdog of family {name} has no action {shown(action)}"
-        right = did_you_mean(action, traits.actions, f"{allowed} would be right")
-        right = right if right.startswith(allowed) else f"{right} {allowed} would be right"
-        mistakes.note(watchdog.place("action"), what, right)
+        who = f"the watchdog of family {name} has no action"
+        _note_action(watchdog.place("action"), who, action, traits.actions, mistakes)
 
 
 def _check_time(
     time_s: float, place: Place, name: str, traits: WatchdogTraits, mistakes: Mistakes
 ) -> None:
     if not traits.low_s <= time_s <= traits.high_s:
-        low = format_duration(max(traits.low_s, 0.001))
         what = f"a watchdog time of {format_duration(time_s)} is out of range for family {name}"
-        mistakes.note(place, what, f"{low} to {format_duration(traits.high_s)} would be right")
-    elif abs(time_s * 1000 - round(time_s * 1000)) > 1e-6:
+        mistakes.note(place, what, _range(traits.low_s, traits.high_s))
+    else:
+        _check_whole_ms(time_s, place, mistakes)
+
+
+def _range(low_s: float, high_s: float) -> str:
+    return f"{format_duration(max(low_s, 0.001))} to {format_duration(high_s)} would be right"
+
+
+def _check_whole_ms(time_s: float, place: Place, mistakes: Mistakes) -> None:
+    if abs(time_s * 1000 - round(time_s * 1000)) > 1e-6:
         what = f"a watchdog time of {format_duration(time_s)} is no whole number of milliseconds"
         mistakes.note(place, what, f"write {round(time_s * 1000)}ms")
 

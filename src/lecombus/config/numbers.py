@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
 from lecombus.config.durations import DurationError, format_duration, parse_duration
 from lecombus.config.kinds import ScalarKind, Wrong
@@ -51,9 +51,14 @@ class Whole(ScalarKind):
         if re.fullmatch(r"-?0[0-9]+", text):
             # YAML 1.1 reads 010 as 8, YAML 1.2 as 10: whichever was meant, nobody can see it.
             raise Wrong(
-                "begins with 0, which some YAML readers take for octal", f"write {int(text)}"
+                "begins with 0, which some YAML readers take for octal", self._without_0(int(text))
             )
         return int(text)
+
+    def _without_0(self, number: int) -> str:
+        """Return the remedy for a number with a leading 0: the number, if it would be right."""
+        fits = self._low <= number <= self._high
+        return f"write {number}" if fits else f"{self._low} to {self._high} would be right"
 
     def schema(self) -> dict[str, Any]:
         """See `Kind`."""
@@ -92,6 +97,8 @@ class Address(Whole):
     Source: EDB2102EN 8.3.1 and 8.3.4 (addresses ending in 0 are reserved for BROADCAST).
     """
 
+    _RIGHT: Final = "1..99 without 10, 20 .. 90 are right"
+
     def __init__(self) -> None:
         super().__init__(1, 99)
 
@@ -100,10 +107,14 @@ class Address(Whole):
         number = self._number(text)
         if 0 <= number <= 99 and number % 10 == 0:
             reach = "all drives" if number == 0 else f"the group {number + 1}..{number + 9}"
-            raise Wrong(f"ends in 0 and so reaches {reach}", "1..99 without 10, 20 .. 90 are right")
+            raise Wrong(f"ends in 0 and so reaches {reach}", self._RIGHT)
         if not 1 <= number <= 99:
-            raise Wrong("is out of range", "1..99 without 10, 20 .. 90 are right")
+            raise Wrong("is out of range", self._RIGHT)
         return number
+
+    def _without_0(self, number: int) -> str:
+        """See `Whole`; 010 would be a group without its 0, too."""
+        return f"write {number}" if number % 10 and number < 100 else self._RIGHT
 
     def schema(self) -> dict[str, Any]:
         """See `Kind`."""

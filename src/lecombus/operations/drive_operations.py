@@ -9,12 +9,12 @@ What must not live here: HTTP, telegrams, waiting lists.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from decimal import Decimal
 
 from lecombus.config import DriveEntry, GroupEntry
 from lecombus.drives import encode_for
-from lecombus.errors import CodeValueError, CutReplyError, NakError, OperationError
+from lecombus.errors import CodeValueError, CutReplyError, LecombusError, NakError, OperationError
 from lecombus.line.station import Station
 from lecombus.operations.control_words import ControlWords
 from lecombus.operations.reports import WriteReport
@@ -135,12 +135,16 @@ class Operations:
     ) -> Ending:
         """Put a permitted write into the line; its end is waited for by the caller."""
         ending = Ending()
-        ending.request = self._requests.maker.write(
-            station, code, wire, settle=ending.settle, verify=verify, expires_at_s=expires_at_s
+        # From now on a stop must not rely on the control word this write may change.
+        settle = self._words.guard((station.name,), code, ending.settle)
+        ending.request = request = self._requests.maker.write(
+            station, code, wire, settle=settle, verify=verify, expires_at_s=expires_at_s
         )
-        self._requests.worker.submit(ending.request)
-        # From now on a stop must read the control word this write may change.
-        self._words.disturbed(station.name, code)
+        try:
+            self._requests.worker.submit(request)
+        except LecombusError as exc:
+            request.end(Outcome.REFUSED, str(exc))
+            raise
         return ending
 
     # ---- checks -----------------------------------------------------------------------------
@@ -149,13 +153,15 @@ class Operations:
         self, drive: str, station: Station, code: Code, value: Decimal | int | str
     ) -> Value:
         """Give the wire's value for a write that may be made now."""
-        if code not in self._entries[drive].writable:
+        writable = self._entries[drive].writable
+        if code not in writable:
             raise OperationError(
                 f"{code} of {drive} is not writable",
                 kind="not-writable",
                 drive=drive,
                 code=str(code),
-                remedy=f"add {code} to this drive's `writable` list in the roster",
+                remedy=f"add {code} to this drive's `writable` list in the roster, where now "
+                f"{listed(writable)}",
             )
         state = self._store.drive(drive)
         # Without a line no drive answers: the worker says so when it is asked, and why.
@@ -199,6 +205,13 @@ class Operations:
             remedy = CUT_REMEDY
         reading = self._store.reading(drive, code)
         return WriteReport(drive, code, outcome, reason, kind=kind, remedy=remedy, reading=reading)
+
+
+def listed(writable: Collection[Code]) -> str:
+    """Say what may be written to a drive, to stand after "where now"."""
+    if not writable:
+        return "there is nothing"
+    return f"there {'is' if len(writable) == 1 else 'are'} {', '.join(map(str, sorted(writable)))}"
 
 
 REMEDIES = {
