@@ -203,3 +203,34 @@ def test_what_a_site_is_asked_at_its_end_is_what_the_roster_says() -> None:
         assert plant.site.stop_action() is StopAction.INHIBIT
 
     with_plant(test, roster_of(AB, rest="on_shutdown: inhibit"))
+
+
+GUARD = "{time: 2s, action: quick-stop, configure: true}"
+
+
+def test_a_drive_that_gets_another_address_while_it_is_audited_is_spoken_to_there_only() -> None:
+    async def test(plant: Plant) -> None:
+        await until(lambda: any(b"RE" in one.data[3:5] for one in plant.sent_to(11)), within_s=20.0)
+        plant.apply(roster_of([("a", 12, "8200vector")]))
+        await plant.online("a")
+        await anyio.sleep(2.0)
+        said = len(plant.sent_to(11))
+        report = await plant.site.operations.write("a", SETPOINT, 33, verify=True)
+        assert report.outcome is Outcome.VERIFIED
+        assert plant.line[12].text(46) == "33"
+        assert len(plant.sent_to(11)) == said
+
+    with_plant(test, roster_of([("a", 11, "8200vector")]), also=[("b", 12, "8200vector")])
+
+
+def test_drives_taken_out_while_they_wait_for_their_audit_harm_nobody() -> None:
+    drives = [(name, address, "8200vector") for address, name in enumerate("abcdefgh", 11)]
+
+    async def test(plant: Plant) -> None:
+        await anyio.sleep(3.0)
+        plant.apply(roster_of(drives[:2], watchdog=GUARD))
+        await plant.online("a", "b", within_s=60.0)
+        plant.apply(roster_of(drives, watchdog=GUARD))
+        await plant.online(within_s=120.0)
+
+    with_plant(test, roster_of(drives, watchdog=GUARD))

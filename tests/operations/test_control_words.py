@@ -5,6 +5,7 @@ from __future__ import annotations
 from lecombus.operations.control_words import ControlWords
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
+from lecombus.schedule import Outcome
 
 WORD, INHIBIT = Code(135), Code(40)
 
@@ -50,4 +51,25 @@ def test_a_write_to_a_code_that_moves_the_word_makes_it_uncertain() -> None:
     words.disturbed("a", Code(46))
     assert words.get("a") == 0x0204
     words.disturbed("a", INHIBIT)
+    assert words.get("a") is None
+
+
+def test_while_a_write_that_moves_the_word_has_not_ended_nothing_read_counts() -> None:
+    words = known()
+    ends: list[Outcome] = []
+    settle = words.guard(("a", "b"), INHIBIT, lambda outcome, reason: ends.append(outcome))
+    assert words.get("a") is None
+    words.seen("a", WORD, Value.parse("H0008"))
+    assert words.get("a") is None, "it was read before the write took effect, perhaps"
+    settle(Outcome.DONE, "")
+    assert ends == [Outcome.DONE]
+    assert words.get("a") is None
+    words.seen("a", WORD, Value.parse("H0208"))
+    assert words.get("a") == 0x0208
+
+
+def test_a_word_of_eight_digits_is_no_control_word() -> None:
+    words = ControlWords()
+    words.watch("a", WORD)
+    words.seen("a", WORD, Value.parse("HFFFF0000"))
     assert words.get("a") is None

@@ -13,8 +13,12 @@ from collections.abc import Iterable
 
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
+from lecombus.schedule import Outcome, Settle
 
 __all__ = ["ControlWords"]
+
+
+WORD_MAX = 0xFFFF
 
 
 class ControlWords:
@@ -24,6 +28,7 @@ class ControlWords:
         self._codes: dict[str, Code] = {}
         self._moved_by: dict[str, frozenset[Code]] = {}
         self._words: dict[str, int] = {}
+        self._moving: dict[str, int] = {}
 
     def watch(self, drive: str, code: Code, *, moved_by: Iterable[Code] = ()) -> None:
         """Remember this code of this drive from now on.
@@ -37,11 +42,38 @@ class ControlWords:
         self._moved_by[drive] = frozenset((code, *moved_by))
 
     def seen(self, drive: str, code: Code, value: Value) -> None:
-        """Take a value that was read, or written and acknowledged."""
-        if self._codes.get(drive) == code:
+        """Take a value that was read, or written and acknowledged.
+
+        While a write that moves the word has not ended, what is read may be from before it.
+        """
+        if self._codes.get(drive) == code and not self._moving.get(drive):
             number = value.number
-            if isinstance(number, int):
+            if isinstance(number, int) and 0 <= number <= WORD_MAX:
                 self._words[drive] = number
+
+    def guard(self, drives: Iterable[str], code: Code, settle: Settle) -> Settle:
+        """Treat the word as unknown from now until a write that may move it has ended.
+
+        Args:
+            drives: The drives the write goes to.
+            code: What is written.
+            settle: Told of the end afterwards.
+
+        Returns:
+            What the write's request must be settled with.
+        """
+        moved = [drive for drive in drives if code in self._moved_by.get(drive, ())]
+        for drive in moved:
+            self.forget(drive)
+            self._moving[drive] = self._moving.get(drive, 0) + 1
+
+        def end(outcome: Outcome, reason: str) -> None:
+            for drive in moved:
+                self.forget(drive)
+                self._moving[drive] -= 1
+            settle(outcome, reason)
+
+        return end
 
     def disturbed(self, drive: str, code: Code) -> None:
         """Take note that a write went out: what it may have changed is no longer known."""

@@ -74,7 +74,14 @@ class Requests:
         """Make a drive known."""
         self._stations[station.name] = station
 
-    replace_station = add_station
+    def replace_station(self, old: Station, new: Station) -> None:
+        """Put a station that was changed in the place of the one it was made from.
+
+        Where that one is no longer the drive's, because a reload came between, nothing is done:
+        it may have another address now.
+        """
+        if self._stations.get(old.name) is old:
+            self._stations[old.name] = new
 
     def remove_station(self, name: str) -> None:
         """Forget a drive."""

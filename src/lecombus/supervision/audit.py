@@ -39,6 +39,10 @@ PATIENCE_S = 120.0
 
 REMARK = "watchdog"
 
+LEAST_FED_S = 0.05
+"""A watchdog shorter than this (the 2102's least, EDB2102EN 6.3.3) cannot be kept on any line of
+this kind; trying to would take the line from everybody else."""
+
 DOES_NOT_FIT = "does-not-fit"
 """A module's own code takes so long to read that others' watchdogs would lapse meanwhile."""
 
@@ -154,7 +158,7 @@ class Audit:
         value = await self._requests.read(station, code, Priority.BACKGROUND, timeout_s=PATIENCE_S)
         hold_s = station.family.hold_after_write_s if value.number == 1 else 0.0
         if hold_s != station.hold_s:
-            self._requests.replace_station(dataclasses.replace(station, hold_s=hold_s))
+            self._requests.replace_station(station, dataclasses.replace(station, hold_s=hold_s))
 
     async def _audit_software(
         self, entry: DriveEntry, station: Station, gate: SoftwareGate
@@ -259,7 +263,7 @@ class Audit:
             )
             logger.warning("drive=%s event=watchdog-differs reason=%s", name, text)
         self._store.note(name, REMARK, text)
-        self._feed(name, found.time_s if found.armed else target.time_s)
+        self._feed(name, max(LEAST_FED_S, found.time_s if found.armed else target.time_s))
 
     def _remark_unwanted(self, name: str, traits: WatchdogTraits, found: WatchdogSetting) -> None:
         """The roster names no watchdog: feeding one on purpose would go against it."""

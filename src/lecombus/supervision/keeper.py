@@ -69,7 +69,7 @@ class Keeper:
         self._audits = Audit(requests, store, self._feed)
         self._clock = clock
         self._entries: dict[str, DriveEntry] = {}
-        self._auditing: set[str] = set()
+        self._auditing: dict[str, anyio.CancelScope] = {}
         self._again: set[str] = set()
         self._tasks: TaskGroup | None = None
         self._waiting: list[str] = []
@@ -99,6 +99,9 @@ class Keeper:
         """Keep it no longer: nothing is sent to it on account of its watchdog."""
         self._entries.pop(name, None)
         self.tried.discard(name)
+        audit = self._auditing.pop(name, None)
+        if audit is not None:
+            audit.cancel()
 
     def audit_soon(self, name: str) -> None:
         """Audit a drive; a drive under audit is audited once more when that has ended."""
@@ -107,31 +110,35 @@ class Keeper:
         elif name in self._auditing:
             self._again.add(name)
         else:
-            self._auditing.add(name)
-            self._tasks.start_soon(self._audit_until_done, name)
+            audit = self._auditing[name] = anyio.CancelScope()
+            self._tasks.start_soon(self._audit_within, name, audit)
+
+    async def _audit_within(self, name: str, audit: anyio.CancelScope) -> None:
+        """Audit a drive for as long as it is the drive it was: a reload cancels its audit."""
+        with audit:
+            await self._audit_until_done(name)
+        if self._auditing.get(name) is audit:
+            del self._auditing[name]
 
     async def _audit_until_done(self, name: str) -> None:
         """Audit one drive, again and again until it is done or the drive is offline."""
         delay_s = FIRST_RETRY_S
-        try:
-            while name in self._entries:
-                self._again.discard(name)
-                try:
-                    await self._audit(self._entries[name])
-                except LecombusError as exc:
-                    self._audit_failed(name, exc)
-                    if name not in self._entries or self._is_offline(name):
-                        return
-                    await anyio.sleep(delay_s)
-                    delay_s = min(2.0 * delay_s, LONGEST_RETRY_S)
-                else:
-                    if name not in self._again:
-                        self._health.audited(name)
-                        await self._learn_the_rest(name)
-                    if name not in self._again:
-                        return
-        finally:
-            self._auditing.discard(name)
+        while name in self._entries:
+            self._again.discard(name)
+            try:
+                await self._audit(self._entries[name])
+            except LecombusError as exc:
+                self._audit_failed(name, exc)
+                if self._is_offline(name):
+                    return
+                await anyio.sleep(delay_s)
+                delay_s = min(2.0 * delay_s, LONGEST_RETRY_S)
+            else:
+                if name not in self._again:
+                    self._health.audited(name)
+                    await self._learn_the_rest(name)
+                if name not in self._again:
+                    return
 
     async def _audit(self, entry: DriveEntry) -> None:
         """Audit one drive once.
@@ -151,9 +158,7 @@ class Keeper:
         await self._audits.examine(entry, station, turn)
 
     async def _learn_the_rest(self, name: str) -> None:
-        entry = self._entries.get(name)
-        if entry is not None:
-            await self._audits.learn_the_rest(entry, self._requests.station(name))
+        await self._audits.learn_the_rest(self._entries[name], self._requests.station(name))
 
     def _is_offline(self, name: str) -> bool:
         return self._health.state(name) is DriveState.OFFLINE
