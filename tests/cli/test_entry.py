@@ -214,3 +214,16 @@ def test_a_stop_does_not_wait_for_the_server_s_libraries() -> None:
         [sys.executable, "-c", script], capture_output=True, text=True, timeout=15, check=True
     )
     assert done.stdout == "[]\n"
+
+
+@pytest.mark.parametrize("command", ["stop", "status", "read", "write", "group"])
+def test_a_command_for_the_daemon_imports_nothing_heavy(command: str) -> None:
+    heavy = "{'pydantic', 'rich', 'yaml', 'fastapi', 'anyio', 'serial', 'lecombus.config'}"
+    program = (
+        f"import sys, lecombus.cli.entry, lecombus.cli.{command}; "
+        f"print(sorted({heavy} & set(sys.modules)), None in sys.modules.values())"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "[] False\n"

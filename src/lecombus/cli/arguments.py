@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 import click
 
-from lecombus.config.durations import DurationError, parse_duration
+from lecombus.durations import DurationError, parse_duration
 from lecombus.errors import CodeValueError
 from lecombus.protocol import Code
 

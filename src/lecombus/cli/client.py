@@ -18,10 +18,9 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
-import httpx
-
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.reports import kind_of
+from lecombus.cli.slim_httpx import httpx
 from lecombus.readings import Json
 
 __all__ = ["RUNTIME_DIR", "Answer", "Daemon", "connect", "find_daemon"]

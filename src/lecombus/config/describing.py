@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from lecombus.config.durations import format_duration
 from lecombus.config.models import DriveEntry, GroupEntry, Roster
 from lecombus.config.suspicions import counted, cyclic_load, find_warnings
+from lecombus.durations import format_duration
 from lecombus.protocol.addressing import group_reach
 
 __all__ = ["DescribedDrive", "DescribedGroup", "Description", "describe", "multicast_words"]

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from lecombus.config.durations import format_duration
 from lecombus.config.mistakes import Mistakes, Place, did_you_mean, one_of, shown
 from lecombus.config.shapes import Entry, Item, Items
 from lecombus.drives import (
@@ -19,6 +18,7 @@ from lecombus.drives import (
     family,
     knows_stop,
 )
+from lecombus.durations import format_duration
 from lecombus.protocol.addressing import Code, Form
 
 __all__ = ["check_drive", "check_lapse"]

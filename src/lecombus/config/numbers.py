@@ -12,9 +12,9 @@ import re
 from collections.abc import Sequence
 from typing import Any, Final
 
-from lecombus.config.durations import DurationError, format_duration, parse_duration
 from lecombus.config.kinds import ScalarKind, Wrong
 from lecombus.config.mistakes import one_of
+from lecombus.durations import DurationError, format_duration, parse_duration
 from lecombus.errors import CodeValueError
 from lecombus.protocol.addressing import Code
 

@@ -14,10 +14,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
 from lecombus.config.borders import is_network_port
-from lecombus.config.durations import format_duration
 from lecombus.config.models import DriveEntry, LineEntry, Roster
 from lecombus.config.timing import line_timing
 from lecombus.drives import LineTiming, WriteClass, family, read_cost
+from lecombus.durations import format_duration
 from lecombus.protocol.addressing import Code, Form
 
 __all__ = ["counted", "cyclic_load", "find_warnings"]
