@@ -3,10 +3,10 @@
 Order of things. The roster is loaded before anything is opened. Then two task groups, one inside
 the other: outside the line (worker, keeper), inside the faces (API, signals, service manager). The
 API takes its places before the port is opened: where another daemon has them, its line is not
-disturbed. At the end the faces go first: no new requests, those under way end; then `on_shutdown`
-is said in the stop class while the line still runs; then the worker ends after its telegram, and
-the port is closed. An error in any task ends the daemon, which the service manager starts again:
-nothing here dies in silence.
+disturbed. At the end nothing more is written; `on_shutdown` is said at once in the stop class, for
+a client that is slow must not keep a motor running; then the faces end with the requests under
+way; then the worker ends after its telegram, and the port is closed. An error in any task ends
+the daemon, which the service manager starts again: nothing here dies in silence.
 
 SIGTERM and SIGINT end it. SIGHUP reads the roster again, in a thread, and applies it or says what
 is wrong and keeps the old one.
@@ -136,8 +136,9 @@ class Daemon:
                 await self._end.wait()
                 self._notifier.tell("STOPPING=1")
                 logger.info("event=stopping line=%s", self._roster.line.name)
+                site.operations.close()
+                await self._say_goodbye(site)
                 faces.cancel_scope.cancel()
-            await self._say_goodbye(site)
             site.worker.close()
             line.cancel_scope.cancel()
         logger.info("event=stopped line=%s", self._roster.line.name)

@@ -12,6 +12,7 @@ from lecombus.drives import StopAction
 from lecombus.errors import (
     CutReplyError,
     ExchangeError,
+    LineClosedError,
     LineLostError,
     NoReplyError,
     OperationError,
@@ -323,3 +324,15 @@ def test_cancelling_a_caller_neither_cuts_a_telegram_nor_confuses_the_next() -> 
             assert results == ["answered", "answered"]
 
     with_plant(test, ROSTER)
+
+
+def test_nothing_more_is_written_once_the_daemon_is_ending_but_stops_are_said() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.site.operations.close()
+        with pytest.raises(LineClosedError, match="being ended"):
+            await plant.site.operations.write("a", Code(46), 20)
+        report = await plant.site.operations.stop(StopAction.INHIBIT, "a")
+        assert report.outcome is Outcome.VERIFIED
+
+    with_plant(test, roster_of([("a", 11, "8200vector")]))

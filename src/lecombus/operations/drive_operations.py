@@ -14,7 +14,14 @@ from decimal import Decimal
 
 from lecombus.config import DriveEntry, GroupEntry
 from lecombus.drives import encode_for
-from lecombus.errors import CodeValueError, CutReplyError, LecombusError, NakError, OperationError
+from lecombus.errors import (
+    CodeValueError,
+    CutReplyError,
+    LecombusError,
+    LineClosedError,
+    NakError,
+    OperationError,
+)
 from lecombus.line.station import Station
 from lecombus.operations.control_words import ControlWords
 from lecombus.operations.reports import WriteReport
@@ -51,9 +58,14 @@ class Operations:
         self._requests = requests
         self._store = store
         self._words = words
+        self._closing = False
         self._clock = clock
         self._entries: dict[str, DriveEntry] = {}
         self._groups: Mapping[str, GroupEntry] = {}
+
+    def close(self) -> None:
+        """Take no more writes: the daemon is ending; stops are still said."""
+        self._closing = True
 
     def set_roster(self, entries: Sequence[DriveEntry], groups: Mapping[str, GroupEntry]) -> None:
         """Take the roster's drives and groups, at the start and at every reload."""
@@ -153,6 +165,8 @@ class Operations:
         self, drive: str, station: Station, code: Code, value: Decimal | int | str
     ) -> Value:
         """Give the wire's value for a write that may be made now."""
+        if self._closing:
+            raise LineClosedError(f"{drive} is not written to: the daemon is being ended")
         writable = self._entries[drive].writable
         if code not in writable:
             raise OperationError(
