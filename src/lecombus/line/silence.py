@@ -33,6 +33,7 @@ class Silence:
     def __init__(self, turnaround_s: float) -> None:
         self._turnaround_s = turnaround_s
         self._chatter_ends_s = 0.0
+        self._heard_s = -LONGEST_CHATTER_S
         self.free_at_s = 0.0
         self.quiet_until_s = 0.0
 
@@ -64,8 +65,9 @@ class Silence:
             gap_s: After so much silence they are over, seconds.
             nothing_in_doubt: They were the late answer that was waited for: no need to wait more.
         """
-        if now_s >= self.quiet_until_s:
-            self._chatter_ends_s = now_s + LONGEST_CHATTER_S
+        if now_s - self._heard_s > gap_s:
+            self._chatter_ends_s = max(self._chatter_ends_s, now_s + LONGEST_CHATTER_S)
+        self._heard_s = now_s
         over_s = now_s + gap_s
         wanted_s = over_s if nothing_in_doubt else max(self.quiet_until_s, over_s)
         self.quiet_until_s = min(wanted_s, self._chatter_ends_s)

@@ -1,0 +1,46 @@
+"""The pauses of a line: how long, and never for ever."""
+
+from __future__ import annotations
+
+from lecombus.line.silence import LONGEST_CHATTER_S, Silence
+
+GAP_S = 0.02
+
+
+def test_after_an_exchange_the_turnaround_is_kept() -> None:
+    silence = Silence(0.005)
+    silence.exchange_ended(10.0)
+    assert silence.free_at_s == 10.005
+    assert silence.is_over(10.0), "there is no quarantine"
+
+
+def test_a_missing_answer_costs_its_quarantine_and_bytes_put_its_end_off() -> None:
+    silence = Silence(0.0)
+    silence.answer_missing(10.0, 0.06)
+    assert not silence.is_over(10.05)
+    silence.heard(10.055, GAP_S, nothing_in_doubt=False)
+    assert not silence.is_over(10.07)
+    assert silence.is_over(10.076)
+
+
+def test_the_late_answer_that_was_waited_for_ends_the_quarantine_early() -> None:
+    silence = Silence(0.0)
+    silence.answer_missing(10.0, 0.5)
+    silence.heard(10.1, GAP_S, nothing_in_doubt=True)
+    assert silence.is_over(10.13)
+
+
+def test_babble_without_a_pause_does_not_keep_the_line_for_ever() -> None:
+    silence = Silence(0.0)
+    now_s = 10.0
+    while now_s < 10.0 + 2 * LONGEST_CHATTER_S:
+        silence.heard(now_s, GAP_S, nothing_in_doubt=False)
+        now_s += 0.001
+    assert silence.is_over(now_s), "it never paused, so it was given its time once"
+
+
+def test_babble_that_begins_anew_after_a_pause_is_given_its_time_anew() -> None:
+    silence = Silence(0.0)
+    silence.heard(10.0, GAP_S, nothing_in_doubt=False)
+    silence.heard(20.0, GAP_S, nothing_in_doubt=False)
+    assert not silence.is_over(20.01)
