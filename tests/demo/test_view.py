@@ -7,10 +7,10 @@ import io
 from rich.console import Console
 
 from lecombus.demo.play import ROSTER, SETPOINTS, WATCHDOG
-from lecombus.demo.view import row, table
+from lecombus.demo.view import row, screen, table
 from support.site_host import Plant, with_plant
 
-WIDTH = 80
+WIDTH, HEIGHT = 80, 24
 
 
 def test_the_table_of_the_demo_fits_80_columns() -> None:
@@ -25,8 +25,16 @@ def test_the_table_of_the_demo_fits_80_columns() -> None:
         assert max(map(len, lines)) <= WIDTH
         assert all("…" not in line for line in lines)
         for cells in rows:
-            assert any(f"│ {cells[0]} " in line and f" {cells[1]} " in line for line in lines), (
-                lines
-            )
+            assert any(line.startswith(f"{cells[0]} ") and f" {cells[1]} " in line
+                       for line in lines), lines  # fmt: skip
+        assert len(lines) + 4 <= HEIGHT  # the headline has four lines more
 
     with_plant(test, text)
+
+
+def test_below_the_table_a_line_is_left_for_what_the_terminal_echoes() -> None:
+    out = io.StringIO()
+    console = Console(file=out, width=WIDTH, color_system=None)
+    lines = console.render_lines(screen("demo", [["feeder"] * 6], ""), pad=False)
+    assert "".join(part.text for part in lines[-1]) == ""
+    assert "feeder" in "".join(part.text for part in lines[-2])

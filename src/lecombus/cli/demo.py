@@ -15,12 +15,12 @@ __all__ = ["command"]
 )
 @click.option(
     "--http",
-    default="127.0.0.1:9740",
-    show_default=True,
+    default=None,
     metavar="HOST:PORT",
-    help="Where the API and /metrics are served meanwhile.",
+    help="Where the API and /metrics are served meanwhile; default: 127.0.0.1:9740, or another "
+    "port where that is in use.",
 )
-def command(seconds: float | None, http: str) -> int:
+def command(seconds: float | None, http: str | None) -> int:
     """Watch simulated drives of five families, without any hardware.
 
     Values are live and go through the whole daemon, from the serial line to HTTP. On a terminal

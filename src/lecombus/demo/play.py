@@ -10,6 +10,7 @@ What must not live here: anything that `run` does not do too.
 from __future__ import annotations
 
 import itertools
+import socket as sockets
 import sys
 import tempfile
 from decimal import Decimal
@@ -20,7 +21,7 @@ import anyio
 from lecombus.config import Roster, parse_roster
 from lecombus.daemon import Daemon, plain_errors
 from lecombus.demo.view import View
-from lecombus.errors import LecombusError
+from lecombus.errors import LecombusError, OperationError
 from lecombus.line.loop import run as run_loop
 from lecombus.protocol.addressing import Code
 
@@ -53,16 +54,19 @@ SETPOINTS: dict[str, tuple[Code, tuple[int, ...]]] = {
     "fan": (Code(1061), (30, 15)),
 }
 
+USUAL_PORT = 9740
+
 CHANGE_EVERY = 12
 """Rounds of one second between two changes of the setpoints."""
 
 
-def run_demo(seconds: float | None, http: str) -> int:
+def run_demo(seconds: float | None, http: str | None) -> int:
     """Run the demo until Ctrl-C, or for so many seconds.
 
     Args:
         seconds: How long; None: until told to end.
-        http: `HOST:PORT` for the API and `/metrics`, on loopback.
+        http: `HOST:PORT` for the API and `/metrics`, on loopback; port 0: any free one. None:
+            `USUAL_PORT`, or any free one where that is in use.
 
     Returns:
         Exit status 0.
@@ -71,22 +75,67 @@ def run_demo(seconds: float | None, http: str) -> int:
         RosterError: `http` is not a loopback address.
         OperationError: Nothing can listen there.
     """
+    said = ""
+    if http is None:
+        port = free_port(USUAL_PORT)
+        if port is None:
+            port = free_port(0)
+            said = f"port {USUAL_PORT} is in use: HTTP is served on port {port} this time"
+        http = f"127.0.0.1:{port}"
+    else:
+        http = checked(http)
     with tempfile.TemporaryDirectory(prefix="lecombus-demo-") as folder, plain_errors():
         socket = Path(folder) / "demo.sock"
         text = ROSTER.format(watchdog=WATCHDOG, socket=socket, http=http)
         roster = parse_roster(text, "demo.yaml")
-        run_loop(_main, roster, seconds, socket)
+        run_loop(_main, roster, seconds, socket, said)
     return 0
 
 
-async def _main(roster: Roster, seconds: float | None, socket: Path) -> None:
+def free_port(port: int) -> int | None:
+    """Return a port of 127.0.0.1 that can be listened on: the one given, for 0 any; or None."""
+    with sockets.socket() as trying:
+        trying.setsockopt(sockets.SOL_SOCKET, sockets.SO_REUSEADDR, 1)
+        try:
+            trying.bind(("127.0.0.1", port))
+            trying.listen()
+        except OSError:
+            return None
+        return int(trying.getsockname()[1])
+
+
+def checked(http: str) -> str:
+    """Return what `--http` says with a port that is free, before anything is drawn.
+
+    Raises:
+        OperationError: The port is in use. Whatever else is wrong with it is told by the roster.
+    """
+    host, _, port = http.rpartition(":")
+    if host not in ("127.0.0.1", "localhost") or not port.isdecimal() or int(port) > 65535:
+        return http
+    found = free_port(int(port))
+    if found is None:
+        raise OperationError(
+            f"cannot listen on {http}: the port is in use, or not for this user",
+            kind="cannot-listen",
+            remedy="name another one, such as --http 127.0.0.1:0 for any that is free",
+        )
+    return f"{host}:{found}"
+
+
+async def _main(roster: Roster, seconds: float | None, socket: Path, said: str) -> None:
     daemon = Daemon(roster, None)
     view = View(sys.stdout, roster, socket)
-    async with anyio.create_task_group() as tasks:
-        tasks.start_soon(_play, daemon, view, seconds)
-        await daemon.main()
-        tasks.cancel_scope.cancel()
-    view.close()
+    if said:
+        view.say(said)
+    try:
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(_play, daemon, view, seconds)
+            await daemon.main()
+            tasks.cancel_scope.cancel()
+    finally:
+        view.leave()  # an error, too, is told below the table and with the cursor shown
+    view.say_goodbye()
 
 
 async def _play(daemon: Daemon, view: View, seconds: float | None) -> None:

@@ -14,6 +14,7 @@ from lecombus.readings import Quality, Reading
 from lecombus.site import Site
 
 if TYPE_CHECKING:
+    from rich.console import Group
     from rich.live import Live
     from rich.table import Table
 
@@ -50,7 +51,7 @@ class View:
         rows = [row(site, info.name) for info in site.store.drives()]
         counts = f"{site.worker.exchanges} exchanges, {site.store.line().state.value}"
         if self._live is not None:
-            self._live.update(table(f"{self._headline}\n{counts}", rows, self._said), refresh=True)
+            self._live.update(screen(f"{self._headline}\n{counts}", rows, self._said), refresh=True)
             return
         for cells in rows:
             print("  ".join(f"{cell:<12}" for cell in cells).rstrip(), file=self._out)
@@ -62,10 +63,13 @@ class View:
         if self._live is None:
             print(text, file=self._out, flush=True)
 
-    def close(self) -> None:
-        """Leave the terminal as it was."""
+    def leave(self) -> None:
+        """Give the terminal back, with the last table on it."""
         if self._live is not None:
             self._live.stop()
+
+    def say_goodbye(self) -> None:
+        """Say what was done at the end."""
         print("all drives inhibited, port closed, good-bye", file=self._out, flush=True)
 
 
@@ -111,11 +115,24 @@ def named_bits(site: Site, name: str, word: Reading | None) -> list[str]:
     return [bit.replace("_", " ") for bit, is_set in bits.items() if is_set]
 
 
+def screen(title: str, rows: list[list[str]], said: str) -> Group:
+    """Draw everything; the empty last line is where the terminal writes the `^C` of a Ctrl-C.
+
+    Behind the end of the table it would begin a new line, and the table would be drawn one line
+    lower than where it stands.
+    """
+    from rich.console import Group
+    from rich.text import Text
+
+    return Group(table(title, rows, said), Text())
+
+
 def table(title: str, rows: list[list[str]], said: str) -> Table:
     """Draw the rows for a terminal."""
     from rich.table import Table
 
-    drawn = Table(title=title, caption=said or None, title_justify="left")
+    # Without lines, so that five drives fit 80 columns and 24 lines.
+    drawn = Table(title=title, caption=said or None, title_justify="left", box=None, pad_edge=False)
     for head in ("drive", "family", "state", *SHOWN, "bits set"):
         drawn.add_column(head)
     for cells in rows:
