@@ -4,11 +4,21 @@ from __future__ import annotations
 
 import json
 import logging
+import os
+import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import pytest
 
-from lecombus.cli.logs import EventFormatter, set_up_logging
+from lecombus.cli.logs import (
+    QUEUE_LIMIT,
+    BackgroundHandler,
+    EventFormatter,
+    RateLimit,
+    set_up_logging,
+)
 
 
 def record(message: str, level: int = logging.INFO) -> logging.LogRecord:
@@ -62,16 +72,110 @@ def test_the_journal_gets_the_level_its_own_way_and_no_time(level: int, prefix: 
     assert line.startswith(f"{prefix}level=")
 
 
-def test_only_lecombus_is_as_talkative_as_asked(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    root, ours = logging.getLogger(), logging.getLogger("lecombus")
-    monkeypatch.setattr(root, "handlers", [])
-    monkeypatch.setattr(root, "level", root.level)
-    monkeypatch.setattr(ours, "level", ours.level)
+@pytest.fixture
+def kept_loggers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Put the loggers of the whole process back after the test."""
+    for name in ("", "lecombus", "asyncio", "uvicorn.error"):
+        one = logging.getLogger(name)
+        monkeypatch.setattr(one, "handlers", list(one.handlers))
+        monkeypatch.setattr(one, "filters", list(one.filters))
+        monkeypatch.setattr(one, "level", one.level)
+
+
+@pytest.mark.usefixtures("kept_loggers")
+def test_only_lecombus_is_as_talkative_as_asked(capsys: pytest.CaptureFixture[str]) -> None:
     set_up_logging("debug", "logfmt")
     logging.getLogger("lecombus.line").debug("ours")
     logging.getLogger("somebody").info("theirs")
+    logging.getLogger("uvicorn.error").warning("Invalid HTTP request received.")
+    logging.getLogger().handlers[0].flush()
     said = capsys.readouterr().err
+    assert "Invalid HTTP" not in said
     assert "ours" in said
     assert "theirs" not in said
+
+
+TALKS_WITHOUT_END = """
+import logging
+from lecombus.cli.logs import set_up_logging
+set_up_logging("info", "logfmt")
+for number in range(5000):
+    logging.getLogger("lecombus.x").info("event=%s", "x" * 200)
+print("through", flush=True)
+"""
+
+
+def test_a_standard_error_that_nobody_reads_holds_up_neither_work_nor_end() -> None:
+    unread, written = os.pipe()
+    try:
+        ran = subprocess.run(
+            [sys.executable, "-c", TALKS_WITHOUT_END],
+            stdout=subprocess.PIPE,
+            stderr=written,
+            timeout=30,
+            check=True,
+        )
+    finally:
+        os.close(unread)
+        os.close(written)
+    assert ran.stdout == b"through\n"
+
+
+@contextmanager
+def handler_to_a_pipe() -> Iterator[tuple[BackgroundHandler, int]]:
+    unread, written = os.pipe()
+    with os.fdopen(unread, "rb") as reader, os.fdopen(written, "w") as stream:
+        handler = BackgroundHandler(stream)
+        handler.setFormatter(EventFormatter("logfmt"))
+        yield handler, reader.fileno()
+
+
+def test_what_was_dropped_is_counted_and_told_once_it_flows_again() -> None:
+    sent = 4 * QUEUE_LIMIT
+    with handler_to_a_pipe() as (handler, unread):
+        for _ in range(sent):
+            handler.handle(record("event=" + "x" * 200))
+        said = b""
+        while b"log-dropped" not in said or not said.endswith(b"\n"):
+            said += os.read(unread, 65536)
+        lines = said.decode().splitlines()
+        told = next(line for line in lines if "event=log-dropped" in line)
+        assert 0 < handler.dropped < sent
+        assert f" count={handler.dropped} " in told
+        assert len(lines) == sent - handler.dropped + 1
+
+
+def test_flushing_waits_for_what_was_logged() -> None:
+    with handler_to_a_pipe() as (handler, unread):
+        handler.handle(record("event=last"))
+        handler.flush()
+        os.set_blocking(unread, False)
+        assert b"event=last" in os.read(unread, 65536)
+
+
+def test_a_pipe_closed_by_its_reader_raises_nothing() -> None:
+    with handler_to_a_pipe() as (handler, unread):
+        os.dup2(os.open(os.devnull, os.O_RDONLY), unread)  # the pipe's only reader is gone
+        handler.handle(record("event=unheard"))
+        handler.flush()
+        assert handler.dropped == 1
+
+
+def test_a_talkative_library_is_bounded_and_its_silence_told() -> None:
+    now_s = 0.0
+    limit = RateLimit(events=2, period_s=60.0, clock=lambda: now_s)
+    assert [limit.filter(record("event=x")) for _ in range(5)] == [True, True, False, False, False]
+    now_s = 61.0
+    later = record("event=x")
+    assert limit.filter(later)
+    assert later.getMessage() == "event=x kept_back=3"
+
+
+def test_a_message_that_does_not_fit_its_arguments_is_told_as_such() -> None:
+    with handler_to_a_pipe() as (handler, unread):
+        wrong = record("event=%d")
+        wrong.args = ("text",)
+        handler.handle(wrong)
+        handler.flush()
+        os.set_blocking(unread, False)
+        assert b"event=malformed-log" in os.read(unread, 65536)

@@ -163,7 +163,7 @@ def configuration(app: ASGIApp) -> uvicorn.Config:
     return uvicorn.Config(
         Crowd(app),
         log_config=None,
-        log_level="warning",
+        log_level="error",  # a warning per request not understood: anybody could fill the log
         access_log=False,
         lifespan="off",
         ws="none",

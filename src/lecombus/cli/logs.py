@@ -4,6 +4,10 @@ The only place where handlers and levels are set. An event is never more than on
 other control characters and tracebacks are escaped. Messages say `key=value` themselves; those
 become fields of the event, quoted where they need it. Under systemd the journal already keeps the
 time, so it is left out and the line begins with the level in the form the journal reads.
+
+Who logs never waits: a thread of its own writes (`BackgroundHandler`), because a standard error
+that nobody reads would otherwise stop the line, and every motor whose watchdog it feeds. What does
+not fit is dropped and counted; libraries which anybody could make talk without end are bounded.
 """
 
 from __future__ import annotations
@@ -12,14 +16,31 @@ import json
 import logging
 import os
 import re
+import select
 import sys
+import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from queue import SimpleQueue
+from typing import Final, TextIO
 
-__all__ = ["FORMATS", "LEVELS", "EventFormatter", "set_up_logging"]
+__all__ = [
+    "FORMATS",
+    "LEVELS",
+    "BackgroundHandler",
+    "EventFormatter",
+    "RateLimit",
+    "set_up_logging",
+]
 
 LEVELS = ("debug", "info", "warning", "error")
 FORMATS = ("logfmt", "json")
+
+QUEUE_LIMIT: Final = 1000
+"""Events that wait for standard error; more are dropped and counted."""
+
+FLUSH_S: Final = 0.5
+"""How long the end of the process waits for what is not written yet."""
 
 _KEY = re.compile(r"(?:^|(?<= ))([a-z][a-z_]*)=")
 
@@ -54,6 +75,94 @@ class EventFormatter(logging.Formatter):
         return _JOURNAL_LEVELS.get(level, "<6>") + line if self._journal else line
 
 
+class BackgroundHandler(logging.Handler):
+    """Hands events to a thread that writes them, and never waits for it.
+
+    The queue is a `SimpleQueue`, because an object that logs while it is collected may come upon
+    its own thread in the middle of `put`.
+
+    Args:
+        stream: Where events go; by its descriptor where it has one, so that a write that hangs
+            holds no lock of the interpreter when the process ends.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        super().__init__()
+        self.dropped = 0
+        self._told = 0
+        self._write = _writer_to(stream)
+        self._queue: SimpleQueue[str | threading.Event] = SimpleQueue()
+        threading.Thread(target=self._run, name="log-writer", daemon=True).start()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Queue an event, or drop it when too many wait."""
+        if self._queue.qsize() >= QUEUE_LIMIT:
+            self.dropped += 1
+            return
+        try:
+            text = self.format(record)
+        except (TypeError, ValueError, KeyError):  # logging's own remedy writes and may hang
+            text = self.format(_malformed(record))
+        self._queue.put(f"{text}\n")
+
+    def flush(self) -> None:
+        """Wait until everything queued is written, at most `FLUSH_S`."""
+        written = threading.Event()
+        self._queue.put(written)
+        written.wait(FLUSH_S)
+
+    def _run(self) -> None:
+        while True:
+            items = [self._queue.get()]
+            while len(items) < QUEUE_LIMIT and not self._queue.empty():
+                items.append(self._queue.get())
+            self._write_out([one for one in items if isinstance(one, str)])
+            for one in items:
+                if isinstance(one, threading.Event):
+                    one.set()
+
+    def _write_out(self, lines: list[str]) -> None:
+        """Write events, and how many were dropped once writing works again."""
+        try:
+            if lines:
+                self._write("".join(lines).encode(errors="backslashreplace"))
+            if (dropped := self.dropped) != self._told:
+                self._write(f"{self.format(_dropped(dropped - self._told))}\n".encode())
+                self._told = dropped
+        except (OSError, ValueError):
+            self.dropped += len(lines)  # nobody is there to be told: closed, or disk full
+
+
+class RateLimit(logging.Filter):
+    """Lets so many events of a logger through in a while, and says how many it kept back.
+
+    Args:
+        events: How many in one period.
+        period_s: Seconds.
+        clock: A monotonic clock, seconds.
+    """
+
+    def __init__(
+        self, events: int, period_s: float, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        super().__init__()
+        self._events, self._period_s, self._clock = events, period_s, clock
+        self._begun_s = clock()
+        self._seen = 0
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Return whether an event is let through."""
+        now_s = self._clock()
+        if now_s - self._begun_s >= self._period_s:
+            kept_back = max(0, self._seen - self._events)
+            self._begun_s, self._seen = now_s, 0
+            if kept_back:
+                record.msg = f"{record.getMessage()} kept_back={kept_back}"
+                record.args = None
+        self._seen += 1
+        return self._seen <= self._events
+
+
 def set_up_logging(level: str, style: str) -> None:
     """Send the logs of the whole process to standard error.
 
@@ -61,12 +170,48 @@ def set_up_logging(level: str, style: str) -> None:
         level: One of `LEVELS`.
         style: One of `FORMATS`.
     """
-    handler = logging.StreamHandler(sys.stderr)
+    handler = BackgroundHandler(sys.stderr)
     handler.setFormatter(EventFormatter(style, journal=_stderr_is_journal()))
     root = logging.getLogger()
     root.handlers[:] = [handler]
     root.setLevel(logging.WARNING)
     logging.getLogger("lecombus").setLevel(level.upper())
+    for name in ("asyncio", "uvicorn.error"):  # whoever may connect can make these two talk
+        theirs = logging.getLogger(name)
+        theirs.setLevel(logging.ERROR)
+        theirs.filters[:] = [RateLimit(events=10, period_s=60.0)]
+
+
+def _writer_to(stream: TextIO) -> Callable[[bytes], None]:
+    """Return what writes bytes to a stream, whole."""
+    try:
+        descriptor = stream.fileno()
+    except (OSError, ValueError):
+
+        def to_stream(data: bytes) -> None:
+            stream.write(data.decode())
+
+        return to_stream
+
+    def to_descriptor(data: bytes) -> None:
+        rest = memoryview(data)
+        while rest:
+            try:
+                rest = rest[os.write(descriptor, rest) :]
+            except BlockingIOError:  # whoever gave us the pipe made it non-blocking
+                select.select([], [descriptor], [])
+
+    return to_descriptor
+
+
+def _malformed(record: logging.LogRecord) -> logging.LogRecord:
+    said = f"event=malformed-log reason={record.msg!r} does not fit its arguments"
+    return logging.LogRecord(record.name, logging.ERROR, "", 0, said, None, None)
+
+
+def _dropped(count: int) -> logging.LogRecord:
+    said = f"event=log-dropped count={count} reason=standard error was not read fast enough"
+    return logging.LogRecord("lecombus.cli.logs", logging.WARNING, "", 0, said, None, None)
 
 
 def _fields_of(message: str) -> dict[str, str]:
