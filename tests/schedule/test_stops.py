@@ -127,3 +127,25 @@ def test_a_stop_that_was_said_is_proven_after_the_others_are_said() -> None:
     world.schedule.again(first, 0.02, behind=True)
     order = [world.schedule.next(0.02 * (n + 1)) for n in range(3)]
     assert order == [stops[1], stops[2], stops[0]]
+
+
+def test_a_setpoint_for_one_drive_is_not_overtaken_by_a_multicast_that_came_before_it() -> None:
+    world = World().drives("a", "b")
+    world.submit("b", P.CONTROL)
+    old = world.submit("a", P.CONTROL, supersedes="setpoint")
+    to_all = world.submit("all", P.CONTROL, members=("a", "b"))
+    newer = world.submit("a", P.CONTROL, supersedes="setpoint")
+    newest = world.submit("a", P.CONTROL, supersedes="setpoint")
+    assert world.outcome(old)[0] is world.outcome(newer)[0] is Outcome.SUPERSEDED
+    world.run(1.0)
+    assert [sent.request for sent in world.sent][-2:] == [to_all, newest]
+
+
+def test_a_stop_that_waits_stands_for_a_later_one_and_ends_the_motion_that_came_between() -> None:
+    world = World().drives("a")
+    stop = world.submit("a", P.STOP, stops=("a",))
+    moving = world.submit("a", P.CONTROL, motion=True)
+    assert world.schedule.join(stop)
+    assert world.outcome(moving) == (Outcome.SUPERSEDED, "stopped")
+    assert world.step() is stop
+    assert not world.schedule.join(stop), "it was said: the later one must be said too"

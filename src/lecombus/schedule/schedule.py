@@ -40,7 +40,6 @@ from typing import Final
 from lecombus.schedule.cadence import Cadence, Cyclic, Entry
 from lecombus.schedule.feeds import SPARE_ATTEMPTS, Feed, Feeding, Feeds
 from lecombus.schedule.request import (
-    DEFERRED,
     OUT,
     QUEUED,
     UNDER_WAY,
@@ -170,12 +169,13 @@ class Schedule:
         self._speaking_to = None
         self._waiting.take_back(request, until_s, now_s)
 
+    def join(self, stop: Request) -> bool:
+        """Let a stop that waits unsaid stand for a new one like it; say whether it can."""
+        return self._waiting.join(stop)
+
     def withdraw(self, request: Request, outcome: Outcome, reason: str) -> bool:
         """End a request if it still waits; say whether it did."""
-        if request.state not in (QUEUED, DEFERRED):
-            return False
-        self._waiting.end_waiting(request, outcome, reason)
-        return True
+        return self._waiting.withdraw(request, outcome, reason)
 
     # -- the choice -------------------------------------------------------------------------------
 

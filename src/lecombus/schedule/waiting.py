@@ -53,7 +53,16 @@ _TOO_LATE: Final = "it was too late to begin"
 class DriveState:
     """What a schedule keeps for one drive."""
 
-    __slots__ = ("entries", "held", "held_until_s", "lanes", "motion", "parked", "stopped_at")
+    __slots__ = (
+        "entries",
+        "held",
+        "held_until_s",
+        "lanes",
+        "motion",
+        "multicast_at",
+        "parked",
+        "stopped_at",
+    )  # fmt: skip
 
     def __init__(self) -> None:
         self.held = False
@@ -61,6 +70,7 @@ class DriveState:
         self.lanes: list[tuple[ClassQueue, Lane]] = []  # kept from their queues while held
         self.entries: list[Entry] = []  # kept from the cadence while held
         self.motion: set[Request] = set()  # waiting motion requests that reach it
+        self.multicast_at = 0  # serial of the last multicast that reaches it
         self.parked: str | None = None  # why it is offline
         self.stopped_at = 0  # serial of the last stop
 
@@ -111,10 +121,13 @@ class Waiting:
         if old is None or old.priority is not request.priority:
             self._check_limit(request.priority, queue.depth)
         self.number(request)
-        if old is None or not _take_over(old, request):
+        if old is None or not self._take_over(old, request):
             queue.put(request)
         request.state = QUEUED
         self._enter(request, queue)
+        if request.members:
+            for reached in self._reached(request):
+                reached.multicast_at = request.serial
         if request.expires_at_s is not None:
             self.expiries.add(request)
         if old is not None:
@@ -126,6 +139,20 @@ class Waiting:
             return None
         old = self._latest.get(request.supersedes)
         return old if old is not None and old.state in (QUEUED, DEFERRED) else None
+
+    def _take_over(self, old: Request, new: Request) -> bool:
+        """Give the new request the place of the old one, if that is a place to have.
+
+        It is not where a multicast to that drive came between: the latest of the three must be
+        said last.
+        """
+        drive = self.drives.get(old.drive)
+        fresh = old.state == QUEUED and not old.attempts
+        overtakes = drive is not None and old.place < drive.multicast_at
+        if fresh and not overtakes and old.priority is new.priority and old.drive == new.drive:
+            ClassQueue.replace(old, new)
+            return True
+        return False
 
     def _check_limit(self, priority: Priority, depth: int) -> None:
         limit = self._limits.get(priority)
@@ -140,6 +167,23 @@ class Waiting:
         request.state = QUEUED
         queue.put(request)
         queue.depth += 1
+        self._end_motion(request)
+
+    def join(self, request: Request) -> bool:
+        """Let a stop that waits and was never said stand for another one asked for just now.
+
+        Returns:
+            Whether it can: it waits, so that nothing but other stops goes out before it.
+        """
+        if request.state != QUEUED or request.attempts:
+            return False
+        self._serial += 1
+        request.serial = self._serial  # motion asked for before the later stop ends as well
+        self._end_motion(request)
+        return True
+
+    def _end_motion(self, request: Request) -> None:
+        """End the motion that waits for the drives a stop stops."""
         ended: list[Request] = []
         for name in request.stops:
             drive = self.drives.get(name)
@@ -243,6 +287,13 @@ class Waiting:
 
     # -- ends -------------------------------------------------------------------------------------
 
+    def withdraw(self, request: Request, outcome: Outcome, reason: str) -> bool:
+        """End a request if it still waits; say whether it did."""
+        if request.state not in (QUEUED, DEFERRED):
+            return False
+        self.end_waiting(request, outcome, reason)
+        return True
+
     def end_waiting(self, request: Request, outcome: Outcome, reason: str) -> None:
         """End a request that waits."""
         self.leave(request)
@@ -337,15 +388,6 @@ def has_expired(request: Request, now_s: float) -> bool:
     """Tell whether a request may no longer be begun; one that has begun does not expire."""
     expires_at_s = request.expires_at_s
     return expires_at_s is not None and expires_at_s <= now_s and not request.attempts
-
-
-def _take_over(old: Request, new: Request) -> bool:
-    """Give the new request the place of the old one, if that is a place to have."""
-    fresh = old.state == QUEUED and not old.attempts
-    if fresh and old.priority is new.priority and old.drive == new.drive:
-        ClassQueue.replace(old, new)
-        return True
-    return False
 
 
 def _never_held(_request: Request) -> None:
