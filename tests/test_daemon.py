@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from lecombus.daemon import place
+from lecombus.daemon import place, tell_goodbye
+from lecombus.drives import StopAction
+from lecombus.operations.reports import GroupReport, WriteReport
+from lecombus.protocol.addressing import Code
+from lecombus.schedule import Outcome
 
 
 @pytest.mark.parametrize(
@@ -21,3 +25,26 @@ def test_where_http_is_served_is_written_as_one_would_type_it(
     http: tuple[str, int] | None, written: str
 ) -> None:
     assert place(http) == written
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "level", "told"),
+    [
+        ([Outcome.VERIFIED, Outcome.DONE], "INFO", "outcome=done"),
+        ([Outcome.VERIFIED, Outcome.UNKNOWN], "ERROR", "outcome=unknown not-stopped=b"),
+        ([Outcome.REFUSED, Outcome.REFUSED], "ERROR", "outcome=refused not-stopped=a,b"),
+    ],
+)
+def test_a_drive_that_may_run_on_after_the_end_is_an_error_with_its_name(
+    outcomes: list[Outcome], level: str, told: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    members = tuple(
+        WriteReport(name, Code(40), outcome) for name, outcome in zip("ab", outcomes, strict=True)
+    )
+    with caplog.at_level("INFO"):
+        tell_goodbye(
+            StopAction.INHIBIT, GroupReport("all", "one-by-one", members[-1].outcome, members)
+        )
+    (record,) = caplog.records
+    assert record.levelname == level
+    assert record.getMessage() == f"event=shutdown-stop action=inhibit {told}"

@@ -7,6 +7,7 @@ import contextlib
 import anyio
 import pytest
 
+from lecombus.config import parse_roster
 from lecombus.drives import StopAction
 from lecombus.errors import ConfigError, OperationError
 from lecombus.protocol.addressing import Code
@@ -55,6 +56,17 @@ def test_a_reloaded_roster_leaves_alone_what_did_not_change() -> None:
         assert (after.value, after.quality) == (before.value, Quality.GOOD)
         assert plant.state("a") is DriveState.ONLINE
         assert plant.state("c") is DriveState.STARTING
+
+    with_plant(test, roster_of(AB))
+
+
+def test_a_new_roster_is_told_by_the_drives_it_changes() -> None:
+    async def test(plant: Plant) -> None:
+        moved = [("b", 14, "8200vector"), ("c", 13, "8200vector")]
+        changes = plant.site.apply(parse_roster(roster_of(moved), "hall-3.yaml"))
+        assert str(changes) == "added=c removed=a changed=b"
+        again = plant.site.apply(plant.site.roster)
+        assert str(again) == "added=none removed=none changed=none"
 
     with_plant(test, roster_of(AB))
 

@@ -32,8 +32,11 @@ import anyio.to_thread
 from lecombus import __version__
 from lecombus.api import create_app, serve
 from lecombus.config import Roster, RosterError, load_roster
+from lecombus.drives import StopAction
 from lecombus.errors import LecombusError
 from lecombus.line.loop import run as run_loop
+from lecombus.operations.reports import GroupReport
+from lecombus.schedule import Outcome
 from lecombus.simulated import opener_for
 from lecombus.site import Site
 from lecombus.systemd import Notifier
@@ -97,6 +100,18 @@ def place(http: tuple[str, int] | None) -> str:
         return "none"
     host, port = http
     return f"[{host.strip('[]')}]:{port}" if ":" in host else f"{host}:{port}"
+
+
+def tell_goodbye(action: StopAction, report: GroupReport) -> None:
+    """Log what `on_shutdown` came to; a drive that may run on needs somebody who looks."""
+    good = (Outcome.DONE, Outcome.VERIFIED)
+    doubtful = ",".join(one.drive for one in report.members if one.outcome not in good)
+    if not doubtful:
+        logger.info("event=shutdown-stop action=%s outcome=%s", action, report.outcome)
+        return
+    logger.error(
+        "event=shutdown-stop action=%s outcome=%s not-stopped=%s", action, report.outcome, doubtful
+    )
 
 
 class Daemon:
@@ -180,7 +195,7 @@ class Daemon:
         self._notifier.tell("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
         try:
             roster = await anyio.to_thread.run_sync(load_roster, self._path)
-            self.site.apply(roster)
+            changes = self.site.apply(roster)
         except RosterError as exc:
             for mistake in exc.mistakes:
                 logger.error("event=reload-refused mistake=%s", mistake)
@@ -188,7 +203,7 @@ class Daemon:
             logger.error("event=reload-refused mistake=%s", exc)
         else:
             self._roster = roster
-            logger.info("event=reloaded drives=%d", len(roster.drives))
+            logger.info("event=reloaded drives=%d %s", len(roster.drives), changes)
         finally:
             self._notifier.tell("READY=1")
 
@@ -241,6 +256,6 @@ class Daemon:
             except LecombusError as exc:
                 logger.error("event=shutdown-stop-failed action=%s reason=%s", action, exc)
             else:
-                logger.info("event=shutdown-stop action=%s outcome=%s", action, report.outcome)
+                tell_goodbye(action, report)
         if scope.cancelled_caught:
             logger.error("event=shutdown-stop-failed action=%s reason=too slow", action)

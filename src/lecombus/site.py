@@ -11,6 +11,7 @@ What must not live here: signals, sockets, HTTP (`daemon`).
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from lecombus import __version__
 from lecombus.config import DriveEntry, Roster, line_timing
@@ -30,7 +31,7 @@ from lecombus.supervision.books import Books
 from lecombus.supervision.health import Health
 from lecombus.supervision.keeper import Keeper
 
-__all__ = ["Site"]
+__all__ = ["Changes", "Site"]
 
 SAID_FROM = 1.05
 """A cadence stretched by less than this is not worth a remark."""
@@ -39,6 +40,26 @@ STUCK_S = 6.0
 """Longer than any exchange (at 1200 baud about 4 s) and than the pause before a reopening (5 s)."""
 
 ECHO = {"auto": None, "yes": True, "no": False}
+
+
+@dataclass(frozen=True, slots=True)
+class Changes:
+    """The drives that a new roster changed, by name and in its order.
+
+    Args:
+        added: They are new.
+        removed: They are gone.
+        changed: Something is different about them.
+    """
+
+    added: tuple[str, ...]
+    removed: tuple[str, ...]
+    changed: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """Write it for the log: `added=c,d removed=none changed=a`."""
+        parts = {"added": self.added, "removed": self.removed, "changed": self.changed}
+        return " ".join(f"{key}={','.join(names) or 'none'}" for key, names in parts.items())
 
 
 class Site:
@@ -93,8 +114,11 @@ class Site:
         self._entries: dict[str, DriveEntry] = {}
         self.apply(roster)
 
-    def apply(self, roster: Roster) -> None:
+    def apply(self, roster: Roster) -> Changes:
         """Take a roster's drives and groups; drives that did not change are left alone.
+
+        Returns:
+            What became of which drive.
 
         Raises:
             ConfigError: The line itself differs: that needs a restart. Nothing was changed.
@@ -106,6 +130,7 @@ class Site:
                 file=roster.file,
             )
         wanted = {entry.name: entry for entry in roster.drives}
+        before = dict(self._entries)
         for name, entry in list(self._entries.items()):
             if wanted.get(name) != entry:
                 self._remove_drive(name, kept=name in wanted)
@@ -119,6 +144,13 @@ class Site:
         self.operations.set_roster(roster.drives, roster.groups)
         self.roster = roster
         self.worker.nudge()
+        return Changes(
+            added=tuple(name for name in wanted if name not in before),
+            removed=tuple(name for name in before if name not in wanted),
+            changed=tuple(
+                name for name in wanted if before.get(name, wanted[name]) != wanted[name]
+            ),
+        )
 
     def tried_all(self) -> bool:
         """Whether the line is open and every drive has been tried once since the start."""

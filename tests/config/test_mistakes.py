@@ -471,3 +471,11 @@ def test_behind_an_unknown_family_what_one_family_can_do_passes() -> None:
     assert told.startswith("7:13: `family`")
     _, second = said(drive_with("watchdog: {time: 0.0205s, action: trip}", family="8200vektor"))
     assert "is no whole number of milliseconds" in second
+
+
+@pytest.mark.parametrize(("key", "article"), [("api", "an"), ("mqtt", "an"), ("lease", "a")])
+def test_an_unknown_key_is_told_with_the_right_article(key: str, article: str) -> None:
+    told = said(
+        roster_with(f"{key}: {{zzzzzz: 1, host: h}}" if key == "mqtt" else f"{key}: {{zzzzzz: 1}}")
+    )
+    assert f"{article} {key} has no key `zzzzzz`, the keys of {article} {key} are " in told[0]

@@ -100,6 +100,7 @@ class Table:
 
     def __init__(self, title: str, keys: Sequence[Key], doc: str = "") -> None:
         self.title = title
+        self._a_title = f"{'an' if title[0] in 'aeiou' or title == 'mqtt' else 'a'} {title}"
         self.keys = {key.name: key for key in keys}
         self.doc = doc
 
@@ -135,9 +136,9 @@ class Table:
     def _meant(self, at: Scalar, node: MappingNode, entry: Entry, mistakes: Mistakes) -> str | None:
         """Note an unknown key; return the key it was meant to be, where that is missing."""
         meant = nearest(at.text, self.keys)
-        listed = f"the keys of a {self.title} are {', '.join(self.keys)}"
+        listed = f"the keys of {self._a_title} are {', '.join(self.keys)}"
         right = listed if meant is None else f"did you mean `{meant}`?"
-        mistakes.note(at, f"a {self.title} has no key {shown(at.text)}", right)
+        mistakes.note(at, f"{self._a_title} has no key {shown(at.text)}", right)
         taken = meant in node.items or meant in entry.nodes
         return None if taken else meant
 
