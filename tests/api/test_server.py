@@ -50,6 +50,19 @@ async def test_the_unix_socket_takes_reads_and_writes(line: Line, tmp_path: Path
     assert [one[0] for one in line.ops.asked] == ["write"]
 
 
+@pytest.mark.parametrize("path", ["/metrics", "/healthz", "/readyz"])
+async def test_head_is_get_without_the_body(line: Line, tmp_path: Path, path: str) -> None:
+    async with serving(line, tmp_path / "s") as served:
+        for client in (over_unix(served.socket_path), over_tcp(served)):
+            async with client:
+                got, looked = await client.get(path), await client.head(path)
+                assert (looked.status_code, looked.content) == (got.status_code, b"")
+                assert looked.headers["content-type"] == got.headers["content-type"]
+                assert int(looked.headers["content-length"]) > 0
+                # The connection is still in step: no body was left on it.
+                assert (await client.get("/readyz")).json()["status"] == "ok"
+
+
 async def test_tcp_answers_reads_and_nothing_else(line: Line, tmp_path: Path) -> None:
     async with serving(line, tmp_path / "s") as served, over_tcp(served) as client:
         assert '"value": 35.40,' in (await client.get(SETPOINT)).text
@@ -80,6 +93,10 @@ async def test_tcp_answers_reads_and_nothing_else(line: Line, tmp_path: Path) ->
         ("127.0.0.1.evil.example", 421),
         ("10.0.0.1", 421),
         ("[fe80::1]", 421),
+        ("[::1].evil", 421),
+        ("[::1]evil:80", 421),
+        ("127.0.0.1:80:evil", 421),
+        ("127.0.0.1:evil", 421),
         ("", 421),
     ],
 )

@@ -151,6 +151,33 @@ def test_group_shows_every_member(run: Run, daemon: DaemonStub) -> None:
     assert [line.split("\t")[2] for line in ran.out.splitlines()] == ["verified", "unknown"]
 
 
+def test_a_multicast_that_was_only_sent_is_not_done_and_says_why(
+    run: Run, daemon: DaemonStub
+) -> None:
+    members = ", ".join([WRITTEN.replace("verified", "unknown")] * 2)
+    report = f'{{"how": "multicast", "outcome": "unknown", "members": [{members}]}}'
+    daemon.answers["PUT /v1/groups/conveyors/codes/C0046"] = (504, report)
+    ran = run("group", "conveyors", "C0046", "5", "--no-verify")
+    assert ran.status == 1
+    assert ran.err.count("\n") == 1
+    assert "nobody acknowledges, and --no-verify was given" in ran.err
+    assert run("group", "conveyors", "C0046", "5").err == ""
+    one_by_one = report.replace("multicast", "one-by-one")
+    daemon.answers["PUT /v1/groups/conveyors/codes/C0046"] = (504, one_by_one)
+    assert run("group", "conveyors", "C0046", "5", "--no-verify").err == ""
+
+
+@pytest.mark.parametrize(("members", "title"), [(1, False), (2, True)])
+def test_how_it_was_sent_is_told_for_several_drives_only(
+    run: Run, daemon: DaemonStub, monkeypatch: pytest.MonkeyPatch, members: int, title: bool
+) -> None:
+    monkeypatch.setattr("lecombus.cli.screen.on_terminal", lambda: True)
+    told = ", ".join([WRITTEN] * members)
+    report = f'{{"how": "one-by-one", "outcome": "verified", "members": [{told}]}}'
+    daemon.answers["POST /v1/stop"] = (200, report)
+    assert ("as one write after another: verified" in run("stop").out) is title
+
+
 @pytest.mark.parametrize(
     ("words", "sent"),
     [

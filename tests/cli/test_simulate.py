@@ -106,6 +106,8 @@ def test_it_ends_cleanly_and_leaves_no_link(
         (["--tcp", "0.0.0.0:4001"], "127.0.0.1"),
         (["--tcp", "x"], "127.0.0.1:PORT"),
         (["--tcp", "0", "--faults", "gremlins=1"], "gremlins"),
+        (["--tcp", "0", "--faults", "absent=11+99"], "has the address 99; absent takes"),
+        (["--tcp", "0", "--pty", "/tmp/x"], "--pty and --tcp are both given; leave one"),
         (["--pty", "/etc/passwd"], "is no link"),
     ],
 )

@@ -226,6 +226,8 @@ def add_group_writes(app: FastAPI, ops: OperationsPort, keys: Idempotency) -> No
 def add_service(app: FastAPI, metrics: Metrics, ready: Check, healthy: Check) -> None:
     """Add what supervisors ask: metrics, health, readiness."""
 
+    # Whoever only looks whether they are there, as some supervisors do, is spared the body.
+    @app.head("/metrics", include_in_schema=False)
     @app.get("/metrics", include_in_schema=False)
     async def page(request: Request) -> Response:
         """The metrics page, in the format the scraper likes."""
@@ -233,11 +235,13 @@ def add_service(app: FastAPI, metrics: Metrics, ready: Check, healthy: Check) ->
         text = await metrics.fresh_page(openmetrics=openmetrics)
         return Response(text, media_type=OPENMETRICS_TYPE if openmetrics else TEXT_TYPE)
 
+    @app.head("/healthz", include_in_schema=False)
     @app.get("/healthz", **described(StatusDocument, 503))
     async def healthz() -> Response:
         """Whether the daemon works: 503 when the line task makes no progress."""
         return status_response("unhealthy", healthy())
 
+    @app.head("/readyz", include_in_schema=False)
     @app.get("/readyz", **described(StatusDocument, 503))
     async def readyz() -> Response:
         """Whether the line is open and every drive was tried once."""

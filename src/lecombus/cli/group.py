@@ -8,11 +8,22 @@ import click
 
 from lecombus.cli.arguments import CODE, DURATION, VALUE, CommandWithNumbers, Given, daemon_options
 from lecombus.cli.client import connect
-from lecombus.cli.reports import show_group, status_of
+from lecombus.cli.reports import Document, show_group, status_of
 from lecombus.cli.write import write_document
 from lecombus.protocol import Code
 
 __all__ = ["command"]
+
+SENT_ONLY = (
+    "it was sent as one multicast, which nobody acknowledges, and --no-verify was given: who took "
+    "it is unknown, and so this is exit status 1; without --no-verify every member is read back"
+)
+
+
+def was_only_sent(report: Document) -> bool:
+    """Whether a multicast went out and nothing more is known of it."""
+    outcomes = {member.get("outcome") for member in report.get("members") or [report]}
+    return report.get("how") == "multicast" and outcomes == {"unknown"}
 
 
 @click.command("group", cls=CommandWithNumbers)
@@ -41,7 +52,8 @@ def command(
     It goes out as one multicast where the group allows that (`lecombus check` tells), which
     nobody acknowledges, and is then read back. Else one write follows the other.
 
-    Exit status 0 only if every member's outcome is done or verified. In a pipe: one line a member
+    Exit status 0 only if every member's outcome is done or verified: never for a multicast with
+    --no-verify, whose outcome is unknown. In a pipe: one line a member
     with drive, code, outcome, value read back, reason. With --json: the daemon's document,
     {"how", "outcome", "members": [as write]}.
     """
@@ -51,4 +63,7 @@ def command(
     if as_json:
         click.echo(answer.text)
         return status_of(answer.data)
-    return show_group(answer.data)
+    status = show_group(answer.data)
+    if verify is False and was_only_sent(answer.data):
+        click.echo(SENT_ONLY, err=True)
+    return status

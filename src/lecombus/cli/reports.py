@@ -114,7 +114,8 @@ def show_group(report: Document) -> Exit:
     """
     members: Sequence[Document] = report.get("members") or [report]
     how = {"multicast": "one multicast", "one-by-one": "one write after another"}
-    told = how.get(str(report.get("how")), "")
+    # One drive gets one telegram: how it would be sent to several says nothing.
+    told = how.get(str(report.get("how")), "") if len(members) > 1 else ""
     _show_outcomes(members, title=f"as {told}: {report.get('outcome')}" if told else "")
     return status_of(report)
 

@@ -12,7 +12,7 @@ import click
 from lecombus.cli.arguments import json_option, roster_option
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.config import Roster, load_roster
-from lecombus.simulator import PtyEnd, SimLine, TcpEnd, build
+from lecombus.simulator import PtyEnd, SimLine, TcpEnd, build, parse_faults
 
 __all__ = ["command"]
 
@@ -43,7 +43,11 @@ def command(
     In a pipe the first line is the port and nothing else. With --json: {"port", "line", "baud",
     "drives": [{"drive", "address", "family"}]}.
     """
-    if (pty is None) == (tcp is None):
+    if pty is not None and tcp is not None:
+        raise CommandError(
+            Exit.USAGE, Problem("--pty and --tcp are both given", "leave one of them out")
+        )
+    if pty is None and tcp is None:
         raise CommandError(
             Exit.USAGE, Problem("either --pty or --tcp is needed", "say where to serve the line")
         )
@@ -68,9 +72,20 @@ def _build(roster: Roster, faults: str, seed: int) -> SimLine:
     drives = [(entry.name, entry.address, entry.family) for entry in roster.drives]
     parity = roster.line.parity == "line"
     try:
-        return build(drives, baud=roster.line.baud, faults=faults, seed=seed, parity=parity)
+        wanted = parse_faults(faults)
+        _check_absent(wanted.absent, roster)
+        return build(drives, baud=roster.line.baud, faults=wanted, seed=seed, parity=parity)
     except ValueError as exc:
         raise CommandError(Exit.USAGE, Problem(str(exc))) from exc
+
+
+def _check_absent(absent: set[int], roster: Roster) -> None:
+    """Refuse to let drives be away that are not there: whoever writes it means another address."""
+    there = {entry.address for entry in roster.drives}
+    if unknown := absent - there:
+        problem = f"no drive of {roster.line.name} has the address {min(unknown)}"
+        remedy = f"absent takes addresses of the roster: {'+'.join(map(str, sorted(there)))}"
+        raise CommandError(Exit.USAGE, Problem(problem, remedy))
 
 
 def _free_link(path: Path) -> Path:
