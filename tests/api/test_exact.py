@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from contextlib import suppress
 from decimal import Decimal
 
@@ -44,3 +45,22 @@ def test_bytes_of_any_kind_raise_one_error_or_none(text: bytes) -> None:
 def test_a_float_is_never_written() -> None:
     with pytest.raises(KeyError):
         encode(0.1)  # type: ignore[arg-type]
+
+
+def test_a_document_full_of_keys_that_stand_twice_is_refused_at_once() -> None:
+    distinct = 200_000  # comparing each with each would take minutes
+    text = "{" + ",".join(f'"{number % distinct}":1' for number in range(2 * distinct)) + "}"
+    began_s = time.process_time()
+    with pytest.raises(NotJsonError) as caught:
+        decode(text.encode())
+    assert time.process_time() - began_s < 20
+    assert len(str(caught.value)) < 120
+
+
+@pytest.mark.parametrize(
+    "text", ["1e9999999999999999999", "-1e-9999999999999999999", "0e1" + "9" * 99]
+)
+def test_an_exponent_beyond_any_decimal_is_refused(text: str) -> None:
+    with pytest.raises(NotJsonError, match="too large or too small") as caught:
+        decode(text.encode())
+    assert len(str(caught.value)) < 150

@@ -85,6 +85,14 @@ async def test_expiry_is_a_duration_or_seconds(
         ('{"value": {}}', "not an object"),
         ('{"value": ""}', "value takes a number"),
         ('{"value": 1e999999}', "value takes a number"),
+        ('{"value": 1e9999999999999999999}', "too large or too small"),
+        ('{"value": 1e-9999999999999999999}', "too large or too small"),
+        ('{"value": 1e-999999999999999999}', "value takes a number"),
+        ('{"value": 1, "expires": 1e9999999999999999999}', "too large or too small"),
+        ('{"value": 1, "expires": 1e-9999999999999999999}', "too large or too small"),
+        ('{"value": 1, "expires": 1e-999999}', "expires takes a duration"),
+        (r'{"\ud800": 1}', "a key is not text"),
+        (r'{"value": 1, "\udfff": 1}', "a key is not text"),
         ('{"valeu": 1}', "there is no key valeu: did you mean value?"),
         ('{"value": 1, "expire": "2s"}', "did you mean expires?"),
         ('{"value": 1, "expires": "2"}', "expires takes a duration"),
@@ -110,6 +118,23 @@ async def test_all_mistakes_are_told_at_once(client: httpx.AsyncClient) -> None:
     answer = await put(client, '{"valeu": 1, "verify": 3}')
     for part in ("key value is missing", "no key valeu", "verify takes"):
         assert part in answer.json()["detail"]
+
+
+async def test_what_is_said_of_a_wrong_request_is_bounded(client: httpx.AsyncClient) -> None:
+    many = ", ".join(f'"{"k" * 500}{number}": 1' for number in range(100))
+    long = "x" * 5000
+    for answer in (
+        await put(client, "{" + many + "}"),
+        await put(client, f'{{"{long}": 1, "{long}": 2}}'),
+        await put(client, '{"value": 1}', f"/v1/drives/feeder/codes/{long}"),
+        await put(client, '{"value": 1}', f"/{long}"),
+        await put(client, '{"value": 1}', f"{SETPOINT}?{long}=1"),
+        await client.get(f"/v1/drives/{long}"),
+        await client.get(f"/v1/drives/feeder/codes/{long}"),
+    ):
+        assert 400 <= answer.status_code < 500
+        assert len(answer.text) < 2000
+        assert "..." in answer.json()["detail"]
 
 
 async def test_a_body_too_big_is_refused(client: httpx.AsyncClient, line: Line) -> None:
@@ -274,6 +299,70 @@ async def test_a_repeat_while_the_first_is_under_way_waits_for_it(
             line.ops.gate.set()
     assert [one.status_code for one in answers] == [200, 200]
     assert len(line.ops.asked) == 1
+
+
+async def stop(client: httpx.AsyncClient, target: str = "all", key: str = "a") -> httpx.Response:
+    headers = {"Idempotency-Key": key}
+    body = {"action": "inhibit", "target": target}
+    return await client.post("/v1/stop", json=body, headers=headers)
+
+
+async def test_a_stop_repeated_later_with_the_same_key_is_a_new_stop(
+    client: httpx.AsyncClient, line: Line
+) -> None:
+    assert [(await stop(client)).status_code for _ in range(2)] == [200, 200]
+    assert len(line.ops.asked) == 2
+
+
+async def test_a_stop_repeated_while_it_is_under_way_shares_its_result(
+    client: httpx.AsyncClient, line: Line
+) -> None:
+    line.ops.gate = anyio.Event()
+    answers: list[httpx.Response] = []
+
+    async def ask(target: str = "all") -> None:
+        answers.append(await stop(client, target))
+
+    with anyio.fail_after(10):
+        async with anyio.create_task_group() as tasks:
+            for target in ("all", "all", "feeder"):
+                tasks.start_soon(ask, target)
+            await anyio.wait_all_tasks_blocked()
+            line.ops.gate.set()
+    assert [one.status_code for one in answers] == [200, 200, 200]
+    assert sorted(str(one[2]) for one in line.ops.asked) == ["all", "feeder"]
+
+
+async def test_a_stop_whose_like_failed_stops_by_itself(
+    client: httpx.AsyncClient, line: Line
+) -> None:
+    line.ops.gate = anyio.Event()
+    line.ops.error = QueueFullError(priority="stop", depth=1, limit=1)
+    answers: list[httpx.Response] = []
+
+    async def ask() -> None:
+        answers.append(await stop(client))
+
+    with anyio.fail_after(10):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(ask)
+            tasks.start_soon(ask)
+            await anyio.wait_all_tasks_blocked()
+            line.ops.gate.set()
+    assert [one.status_code for one in answers] == [503, 503]
+    assert len(line.ops.asked) == 2
+
+
+async def test_no_stop_is_refused_for_its_key(client: httpx.AsyncClient, line: Line) -> None:
+    line.ops.gate = anyio.Event()
+    with anyio.fail_after(15):
+        async with anyio.create_task_group() as tasks:
+            for number in range(KEY_LIMIT):
+                tasks.start_soon(put, client, '{"value": 1}', SETPOINT, str(number))
+            await anyio.wait_all_tasks_blocked()
+            line.ops.gate.set()
+            assert (await stop(client, key="one too many")).status_code == 200
+            assert (await stop(client, key="0")).status_code == 200
 
 
 async def test_a_key_used_for_another_request_is_refused(

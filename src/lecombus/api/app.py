@@ -14,6 +14,7 @@ import json
 import time
 from collections import Counter
 from collections.abc import AsyncIterator, Callable
+from dataclasses import replace
 from typing import Annotated, Any, Final
 
 import anyio.lowlevel
@@ -36,8 +37,8 @@ from lecombus.api.documents import (
     StatusDocument,
     problem_responses,
 )
-from lecombus.api.exact import encode
-from lecombus.api.idempotency import Idempotency, fingerprint
+from lecombus.api.exact import encode, short
+from lecombus.api.idempotency import Idempotency, SharedStops, fingerprint
 from lecombus.api.problems import Problem, ProblemError, group_problem, problem_of, report_problem
 from lecombus.api.seam import OperationsPort
 from lecombus.errors import CodeValueError, LecombusError
@@ -191,6 +192,7 @@ def add_writes(app: FastAPI, ops: OperationsPort, keys: Idempotency) -> None:
 def add_group_writes(app: FastAPI, ops: OperationsPort, keys: Idempotency) -> None:
     """Add the writes to groups, and stop."""
     told = described(GroupOutcomeDocument, *REFUSALS, body=WriteBody)
+    stops = SharedStops()
 
     @app.put("/v1/groups/{group}/codes/{code}", **told)
     @app.put("/v1/groups/{group}/codes/{code}/{subcode}", **told)
@@ -213,14 +215,18 @@ def add_group_writes(app: FastAPI, ops: OperationsPort, keys: Idempotency) -> No
 
     @app.post("/v1/stop", **described(GroupOutcomeDocument, *REFUSALS, body=StopBody))
     async def stop(request: Request, key: Key = None) -> Response:
-        """Stop a drive, a group or all, before everything else on the line."""
+        """Stop a drive, a group or all, before everything else on the line.
+
+        A repeat with the same key shares the result only while the first is under way; after that
+        it stops again.
+        """
         check_query(request)
         body, raw = await read_body(request, StopBody)
 
         async def act() -> Response:
             return group_response(await ops.stop(body.action, body.target))
 
-        return await keys.run(key, content_of(request, raw), act)
+        return await stops.run(key, content_of(request, raw), act)
 
 
 def add_service(app: FastAPI, metrics: Metrics, ready: Check, healthy: Check) -> None:
@@ -270,7 +276,12 @@ def answer_errors_with_problems(app: FastAPI) -> None:
     async def known(request: Request, exc: LecombusError) -> Response:
         place = request.path_params
         code = "/".join(place[part] for part in ("code", "subcode") if place.get(part))
-        return problem_of(exc, drive=place.get("drive", ""), code=code).response()
+        problem = problem_of(exc, drive=short(place.get("drive", "")), code=short(code))
+        detail = problem.detail
+        for sent in place.values():  # messages quote what was asked for, however long it is
+            detail = detail.replace(str(sent), short(str(sent)))
+        drive, code = short(problem.drive), short(problem.code)
+        return replace(problem, detail=detail, drive=drive, code=code).response()
 
     @app.exception_handler(RequestValidationError)
     async def not_understood(request: Request, exc: RequestValidationError) -> Response:
@@ -279,7 +290,7 @@ def answer_errors_with_problems(app: FastAPI) -> None:
 
     @app.exception_handler(HTTPException)
     async def not_routed(request: Request, exc: HTTPException) -> Response:
-        path = request.url.path
+        path = short(request.url.path)
         if exc.status_code == 405:
             detail = f"{request.method} is not possible on {path}"
             return Problem("wrong-method", detail, headers=exc.headers or {}).response()
@@ -291,7 +302,7 @@ def answer_errors_with_problems(app: FastAPI) -> None:
     async def mistake(request: Request, exc: Exception) -> Response:
         return Problem(
             "internal",
-            f"{type(exc).__name__} while answering {request.url.path}",
+            f"{type(exc).__name__} while answering {short(request.url.path)}",
             remedy="this is a mistake in lecombus: please report it with the daemon's log",
         ).response()
 

@@ -18,7 +18,7 @@ from typing import Annotated, Final, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema, field_validator
 from starlette.requests import ClientDisconnect, Request
 
-from lecombus.api.exact import NotJsonError, decode
+from lecombus.api.exact import NotJsonError, decode, short
 from lecombus.api.problems import Problem, ProblemError
 from lecombus.drives import StopAction
 
@@ -28,6 +28,8 @@ BODY_LIMIT: Final = 64 * 1024
 
 TEXT_LIMIT: Final = 250
 """A little more than the longest value (241 characters), so that its own error can speak."""
+
+MISTAKES_LIMIT: Final = 10
 
 EXPONENT_LIMIT: Final = 30
 """A number such as 1E+999999 is a few bytes here and a megabyte once written out."""
@@ -90,7 +92,7 @@ class WriteBody(Body):
     @classmethod
     def bounded(cls, value: int | Decimal | str | None) -> int | Decimal | str | None:
         """Refuse durations out of range."""
-        if value is not None and not 0 < seconds_of(value) <= LONGEST_EXPIRY_S:
+        if value is not None and not 0 < float(seconds_of(value)) <= LONGEST_EXPIRY_S:
             raise ValueError(RIGHT["expires"])
         return value
 
@@ -145,6 +147,8 @@ async def read_body(request: Request, model: type[B]) -> tuple[B, bytes]:
         return model.model_validate(given), raw
     except ValidationError as exc:
         mistakes = list(dict.fromkeys(mistake_text(one, given, model) for one in exc.errors()))
+        if len(mistakes) > MISTAKES_LIMIT:
+            mistakes[MISTAKES_LIMIT:] = [f"and {len(mistakes) - MISTAKES_LIMIT} more"]
         raise refusal("; ".join(mistakes), f"send {example(model)}") from exc
 
 
@@ -184,9 +188,9 @@ def check_query(request: Request, allowed: Iterable[str] = ()) -> None:
     seen: set[str] = set()
     for key, _ in request.query_params.multi_items():
         if key not in known:
-            raise refusal(f"there is no query parameter {key}", nearest(key, known))
+            raise refusal(f"there is no query parameter {short(key)}", nearest(key, known))
         if key in seen:
-            raise refusal(f"query parameter {key} stands twice", "give it once")
+            raise refusal(f"query parameter {short(key)} stands twice", "give it once")
         seen.add(key)
 
 
@@ -203,7 +207,9 @@ def mistake_text(error: Mapping[str, object], given: Mapping[str, object], model
     place = error["loc"]
     key = str(place[0]) if isinstance(place, tuple) and place else ""
     if error["type"] == "extra_forbidden":
-        return f"there is no key {key}: {nearest(key, tuple(model.model_fields))}"
+        return f"there is no key {short(key)}: {nearest(key, tuple(model.model_fields))}"
+    if key not in RIGHT:
+        return "a key is not text: it holds one half of a character"
     if error["type"] == "missing":
         return f"key {key} is missing: it takes {RIGHT[key]}"
     return f"{key} takes {RIGHT[key]}, not {shown(given.get(key))}"

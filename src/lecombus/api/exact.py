@@ -10,14 +10,18 @@ What must not live here: what a document means.
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable, Mapping
-from decimal import Decimal
+from decimal import Decimal, InvalidOperation
 from json.encoder import encode_basestring_ascii as quote
-from typing import Any, NoReturn
+from typing import Any, Final, NoReturn
 
 from lecombus.readings import Json
 
-__all__ = ["NotJsonError", "decode", "encode"]
+__all__ = ["NotJsonError", "decode", "encode", "short"]
+
+SHORT_CHARS: Final = 80
+"""The most that is given back of what a client sent."""
 
 
 class NotJsonError(ValueError):
@@ -65,7 +69,7 @@ def decode(text: bytes) -> object:
     try:
         return json.loads(
             text.decode("utf-8"),
-            parse_float=Decimal,
+            parse_float=decimal_of,
             parse_constant=refuse_constant,
             object_pairs_hook=unique_keys,
         )
@@ -73,6 +77,19 @@ def decode(text: bytes) -> object:
         raise NotJsonError("it is nested too deeply") from exc
     except ValueError as exc:
         raise NotJsonError(str(exc)) from exc
+
+
+def decimal_of(text: str) -> Decimal:
+    """Return a number with a point or exponent; an exponent beyond any decimal is refused."""
+    try:
+        return Decimal(text)
+    except InvalidOperation as exc:
+        raise NotJsonError(f"{short(text)} is too large or too small for any number") from exc
+
+
+def short(text: str, chars: int = SHORT_CHARS) -> str:
+    """Return what a client sent as it can stand in a message: bounded."""
+    return text if len(text) <= chars else f"{text[: chars - 3]}..."
 
 
 def refuse_constant(name: str) -> NoReturn:
@@ -84,7 +101,7 @@ def unique_keys(pairs: list[tuple[str, object]]) -> dict[str, object]:
     """Return an object, unless one of its keys stands twice."""
     made = dict(pairs)
     if len(made) != len(pairs):
-        keys = [key for key, _ in pairs]
-        twice = sorted({key for key in keys if keys.count(key) > 1})
-        raise NotJsonError(f"key {', '.join(twice)} stands twice")
+        counts = Counter(key for key, _ in pairs)
+        twice = sorted(key for key, count in counts.items() if count > 1)
+        raise NotJsonError(f"key {short(', '.join(twice))} stands twice")
     return made

@@ -5,6 +5,10 @@ for its end if need be and are given the same response; the same key with other 
 refused. Only requests that were carried out are remembered, whatever their outcome: when nothing
 was sent at all (queue full, line lost, not understood), the same key may be tried again.
 
+Stops are different (`SharedStops`): a repeat shares the first one's result only while that is under
+way. Afterwards the drive may have been started again, so a repeat is a new stop and is sent; and
+no stop is refused for its key being in use or for too many keys.
+
 Memory is bounded: `KEY_LIMIT` keys for `KEEP_S` seconds, the oldest finished one going first.
 What must not live here: what a request does.
 """
@@ -19,9 +23,10 @@ from typing import Final
 import anyio
 from starlette.responses import Response
 
+from lecombus.api.exact import short
 from lecombus.api.problems import Problem, ProblemError
 
-__all__ = ["KEEP_S", "KEY_LIMIT", "Idempotency", "fingerprint"]
+__all__ = ["KEEP_S", "KEY_LIMIT", "Idempotency", "SharedStops", "fingerprint"]
 
 KEY_LIMIT: Final = 1000
 KEEP_S: Final = 600.0
@@ -111,6 +116,41 @@ class Idempotency:
         )
 
 
+class SharedStops:
+    """The stops under way that were given a key."""
+
+    def __init__(self) -> None:
+        self._under_way: dict[tuple[str, bytes], Entry] = {}
+
+    async def run(
+        self, key: str | None, content: bytes, act: Callable[[], Awaitable[Response]]
+    ) -> Response:
+        """Stop, or share the result of the same stop with the same key while it is under way.
+
+        Args:
+            key: The client's key; None stops without looking at others.
+            content: What the request is (`fingerprint`).
+            act: Stops; when it raises, whoever waited for its result stops by itself.
+
+        Raises:
+            ProblemError: The key is malformed.
+        """
+        if key is None:
+            return await act()
+        check_key(key)
+        while (entry := self._under_way.get((key, content))) is not None:
+            await entry.ended.wait()
+            if entry.response is not None:
+                return entry.response
+        entry = self._under_way[key, content] = Entry(content, 0.0)
+        try:
+            entry.response = await act()
+            return entry.response
+        finally:
+            del self._under_way[key, content]
+            entry.ended.set()
+
+
 def fingerprint(*parts: bytes) -> bytes:
     """Return what tells one request's content from another's."""
     digest = sha256()
@@ -141,7 +181,7 @@ def reused(key: str) -> ProblemError:
     return ProblemError(
         Problem(
             "key-reused",
-            f"Idempotency-Key {key} was used for another request before",
+            f"Idempotency-Key {short(key)} was used for another request before",
             remedy="make a new key for every new request",
         )
     )

@@ -15,6 +15,7 @@ from __future__ import annotations
 import errno
 import ipaddress
 import os
+import re
 import socket
 import stat
 from collections.abc import Iterator
@@ -29,6 +30,7 @@ from anyio.abc import TaskStatus
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from lecombus.api.crowd import Connection, Crowd
+from lecombus.api.exact import short
 from lecombus.api.problems import Problem
 from lecombus.errors import OperationError
 
@@ -38,6 +40,8 @@ SOCKET_MODE: Final = 0o660
 BACKLOG: Final = 128
 CLOSE_S: Final = 3
 """How long requests under way may take to end when the server closes."""
+
+HOST: Final = re.compile(r"(?:\[([0-9a-f:.]+)\]|([^\[\]:]+))(?::[0-9]{0,5})?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +91,7 @@ class ReadOnlyDoor:
         if len(hosts) != 1 or not self._is_here(hosts[0]):
             return Problem(
                 "foreign-host",
-                f"host {', '.join(hosts) or '(none)'} is not this machine",
+                f"host {short(', '.join(hosts)) or '(none)'} is not this machine",
                 remedy="ask for localhost or 127.0.0.1",
             )
         if scope["method"] not in ("GET", "HEAD"):
@@ -274,10 +278,9 @@ def tcp_socket(host: str, port: int) -> Iterator[socket.socket]:
 
 
 def host_name(host: str) -> str:
-    """Return the host of a `Host` header without its port."""
-    if host.startswith("["):
-        return host[1:].partition("]")[0]
-    return host.partition(":")[0]
+    """Return the host of a `Host` header without its port; empty if it is not one host."""
+    match = HOST.fullmatch(host)
+    return "" if match is None else match[1] or match[2]
 
 
 def is_loopback(host: str) -> bool:
