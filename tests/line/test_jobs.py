@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 
 from lecombus.drives import StopAction, WriteClass, family
 from lecombus.errors import ExchangeError, NakError, NoReplyError, UnknownCodeError
 from lecombus.line.jobs import MulticastJob, ReadJob, WriteJob
-from lecombus.line.station import Job, Station, StepKind
+from lecombus.line.station import Job, Station, Step, StepKind
 from lecombus.line.stop_job import StopJob
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.exchange import Result, ResultKind
@@ -183,7 +185,7 @@ def value(code: int, raw: str) -> Result:
 
 
 def test_an_inhibit_is_said_and_read_back() -> None:
-    job = StopJob(STATION, StopAction.INHIBIT, word=None, retries=2)
+    job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=2)
     assert (job.step.code, str(job.step.value and job.step.value.raw)) == (Code(40), "0")
     assert job.advance(RESULTS["ack"]) is None
     assert (job.step.kind, job.step.code) == (StepKind.READ, Code(150))
@@ -193,7 +195,7 @@ def test_an_inhibit_is_said_and_read_back() -> None:
 
 
 def test_a_quick_stop_with_an_unknown_word_reads_it_first_and_changes_only_its_bits() -> None:
-    job = StopJob(STATION, StopAction.QUICK_STOP, word=None, retries=2)
+    job = StopJob(STATION, StopAction.QUICK_STOP, word=lambda: None, retries=2)
     assert (job.step.kind, job.step.code) == (StepKind.READ, Code(135))
     assert job.cut_outcome is None, "nothing was said yet"
     job.advance(value(135, "H0A04"))
@@ -203,7 +205,7 @@ def test_a_quick_stop_with_an_unknown_word_reads_it_first_and_changes_only_its_b
 
 @pytest.mark.parametrize("result", ["none", "garbled", "eot", "other"])
 def test_a_word_that_cannot_be_read_makes_an_inhibit_of_the_quick_stop(result: str) -> None:
-    job = StopJob(STATION, StopAction.QUICK_STOP, word=None, retries=2)
+    job = StopJob(STATION, StopAction.QUICK_STOP, word=lambda: None, retries=2)
     job.advance(RESULTS[result] if result != "other" else value(135, "SABC"))
     assert (job.step.kind, job.step.code) == (StepKind.WRITE, Code(40))
     job.advance(RESULTS["ack"])
@@ -212,8 +214,13 @@ def test_a_word_that_cannot_be_read_makes_an_inhibit_of_the_quick_stop(result: s
     assert reason.startswith("inhibit")
 
 
+def late(result: Result, at_s: float) -> Result:
+    """The same, later."""
+    return dataclasses.replace(result, started_s=at_s - 0.1, ended_s=at_s)
+
+
 def test_a_stop_is_repeated_at_once_and_then_read_back_all_the_same() -> None:
-    job = StopJob(STATION, StopAction.INHIBIT, word=None, retries=2)
+    job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=2)
     assert play(job, "none garbled none")[:2] == ("WWW", None)
     assert job.step.kind is StepKind.READ
     assert job.cut_outcome is UNKNOWN
@@ -224,38 +231,100 @@ def test_a_stop_is_repeated_at_once_and_then_read_back_all_the_same() -> None:
 
 
 def test_a_stop_refused_by_nak_is_repeated_and_read_back() -> None:
-    job = StopJob(STATION, StopAction.INHIBIT, word=None, retries=1)
+    job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=1)
     assert play(job, "nak nak")[:2] == ("WW", None)
-    assert (job.advance(value(150, "H0000")) or (None,))[0] is REFUSED
-
-
-def test_a_stop_without_effect_is_said_again_and_then_called_so() -> None:
-    job = StopJob(STATION, StopAction.INHIBIT, word=None, retries=1)
-    job.advance(RESULTS["ack"])
     assert job.advance(value(150, "H0000")) is None
-    assert job.step.kind is StepKind.WRITE
-    job.advance(RESULTS["ack"])
-    outcome, reason = job.advance(value(150, "H0000")) or (None, "")
+    job.advance(late(RESULTS["nak"], 6.0))
+    assert (job.advance(late(value(150, "H0000"), 6.0)) or (None,))[0] is REFUSED
+
+
+def test_a_stop_without_effect_is_said_again_for_five_seconds_with_pauses() -> None:
+    job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=1)
+    for sayings, at_s in enumerate((0.1, 1.0, 2.0, 3.0, 4.0, 4.9)):
+        assert job.step.kind is StepKind.WRITE
+        job.advance(late(RESULTS["ack"], at_s))
+        assert job.pause_s == 0.0, "the proof follows at once"
+        assert job.advance(late(value(150, "H0000"), at_s)) is None
+        assert (job.pause_s > 0.0) is (sayings > 0)
+    job.advance(late(RESULTS["ack"], 5.1))
+    outcome, reason = job.advance(late(value(150, "H0000"), 5.1)) or (None, "")
     assert outcome is REFUSED
     assert "C0150 reads H0000" in reason
 
 
-def test_a_stop_of_a_silent_drive_is_unknown() -> None:
-    job = StopJob(STATION, StopAction.INHIBIT, word=None, retries=1)
-    steps, outcome, reason = play(job, "none none none none")
-    assert (steps, outcome) == ("WWRR", UNKNOWN)
+def test_a_drive_that_hears_again_after_seconds_is_stopped() -> None:
+    job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=2)
+    for n in range(20):
+        assert job.advance(late(RESULTS["none"], 0.2 * (n + 1))) is None
+    while job.step.kind is StepKind.READ:
+        job.advance(late(value(150, "H0000"), 4.2))
+    job.advance(late(RESULTS["ack"], 4.3))
+    assert (job.advance(late(value(150, "H0080"), 4.4)) or (None,))[0] is VERIFIED
+
+
+def test_a_stop_of_a_silent_drive_is_unknown_when_its_time_is_over() -> None:
+    job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=1, patience_s=1.5)
+    steps, outcome, _ = play(job, "none none none none")
+    assert (steps, outcome) == ("WWRW", None)
+    assert job.advance(late(RESULTS["none"], 1.6)) is None
+    assert job.step.kind is StepKind.READ
+    outcome, reason = job.advance(late(RESULTS["none"], 1.7)) or (None, "")
+    assert outcome is UNKNOWN
     assert "not read back" in reason
+
+
+def test_a_proof_the_drive_does_not_know_is_asked_for_twice() -> None:
+    job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=1)
+    assert play(job, "ack eot ack eot")[:2] == ("WRWR", UNKNOWN)
+
+
+def test_a_member_that_cannot_be_read_back_after_a_multicast_is_told_alone() -> None:
+    job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=1, said=True)
+    assert job.advance(late(RESULTS["none"], 9.0)) is None
+    assert (job.step.kind, job.step.code) == (StepKind.WRITE, Code(40))
+
+
+def test_the_control_word_counts_that_is_known_when_the_stop_is_said() -> None:
+    words = [4]
+    job = StopJob(STATION, StopAction.QUICK_STOP, word=lambda: words[0], retries=1)
+    words[0] = 0x0200
+    assert job.step.value == Value.parse("H0208")
+    words[0] = 4
+    assert job.step.value == Value.parse("H0208"), "what is on the wire is what is reported"
+
+
+def test_a_word_of_more_than_16_bits_is_no_control_word() -> None:
+    job = StopJob(STATION, StopAction.QUICK_STOP, word=lambda: 0x10000, retries=1)
+    assert (job.step.kind, job.step.code) == (StepKind.READ, Code(135))
+    assert job.advance(value(135, "H00010004")) is None
+    assert (job.step.kind, job.step.code) == (StepKind.WRITE, Code(40))
+
+
+def test_a_word_that_may_not_be_read_now_makes_an_inhibit_of_the_quick_stop() -> None:
+    job = StopJob(STATION, StopAction.QUICK_STOP, word=lambda: None, retries=1)
+    assert job.step.kind is StepKind.READ
+    assert [job.cannot_read(), job.cannot_read()] == [True, False]
+    assert job.step == Step(StepKind.WRITE, Code(40), Value.parse("0"))
+
+
+def test_a_quick_stop_is_said_directly_after_its_word_was_read_but_else_lets_others_go() -> None:
+    job = StopJob(STATION, StopAction.QUICK_STOP, word=lambda: None, retries=1)
+    behind = [job.advance(one) or job.goes_behind for one in (value(135, "H0004"), RESULTS["none"])]
+    assert behind == [False, True]
+    silent = StopJob(STATION, StopAction.QUICK_STOP, word=lambda: None, retries=1)
+    silent.advance(RESULTS["none"])
+    assert silent.goes_behind, "it cost the others one attempt; the next one waits for theirs"
 
 
 @pytest.mark.parametrize("before", ["", "ack", "none"])
 def test_a_stop_ends_unknown_when_the_line_is_lost(before: str) -> None:
-    job = StopJob(STATION, StopAction.INHIBIT, word=None, retries=1)
+    job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=1)
     play(job, before)
     assert (job.advance(RESULTS["lost"]) or (None,))[0] is UNKNOWN
 
 
 def test_after_a_multicast_a_stop_begins_with_reading_back_and_is_said_alone_if_need_be() -> None:
-    job = StopJob(STATION, StopAction.INHIBIT, word=None, retries=1, said=True)
+    job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=1, said=True)
     assert job.step.kind is StepKind.READ
     assert job.cut_outcome is UNKNOWN
     assert job.advance(value(150, "H0000")) is None
@@ -263,7 +332,7 @@ def test_after_a_multicast_a_stop_begins_with_reading_back_and_is_said_alone_if_
 
 
 def test_a_quick_stop_said_by_multicast_is_made_good_with_the_word_it_needs() -> None:
-    job = StopJob(STATION, StopAction.QUICK_STOP, word=4, retries=1, said=True)
+    job = StopJob(STATION, StopAction.QUICK_STOP, word=lambda: 4, retries=1, said=True)
     job.advance(value(135, "H0004"))
     assert job.step.value == Value.parse("H000C")
 

@@ -95,7 +95,7 @@ def test_a_feed_takes_another_code_instead() -> None:
 def test_a_write_waits_while_an_old_acknowledgement_may_come_and_a_stop_does_not() -> None:
     where = questions(ACK_FIELD)
     assert where.ask(writing(), 0.1, urgent=False) == 0.5
-    stop = StopJob(station(), StopAction.INHIBIT, word=None, retries=0)
+    stop = StopJob(station(), StopAction.INHIBIT, word=lambda: None, retries=0)
     assert ask(where, stop, urgent=True).ask.field == ACK_FIELD
     assert isinstance(where.ask(writing(), 0.5, urgent=False), Question)
 

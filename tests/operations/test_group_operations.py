@@ -11,6 +11,7 @@ import pytest
 from lecombus.drives import StopAction
 from lecombus.errors import OperationError, QueueFullError
 from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority
 from lecombus.simulator.faults import Faults
@@ -312,5 +313,128 @@ def test_nor_one_that_is_just_going_out_to_its_group() -> None:
         await plant.site.operations.stop(QUICK, "a")
         assert (await writing).outcome is Outcome.VERIFIED
         assert plant.line["a"].model.control & 0x0208 == 0x0208
+
+    with_plant(test, ROSTER)
+
+
+# ---- a line that is not as it should be -----------------------------------------------------
+
+SIX = [(name, 31 + n, "8200vector") for n, name in enumerate("pqrstu")]
+
+
+def told_at_s(plant: Plant, since: int) -> dict[bytes, float]:
+    """When each address was first written to since the so-manieth telegram."""
+    found: dict[bytes, float] = {}
+    for one in plant.end.sent[since:]:
+        if b"\x02" in one.data:
+            found.setdefault(one.data[1:3], one.at_s)
+    return found
+
+
+@pytest.mark.parametrize("action", [QUICK, INHIBIT])
+@pytest.mark.parametrize("known", [False, True])
+def test_drives_that_are_silent_keep_the_living_ones_from_their_stop_once_at_most(
+    action: StopAction, known: bool
+) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await anyio.sleep(1.0)  # nothing is under way any more
+        plant.line.faults.absent = {31, 32}
+        if known:
+            for drive in ("p", "q"):
+                with pytest.raises(Exception, match=drive):
+                    await plant.site.operations.read(drive, STATUS)
+        for name in "pqrstu":
+            plant.site.words.forget(name)
+        said, since_s = len(plant.end.sent), plant.now_s
+        await plant.site.operations.stop(action, "six")
+        first = told_at_s(plant, said)
+        living = max(first[b"%d" % address] for address in (33, 34, 35, 36)) - since_s
+        # Four living drives take 0.1 s, 0.2 s with reading the word; an attempt in vain 0.13 s.
+        assert living < (0.25 if known else 0.4)
+
+    groups = "groups:\n  six: {members: [p, q, r, s, t, u]}\n"
+    with_plant(test, roster_of([*SIX, ("v", 37, "8200vector")], drive=WRITABLE, rest=groups))
+
+
+def test_a_drive_that_was_deaf_for_two_seconds_is_stopped_all_the_same() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await plant.site.operations.write("a", ENABLE, 1)
+        plant.line.drive_faults[11] = Faults(unheard=1.0)
+        stopping = asyncio.create_task(plant.site.operations.stop(INHIBIT, "a"))
+        await anyio.sleep(2.0)
+        plant.line.drive_faults.clear()
+        report = await stopping
+        assert report.outcome is Outcome.VERIFIED
+        assert plant.line["a"].text(40) == "0"
+
+    with_plant(test, ROSTER)
+
+
+def test_many_stops_of_one_drive_are_said_as_few_and_all_are_told() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        said = len(plant.end.sent)
+        stops = [plant.site.operations.stop(INHIBIT, "a") for _ in range(120)]
+        gone = asyncio.create_task(plant.site.operations.stop(INHIBIT, "a"))
+        await anyio.lowlevel.checkpoint()
+        gone.cancel()
+        other = asyncio.create_task(plant.site.operations.stop(INHIBIT, "b"))
+        reports = await asyncio.gather(*stops)
+        assert {report.outcome for report in reports} == {Outcome.VERIFIED}
+        assert (await other).outcome is Outcome.VERIFIED
+        assert written(plant, said).count(b"11") <= 2
+
+    with_plant(test, ROSTER)
+
+
+def test_many_stops_of_a_decade_are_said_as_few_telegrams() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        said = len(plant.end.sent)
+        reports = await asyncio.gather(
+            *(plant.site.operations.stop(INHIBIT, "teens") for _ in range(50))
+        )
+        assert {report.outcome for report in reports} == {Outcome.VERIFIED}
+        assert len(written(plant, said)) <= 3
+
+    with_plant(test, ROSTER)
+
+
+def test_a_stop_of_a_drive_that_leaves_the_roster_meanwhile_is_reported() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        stopping = asyncio.create_task(plant.site.operations.stop(INHIBIT, "a"))
+        await anyio.lowlevel.checkpoint()
+        plant.apply(roster_of(MIXED[1:], drive=WRITABLE))
+        report = await stopping
+        assert report.outcome is Outcome.VERIFIED
+        assert report.members[0].reading is None
+
+    with_plant(test, ROSTER)
+
+
+def test_a_control_word_that_cannot_be_one_makes_an_inhibit_of_the_quick_stop() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.line["a"].model.readers[135] = lambda _: "H00010004"
+        plant.site.words.forget("a")
+        report = await plant.site.operations.stop(QUICK, "a")
+        assert (report.outcome, report.members[0].code) == (Outcome.VERIFIED, ENABLE)
+
+    with_plant(test, ROSTER)
+
+
+def test_a_quick_stop_of_a_decade_goes_one_by_one_while_a_control_word_is_being_written() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await plant.site.operations.write_group("teens", WORD, "H0000")
+        writing = asyncio.create_task(plant.site.operations.write("b", ENABLE, 0))
+        await anyio.lowlevel.checkpoint()
+        plant.site.words.seen("b", WORD, Value.parse("H0000"))  # a read that was under way
+        report = await plant.site.operations.stop(QUICK, "teens")
+        await writing
+        assert (report.how, report.outcome) == ("one-by-one", Outcome.VERIFIED)
 
     with_plant(test, ROSTER)

@@ -51,7 +51,9 @@ def test_what_moves_a_drive_runs_as_control_and_only_a_setpoint_gives_way_to_a_l
 
 
 def test_a_stop_ends_the_motion_of_its_drive() -> None:
-    made = maker().stop(station(), StopAction.INHIBIT, word=None, said=False, settle=ignore_end)
+    made = maker().stop(
+        station(), StopAction.INHIBIT, word=lambda: None, said=False, settle=ignore_end
+    )
     assert (made.priority, made.stops) == (Priority.STOP, ("a",))
 
 

@@ -294,7 +294,7 @@ def stop(rig: Rig, drive: str, action: StopAction = StopAction.INHIBIT) -> Ended
     """Stop a drive whose control word is not known."""
     station = rig.stations[drive]
     return rig.submit(
-        lambda settle: rig.maker.stop(station, action, word=None, said=False, settle=settle)
+        lambda settle: rig.maker.stop(station, action, word=lambda: None, said=False, settle=settle)
     )
 
 

@@ -36,6 +36,7 @@ __all__ = [
     "needs_control_word",
     "stop_confirmed",
     "stop_value",
+    "usable_word",
 ]
 
 WORD_MAX = 0xFFFF
@@ -100,6 +101,14 @@ def needs_control_word(family: Family, action: StopAction) -> bool:
     return rule is not None and rule.value is None
 
 
+def usable_word(word: int | None) -> int | None:
+    """Give a control word that bits may be changed of, None for one that is not known.
+
+    A drive that answers with more than 16 bits has said something else than its control word.
+    """
+    return word if word is not None and 0 <= word <= WORD_MAX else None
+
+
 def stop_value(family: Family, action: StopAction, control_word: int | None) -> tuple[Code, Value]:
     """Say what to write to stop a drive.
 
@@ -107,7 +116,7 @@ def stop_value(family: Family, action: StopAction, control_word: int | None) -> 
         family: The drive's family.
         action: How it shall stop.
         control_word: Its present control word, 0..FFFFh, as last read or written; None where it
-            is not known or not needed.
+            is not known or not needed. What is out of range counts as not known.
 
     Raises:
         OperationError: kind `no-stop`: the description knows no such stop; kind
@@ -116,6 +125,7 @@ def stop_value(family: Family, action: StopAction, control_word: int | None) -> 
     rule = _rule(family, action)
     if rule.value is not None:
         return rule.code, rule.value
+    control_word = usable_word(control_word)
     if control_word is None:
         raise OperationError(
             f"{action} changes bits of {rule.code}, whose present value is not known",
@@ -123,7 +133,6 @@ def stop_value(family: Family, action: StopAction, control_word: int | None) -> 
             code=str(rule.code),
             remedy=f"read {rule.code} first, or use inhibit, which needs no control word",
         )
-    assert 0 <= control_word <= WORD_MAX, control_word
     word = (control_word | rule.set_mask) & ~rule.clear_mask
     return rule.code, Value.hexadecimal(word, 4)
 

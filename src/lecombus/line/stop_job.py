@@ -3,10 +3,17 @@
 A stop is repeated at once, for saying it twice does no harm, and is read back in the end: an
 acknowledgement is not an effect. Source: EDB2102EN 8.2, 8.3.5; CMVLC401A 4.2.
 
+Strategy: say it, read it back, and do both again for as long as the proof is missing, whether the
+drive reads as not stopped or does not answer. What bounds this is time and not a number of
+attempts: a line that was deaf for a second is no reason to leave a living drive running. After
+the first few attempts there are pauses, in which the watchdogs of the others are fed.
+
 What must not live here: who is stopped, and in what order (operations).
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 from ..drives import (
     StopAction,
@@ -15,16 +22,22 @@ from ..drives import (
     stop_confirmed,
     stop_value,
 )
+from ..drives.stops import usable_word
 from ..errors import ExchangeError
 from ..protocol.exchange import Result, ResultKind
-from ..protocol.telegrams import AckAnswer, ValueAnswer
+from ..protocol.telegrams import AckAnswer, UnknownCodeAnswer, ValueAnswer
 from ..protocol.values import Value
 from ..schedule.request import Outcome
 from .failures import error_of
-from .jobs import ReadJob
 from .station import Station, Step, StepKind, Verdict
 
-__all__ = ["StopJob"]
+__all__ = ["STOP_PATIENCE_S", "StopJob"]
+
+STOP_PATIENCE_S = 5.0
+"""A stop is said again for this long from its first step, while its proof is missing, seconds."""
+
+PAUSE_S = 0.1
+"""Left to others before each attempt after the first few, seconds."""
 
 
 class StopJob:
@@ -37,21 +50,27 @@ class StopJob:
     Args:
         station: The drive.
         action: How it shall stop.
-        word: Its control word as last read or written; None when not known.
-        retries: How often a failed attempt is repeated.
+        word: Gives its control word as last read or written, None when not known; asked when the
+            stop is said, for it may change while the stop waits.
+        retries: How often a failed attempt is repeated without a pause.
         said: The stop was already said by a multicast; begin with reading back.
+        patience_s: How long it is tried, seconds; once the drive answers: `STOP_PATIENCE_S`.
     """
 
     __slots__ = (
         "_checking",
+        "_failed_reads",
         "_learning",
+        "_since_s",
+        "_step",
+        "_unheard",
         "action",
         "attempts",
         "error",
+        "patience_s",
         "proof",
         "retries",
         "station",
-        "step",
         "word",
     )  # fmt: skip
 
@@ -60,80 +79,141 @@ class StopJob:
         station: Station,
         action: StopAction,
         *,
-        word: int | None,
+        word: Callable[[], int | None],
         retries: int,
         said: bool = False,
+        patience_s: float = STOP_PATIENCE_S,
     ) -> None:
         self.station = station
         self.action = action
         self.word = word
         self.retries = retries
+        self.patience_s = patience_s
         self.attempts = 0
         self.proof: Value | None = None
         self.error: ExchangeError | None = None
-        self._checking: ReadJob | None = None
-        needs_word = needs_control_word(station.family, action)
-        self._learning = needs_word and word is None and not said
-        if self._learning:
-            self.step = Step(StepKind.READ, station.family.stops[action].code)
-        elif said:
-            self._check()
-        else:
-            self._say()
+        self._since_s: float | None = None
+        self._checking = said
+        self._learning = False
+        self._unheard = 0  # sayings in a row without an acknowledgement
+        self._failed_reads = 0  # in a row
+        self._step: Step | None = None
 
-    def advance(self, result: Result) -> Verdict:
-        """Go from learning the word to saying the stop, and on to its proof."""
-        if result.kind is ResultKind.LOST:
-            self.error = error_of(self.station, self.step, result, self.attempts + 1)
-            return Outcome.UNKNOWN, str(self.error)
-        if self._checking is not None:
-            return self._checked(self._checking, result)
-        if self._learning:
-            return self._learnt(result)
-        self.attempts += 1
-        if type(result.answer) is AckAnswer:
-            self.error = None
-            return self._check()
-        self.error = error_of(self.station, self.step, result, self.attempts)
-        return None if self.attempts <= self.retries else self._check()
+    @property
+    def step(self) -> Step:
+        """What is to be said now; it stays the same from the first look until its result."""
+        if self._step is None:
+            self._step = self._made()
+        return self._step
 
     @property
     def cut_outcome(self) -> Outcome | None:
         """A stop that was said and not proven is not known to have stopped anything."""
-        return Outcome.UNKNOWN if self.attempts or self._checking is not None else None
+        return Outcome.UNKNOWN if self.attempts or self._checking else None
 
-    def _learnt(self, result: Result) -> Verdict:
+    @property
+    def goes_behind(self) -> bool:
+        """Whether stops that wait go first: not before one whose word has just been read."""
+        return self._step is None or self.action is StopAction.INHIBIT
+
+    @property
+    def pause_s(self) -> float:
+        """How long the line is left to others before the stop is said again, seconds."""
+        fresh = self._checking or self._step is not None or self.attempts <= self.retries
+        return 0.0 if fresh else PAUSE_S
+
+    def cannot_read(self) -> bool:
+        """Take note that nothing may be read now; say whether there is something to say instead."""
+        if self._learning:
+            self._inhibit()
+            return True
+        return False
+
+    def advance(self, result: Result) -> Verdict:
+        """Go from learning the word to saying the stop, and on to its proof."""
+        step, self._step = self.step, None
+        if self._since_s is None:
+            self._since_s = result.started_s
+        if result.kind is ResultKind.ANSWERED:
+            self.patience_s = STOP_PATIENCE_S
+        elif result.kind is ResultKind.LOST:
+            self.error = error_of(self.station, step, result, self.attempts + 1)
+            return Outcome.UNKNOWN, str(self.error)
+        over = bool(self.attempts) and result.ended_s - self._since_s >= self.patience_s
+        if self._learning:
+            self._learnt(result, over)
+            return None
+        if self._checking:
+            return self._checked(step, result, over)
+        self.attempts += 1
+        if type(result.answer) is AckAnswer:
+            self.error, self._unheard, self._checking = None, 0, True
+            return None
+        self._unheard += 1
+        self.error = error_of(self.station, step, result, self.attempts)
+        self._checking = over or self._unheard > self.retries
+        return None
+
+    def _made(self) -> Step:
+        family = self.station.family
+        if self._checking:
+            return Step(StepKind.READ, confirm_codes(family, self.action)[0])
+        word = None
+        if needs_control_word(family, self.action):
+            word = usable_word(self.word())
+            if word is None:
+                self._learning = True
+                return Step(StepKind.READ, family.stops[self.action].code)
+        return self._saying(word)
+
+    def _saying(self, word: int | None) -> Step:
+        code, value = stop_value(self.station.family, self.action, word)
+        return Step(StepKind.WRITE, code, value)
+
+    def _inhibit(self) -> None:
+        self._learning = False
+        self.action = StopAction.INHIBIT
+        self._step = self._saying(None)
+
+    def _learnt(self, result: Result, over: bool) -> None:
+        """Say the stop with the word that was read.
+
+        A drive that was told to stop already is asked more than once before it is inhibited: the
+        quick stop may be under way.
+        """
         self._learning = False
         answer = result.answer
-        if type(answer) is ValueAnswer and isinstance(answer.value.number, int):
-            self.word = answer.value.number
-        else:
-            self.action = StopAction.INHIBIT
-        return self._say()
+        number = answer.value.number if type(answer) is ValueAnswer else None
+        word = usable_word(number if isinstance(number, int) else None)
+        if word is not None:
+            self._failed_reads = 0
+            self._step = self._saying(word)
+            return
+        self._failed_reads += 1
+        asked_enough = result.kind is ResultKind.ANSWERED or self._failed_reads > self.retries
+        if not self.attempts or asked_enough or over:
+            self._inhibit()
 
-    def _say(self) -> Verdict:
-        self._checking = None
-        code, value = stop_value(self.station.family, self.action, self.word)
-        self.step = Step(StepKind.WRITE, code, value)
-        return None
-
-    def _check(self) -> Verdict:
-        code = confirm_codes(self.station.family, self.action)[0]
-        self._checking = ReadJob(self.station, code, self.retries)
-        self.step = self._checking.step
-        return None
-
-    def _checked(self, checking: ReadJob, result: Result) -> Verdict:
-        verdict = checking.advance(result)
-        if verdict is None:
-            return None
-        self.proof, code = checking.value, checking.step.code
-        if self.proof is None:
-            self.error = checking.error
-            return Outcome.UNKNOWN, f"{self.action} was said but not read back: {verdict[1]}"
-        if stop_confirmed(self.station.family, self.action, code, self.proof):
+    def _checked(self, step: Step, result: Result, over: bool) -> Verdict:
+        self._checking = False
+        self._unheard = 0
+        answer = result.answer
+        if type(answer) is not ValueAnswer:
+            return self._unread(step, result, over)
+        self.proof, self._failed_reads = answer.value, 0
+        if stop_confirmed(self.station.family, self.action, step.code, self.proof):
             self.error = None
-            return Outcome.VERIFIED, f"{self.action}: {code} reads {self.proof.raw}"
-        if self.attempts <= self.retries:
-            return self._say()
-        return Outcome.REFUSED, f"{self.action} was said, but {code} reads {self.proof.raw}"
+            return Outcome.VERIFIED, f"{self.action}: {step.code} reads {self.proof.raw}"
+        if not over:
+            return None
+        return Outcome.REFUSED, f"{self.action} was said, but {step.code} reads {self.proof.raw}"
+
+    def _unread(self, step: Step, result: Result, over: bool) -> Verdict:
+        """Say it again; in the end, or where the drive does not know the code, say so."""
+        self._failed_reads += 1
+        self.error = error_of(self.station, step, result, self._failed_reads)
+        # One damaged character makes "no such code" of a value, so that is asked twice.
+        unknown = type(result.answer) is UnknownCodeAnswer and self._failed_reads > 1
+        if self.attempts and (over or unknown):
+            return Outcome.UNKNOWN, f"{self.action} was said but not read back: {self.error}"
+        return None

@@ -43,6 +43,7 @@ from .questions import Question, Questions
 from .silence import Silence
 from .stall import StallWatch
 from .station import Job
+from .stop_job import StopJob
 from .strays import Strays
 
 __all__ = ["ExchangeReport", "LineWorker", "Observer", "WorkerOptions"]
@@ -302,7 +303,11 @@ class LineWorker:
     def _say(self, request: Request, now: float) -> None:
         """Begin the next step of a request as one exchange."""
         job: Job = request.work  # type: ignore[assignment]
+        if type(job) is StopJob:
+            self._publish()  # it asks for the control word as the last exchange left it
         question = self._questions.ask(job, now, urgent=request.priority is Priority.STOP)
+        if type(job) is StopJob and type(question) is float and job.cannot_read():
+            question = self._questions.ask(job, now, urgent=True)
         if not isinstance(question, Question):
             self._postpone(request, question, now)
             return
@@ -409,8 +414,11 @@ class LineWorker:
         if verdict is None:
             request.cut_outcome = job.cut_outcome
             stop = request.priority is Priority.STOP
-            self.schedule.again(request, ended, behind=stop and job.cut_outcome is not None)
-            self._stop_waiting = self._stop_waiting or stop
+            behind, pause_s = False, 0.0
+            if type(job) is StopJob:
+                behind, pause_s = job.goes_behind, job.pause_s
+            self.schedule.again(request, ended, ended + pause_s, behind=behind)
+            self._stop_waiting = self._stop_waiting or (stop and not pause_s)
         else:
             request.end(*verdict)
 

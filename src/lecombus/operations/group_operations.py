@@ -17,7 +17,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from decimal import Decimal
 
 from lecombus.config import GroupEntry
@@ -28,32 +29,59 @@ from lecombus.drives import (
     needs_control_word,
     stop_value,
 )
+from lecombus.drives.stops import usable_word
 from lecombus.errors import (
     CutReplyError,
     ExchangeError,
+    LecombusError,
     LineError,
     OperationError,
     QueueFullError,
     ScheduleError,
 )
-from lecombus.line.station import Station
-from lecombus.line.stop_job import StopJob
+from lecombus.line.jobs import MulticastJob
+from lecombus.line.station import Station, Step
+from lecombus.line.stop_job import STOP_PATIENCE_S, StopJob
+from lecombus.operations.control_words import ControlWords
 from lecombus.operations.drive_operations import REMEDIES, Operations, kind_of
 from lecombus.operations.reports import GroupInfo, GroupReport, How, WriteReport
 from lecombus.operations.request_maker import ignore_end
-from lecombus.operations.requests import Ending
+from lecombus.operations.requests import Ending, Requests
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority, Request
+from lecombus.store import Store
 
 __all__ = ["GroupOperations"]
 
 logger = logging.getLogger(__name__)
 
+ABSENT_PATIENCE_S = 1.5
+"""How long a drive that was offline already is told to stop while it does not answer, seconds."""
+
+
+@dataclass(slots=True)
+class _OpenStop:
+    """The last stop of one kind of one drive, and everyone who waits for its end."""
+
+    request: Request
+    endings: list[Ending]
+
 
 class GroupOperations(Operations):
     """Adds to the operations on one drive those on several."""
+
+    def __init__(
+        self,
+        requests: Requests,
+        store: Store,
+        words: ControlWords,
+        clock: Callable[[], float],
+    ) -> None:
+        super().__init__(requests, store, words, clock)
+        self._stops: dict[tuple[str, StopAction], _OpenStop] = {}
+        self._shared: dict[tuple[str, StopAction], Request] = {}
 
     def groups(self) -> Sequence[GroupInfo]:
         """The groups of the roster and how each is spoken to."""
@@ -154,13 +182,16 @@ class GroupOperations(Operations):
         ending = Ending()
         request = self._requests.maker.multicast(
             group, stations, code, wire, Priority.CONTROL if motion else Priority.INTERACTIVE,
-            settle=ending.settle, expires_at_s=expires_at_s,
+            settle=self._words.guard([one.name for one in stations], code, ending.settle),
+            expires_at_s=expires_at_s,
         )  # fmt: skip
         request.motion = motion
         ending.request = request
-        self._requests.worker.submit(request)
-        for one in stations:
-            self._words.disturbed(one.name, code)
+        try:
+            self._requests.worker.submit(request)
+        except LecombusError as exc:
+            request.end(Outcome.REFUSED, str(exc))
+            raise
         outcome, reason = await ending.wait()
         kind = "" if outcome is Outcome.DONE else kind_of(ending, outcome, reason)
         return outcome, reason, kind
@@ -206,11 +237,11 @@ class GroupOperations(Operations):
         logger.warning("event=stop action=%s target=%s", action, target)
         shared = self._shared_stop(target, stations, able, action)
         if shared is not None:
-            self._requests.worker.submit(shared)
-        # Whoever answers is stopped first: one that is silent holds the line for seconds.
+            self._submit_shared(target, action, shared)
+        # Whoever answers is stopped first: one that is silent holds the line at every attempt.
         endings = {
             one.name: self._say_stop(one, action, said=shared is not None)
-            for one in sorted(able, key=self._is_offline)
+            for one in sorted(able, key=self._silence_of)
         }
         reports = [await self._stop_report(one, endings[one.name]) for one in able]
         reports += [
@@ -223,8 +254,13 @@ class GroupOperations(Operations):
         ]  # fmt: skip
         return group_report(target, "multicast" if shared else "one-by-one", reports)
 
-    def _is_offline(self, station: Station) -> bool:
-        return self._store.drive(station.name).state is DriveState.OFFLINE
+    def _state_of(self, station: Station) -> DriveState:
+        return self._store.drive(station.name).state
+
+    def _silence_of(self, station: Station) -> int:
+        """Tell how little is to be expected of a drive: 0 where it answers."""
+        state = self._state_of(station)
+        return 2 if state is DriveState.OFFLINE else int(state is not DriveState.ONLINE)
 
     async def _stop_report(self, station: Station, ending: Ending) -> WriteReport:
         """Wait for a stop; it is told by the code that was written, which may be an inhibit's."""
@@ -232,7 +268,15 @@ class GroupOperations(Operations):
         job = ending.request.work if ending.request is not None else None
         assert isinstance(job, StopJob)
         code = station.family.stops[job.action].code
-        return self.report(station.name, code, ending, outcome, reason)
+        try:
+            return self.report(station.name, code, ending, outcome, reason)
+        except OperationError:
+            # A reload took the drive out of the roster meanwhile: the stop was sent all the same.
+            good = outcome in (Outcome.DONE, Outcome.VERIFIED)
+            kind = "" if good else kind_of(ending, outcome, reason)
+            return WriteReport(
+                station.name, code, outcome, reason, kind=kind, remedy=REMEDIES.get(kind, "")
+            )
 
     def _group(self, group: str) -> GroupEntry:
         entry = self._groups.get(group)
@@ -269,7 +313,7 @@ class GroupOperations(Operations):
             return None
         telegrams: dict[tuple[Code, str], tuple[Code, Value]] = {}
         for one in able:
-            word = self._words.get(one.name)
+            word = usable_word(self._words.get(one.name))
             if needs_control_word(one.family, action) and word is None:
                 return None
             code, value = stop_value(one.family, action, word)
@@ -283,17 +327,63 @@ class GroupOperations(Operations):
             stops=tuple(one.name for one in able),
         )  # fmt: skip
 
+    def _submit_shared(self, target: str, action: StopAction, shared: Request) -> None:
+        """Send a telegram that stops all, unless the same one waits already."""
+        waiting = self._shared.get((target, action))
+        same = waiting is not None and said_by(waiting) == said_by(shared)
+        if waiting is not None and same and self._requests.worker.schedule.join(waiting):
+            return
+        self._requests.worker.submit(shared)
+        self._shared[target, action] = shared
+
     def _say_stop(self, station: Station, action: StopAction, *, said: bool) -> Ending:
+        """Send a stop to one drive; one like it that waits to be said stands for this one too."""
         ending = Ending()
-        request = self._requests.maker.stop(
-            station, action, word=self._words.get(station.name), said=said, settle=ending.settle
-        )
-        ending.request = request
-        self._requests.worker.submit(request)
+        waiting = self._stops.get((station.name, action))
+        same = waiting is not None and station_of(waiting.request) is station
+        if waiting is not None and same and self._requests.worker.schedule.join(waiting.request):
+            ending.request = waiting.request
+            waiting.endings.append(ending)
+            return ending
+        self._submit_stop(station, action, ending, said=said)
         if action is StopAction.INHIBIT:
             # A quick stop asked for meanwhile must read the word, not lift the inhibit.
             self._words.disturbed(station.name, station.family.stops[action].code)
         return ending
+
+    def _submit_stop(
+        self, station: Station, action: StopAction, ending: Ending, *, said: bool
+    ) -> None:
+        name, endings = station.name, [ending]
+
+        def settle(outcome: Outcome, reason: str) -> None:
+            current = self._stops.get((name, action))
+            if current is not None and current.endings is endings:
+                del self._stops[name, action]
+            for one in endings:
+                one.settle(outcome, reason)
+
+        absent = self._state_of(station) is DriveState.OFFLINE
+        ending.request = request = self._requests.maker.stop(
+            station, action, word=lambda: self._words.get(name), said=said, settle=settle,
+            patience_s=ABSENT_PATIENCE_S if absent else STOP_PATIENCE_S,
+        )  # fmt: skip
+        self._requests.worker.submit(request)
+        self._stops[name, action] = _OpenStop(request, endings)
+
+
+def station_of(request: Request) -> Station:
+    """The drive a stop goes to: after a reload its name may be another's."""
+    job = request.work
+    assert isinstance(job, StopJob)
+    return job.station
+
+
+def said_by(request: Request) -> Step:
+    """The telegram of a multicast."""
+    job = request.work
+    assert isinstance(job, MulticastJob)
+    return job.step
 
 
 _FROM_BEST = (

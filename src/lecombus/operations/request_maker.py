@@ -15,7 +15,7 @@ from lecombus.drives import LineTiming, StopAction, read_cost, write_cost
 from lecombus.errors import OperationError
 from lecombus.line.jobs import MulticastJob, ReadJob, WriteJob
 from lecombus.line.station import Station
-from lecombus.line.stop_job import StopJob
+from lecombus.line.stop_job import STOP_PATIENCE_S, StopJob
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.timing import write_request_chars
 from lecombus.protocol.values import Value
@@ -117,11 +117,20 @@ class RequestMaker:
         )
 
     def stop(
-        self, station: Station, action: StopAction, *, word: int | None, said: bool, settle: Settle
+        self,
+        station: Station,
+        action: StopAction,
+        *,
+        word: Callable[[], int | None],
+        said: bool,
+        settle: Settle,
+        patience_s: float = STOP_PATIENCE_S,
     ) -> Request:
         """Make a request that stops one drive and proves it."""
-        job = StopJob(station, action, word=word, retries=self.retries, said=said)
-        code = job.step.code
+        job = StopJob(
+            station, action, word=word, retries=self.retries, said=said, patience_s=patience_s
+        )
+        code = station.family.stops[action].code
         form = form_of(station, code)
         cost = read_cost(self.timing, station.family, code, form, station.answer_time_s)
         return Request(
