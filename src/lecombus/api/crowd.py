@@ -2,9 +2,10 @@
 
 Strategy: what waits for the line and what only looks at the store are counted apart, and each
 kind is refused with a problem document beyond its limit: a thousand waiting writes make nobody
-blind, and nothing makes a stop wait or fail. Connections are bounded by closing the one that has
-been open longest without a request under way, so that clients which hold connections for nothing
-cannot keep out the one that wants to stop a drive.
+blind, and nothing makes a stop wait or fail. Connections of both listeners are counted together
+(`Places`), because they share the process's open files. Too many are met by cutting the one that
+has been open longest without a request under way; one over TCP, which can only look, never takes
+the place of one over the Unix socket, and one over the Unix socket always gets a place.
 
 What must not live here: queues of the line (`schedule`), sockets (`server`).
 """
@@ -12,20 +13,39 @@ What must not live here: queues of the line (`schedule`), sockets (`server`).
 from __future__ import annotations
 
 import asyncio
-from typing import Any, Final, cast
+import resource
+import socket
+from typing import Any, Final
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from lecombus.api.problems import Problem
 
-__all__ = ["CONNECTION_LIMIT", "REQUEST_LIMIT", "Connection", "Crowd"]
+__all__ = [
+    "ACCEPT_AT_ONCE",
+    "CONNECTION_LIMIT",
+    "REQUEST_LIMIT",
+    "Connection",
+    "Crowd",
+    "connection_limit",
+    "connections",
+]
 
 REQUEST_LIMIT: Final = 256
 """Requests of one kind under way: memory is bounded whatever clients do."""
 
 CONNECTION_LIMIT: Final = 640
-"""Connections kept: both kinds at their limits, some stops, and below 1024 open files."""
+"""Connections kept at most: both kinds of request at their limits, and some stops."""
+
+ACCEPT_AT_ONCE: Final = 16
+"""Connections a listener takes before the loop does anything else."""
+
+KEPT_FILES: Final = 32 + 8 * ACCEPT_AT_ONCE
+"""Open files left for the port, sockets and logs, and for connections of two listeners that were
+taken but not counted yet, or cut but not closed yet: about four rounds of the loop."""
+
+FEWEST_CONNECTIONS: Final = 8
 
 STOP_PATH: Final = "/v1/stop"
 
@@ -60,23 +80,78 @@ class Crowd:
 
 
 class Connection(H11Protocol):
-    """A connection that makes room by closing an idle one when there are too many."""
+    """A connection that holds one of a bounded number of places; see `connections`."""
+
+    places: Places
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Take the connection; called by the loop."""
-        self.made_at_s = asyncio.get_running_loop().time()
         super().connection_made(transport)
-        if len(self.connections) > CONNECTION_LIMIT:
-            others = cast("set[Connection]", self.connections)
-            idle = [one for one in others if one is not self and one.is_idle]
-            if idle:
-                min(idle, key=lambda one: one.made_at_s).transport.close()
+        made_by = transport.get_extra_info("socket")
+        self.may_write = made_by is not None and made_by.family == socket.AF_UNIX
+        self.places.take(self)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Give the place back; called by the loop."""
+        self.places.give_back(self)
+        super().connection_lost(exc)
 
     @property
     def is_idle(self) -> bool:
-        """Whether no request is under way."""
+        """Whether no request is under way that came whole."""
         cycle: Any = self.cycle
-        return cycle is None or cycle.response_complete
+        return cycle is None or cycle.response_complete or cycle.more_body
+
+
+class Places:
+    """The connections of all listeners, the one open longest first.
+
+    Args:
+        limit: How many there may be.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._held: dict[Connection, None] = {}
+
+    def take(self, new: Connection) -> None:
+        """Count a connection, and cut one when there are too many, if need be itself."""
+        self._held[new] = None
+        if len(self._held) > self._limit:
+            victim = self._victim(new)
+            del self._held[victim]  # at once: it must not be chosen again while it closes
+            victim.transport.abort()  # close() would wait for a client that does not read
+
+    def give_back(self, lost: Connection) -> None:
+        """Forget a connection that was closed."""
+        self._held.pop(lost, None)
+
+    def _victim(self, new: Connection) -> Connection:
+        others = [one for one in self._held if one is not new]
+        looking = [one for one in others if not one.may_write]
+        ranks = [
+            (one for one in looking if one.is_idle),
+            (one for one in others if one.is_idle and new.may_write),
+            (one for one in looking if new.may_write),
+        ]
+        return next((one for rank in ranks for one in rank), new)
+
+
+def connections() -> type[Connection]:
+    """Return the class of connections that share the places of one server."""
+
+    class Placed(Connection):
+        places = Places(connection_limit())
+
+    return Placed
+
+
+def connection_limit() -> int:
+    """Return how many connections the process's open files leave room for."""
+    files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if files == resource.RLIM_INFINITY:
+        return CONNECTION_LIMIT
+    return min(CONNECTION_LIMIT, max(FEWEST_CONNECTIONS, files - KEPT_FILES))
 
 
 def needs_line(scope: Scope) -> bool:

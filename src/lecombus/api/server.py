@@ -29,7 +29,7 @@ import uvicorn
 from anyio.abc import TaskStatus
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from lecombus.api.crowd import Connection, Crowd
+from lecombus.api.crowd import ACCEPT_AT_ONCE, Connection, Crowd, connections
 from lecombus.api.exact import short
 from lecombus.api.problems import Problem
 from lecombus.errors import OperationError
@@ -64,6 +64,13 @@ class Listener(uvicorn.Server):
     def capture_signals(self) -> Iterator[None]:
         """Capture none."""
         yield
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Begin to take connections."""
+        await super().startup(sockets)
+        for one in sockets or ():
+            # asyncio has one number for how many it takes in a row and how many may wait.
+            one.listen(BACKLOG)
 
 
 class ReadOnlyDoor:
@@ -133,7 +140,8 @@ async def serve(
             tcp = resources.enter_context(tcp_socket(*http))
             bound = (http[0], tcp.getsockname()[1])
             doors.append((ReadOnlyDoor(app, http[0]), tcp))
-        listeners = [(Listener(configuration(door)), door_socket) for door, door_socket in doors]
+        kind = connections()
+        listeners = [(Listener(configuration(door, kind)), taking) for door, taking in doors]
         task_status.started(Served(socket_path, bound))
         await run_until_cancelled(listeners)
 
@@ -162,7 +170,7 @@ async def close_when_cancelled(listeners: list[Listener]) -> None:
             listener.should_exit = True
 
 
-def configuration(app: ASGIApp) -> uvicorn.Config:
+def configuration(app: ASGIApp, kind: type[Connection]) -> uvicorn.Config:
     """Return what uvicorn is told; everything that could surprise is switched off."""
     return uvicorn.Config(
         Crowd(app),
@@ -173,8 +181,8 @@ def configuration(app: ASGIApp) -> uvicorn.Config:
         ws="none",
         proxy_headers=False,
         server_header=False,
-        http=Connection,
-        backlog=BACKLOG,
+        http=kind,
+        backlog=ACCEPT_AT_ONCE,
         timeout_keep_alive=60,
         timeout_graceful_shutdown=CLOSE_S,
     )
