@@ -10,7 +10,7 @@ import pytest
 
 from lecombus.drives import StopAction
 from lecombus.errors import OperationError, QueueFullError
-from lecombus.protocol.addressing import Code
+from lecombus.protocol.addressing import Code, Form, encode_code
 from lecombus.protocol.values import Value
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority
@@ -436,5 +436,19 @@ def test_a_quick_stop_of_a_decade_goes_one_by_one_while_a_control_word_is_being_
         report = await plant.site.operations.stop(QUICK, "teens")
         await writing
         assert (report.how, report.outcome) == ("one-by-one", Outcome.VERIFIED)
+
+    with_plant(test, ROSTER)
+
+
+def test_a_quick_stop_whose_word_may_not_be_read_now_becomes_an_inhibit_and_does_not_wait() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.site.words.forget("c")
+        for form in Form:
+            plant.site.worker._doubts.add(encode_code(WORD, form), plant.now_s)
+        said, since_s = len(plant.end.sent), plant.now_s
+        report = await plant.site.operations.stop(QUICK, "c")
+        assert (report.outcome, report.members[0].code) == (Outcome.VERIFIED, ENABLE)
+        assert told_at_s(plant, said)[b"13"] - since_s < 0.1, "an old answer may come for 0.5 s"
 
     with_plant(test, ROSTER)
