@@ -48,7 +48,7 @@ logger = logging.getLogger(__name__)
 SWITCH_INTERVAL_S = 0.001
 """How long a thread (reloading a roster) may hold the interpreter while the line wants it."""
 
-SHUTDOWN_STOP_S = 5.0
+SHUTDOWN_STOP_S = 8.0
 """How long `on_shutdown` may take before the port is closed all the same."""
 
 TICK_S = 1.0
