@@ -44,6 +44,7 @@ def measure(folder: Path, rounds: int) -> list[Row]:
         child("paced_line", link, "19200", "31") as line,
         child("raw_loop", link, "0", core=MASTER_CORE) as loop,
     ):
+        line.ask("mark")  # it is there
         loop.ask("run", for_s=6.0)
         gaps_ms = [1000.0 * gap_s for gap_s in line.ask("gaps")[1:]]
     link.unlink(missing_ok=True)
