@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 import subprocess
 from collections.abc import Iterable
 
@@ -28,6 +26,7 @@ from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 from lecombus.schedule.request import Outcome, Priority
 from lecombus.store import DriveState, LineState, Store
+from support.real_parts import require
 
 FREQUENCY = Code(46)
 STATUS = Code(150)
@@ -263,11 +262,7 @@ def test_both_formats_say_the_same_to_prometheus_own_parsers() -> None:
 
 
 def test_promtool_finds_nothing_to_complain_about() -> None:
-    promtool = shutil.which("promtool")
-    if promtool is None:
-        if os.environ.get("CI"):
-            pytest.fail("promtool is missing: apt-get install prometheus")
-        pytest.skip("promtool is missing: apt-get install prometheus")
+    promtool = require("promtool")
     hall = full_hall()
     page = hall.render()
     checked = subprocess.run(

@@ -323,19 +323,19 @@ class LineWorker:
             self.schedule.prepare()
 
     def _end_exchange(self, result: Result) -> None:
-        """Conclude the exchange under way and go on.
-
-        This runs in the event loop's callbacks, where an error would be logged and forgotten: it
-        is handed to the worker's task, which ends with it.
-        """
+        """Conclude the exchange under way and go on; an error ends the worker, not a callback."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
         under_way, self._under_way = self._under_way, None
         if under_way is None:
             return
-        self._guarded(lambda: self._conclude(*under_way, result))
-        self._guarded(self._go_on)
+
+        def conclude_and_go_on() -> None:
+            self._conclude(*under_way, result)
+            self._go_on()
+
+        self._guarded(conclude_and_go_on)
 
     def _guarded(self, act: Callable[[], None]) -> None:
         try:
