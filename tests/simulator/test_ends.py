@@ -7,6 +7,7 @@ import os
 import select
 import socket
 import statistics
+import termios
 import threading
 import time
 import tty
@@ -141,6 +142,22 @@ def test_the_line_can_be_looked_at_while_it_runs(no_leaks: None) -> None:
         with end.lock:
             end.line.advance(time.monotonic())
             assert [entry.code for entry in end.line["a"].log] == [200]
+        os.close(host)
+
+
+def test_a_host_at_another_baud_rate_is_not_understood(no_leaks: None) -> None:
+    with PtyEnd(line(baud=9600)) as end:
+        host = open_raw(end.path)
+        for speed, heard in ((termios.B19200, 0), (termios.B9600, 1)):
+            modes = termios.tcgetattr(host)
+            modes[4] = modes[5] = speed
+            termios.tcsetattr(host, termios.TCSANOW, modes)
+            os.write(host, READ)
+            wait_until(lambda: end.line.requests > 0)
+            with end.lock:
+                end.line.requests = 0
+                assert end.line["a"].heard == heard
+        read_answer(lambda: os.read(host, 64), host)
         os.close(host)
 
 

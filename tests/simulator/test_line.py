@@ -212,6 +212,17 @@ def test_a_changed_baud_rate_makes_the_drive_seem_dead() -> None:
     assert host.read(11, 46) == ""
 
 
+def test_a_host_at_the_changed_rate_reaches_that_drive_and_no_other() -> None:
+    drives = build([("a", 11, "822x"), ("b", 12, "822x")], baud=9600)
+    host = Host(drives)
+    host.ask(write_telegram(11, 125, "4"))  # acknowledged at the new rate already
+    drives.host_baud = 19200
+    before_s = host.now_s
+    assert host.read(11, 125) == "4"
+    assert host.now_s - before_s == pytest.approx((6 + 6) * 10 / 19200 + 0.020)
+    assert host.read(12, 125) == ""
+
+
 def test_nobody_answers_for_an_address_without_a_drive() -> None:
     host = Host(SimLine([SimDrive(11, "822x")], baud=9600))
     assert host.read(12, 46) == ""

@@ -58,6 +58,8 @@ class SimLine:
         clashes: How often two drives spoke at once, which only stubborn late ones do.
         aborted: How often an EOT made a drive drop or cut off an answer.
         requests: Whole requests heard on the line.
+        host_baud: What the host's port is set to; drives that speak at another rate do not
+            understand it. The line's own, unless an end knows better.
         on_request: Called with time and request whenever one was heard; for benches and tests.
     """
 
@@ -88,6 +90,7 @@ class SimLine:
         self.requests = 0
         self.on_request: Callable[[float, Heard], None] | None = None
         self._think_scale = think_scale
+        self._host_baud = baud
         self._char_s = _BITS / baud if paced else 0.0
         self._spoiler = Spoiler(seed, parity=parity)
         self._outbox = Outbox(self._spoiler)
@@ -106,6 +109,16 @@ class SimLine:
             if name in (drive.name, drive.address):
                 return drive
         raise KeyError(name)
+
+    @property
+    def host_baud(self) -> int:
+        """What the host's port is set to, bit/s."""
+        return self._host_baud
+
+    @host_baud.setter
+    def host_baud(self, baud: int) -> None:
+        self._host_baud = baud
+        self._char_s = _BITS / baud if self.paced else 0.0
 
     # The two directions
 
@@ -242,7 +255,7 @@ class SimLine:
         return (
             drive.present
             and drive.address not in faults.absent
-            and drive.baud(self.baud) == self.baud
+            and drive.baud(self.baud) == self._host_baud
         )
 
     def _faults_of(self, drive: SimDrive) -> Faults:
@@ -280,7 +293,7 @@ class SimLine:
         self._schedule(speech.begin_s, _Event.SPEAK, speech)
 
     def _answer(self, reply: bytes, drive: SimDrive, faults: Faults) -> bytes:
-        if drive.baud(self.baud) != self.baud:
+        if drive.baud(self.baud) != self._host_baud:
             # Spoken at another baud rate: the host sees framing errors and nonsense.
             return self._spoiler.nonsense(len(reply))
         return self._spoiler.answer(reply, faults)

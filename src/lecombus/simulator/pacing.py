@@ -64,6 +64,10 @@ class PacedEnd(ABC):
     def _gone(self) -> bool:
         """The descriptor has ended; whether to look at the same one again a little later."""
 
+    def _host_baud(self) -> int | None:
+        """What the host has set its end to, bit/s; None where that cannot be told."""
+        return None
+
     def _listener(self) -> int | None:
         """A further descriptor that wakes the thread, such as a listening socket."""
         return None
@@ -155,6 +159,7 @@ class PacedEnd(ABC):
         if readable:
             data = _read(descriptor)
             if data:
+                self.line.host_baud = self._host_baud() or self.line.baud
                 self.line.receive(data, time.monotonic())
             elif data is not None:
                 alive = not self._gone()

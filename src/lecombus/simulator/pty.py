@@ -3,7 +3,8 @@
 Strategy: the master side is ours, the slave's path is what a host opens, directly or through a
 symlink whose name stays the same. Pulling the plug closes the master: the host sees a hang-up, as
 it does when an adapter is unplugged; plugging in again makes a new pseudo terminal behind the same
-symlink. The slave is not kept open here, so exclusive use by a host ends when the host closes it.
+symlink. The baud rate a host sets counts: at another than the drives' it is not understood. The
+slave is not kept open here, so exclusive use by a host ends when the host closes it.
 
 Must not live here: pacing (pacing.py).
 """
@@ -12,14 +13,26 @@ from __future__ import annotations
 
 import contextlib
 import os
+import termios
 import time
 import tty
 from pathlib import Path
+from typing import Final
 
 from lecombus.simulator.line import SimLine
 from lecombus.simulator.pacing import PacedEnd
 
 __all__ = ["PtyEnd"]
+
+_OUTPUT_SPEED: Final = 5
+_BAUDS: Final = {
+    termios.B1200: 1200,
+    termios.B2400: 2400,
+    termios.B4800: 4800,
+    termios.B9600: 9600,
+    termios.B19200: 19200,
+}
+"""The rates drives know; a pseudo terminal that nobody has set is at 38400."""
 
 
 class PtyEnd(PacedEnd):
@@ -81,6 +94,16 @@ class PtyEnd(PacedEnd):
 
     def _descriptor(self) -> int | None:
         return self._master
+
+    def _host_baud(self) -> int | None:
+        """The rate the host has set, by the terminal both ends share; none of ours: not set."""
+        if self._master is None:
+            return None
+        try:
+            speed = termios.tcgetattr(self._master)[_OUTPUT_SPEED]
+        except termios.error:
+            return None
+        return _BAUDS.get(speed)
 
     def _gone(self) -> bool:
         # EIO: nobody has the slave open. Somebody may open it any time.
