@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from decimal import Decimal
+
 import pytest
 
+from lecombus.drives import Family, Language, Storage
 from lecombus.drives.loading import load_family
 from lecombus.errors import DescriptionError
 from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
 
 GOOD = """\
 family: test
@@ -45,7 +49,7 @@ codes:
 """
 
 
-def load(own: str, shared: str = SHARED) -> object:
+def load(own: str, shared: str = SHARED) -> Family:
     files = {"test.yaml": own, "shared.yaml": shared}
     return load_family("test", files.__getitem__)
 
@@ -239,3 +243,122 @@ def test_file_that_is_no_table_is_refused(text: str) -> None:
 def test_missing_file_is_a_description_error() -> None:
     with pytest.raises(DescriptionError, match="there is no such data file"):
         load_family("nowhere", dict[str, str]().__getitem__)
+
+
+FULL = """\
+  - {code: C0011, name: maximum frequency, name_de: maximale Frequenz, unit: Hz, format: VD,
+     range: [7.5, 480], step: 0.5, default: 50, writable: true, needs_inhibit: true, sets: true,
+     source: "6"}
+  - {code: C0168, subcodes: [1, 8], name: fault, name_de: Fehler, format: VD, source: "6"}
+  - {code: C0001, name: mode, format: VD, selection: {0: [terminal, Klemme], 3: [LECOM, LECOM]},
+     writable: true, storage: module, secret: true, source: "6"}
+"""
+
+
+def with_codes(entries: str, sets: str = "[0, 2000]") -> Family:
+    own = GOOD.replace("answer_times:", f"{entries}set_offsets: {sets}\nanswer_times:", 1)
+    return load(own)
+
+
+def test_an_entry_says_what_a_code_can_be() -> None:
+    drive = with_codes(FULL)
+    info = drive.codes[Code(11)]
+    assert (info.low, info.high, info.step) == (Decimal("7.5"), Decimal(480), Decimal("0.5"))
+    assert (info.name_de, info.default, info.needs_inhibit) == ("maximale Frequenz", "50", True)
+    assert (info.storage, info.readable, info.parameter_set) == (Storage.STORED, True, 1)
+    assert info.allowed == "7.5 to 480 Hz in steps of 0.5"
+    assert [info.may_be(Decimal(n)) for n in ("7.5", "7", "480.5", "8.25")] == [True] + 3 * [False]
+    mode = drive.codes[Code(1)]
+    assert (mode.storage, mode.secret) == (Storage.MODULE, True)
+    assert mode.allowed == "0 (terminal), 3 (LECOM)"
+    assert (mode.may_be(3), mode.may_be(1)) == (True, False)
+    meaning = mode.meaning(Value.decimal(0))
+    assert meaning is not None
+    assert meaning.in_language(Language.DE) == "Klemme"
+    assert mode.meaning(Value.decimal("0.5")) is None
+    assert drive.codes[Code(150)].storage is Storage.VOLATILE
+
+
+def test_a_range_of_subcodes_is_one_entry_for_many_codes() -> None:
+    drive = with_codes(FULL)
+    assert [drive.codes[Code(168, n)].name_de for n in (1, 8)] == ["Fehler 1", "Fehler 8"]
+    assert drive.info(Code(168, 9)) is None
+    assert drive.info(Code(168)) is None
+
+
+def test_a_code_of_all_sets_answers_at_every_offset() -> None:
+    drive = with_codes(FULL, "[0, 2000, 4000]")
+    assert drive.set_offsets == (0, 2000, 4000)
+    info = drive.info(Code(4011))
+    assert info is not None
+    assert (info.code, info.name, info.parameter_set) == (Code(4011), "maximum frequency", 3)
+    assert drive.info(Code(2040)) is None
+    assert [str(one.code) for one in drive.described()][-2:] == ["C2011", "C4011"]
+
+
+def test_a_family_may_need_inhibit_for_all_that_it_stores() -> None:
+    own = GOOD + "stored_needs_inhibit: true\n"
+    codes = load(own).codes
+    assert codes[Code(923)].needs_inhibit
+    assert not codes[Code(40)].needs_inhibit
+
+
+def test_saving_is_done_by_a_code_that_saves() -> None:
+    own = GOOD.replace("C0922, name: action", "C0922, write_class: save, name: action")
+    assert load(own + "saved_by: C0922\n").saved_by == Code(922)
+    with pytest.raises(DescriptionError, match="C0923 does not save"):
+        load(own + "saved_by: C0923\n")
+
+
+BAD_CODES = [
+    ("range: [7.5, 480]", "range: [7.5, 214748.3648]", "214748.3648", "-214748.3648 to"),
+    ("range: [7.5, 480]", "range: [7.50001, 480]", "7.50001", "more than 4 decimals"),
+    ("range: [7.5, 480]", "range: [480, 7.5]", "[480", "the lower end comes first"),
+    ("range: [7.5, 480]", "range: [7.5]", "[7.5]", r"\[lowest, highest\]"),
+    ("range: [7.5, 480]", "range: [low, 480]", "low", "a number from"),
+    ("range: [7.5, 480]", "range: [7.5, .nan]", ".nan", "a number from"),
+    ("step: 0.5", "step: 0.8", "0.8", "do not lead from 7.5 to 480"),
+    ("step: 0.5", "step: 0", "0", "do not lead"),
+    ("range: [7.5, 480], ", "", "0.5", "give the range too"),
+    ("default: 50", "default: 5", "5", "outside 7.5 to 480"),
+    ("VD,\n     range", "VH, hex_digits: 2,\n     range", "7.5", "whole number from 0 to 255"),
+    ("VD,\n     range", "VS,\n     range", "[7.5", "only numbers"),
+    ("{0: [terminal, Klemme]", "{0: terminal", "terminal", "a list is right here"),
+    ("[terminal, Klemme]", "[terminal]", "[terminal]", "two languages"),
+    ("0: [terminal", "0.5: [terminal", "0.5", "whole number from"),
+    ("3: [LECOM", "0x0: [LECOM", "0x0", "0 stands here twice"),
+    ("VD, selection", "VD, range: [0, 2], selection", "3: [", "3 lies outside 0 to 2"),
+    ("VD, selection", "VS, selection", "{0: [", "only numbers"),
+    ("selection: {", "default: 2, selection: {", "2", "2 is not in the selection"),
+    ("storage: module", "storage: ram", "ram", "ram is not known here; stored, module, volatile"),
+    ("subcodes: [1, 8]", "subcodes: [8, 1]", "1", "whole number from 8 to 255"),
+    ("subcodes: [1, 8]", "subcodes: [0, 8]", "0", "whole number from 1 to 255"),
+    ("C0168, sub", "C0168/2, sub", "[1, 8]", "the code then has none"),
+    ("name_de: Fehler,", "name_de: Fehler, readable: false,", "{code: C0168", "neither be read"),
+    ("name_de: Fehler,", "name_de: Fehler, needs_inhibit: true,", "{code: C0168", "no inhibit"),
+    ("C0001", "C0168/4", "{code: C0168/4", "C0168/4 is described twice: as fault 4"),
+    ("C0001", "C2011", "{code: C2011", "C2011 is described twice: .* in parameter set 2"),
+    ("C0011", "C2011", "{code: C2011", "begins at C2000"),
+    ("[0, 2000]", "[2000]", "[2000]", "begin with 0"),
+    ("[0, 2000]", "[0, 2000, 1000]", "[0, 2000, 1000]", "begin with 0"),
+    ("{code: C0150, every_ms: 1000}", "{code: C0001, every_ms: 1}", "C0001", "is secret"),
+    ("identity: [C0150]", "identity: [C0001]", "C0001", "C0001 is secret, so it is not read"),
+]
+
+
+@pytest.mark.parametrize(("right", "wrong", "at", "message"), BAD_CODES)
+def test_a_description_that_cannot_be_is_named_with_its_place(
+    right: str, wrong: str, at: str, message: str
+) -> None:
+    good = GOOD.replace("answer_times:", f"{FULL}set_offsets: [0, 2000]\nanswer_times:", 1)
+    assert right in good
+    text = good.replace(right, wrong, 1)
+    with pytest.raises(DescriptionError, match=message) as refused:
+        load(text)
+    assert text_at(text, refused.value.where).startswith(at)
+
+
+def test_what_is_read_unasked_can_be_read() -> None:
+    own = GOOD.replace("name: action, format: VD", "name: action, format: VD, readable: false")
+    with pytest.raises(DescriptionError, match="C0922 cannot be read"):
+        load(own.replace("identity: [C0150]", "identity: [C0922]"))

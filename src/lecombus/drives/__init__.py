@@ -1,25 +1,23 @@
 """What lecombus knows of drives: families from data files, and what follows from them.
 
-Read `family` for the models, `families/*.yaml` for what is known and from which manual, `loading`
-for how the one becomes the other. `words` takes status words apart, `stops` says how a drive is
-stopped and what shows it, `encoding` makes the value that is written, `costs` says how long an
-exchange takes and how long to wait for it.
+Read `family` and `codes` for the models, `families/*.yaml` for what is known and from which
+manual, `loading` for how the one becomes the other. `words` takes status words apart, `stops`
+says how a drive is stopped and what shows it, `encoding` makes the value that is written, `costs`
+says how long an exchange takes and how long to wait for it.
 
 Pure: no input or output but the packaged data files, no clock, nothing of the line or the store.
 """
 
 from __future__ import annotations
 
+from .codes import CodeInfo, PlainWhen, Storage, WriteClass
 from .costs import Cost, LineTiming, multicast_cost, read_cost, write_cost
 from .encoding import encode_for
 from .family import (
     AnswerTime,
-    CodeInfo,
     Family,
-    PlainWhen,
     SoftwareGate,
     WatchdogTraits,
-    WriteClass,
 )
 from .loading import FAMILY_NAMES, family, load_family
 from .stops import (
@@ -32,6 +30,7 @@ from .stops import (
     stop_confirmed,
     stop_value,
 )
+from .texts import Language, Text
 from .words import FieldReading, WordField, WordInfo
 
 __all__ = [
@@ -41,12 +40,15 @@ __all__ = [
     "Cost",
     "Family",
     "FieldReading",
+    "Language",
     "LineTiming",
     "PlainWhen",
     "SoftwareGate",
     "StopAction",
     "StopProof",
     "StopRule",
+    "Storage",
+    "Text",
     "WatchdogTraits",
     "WordField",
     "WordInfo",

@@ -32,7 +32,8 @@ from lecombus.protocol.timing import (
 )
 from lecombus.protocol.values import HIGHEST_VALUE_CHARS, Format, Value
 
-from .family import CodeInfo, Family
+from .codes import CodeInfo
+from .family import Family
 
 __all__ = ["Cost", "LineTiming", "multicast_cost", "read_cost", "write_cost"]
 

@@ -16,7 +16,8 @@ from lecombus.errors import CodeValueError
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Format, Value
 
-from .family import CodeInfo, Family
+from .codes import CodeInfo
+from .family import Family
 
 __all__ = ["encode_for"]
 

@@ -1,8 +1,8 @@
 """What lecombus knows of a family of drives, as the rest of the program sees it.
 
-Here live the frozen models: a code with its format and write class, answer times, watchdog
-traits, and the `Family` that holds them with the questions asked of it on the hot path. They are
-built by `loading` from the data files in `families/`; nobody else makes one outside tests.
+Here live the frozen models: answer times, watchdog traits, and the `Family` that holds them and
+the codes (`codes`), with the questions asked of it on the hot path. They are built by `loading`
+from the data files in `families/`; nobody else makes one outside tests.
 
 Strategy: everything is resolved when the file is loaded, so a question is a dictionary access.
 A code without a description is not an error: any code may be read, its write is never repeated
@@ -13,24 +13,21 @@ What must not live here: reading files, telegram times (`costs`), or anything wi
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from enum import StrEnum
 
 from lecombus.protocol.addressing import Code, Form
-from lecombus.protocol.values import Format, Value
+from lecombus.protocol.values import Value
 
+from .codes import CodeInfo, WriteClass
 from .stops import StopAction, StopRule
 from .words import FieldReading, WordInfo
 
 __all__ = [
     "AnswerTime",
-    "CodeInfo",
     "Family",
-    "PlainWhen",
     "SoftwareGate",
     "WatchdogTraits",
-    "WriteClass",
 ]
 
 CONTROLLER_STATUS = "controller_status"
@@ -38,62 +35,6 @@ SHORTENED_RESPONSE = Code(1921)
 
 ANSWER_FACTOR = 2.0
 LIMIT_FACTOR = 1.2
-
-
-class WriteClass(StrEnum):
-    """What repeating a write could do; only PLAIN may be repeated after a failed read-back."""
-
-    PLAIN = "plain"
-    """The value simply is what it is: writing it again changes nothing."""
-    EDGE = "edge"
-    """Acts on the change, such as a TRIP reset."""
-    STEP = "step"
-    """Each write moves something further, such as UP and DOWN."""
-    SAVE = "save"
-    """Stores parameters: wears memory and takes time."""
-    ADDRESS = "address"
-    """Changes the address or the baud rate: the drive then answers elsewhere."""
-    RESET = "reset"
-    """Restarts drive or module and is not acknowledged."""
-
-
-@dataclass(frozen=True, slots=True)
-class PlainWhen:
-    """Values of a delicate code that may be repeated: those with `number & mask == equals`."""
-
-    mask: int
-    equals: int
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CodeInfo:
-    """One described code.
-
-    Args:
-        code: Its number and subcode.
-        name: Its name, in lower case, as in the manual.
-        unit: Its unit; None for numbers without one.
-        format: Its format on the wire.
-        hex_digits: 2, 4 or 8 for VH; None otherwise.
-        chars: The usual length of its value on the wire, format letter included.
-        write_class: What repeating a write could do.
-        plain_when: Values for which the write is PLAIN all the same.
-        writable: The drive accepts writes at all.
-        motion: Writing it can move the drive: a stop cancels such a write while it waits.
-        source: Manual and section.
-    """
-
-    code: Code
-    name: str
-    unit: str | None
-    format: Format
-    hex_digits: int | None
-    chars: int
-    write_class: WriteClass
-    plain_when: PlainWhen | None
-    writable: bool
-    motion: bool
-    source: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +106,7 @@ class Family:
         name: The roster's word for it.
         title: Its name for people.
         forms: The addressing forms it knows, the cheaper first.
-        codes: Its described codes.
+        codes: Its described codes, those of further parameter sets included.
         status: The default cyclic reads: code and period in seconds.
         writable: The codes a roster allows to write unless it says otherwise.
         watchdog: How its watchdog is set; None where none is known.
@@ -178,6 +119,10 @@ class Family:
         answer_times: Answer times of the codes that have their own, by code number.
         other_answer_time: The answer time of all other codes.
         software: Which software may be written to; None: any.
+        set_offsets: What is added to a code's number for each parameter set; (0,) where only the
+            set in use can be reached.
+        saved_by: The code that has to be written before stored values survive a power cycle; None
+            where every write is stored at once.
     """
 
     name: str
@@ -195,6 +140,8 @@ class Family:
     answer_times: Mapping[int, AnswerTime]
     other_answer_time: AnswerTime
     software: SoftwareGate | None = None
+    set_offsets: tuple[int, ...] = (0,)
+    saved_by: Code | None = None
 
     @property
     def shortened_code(self) -> Code | None:
@@ -207,6 +154,10 @@ class Family:
     def info(self, code: Code) -> CodeInfo | None:
         """Give a code's description; None where there is none (it may be read all the same)."""
         return self.codes.get(code)
+
+    def described(self) -> Iterable[CodeInfo]:
+        """Give every described code by number, those of further parameter sets included."""
+        return self.codes.values()
 
     def answer_time_s(self, code: Code, *, write: bool, c0001: int | None = None) -> float:
         """Give the usual time the drive thinks before it answers, seconds.

@@ -20,12 +20,13 @@ from typing import Final
 from lecombus.errors import ConfigError, DescriptionError
 from lecombus.protocol.addressing import Code
 
+from .code_entries import CodeBook
+from .codes import CodeInfo, WriteClass
 from .document import Item, Origin, Table, read_document
-from .family import AnswerTime, CodeInfo, Family, SoftwareGate, WatchdogTraits, WriteClass
+from .family import AnswerTime, Family, SoftwareGate, WatchdogTraits
+from .readers import read_code_number
 from .sections import (
     read_answer_time,
-    read_code,
-    read_code_number,
     read_field,
     read_form,
     read_software,
@@ -52,6 +53,7 @@ FAMILY_NAMES: Final = (
 NEVER_BY_DEFAULT = frozenset({WriteClass.ADDRESS, WriteClass.SAVE})
 """Write classes that a roster must spell out: they cut the drive off or wear its memory."""
 
+HIGHEST_SET_OFFSET = 60_000
 LONGEST_PERIOD_MS = 86_400_000
 LONGEST_HOLD_MS = 10_000
 
@@ -109,7 +111,8 @@ class _Builder:
         own = self._own.take("family")
         if own.text() != self._name:
             own.fail(f"the file is named {self._name}.yaml: family must be {self._name}")
-        codes = self._codes()
+        offsets = self._set_offsets()
+        codes = self._codes(offsets)
         answer_times, other = self._answer_times()
         watchdog = self._single("watchdog")
         software = self._single("software")
@@ -124,14 +127,14 @@ class _Builder:
             feed_code=self._feed(codes),
             hold_after_write_s=self._required("hold_after_write_ms").integer(0, LONGEST_HOLD_MS)
             / 1000,
-            identity=tuple(
-                self._described(item, codes) for item in self._required("identity").items()
-            ),
+            identity=tuple(self._shown(item, codes) for item in self._required("identity").items()),
             stops=self._stops(codes),
             words=self._words(codes),
             answer_times=answer_times,
             other_answer_time=other,
             software=self._software(software, codes) if software else None,
+            set_offsets=offsets,
+            saved_by=self._saved_by(codes),
         )
         for table in self._tables:
             table.done()
@@ -166,14 +169,30 @@ class _Builder:
             if items is not None:
                 yield from items.items()
 
-    def _codes(self) -> dict[Code, CodeInfo]:
-        codes: dict[Code, CodeInfo] = {}
+    def _codes(self, offsets: tuple[int, ...]) -> dict[Code, CodeInfo]:
+        inhibit = self._single("stored_needs_inhibit")
+        book = CodeBook(offsets, stored_needs_inhibit=inhibit.flag() if inhibit else False)
         for item in self._entries("codes"):
-            info = read_code(item.table(), self._manual)
-            if info.code in codes:
-                item.fail(f"{info.code} is described twice", code=str(info.code))
-            codes[info.code] = info
-        return dict(sorted(codes.items()))
+            book.add(item, self._manual)
+        return dict(sorted(book.codes.items()))
+
+    def _set_offsets(self) -> tuple[int, ...]:
+        item = self._single("set_offsets")
+        if item is None:
+            return (0,)
+        offsets = tuple(one.integer(0, HIGHEST_SET_OFFSET) for one in item.items())
+        if offsets[:1] != (0,) or list(offsets) != sorted(set(offsets)):
+            item.fail("offsets begin with 0 and grow: [0, 2000]")
+        return offsets
+
+    def _saved_by(self, codes: dict[Code, CodeInfo]) -> Code | None:
+        item = self._single("saved_by")
+        if item is None:
+            return None
+        code = self._described(item, codes)
+        if codes[code].write_class is not WriteClass.SAVE:
+            item.fail(f"{code} does not save: its write_class is {codes[code].write_class}")
+        return code
 
     def _answer_times(self) -> tuple[dict[int, AnswerTime], AnswerTime]:
         times: dict[int, AnswerTime] = {}
@@ -225,7 +244,7 @@ class _Builder:
         seen: set[Code] = set()
         for item in self._required("status").items():
             table = item.table()
-            code = self._described(table.take("code"), codes)
+            code = self._shown(table.take("code"), codes)
             period_s = table.take("every_ms").integer(1, LONGEST_PERIOD_MS) / 1000
             table.done()
             if code in seen:
@@ -260,7 +279,15 @@ class _Builder:
 
     def _feed(self, codes: dict[Code, CodeInfo]) -> Code:
         item = self._required("feed")
-        return self._described(item, codes) if codes else read_code_number(item)
+        return self._shown(item, codes) if codes else read_code_number(item)
+
+    def _shown(self, item: Item, codes: dict[Code, CodeInfo]) -> Code:
+        """Read a code that is read unasked, whose value is then there for everyone to see."""
+        code = self._described(item, codes)
+        if codes[code].secret or not codes[code].readable:
+            why = "is secret" if codes[code].secret else "cannot be read"
+            item.fail(f"{code} {why}, so it is not read unasked", code=str(code))
+        return code
 
     def _described(self, item: Item, codes: dict[Code, CodeInfo]) -> Code:
         code = read_code_number(item)

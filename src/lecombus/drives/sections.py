@@ -1,32 +1,26 @@
 """Building each section of a family description from its table in a data file.
 
 One function a section, each refusing what it cannot mean with file, line and column: an entry
-without source, an unknown format or write class, a bit named twice, a time of zero. How sections
-of several files are put together, and what must hold between sections, is `loading`.
-
-A new property of a code (a range, selection texts, a name in another language) is one more key
-taken in `read_code` and one more field of `CodeInfo`; old data files stay valid.
+without source, an unknown action, a bit named twice, a time of zero. The codes, the longest
+section, have a module of their own (`code_entries`). How sections of several files are put
+together, and what must hold between sections, is `loading`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from enum import StrEnum
-from typing import TypeVar
 
-from lecombus.errors import CodeValueError
 from lecombus.protocol.addressing import Code, Form
-from lecombus.protocol.values import HIGHEST_VALUE_CHARS, Format, Value
+from lecombus.protocol.values import Value
 
 from .document import Item, Table
-from .family import AnswerTime, CodeInfo, PlainWhen, SoftwareGate, WatchdogTraits, WriteClass
+from .family import AnswerTime, SoftwareGate, WatchdogTraits
+from .readers import WORD_MAX, read_choice, read_code_number, read_flag, read_source
 from .stops import StopAction, StopProof, StopRule
 from .words import WordField, WordInfo
 
 __all__ = [
     "read_answer_time",
-    "read_code",
-    "read_code_number",
     "read_field",
     "read_form",
     "read_software",
@@ -36,25 +30,9 @@ __all__ = [
 ]
 
 MAX_MS = 600_000
-WORD_MAX = 0xFFFF
 LONGEST_WORD = 0xFFFF_FFFF
-HEX_DIGITS = (2, 4, 8)
-
-TYPICAL_CHARS = {Format.VD: 9, Format.VS: 16, Format.VO: HIGHEST_VALUE_CHARS}
-"""Length of a value where the file does not say: 9 is what the manual's tables of telegram times
-take for a number; 16 is a string of 15, such as a software label (EDB2102EN 3.5, 8.2)."""
 
 ROSTER_ACTIONS = ("none", "inhibit", "quick-stop", "trip")
-
-E = TypeVar("E", bound=StrEnum)
-
-
-def read_code_number(item: Item) -> Code:
-    """Read a code, such as `C0150` or `C0168/1`."""
-    try:
-        return Code.parse(item.text())
-    except CodeValueError as exc:
-        item.fail(str(exc))
 
 
 def read_form(item: Item) -> Form:
@@ -64,32 +42,6 @@ def read_form(item: Item) -> Form:
     if form is None:
         item.fail(f"{item.text()} is no addressing form; {', '.join(forms)} are")
     return form
-
-
-def read_code(table: Table, manual: str) -> CodeInfo:
-    """Read one entry of `codes`."""
-    code = read_code_number(table.take("code"))
-    unit = table.get("unit")
-    kind = _choice(table.take("format"), Format)
-    write_class = table.get("write_class")
-    chars = table.get("chars")
-    digits = _hex_digits(table, kind)
-    usual = TYPICAL_CHARS.get(kind, 1 + (digits or 0))
-    info = CodeInfo(
-        code=code,
-        name=table.take("name").text(),
-        unit=unit.text() if unit else None,
-        format=kind,
-        hex_digits=digits,
-        chars=chars.integer(1, HIGHEST_VALUE_CHARS) if chars else usual,
-        write_class=_choice(write_class, WriteClass) if write_class else WriteClass.PLAIN,
-        plain_when=_plain_when(table.get("plain_when")),
-        writable=_flag(table, "writable"),
-        motion=_flag(table, "motion"),
-        source=_source(table, manual),
-    )
-    table.done()
-    return info
 
 
 def read_answer_time(table: Table, manual: str) -> tuple[list[Code] | None, AnswerTime]:
@@ -108,8 +60,8 @@ def read_answer_time(table: Table, manual: str) -> tuple[list[Code] | None, Answ
         slow_read_s=_seconds(slow_read) if slow_read else read_s,
         slow_write_s=_seconds(slow_write) if slow_write else write_s,
         slow_c0001=mode.integer(0, 255) if mode else None,
-        is_limit=_flag(table, "limit"),
-        source=_source(table, manual),
+        is_limit=read_flag(table, "limit"),
+        source=read_source(table, manual),
     )
     if times.slow_read_s < read_s or times.slow_write_s < write_s:
         table.fail("the slow time is shorter than the usual one")
@@ -126,7 +78,7 @@ def read_software(table: Table, manual: str) -> SoftwareGate:
     gate = SoftwareGate(
         code=read_code_number(table.take("code")),
         versions=tuple(item.text() for item in table.take("versions").items()),
-        source=_source(table, manual),
+        source=read_source(table, manual),
     )
     table.done()
     return gate
@@ -146,7 +98,7 @@ def read_watchdog(table: Table, manual: str) -> WatchdogTraits:
         low_s=table.take("low_ms").integer(0, MAX_MS) / 1000,
         high_s=_seconds(table.take("high_ms")),
         volatile=table.take("volatile").flag(),
-        source=_source(table, manual),
+        source=read_source(table, manual),
     )
     if traits.low_s >= traits.high_s:
         table.fail("low_ms is not below high_ms")
@@ -192,7 +144,7 @@ def read_word(table: Table, manual: str, shared: Mapping[str, WordField]) -> tup
         bits=_bits(table.take("bits").table(), fields),
         fields=tuple(fields),
         fault_mask=1 << fault_bit.integer(0, 31) if fault_bit else 0,
-        source=_source(table, manual),
+        source=read_source(table, manual),
     )
     table.done()
     return code, word
@@ -215,9 +167,9 @@ def read_stop(table: Table, manual: str) -> tuple[StopAction, StopRule]:
         set_mask=set_bits.integer(1, WORD_MAX) if set_bits else 0,
         clear_mask=clear_bits.integer(0, WORD_MAX) if clear_bits else 0,
         proofs=proofs,
-        source=_source(table, manual),
+        source=read_source(table, manual),
     )
-    action = _choice(table.take("action"), StopAction)
+    action = read_choice(table.take("action"), StopAction)
     table.done()
     return action, rule
 
@@ -231,30 +183,6 @@ def _proof(table: Table) -> tuple[Code, StopProof]:
     code = read_code_number(table.take("code"))
     table.done()
     return code, proof
-
-
-def _plain_when(item: Item | None) -> PlainWhen | None:
-    if item is None:
-        return None
-    table = item.table()
-    rule = PlainWhen(
-        mask=table.take("mask").integer(1, WORD_MAX),
-        equals=table.take("equals").integer(0, WORD_MAX),
-    )
-    table.done()
-    return rule
-
-
-def _hex_digits(table: Table, kind: Format) -> int | None:
-    item = table.get("hex_digits")
-    if (item is not None) != (kind is Format.VH):
-        table.fail("hex_digits belongs to format VH, and only there")
-    if item is None:
-        return None
-    digits = item.integer(2, 8)
-    if digits not in HEX_DIGITS:
-        item.fail(f"{digits} hexadecimal digits are not sent; 2, 4 or 8 are")
-    return digits
 
 
 def _bits(table: Table, fields: list[WordField]) -> tuple[tuple[str, int], ...]:
@@ -271,21 +199,5 @@ def _numbered(table: Table, high: int) -> dict[int, str]:
     return {key.integer(0, high): value.text() for key, value in table.pairs()}
 
 
-def _choice(item: Item, choices: type[E]) -> E:
-    try:
-        return choices(item.text())
-    except ValueError:
-        item.fail(f"{item.text()} is not known here; {', '.join(choices)} are")
-
-
-def _flag(table: Table, key: str) -> bool:
-    item = table.get(key)
-    return item.flag() if item else False
-
-
 def _seconds(item: Item) -> float:
     return item.integer(1, MAX_MS) / 1000
-
-
-def _source(table: Table, manual: str) -> str:
-    return f"{manual} {table.take('source').text()}".strip()

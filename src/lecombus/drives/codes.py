@@ -1,0 +1,141 @@
+"""What lecombus knows of one code of a drive.
+
+Here live the frozen `CodeInfo` and the words it uses: what repeating a write could do, and where
+a value is kept. `code_entries` builds them from the data files; `family` holds them by code.
+
+Strategy: a description says what the manual says and no more. `low`, `high`, `step` and
+`selection` are absent where the manual gives none, and nothing is refused on their account then.
+Where a range and a selection are given, the range rules and the selection names some of its
+values; a selection alone is all there is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from decimal import Decimal
+from enum import StrEnum
+
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Format, Value
+
+from .texts import Language, Text
+
+__all__ = ["CodeInfo", "PlainWhen", "Storage", "WriteClass"]
+
+
+class WriteClass(StrEnum):
+    """What repeating a write could do; only PLAIN may be repeated after a failed read-back."""
+
+    PLAIN = "plain"
+    """The value simply is what it is: writing it again changes nothing."""
+    EDGE = "edge"
+    """Acts on the change, such as a TRIP reset."""
+    STEP = "step"
+    """Each write moves something further, such as UP and DOWN."""
+    SAVE = "save"
+    """Stores parameters: wears memory and takes time."""
+    ADDRESS = "address"
+    """Changes the address or the baud rate: the drive then answers elsewhere."""
+    RESET = "reset"
+    """Restarts drive or module and is not acknowledged."""
+
+
+class Storage(StrEnum):
+    """Where a code's value is kept, and so what a power cycle leaves of it."""
+
+    STORED = "stored"
+    """In the drive, over a power cycle. Each write may wear its memory (see `Family.saved_by`)."""
+    MODULE = "module"
+    """In the fieldbus module: back at its default after a power cycle."""
+    VOLATILE = "volatile"
+    """A process value: a setpoint, a command, an actual value, a status."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlainWhen:
+    """Values of a delicate code that may be repeated: those with `number & mask == equals`."""
+
+    mask: int
+    equals: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CodeInfo:
+    """One described code.
+
+    Args:
+        code: Its number and subcode; in another parameter set the number with that set's offset.
+        name: Its English name, in lower case, as in the manual.
+        unit: Its unit; None for numbers without one.
+        format: Its format on the wire.
+        hex_digits: 2, 4 or 8 for VH; None otherwise.
+        chars: The usual length of its value on the wire, format letter included.
+        write_class: What repeating a write could do.
+        plain_when: Values for which the write is PLAIN all the same.
+        writable: The drive accepts writes at all.
+        motion: Writing it can move the drive: a stop cancels such a write while it waits.
+        source: Manual and section.
+        name_de: Its German name.
+        low: The least value, in `unit`; None where the manual gives none.
+        high: The greatest value, in `unit`; None where the manual gives none.
+        step: The distance between two values, counted from `low`; None where not given.
+        selection: What some values mean. Without a range these are all the values there are.
+        storage: Where the value is kept.
+        readable: The drive gives the value when asked.
+        needs_inhibit: It has to be inhibited before this is written.
+        default: The value as delivered, as it stands on the wire; None where not given.
+        parameter_set: Which parameter set this reaches, from 1.
+        secret: A password: never in a backup, a metric or a list of values.
+    """
+
+    code: Code
+    name: str
+    unit: str | None
+    format: Format
+    hex_digits: int | None
+    chars: int
+    write_class: WriteClass
+    plain_when: PlainWhen | None
+    writable: bool
+    motion: bool
+    source: str
+    name_de: str = ""
+    low: Decimal | None = None
+    high: Decimal | None = None
+    step: Decimal | None = None
+    selection: Mapping[int, Text] = field(default_factory=dict)
+    storage: Storage = Storage.VOLATILE
+    readable: bool = True
+    needs_inhibit: bool = False
+    default: str | None = None
+    parameter_set: int = 1
+    secret: bool = False
+
+    def name_in(self, language: Language) -> str:
+        """Return its name in a language."""
+        return self.name_de if language is Language.DE and self.name_de else self.name
+
+    def meaning(self, value: Value) -> Text | None:
+        """Return what the manual says a value means; None where it says nothing of it."""
+        number = value.number
+        if not self.selection or isinstance(number, (str, bytes)) or number != int(number):
+            return None
+        return self.selection.get(int(number))
+
+    def may_be(self, number: Decimal | int) -> bool:
+        """Tell whether the manual allows a value: in the range, on the step, in the selection."""
+        if self.low is None or self.high is None:
+            return not self.selection or number in self.selection
+        if not self.low <= number <= self.high:
+            return False
+        return self.step is None or (number - self.low) % self.step == 0
+
+    @property
+    def allowed(self) -> str:
+        """What may be written, for people: `0 to 480 Hz`, `0 (off), 1 (on)`; empty if not known."""
+        if self.low is None or self.high is None:
+            return ", ".join(f"{number} ({text})" for number, text in self.selection.items())
+        unit = f" {self.unit}" if self.unit else ""
+        step = f" in steps of {self.step}" if self.step is not None else ""
+        return f"{self.low} to {self.high}{unit}{step}"
