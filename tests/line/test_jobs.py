@@ -211,7 +211,65 @@ def test_a_word_that_cannot_be_read_makes_an_inhibit_of_the_quick_stop(result: s
     job.advance(RESULTS["ack"])
     outcome, reason = job.advance(value(150, "H0080")) or (None, "")
     assert outcome is VERIFIED
-    assert reason.startswith("inhibit")
+    assert reason.startswith("quick-stop needs C0135, which ")
+    assert reason.endswith("; inhibit: C0150 reads H0080")
+
+
+def quick_stop(*, retries: int) -> StopJob:
+    return StopJob(STATION, StopAction.QUICK_STOP, word=lambda: 4, retries=retries)
+
+
+@pytest.mark.parametrize(
+    ("retries", "results", "steps"),
+    [(0, "nak other nak", "WRW"), (1, "nak nak", "WW"), (2, "none nak nak other nak", "WWWRW")],
+)
+def test_a_refused_quick_stop_becomes_an_inhibit_at_once(
+    retries: int, results: str, steps: str
+) -> None:
+    job = quick_stop(retries=retries)
+    assert play(job, results)[:2] == (steps, None)
+    assert (job.step.code, job.pause_s) == (Code(40), 0.0)
+    job.advance(RESULTS["ack"])
+    outcome, reason = job.advance(value(150, "H0080")) or (None, "")
+    assert outcome is VERIFIED
+    assert reason == "quick-stop was refused by the drive (NAK); inhibit: C0150 reads H0080"
+
+
+def test_one_refusal_that_a_damaged_telegram_may_have_caused_makes_no_inhibit() -> None:
+    job = quick_stop(retries=2)
+    assert play(job, "nak nak ack")[:2] == ("WWW", None)
+    assert (job.advance(value(135, "H000C")) or (None,))[0] is VERIFIED
+
+
+def test_a_quick_stop_taken_without_effect_becomes_an_inhibit_after_a_second() -> None:
+    job = quick_stop(retries=1)
+    for at_s in (0.1, 0.5, 0.9):
+        job.advance(late(RESULTS["ack"], at_s))
+        job.advance(late(value(135, "H0004"), at_s))
+        assert job.step.code == Code(135), "the drive is given time to show it"
+    job.advance(late(RESULTS["ack"], 1.1))
+    job.advance(late(value(135, "H0004"), 1.1))
+    assert (job.step.kind, job.step.code) == (StepKind.WRITE, Code(40))
+    job.advance(late(RESULTS["ack"], 1.2))
+    outcome, reason = job.advance(late(value(150, "H0000"), 5.2)) or (None, "")
+    assert outcome is REFUSED
+    assert reason == (
+        "quick-stop was said, but C0135 reads H0004; inhibit was said, but C0150 reads H0000"
+    )
+
+
+def test_an_inhibit_that_follows_a_quick_stop_is_tried_for_a_while_however_late_it_is() -> None:
+    job = quick_stop(retries=1)
+    for n in range(24):
+        job.advance(late(RESULTS["none"], 0.2 * (n + 1)))
+    job.advance(late(RESULTS["nak"], 4.85))
+    while job.step.code != Code(40):
+        job.advance(late(RESULTS["nak"], 4.9))
+    job.advance(late(RESULTS["none"], 5.3))
+    job.advance(late(RESULTS["none"], 5.6))
+    assert job.advance(late(RESULTS["none"], 5.9)) is None, "the quick stop had used up its time"
+    job.advance(late(RESULTS["ack"], 6.3))
+    assert (job.advance(late(value(150, "H0080"), 6.4)) or (None,))[0] is VERIFIED
 
 
 def late(result: Result, at_s: float) -> Result:

@@ -8,7 +8,7 @@ import anyio
 import anyio.lowlevel
 import pytest
 
-from lecombus.drives import StopAction
+from lecombus.drives import FAMILY_NAMES, StopAction
 from lecombus.errors import OperationError, QueueFullError
 from lecombus.protocol.addressing import Code, Form, encode_code
 from lecombus.protocol.values import Value
@@ -268,7 +268,59 @@ def test_a_quick_stop_that_became_an_inhibit_is_reported_as_one() -> None:
         report = await plant.site.operations.stop(QUICK, "a")
         assert report.outcome is Outcome.VERIFIED
         assert report.members[0].code == ENABLE
+        assert "quick-stop needs C0135, which reads none" in report.members[0].reason
         assert plant.line["a"].text(40) == "0"
+
+    with_plant(test, ROSTER)
+
+
+@pytest.mark.parametrize("kind", ["820x", "821x", "822x", "824x", "8200vector"])
+def test_a_quick_stop_the_terminals_do_not_leave_to_us_is_an_inhibit_at_once(kind: str) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        drive = plant.line["a"].model
+        drive.preset(40, "1")
+        drive.preset(1, "0")
+        begun_s = plant.now_s
+        report = await plant.site.operations.stop(QUICK, "a")
+        assert plant.now_s - begun_s < 1.0
+        assert report.outcome is Outcome.VERIFIED
+        assert "quick-stop was refused by the drive (NAK); inhibit: C0150" in (
+            report.members[0].reason
+        )
+        assert drive.control & 0x0200
+
+    with_plant(test, roster_of([("a", 11, kind)]))
+
+
+@pytest.mark.parametrize("action", [QUICK, INHIBIT])
+@pytest.mark.parametrize("kind", [name for name in FAMILY_NAMES if name != "generic"])
+def test_a_running_drive_of_every_family_ends_in_a_stop_that_is_proven(
+    kind: str, action: StopAction
+) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        drive = plant.line["a"].model
+        drive.preset(1061 if kind == "smvector" else 141 if kind == "93xx" else 46, "20")
+        drive.preset(135, "H0000")
+        await anyio.sleep(30.0)
+        assert abs(drive.motor.output) > 0.0
+        report = await plant.site.operations.stop(action, "a")
+        assert report.outcome is Outcome.VERIFIED
+        assert report.members[0].reason.startswith(f"{action}: C0")
+        await anyio.sleep(30.0)
+        assert drive.motor.speed == 0.0
+
+    with_plant(test, roster_of([("a", 11, kind)]))
+
+
+def test_a_stop_that_is_not_proven_says_how_to_stop_the_drive_all_the_same() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.line.faults.absent = {11}
+        report = await plant.site.operations.stop(INHIBIT, "a")
+        assert report.outcome is Outcome.UNKNOWN
+        assert "the motor may turn: use the emergency stop circuit" in report.members[0].remedy
 
     with_plant(test, ROSTER)
 

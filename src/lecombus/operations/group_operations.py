@@ -18,7 +18,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 
 from lecombus.config import GroupEntry
@@ -59,6 +59,14 @@ logger = logging.getLogger(__name__)
 
 ABSENT_PATIENCE_S = 1.5
 """How long a drive that was offline already is told to stop while it does not answer, seconds."""
+
+
+STOP_REMEDY = (
+    "the motor may turn: use the emergency stop circuit, or take the controller enable or the "
+    "mains from the drive at its terminals; then look for the cause and stop it again, so that "
+    "it is known to be stopped"
+)
+"""A stop that is not proven leaves a person with one thing to do, and it is not to ask again."""
 
 
 @dataclass(slots=True)
@@ -268,15 +276,14 @@ class GroupOperations(Operations):
         job = ending.request.work if ending.request is not None else None
         assert isinstance(job, StopJob)
         code = station.family.stops[job.action].code
+        good = outcome in (Outcome.DONE, Outcome.VERIFIED)
         try:
-            return self.report(station.name, code, ending, outcome, reason)
+            report = self.report(station.name, code, ending, outcome, reason)
         except OperationError:
             # A reload took the drive out of the roster meanwhile: the stop was sent all the same.
-            good = outcome in (Outcome.DONE, Outcome.VERIFIED)
             kind = "" if good else kind_of(ending, outcome, reason)
-            return WriteReport(
-                station.name, code, outcome, reason, kind=kind, remedy=REMEDIES.get(kind, "")
-            )
+            report = WriteReport(station.name, code, outcome, reason, kind=kind)
+        return report if good else replace(report, remedy=STOP_REMEDY)
 
     def _group(self, group: str) -> GroupEntry:
         entry = self._groups.get(group)
