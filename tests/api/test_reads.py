@@ -29,6 +29,7 @@ from lecombus.errors import (
 )
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
+from lecombus.schedule.request import Priority
 from lecombus.store import DriveState
 from support.api_line import FREQUENCY, STATUS, Line
 
@@ -67,6 +68,25 @@ async def test_fresh_reads_now(client: httpx.AsyncClient, line: Line) -> None:
     answer = await client.get("/v1/drives/feeder/codes/C0050?fresh=true")
     assert '"value": 50.10,' in answer.text
     assert line.ops.asked == [("read", "feeder", Code(50))]
+
+
+async def test_long_work_reads_in_the_background_and_waits_longer_for_its_turn(
+    client: httpx.AsyncClient, line: Line
+) -> None:
+    told = []
+    for query in ("fresh=true", "fresh=true&priority=interactive", "priority=background&fresh=1"):
+        assert (await client.get(f"/v1/drives/feeder/codes/C0050?{query}")).status_code == 200
+        told.append(line.ops.read_as)
+    person, long_work = (Priority.INTERACTIVE, 10.0), (Priority.BACKGROUND, 45.0)
+    assert told == [person, person, long_work]
+
+
+async def test_a_priority_that_clients_may_not_have_is_refused(
+    client: httpx.AsyncClient, line: Line
+) -> None:
+    answer = await client.get("/v1/drives/feeder/codes/C0050?fresh=true&priority=stop")
+    assert (answer.status_code, line.ops.asked) == (422, [])
+    assert "'interactive' or 'background'" in answer.json()["detail"]
 
 
 async def test_a_stored_read_never_asks_the_line(client: httpx.AsyncClient, line: Line) -> None:
@@ -257,6 +277,7 @@ async def test_openapi_describes_every_path_and_refers_to_nothing_missing(
         "value",
         "expires",
         "verify",
+        "priority",
     }
     assert {"200", "403", "404", "409", "422", "503", "504"} <= set(write["responses"])
     ids = [one["operationId"] for path in document["paths"].values() for one in path.values()]

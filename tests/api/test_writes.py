@@ -16,7 +16,7 @@ from lecombus.api.problems import ProblemError
 from lecombus.drives import StopAction
 from lecombus.errors import CodeValueError, OperationError, QueueFullError
 from lecombus.operations.reports import WriteReport
-from lecombus.schedule.request import Outcome
+from lecombus.schedule.request import Outcome, Priority
 from support.api_line import FREQUENCY, Line
 
 pytestmark = pytest.mark.anyio
@@ -65,6 +65,15 @@ async def test_expiry_is_a_duration_or_seconds(
 ) -> None:
     await put(client, f'{{"value": 1, "expires": {written}, "verify": true}}')
     assert line.ops.asked == [("write", "feeder", FREQUENCY, 1, expires_s, True)]
+
+
+async def test_a_write_may_say_that_it_has_time(client: httpx.AsyncClient, line: Line) -> None:
+    for said, urgency in (("", None), (', "priority": "background"', Priority.BACKGROUND)):
+        assert (await put(client, f'{{"value": 1{said}}}')).status_code == 200
+        assert line.ops.written_as is urgency
+    answer = await put(client, '{"value": 1, "priority": "control"}')
+    assert (answer.status_code, len(line.ops.asked)) == (422, 2)
+    assert 'priority takes "interactive", or "background"' in answer.json()["detail"]
 
 
 @pytest.mark.parametrize(

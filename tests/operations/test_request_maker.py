@@ -27,10 +27,11 @@ def station(kind: str = "8200vector", **more: object) -> Station:
     return Station("a", 1, described, described.forms, **more)  # type: ignore[arg-type]
 
 
-def write(number: int, value: str) -> Request:
+def write(number: int, value: str, urgency: Priority | None = None) -> Request:
     return maker().write(
-        station(), Code(number), Value.parse(value), settle=ignore_end, verify=False
-    )
+        station(), Code(number), Value.parse(value), settle=ignore_end, verify=False,
+        urgency=urgency,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -48,6 +49,11 @@ def test_what_moves_a_drive_runs_as_control_and_only_a_setpoint_gives_way_to_a_l
 ) -> None:
     made = write(number, value)
     assert (made.priority, made.motion, made.supersedes) == (priority, motion, supersedes)
+
+
+def test_a_write_may_wait_for_idle_line_time_unless_it_moves_the_drive() -> None:
+    assert write(11, "60", Priority.BACKGROUND).priority is Priority.BACKGROUND
+    assert write(40, "0", Priority.BACKGROUND).priority is Priority.CONTROL
 
 
 def test_a_stop_ends_the_motion_of_its_drive() -> None:

@@ -35,6 +35,8 @@ class FakeOperations:
     )
     asked: list[tuple[object, ...]] = field(default_factory=list)
     gate: anyio.Event | None = None
+    read_as: tuple[Priority, float] | None = None
+    written_as: Priority | None = None
     begun: anyio.Event = field(default_factory=anyio.Event)
 
     async def _ask(self, *what: object) -> None:
@@ -54,6 +56,7 @@ class FakeOperations:
         timeout_s: float = 10.0,
     ) -> Reading:
         await self._ask("read", drive, code)
+        self.read_as = (priority, timeout_s)
         self.store.value_read(drive, code, Value.parse("50.10"), time.monotonic())
         reading = self.store.reading(drive, code)
         assert reading is not None
@@ -67,7 +70,9 @@ class FakeOperations:
         *,
         expires_s: float | None,
         verify: bool,
+        urgency: Priority | None = None,
     ) -> WriteReport:
+        self.written_as = urgency
         await self._ask("write", drive, code, value, expires_s, verify)
         return self.report(drive, code)
 

@@ -24,7 +24,15 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
 
-from lecombus.api.bodies import StopBody, WriteBody, check_query, read_body
+from lecombus.api.bodies import (
+    RIGHT,
+    DriveWriteBody,
+    StopBody,
+    Urgency,
+    WriteBody,
+    check_query,
+    read_body,
+)
 from lecombus.api.documents import (
     DriveDocument,
     DrivesDocument,
@@ -151,19 +159,23 @@ def add_reads(app: FastAPI, ops: OperationsPort, store: Store) -> None:
         code: str,
         subcode: str = "",
         fresh: Annotated[bool, Query(description="Read it now")] = False,
+        priority: Annotated[Urgency, Query(description=RIGHT["priority"])] = Urgency.INTERACTIVE,
     ) -> Response:
         """A value from the store, or read now."""
-        check_query(request, ("fresh",))
+        check_query(request, ("fresh", "priority"))
         wanted = code_of(code, subcode)
         if fresh:
-            return json_response((await ops.read(drive, wanted)).as_json())
+            read = await ops.read(
+                drive, wanted, priority=priority.priority, timeout_s=priority.timeout_s
+            )
+            return json_response(read.as_json())
         reading = store.reading(drive, wanted) or store.unread(drive, wanted)
         return json_response(reading.as_json())
 
 
 def add_writes(app: FastAPI, ops: OperationsPort, keys: Idempotency) -> None:
     """Add the writes of codes."""
-    told = described(OutcomeDocument, *REFUSALS, body=WriteBody)
+    told = described(OutcomeDocument, *REFUSALS, body=DriveWriteBody)
 
     @app.put("/v1/drives/{drive}/codes/{code}", **told)
     @app.put("/v1/drives/{drive}/codes/{code}/{subcode}", **told)
@@ -173,7 +185,7 @@ def add_writes(app: FastAPI, ops: OperationsPort, keys: Idempotency) -> None:
         """A write; answers when its outcome is known."""
         check_query(request)
         wanted = code_of(code, subcode)
-        body, raw = await read_body(request, WriteBody)
+        body, raw = await read_body(request, DriveWriteBody)
 
         async def act() -> Response:
             report = await ops.write(
@@ -182,6 +194,7 @@ def add_writes(app: FastAPI, ops: OperationsPort, keys: Idempotency) -> None:
                 body.value,
                 expires_s=body.expires_s,
                 verify=bool(body.verify),
+                urgency=None if body.priority is None else body.priority.priority,
             )
             problem = report_problem(report)
             return problem.response() if problem else json_response(report_json(report))

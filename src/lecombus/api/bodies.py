@@ -13,6 +13,7 @@ import re
 from collections.abc import Iterable, Mapping
 from decimal import Decimal
 from difflib import get_close_matches
+from enum import StrEnum
 from typing import Annotated, Final, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema, field_validator
@@ -21,8 +22,18 @@ from starlette.requests import ClientDisconnect, Request
 from lecombus.api.exact import NotJsonError, decode, short
 from lecombus.api.problems import Problem, ProblemError
 from lecombus.drives import StopAction
+from lecombus.schedule.request import Priority
 
-__all__ = ["BODY_LIMIT", "StopBody", "WriteBody", "check_query", "read_body"]
+__all__ = [
+    "BODY_LIMIT",
+    "RIGHT",
+    "DriveWriteBody",
+    "StopBody",
+    "Urgency",
+    "WriteBody",
+    "check_query",
+    "read_body",
+]
 
 BODY_LIMIT: Final = 64 * 1024
 
@@ -42,6 +53,7 @@ RIGHT: Final[Mapping[str, str]] = {
     "value": 'a number such as 35.4 or a text such as "H0008"',
     "expires": 'a duration such as "2s", "500ms" or a number of seconds, over 0 and up to 1 h',
     "verify": "true or false",
+    "priority": '"interactive", or "background" for long work that only takes idle line time',
     "action": '"quick-stop" or "inhibit"',
     "target": 'the name of a drive or a group, or "all"',
 }
@@ -52,6 +64,27 @@ Number = Annotated[
     Field(union_mode="left_to_right"),
     WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "string"}]}),
 ]
+
+
+class Urgency(StrEnum):
+    """What a client may say of how soon its request should run."""
+
+    INTERACTIVE = "interactive"
+    BACKGROUND = "background"
+
+    @property
+    def priority(self) -> Priority:
+        """The class of the schedule."""
+        return Priority.BACKGROUND if self is Urgency.BACKGROUND else Priority.INTERACTIVE
+
+    @property
+    def timeout_s(self) -> float:
+        """How long a read may wait for its turn, seconds.
+
+        Less than the 60 s after which a client takes the daemon for dead; a person has gone much
+        sooner than a backup, which waits for the line to be idle.
+        """
+        return 45.0 if self is Urgency.BACKGROUND else 10.0
 
 
 class Body(BaseModel):
@@ -100,6 +133,19 @@ class WriteBody(Body):
     def expires_s(self) -> float | None:
         """How long the write may wait, seconds."""
         return None if self.expires is None else float(seconds_of(self.expires))
+
+
+class DriveWriteBody(WriteBody):
+    """A write to one drive, which may be part of long work."""
+
+    priority: Annotated[
+        Urgency | None,
+        Field(
+            strict=False,
+            description=f"How soon: {RIGHT['priority']}. What moves a drive never waits for long "
+            "work: it keeps its class",
+        ),
+    ] = None
 
 
 class StopBody(Body):

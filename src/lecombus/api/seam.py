@@ -45,6 +45,7 @@ class OperationsPort(Protocol):
         *,
         expires_s: float | None,
         verify: bool,
+        urgency: Priority | None = None,
     ) -> WriteReport:
         """Write a code and return how that ended.
 

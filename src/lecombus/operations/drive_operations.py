@@ -115,6 +115,7 @@ class Operations:
         *,
         expires_s: float | None = None,
         verify: bool = False,
+        urgency: Priority | None = None,
     ) -> WriteReport:
         """Write a code and say what came of it.
 
@@ -124,6 +125,8 @@ class Operations:
             value: A number, or text as on the wire such as `H0008`.
             expires_s: Not begun after this long, seconds.
             verify: Read back afterwards.
+            urgency: The class to run in; None: by what is written. What moves a drive keeps its
+                own.
 
         Raises:
             OperationError: It may not be written, or the value is not one for this code.
@@ -133,7 +136,9 @@ class Operations:
         station = self._requests.station(drive)
         wire = self.permitted(drive, station, code, value)
         expires_at_s = None if expires_s is None else self._clock() + expires_s
-        ending = self.submit_write(station, code, wire, expires_at_s, verify=verify)
+        ending = self.submit_write(
+            station, code, wire, expires_at_s, verify=verify, urgency=urgency
+        )
         return self.report(drive, code, ending, *await ending.wait())
 
     def submit_write(
@@ -144,14 +149,16 @@ class Operations:
         expires_at_s: float | None,
         *,
         verify: bool,
+        urgency: Priority | None = None,
     ) -> Ending:
         """Put a permitted write into the line; its end is waited for by the caller."""
         ending = Ending()
         # From now on a stop must not rely on the control word this write may change.
         settle = self._words.guard((station.name,), code, ending.settle)
         ending.request = request = self._requests.maker.write(
-            station, code, wire, settle=settle, verify=verify, expires_at_s=expires_at_s
-        )
+            station, code, wire, settle=settle, verify=verify, expires_at_s=expires_at_s,
+            urgency=urgency,
+        )  # fmt: skip
         try:
             self._requests.worker.submit(request)
         except LecombusError as exc:
@@ -162,21 +169,16 @@ class Operations:
     # ---- checks -----------------------------------------------------------------------------
 
     def permitted(
-        self, drive: str, station: Station, code: Code, value: Decimal | int | str
+        self,
+        drive: str,
+        station: Station,
+        code: Code,
+        value: Decimal | int | str,
     ) -> Value:
         """Give the wire's value for a write that may be made now."""
         if self._closing:
             raise LineClosedError(f"{drive} is not written to: the daemon is being ended")
-        writable = self._entries[drive].writable
-        if code not in writable:
-            raise OperationError(
-                f"{code} of {drive} is not writable",
-                kind="not-writable",
-                drive=drive,
-                code=str(code),
-                remedy=f"add {code} to this drive's `writable` list in the roster, where now "
-                f"{listed(writable)}",
-            )
+        self.check_writable(drive, code)
         state = self._store.drive(drive)
         # Without a line no drive answers: the worker says so when it is asked, and why.
         is_open = self._store.line().state is LineState.OPEN
@@ -207,6 +209,23 @@ class Operations:
                 code=str(code),
                 remedy="give a number, or the text as on the wire such as H0008",
             ) from exc
+
+    def check_writable(self, drive: str, code: Code) -> None:
+        """Refuse a code that the roster does not let be written.
+
+        Raises:
+            OperationError: `not-writable`.
+        """
+        writable = self._entries[drive].writable
+        if code not in writable:
+            raise OperationError(
+                f"{code} of {drive} is not writable",
+                kind="not-writable",
+                drive=drive,
+                code=str(code),
+                remedy=f"add {code} to this drive's `writable` list in the roster, where now "
+                f"{listed(writable)}",
+            )
 
     def report(
         self, drive: str, code: Code, ending: Ending, outcome: Outcome, reason: str

@@ -87,11 +87,12 @@ class RequestMaker:
         settle: Settle,
         verify: bool,
         expires_at_s: float | None = None,
+        urgency: Priority | None = None,
     ) -> Request:
         """Make a request that writes one code.
 
-        What moves the drive runs in the control class; a later setpoint for the same code takes
-        the place of one that still waits.
+        What moves the drive runs in the control class, whatever `urgency` says; a later setpoint
+        for the same code takes the place of one that still waits.
         """
         cost = write_cost(
             self.timing, station.family, code, value, form_of(station, code), station.answer_time_s
@@ -103,7 +104,7 @@ class RequestMaker:
         )
         motion = info is not None and info.motion
         setpoint = motion and value.format == "VD" and not is_switch(station, code)
-        priority = Priority.CONTROL if motion else Priority.INTERACTIVE
+        priority = Priority.CONTROL if motion else urgency or Priority.INTERACTIVE
         return Request(
             station.name,
             priority,
