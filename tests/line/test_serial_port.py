@@ -26,7 +26,7 @@ from lecombus.errors import LineLostError
 from lecombus.line import devices, serial_device, serial_port
 from lecombus.line.loop import run
 from lecombus.line.port import Direction, Parity, Port, PortSettings
-from lecombus.line.serial_port import RtsSerialPort, SerialPort, open_serial
+from lecombus.line.serial_port import PseudoPort, RtsSerialPort, SerialPort, open_serial
 
 EVERY_BYTE = bytes(range(256))
 TIOCGEXCL = 0x80045440
@@ -432,6 +432,32 @@ def test_unplugging_while_bytes_wait_to_be_sent_is_one_loss(pty: Pty) -> None:
     assert len(with_port(pty, body).losses) == 1
 
 
+@pytest.mark.parametrize("pseudo", [True, False])
+def test_only_a_pseudo_terminal_is_let_go_of_after_each_telegram(
+    pty: Pty, monkeypatch: pytest.MonkeyPatch, pseudo: bool
+) -> None:
+    calls: list[str] = []
+    plain = os.write
+
+    def write(descriptor: int, data: bytes) -> int:
+        calls.append("write")
+        return plain(descriptor, data)
+
+    async def test(port: Port, recorder: Recorder) -> None:
+        assert (type(port) is PseudoPort) is pseudo
+        with monkeypatch.context() as watched:
+            watched.setattr(os, "write", write)
+            watched.setattr(os, "sched_yield", lambda: calls.append("let go"))
+            port.write(b"1")
+            port.write(b"2")
+
+    if not pseudo:
+        monkeypatch.setattr(devices, "is_pseudo", lambda path: False)
+        monkeypatch.setattr(devices, "holders", lambda path: {})
+    with_port(pty, test)
+    assert calls == (["write", "let go"] * 2 if pseudo else ["write"] * 2)
+
+
 def test_abort_drops_what_was_not_sent(pty: Pty) -> None:
     """The kernel would wait for it to go out, up to 30 s on a stalled adapter."""
 
@@ -522,7 +548,7 @@ def test_the_kernel_is_asked_to_raise_rts_while_sending(
     monkeypatch.setattr(serial.serialposix, "fcntl", SimpleNamespace(**(names | {"ioctl": ioctl})))
 
     async def body(port: SerialPort, _recorder: Recorder) -> None:
-        assert type(port) is SerialPort, "nothing is left for us to switch"
+        assert not isinstance(port, RtsSerialPort), "nothing is left for us to switch"
         assert not port.serial.rts
         port.write(b"\x04")
         assert await pty.take(1) == b"\x04"

@@ -28,7 +28,7 @@ from . import devices
 from .port import PortSettings, Receiver
 from .serial_device import open_device, reason
 
-__all__ = ["RtsSerialPort", "SerialPort", "open_serial"]
+__all__ = ["PseudoPort", "RtsSerialPort", "SerialPort", "open_serial"]
 
 _READ_SIZE = 4096
 """The size of the kernel's tty buffer: one read takes all there is."""
@@ -182,6 +182,19 @@ class SerialPort(SerialTransport):
         return LineLostError(f"{self._settings.url}: {why}", line=self._settings.line)
 
 
+class PseudoPort(SerialPort):
+    """A pseudo terminal: what is written reaches the other end only when this core lets go.
+
+    The kernel hands the bytes over in a work item of its own, queued on the core that wrote them.
+    A real device has its bytes when `write` returns. See docs/adr/0017-letting-go-of-a-pty.md.
+    """
+
+    def write(self, data: bytes) -> None:  # type: ignore[override]
+        """Hand over `data` and let the kernel pass it on at once; see `Port.write`."""
+        super().write(data)
+        os.sched_yield()
+
+
 class RtsSerialPort(SerialPort):
     """A serial device whose RTS line switches an RS-485 transceiver: on while sending.
 
@@ -246,5 +259,11 @@ async def open_serial(settings: PortSettings, receiver: Receiver) -> SerialPort:
         LineLostError: It cannot be opened; the message says why and what to do.
     """
     device = await anyio.to_thread.run_sync(open_device, settings)
-    kind = RtsSerialPort if settings.direction == "rts" else SerialPort
-    return kind(asyncio.get_running_loop(), device, receiver, settings)
+    return port_class(settings)(asyncio.get_running_loop(), device, receiver, settings)
+
+
+def port_class(settings: PortSettings) -> type[SerialPort]:
+    """Choose the class of port for a device."""
+    if settings.direction == "rts":
+        return RtsSerialPort
+    return PseudoPort if devices.is_pseudo(settings.url) else SerialPort
