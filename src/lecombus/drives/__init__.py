@@ -1,9 +1,9 @@
 """What lecombus knows of drives: families from data files, and what follows from them.
 
 Read `family` and `codes` for the models, `families/*.yaml` for what is known and from which
-manual, `loading` for how the one becomes the other. `words` takes status words apart, `stops`
-says how a drive is stopped and what shows it, `encoding` makes the value that is written, `costs`
-says how long an exchange takes and how long to wait for it.
+manual, `loading` for how the one becomes the other. `words` takes status words apart, `faults`
+says what a fault number means, `stops` says how a drive is stopped and what shows it, `encoding`
+makes the value that is written, `costs` says how long an exchange takes and how long to wait.
 
 Pure: no input or output but the packaged data files, no clock, nothing of the line or the store.
 """
@@ -19,6 +19,7 @@ from .family import (
     SoftwareGate,
     WatchdogTraits,
 )
+from .faults import Fault, FaultKind
 from .loading import FAMILY_NAMES, family, load_family
 from .stops import (
     StopAction,
@@ -39,6 +40,8 @@ __all__ = [
     "CodeInfo",
     "Cost",
     "Family",
+    "Fault",
+    "FaultKind",
     "FieldReading",
     "Language",
     "LineTiming",

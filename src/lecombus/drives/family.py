@@ -20,6 +20,7 @@ from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value
 
 from .codes import CodeInfo, WriteClass
+from .faults import NO_FAULT, Fault, FaultTable, fault_table
 from .stops import StopAction, StopRule
 from .words import FieldReading, WordInfo
 
@@ -229,3 +230,17 @@ class Family:
         """Say whether a status word reports an active fault; None where it does not say."""
         word = self.words.get(code)
         return word.active_fault(value) if word is not None else None
+
+    @property
+    def fault_table(self) -> FaultTable | None:
+        """The family's faults, None where none are known; read from its file at first use."""
+        return fault_table(self.name)
+
+    def fault(self, number: int) -> Fault | None:
+        """Say what a number in the fault memory means.
+
+        Returns:
+            None for no fault (0), and for a number that the manual does not list.
+        """
+        table = self.fault_table
+        return table.fault(number) if table is not None and number != NO_FAULT else None
