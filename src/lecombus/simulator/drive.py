@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from lecombus.simulator.families import MODELS
-from lecombus.simulator.families.module2102 import Drive82XX
+from lecombus.simulator.families.inverter82xx import Drive82XX
 from lecombus.simulator.model import Model, Restart
 from lecombus.simulator.parameters import CommError, ExtendedFault, Refusal
 from lecombus.simulator.receiver import Heard
@@ -152,9 +152,29 @@ class SimDrive:
         """Bring it to a time."""
         self.model.advance(now_s)
 
-    def trip(self, number: int) -> None:
-        """Let a fault occur."""
-        self.model.trip(number)
+    def trip(self, number: int, *, stays: bool = False) -> None:
+        """Let a fault occur.
+
+        Args:
+            number: Its LECOM number; one that the family's manual lists.
+            stays: Whether its cause lasts until `clear_fault`, so that no reset helps.
+
+        Raises:
+            ValueError: The family has no such fault.
+        """
+        self.model.trip(number, stays=stays)
+
+    def clear_fault(self) -> None:
+        """Take the causes of its faults away; a TRIP still waits for its reset."""
+        self.model.clear_fault()
+
+    def factory_reset(self) -> None:
+        """Put its stored parameters back to the maker's; the line still reaches it."""
+        self.model.factory_reset()
+
+    def set_terminal(self, *, high: bool) -> None:
+        """Open or close the contact at its enable terminal (SMVector: network enable)."""
+        self.model.set_terminal(high=high)
 
     def power_cycle(self, now_s: float, off_s: float | None = None) -> None:
         """Switch it off and on; module settings are lost."""
@@ -179,7 +199,7 @@ class SimDrive:
         """
         self.advance(now_s)
         model = self.model
-        if now_s < model.deaf_until_s:
+        if now_s < model.deaf_until_s or not model.listens():
             return None
         if model.standard_only and heard.field[:1] == b"!":
             return None
@@ -200,7 +220,7 @@ class SimDrive:
         Whether a multicast feeds a watchdog is stated nowhere; the simulator takes the worse case.
         """
         self.advance(now_s)
-        if now_s < self.model.deaf_until_s or heard.text is None:
+        if now_s < self.model.deaf_until_s or not self.model.listens() or heard.text is None:
             return
         if heard.damaged:
             self.model.comm_error = CommError.CHECKSUM

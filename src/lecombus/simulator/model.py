@@ -10,7 +10,7 @@ Must not live here: telegrams, addressing, faults of the line.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import ClassVar, Final
 
 from lecombus.simulator.motor import Motor
@@ -22,6 +22,7 @@ from lecombus.simulator.parameters import (
     Refusal,
     Spec,
 )
+from lecombus.simulator.troubles import Kind, Troubles
 from lecombus.simulator.wire import decimal_text, read_decimal
 
 __all__ = ["INHIBIT", "JOG_BITS", "QSP", "REVERSE", "TRIP_RESET", "Model", "Restart", "word_text"]
@@ -55,7 +56,8 @@ class Model:
     Attributes:
         comm_error: What C0068 bits 4..7 say: the last telegram's fault; a good telegram other than
             a read of C0068 clears it.
-        fault: The active fault's LECOM number, 0 when none.
+        troubles: What is wrong with it, and what it remembers.
+        terminal_enable: Whether its terminal for controller enable (28) has a HIGH level.
         watchdog_fired: How often the watchdog has expired.
         deaf_until_s: Before this time the drive hears nothing (start-up, shortened response).
     """
@@ -67,14 +69,17 @@ class Model:
     address_code: ClassVar[int] = 9
     baud_code: ClassVar[int] = 125
     boot_s: ClassVar[float] = 1.0
+    fault_kinds: ClassVar[Mapping[int, Kind]] = {}
+    commissioned: ClassVar[Mapping[int, str]] = {}
+    kept_in_reset: ClassVar[tuple[int, ...]] = ()
 
     def __init__(self, specs: Iterable[Spec]) -> None:
         self.params = Parameters(specs, set_count=self.set_count)
         self.motor = Motor()
         self.comm_error = CommError.NONE
         self.extended_fault = ExtendedFault.NONE
-        self.fault = 0
-        self.faults: list[int] = []
+        self.troubles = Troubles(self.fault_kinds)
+        self.terminal_enable = True
         self.control = 0
         self.watchdog_fired = 0
         self.deaf_until_s = 0.0
@@ -86,6 +91,8 @@ class Model:
         self._later: list[tuple[float, Callable[[], None]]] = []
         self._last_write_s = -1.0
         self._install()
+        for number, text in self.commissioned.items():
+            self.params.set(number, text)
         self.control = self.start_word()
 
     # What a family says
@@ -122,6 +129,10 @@ class Model:
     def ramp(self) -> tuple[float, float, float, float]:
         """(greatest frequency, acceleration s, deceleration s, quick stop s) over that span."""
         return 50.0, 5.0, 5.0, 5.0
+
+    def listens(self) -> bool:
+        """Whether it follows the line at all; an SMVector can be set to another protocol."""
+        return True
 
     def stores(self, spec: Spec) -> bool:
         """Whether an accepted write takes effect; an 820X drops some (EDB2102EN 6.4)."""
@@ -199,13 +210,30 @@ class Model:
 
     # Control
 
+    @property
+    def fault(self) -> int:
+        """The active TRIP's LECOM number, 0 when none."""
+        return self.troubles.trip
+
+    def inhibited(self) -> bool:
+        """Controller inhibit, by the line or by the terminal (EDB2102EN 5: always active)."""
+        return bool(self.control & INHIBIT) or not self.terminal_enable
+
+    def pulses_off(self) -> bool:
+        """Whether the power stage is off, for whatever reason."""
+        return self.inhibited() or bool(self.fault or self.troubles.message)
+
+    def stop_wanted(self) -> bool:
+        """Whether the drive ramps down on its own, instead of following its setpoint."""
+        return bool(self.control & (QSP | DC_BRAKE))
+
     def steer(self) -> None:
         """Aim the motor according to control word, setpoint and faults."""
-        if self.fault or self.control & INHIBIT:
+        if self.pulses_off():
             self.motor.release()
             return
         span, up_s, down_s, stop_s = self.ramp()
-        stopped = bool(self.control & (QSP | DC_BRAKE))
+        stopped = self.stop_wanted()
         target = 0.0 if stopped else max(-span, min(span, self.setpoint()))
         fall_s = stop_s if stopped else down_s
         self.motor.aim(
@@ -227,15 +255,34 @@ class Model:
         """Take C0040 over: 0 inhibits, 1 enables, whatever the operating mode."""
         self.control = self.control & ~INHIBIT if text == "1" else self.control | INHIBIT
 
-    def trip(self, number: int) -> None:
-        """Let a fault occur, by its LECOM number; the motor coasts."""
-        self.fault = number
-        self.faults = [number, *self.faults][:8]
+    def trip(self, number: int, *, stays: bool = False) -> None:
+        """Let a fault occur, by its LECOM number (see `Troubles.occur`)."""
+        self.troubles.occur(number, stays=stays)
+        self.steer()
+
+    def clear_fault(self) -> None:
+        """Take the causes of all faults away; a TRIP still waits for its reset."""
+        self.troubles.clear()
         self.steer()
 
     def reset_fault(self) -> None:
-        """Acknowledge the fault."""
-        self.fault = 0
+        """Acknowledge the TRIP; it remains while its cause is there."""
+        self.troubles.reset()
+        self.steer()
+
+    def set_terminal(self, *, high: bool) -> None:
+        """Give the enable terminal a level; LOW inhibits the controller whatever the line says."""
+        self.terminal_enable = high
+        self.steer()
+
+    def factory_reset(self) -> None:
+        """Put every stored parameter back to what the maker ships.
+
+        Address, baud rate and what a family needs to be written to at all stay: a person who
+        resets a drive has to set these at the keypad before the line can reach it again.
+        """
+        keep = {self.address_code, self.baud_code, *self.kept_in_reset}
+        self.params.factory_reset(keep)
         self.steer()
 
     def power_cycle(self, now_s: float, off_s: float | None = None) -> None:
@@ -249,7 +296,7 @@ class Model:
         self.params.power_cycle()
         self.comm_error = CommError.NONE
         self.extended_fault = ExtendedFault.NONE
-        self.fault = 0
+        self.troubles.restart()
         self._later.clear()
         self.deaf_until_s = now_s + (self.boot_s if off_s is None else off_s)
         self.feed(self.deaf_until_s)

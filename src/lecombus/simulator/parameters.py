@@ -9,7 +9,7 @@ Must not live here: what a value does to the motor.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from enum import Enum, IntEnum, auto
@@ -244,7 +244,9 @@ class Parameters:
             key: text for key, text in self._texts.items() if self.find(*key).kept is Kept.DRIVE
         } | self._saved
 
-    def forget_module(self) -> None:
-        """Put the module's own settings back to their defaults."""
-        for key in [k for k in self._texts if self.find(*k).kept is Kept.MODULE]:
+    def factory_reset(self, keep: Collection[int]) -> None:
+        """Put stored parameters of all sets back to their defaults, but for some codes."""
+        stored = (Kept.DRIVE, Kept.MEMORY)
+        for key in [k for k in self._texts if k[0] not in keep and self.find(*k).kept in stored]:
             del self._texts[key]
+        self._saved = {key: text for key, text in self._saved.items() if key[0] in keep}

@@ -2,14 +2,15 @@
 
 Source: EDB2102EN 3.4, 6.1, 6.3, 6.4, 6.5, 8.2.
 
-Must not live here: what all of them share (module2102).
+Must not live here: what all of them share (inverter82xx).
 """
 
 from __future__ import annotations
 
 from typing import ClassVar
 
-from lecombus.simulator.families.module2102 import SPECS_82XX, Drive82XX
+from lecombus.simulator.families.inverter82xx import Drive82XX
+from lecombus.simulator.families.table2102 import SPECS_82XX
 from lecombus.simulator.model import INHIBIT, Restart
 from lecombus.simulator.parameters import Spec, d, s
 
@@ -25,8 +26,9 @@ class Drive820X(Drive82XX):
     shortened_s: ClassVar[float] = 0.230
 
     def __init__(self) -> None:
-        specs = (spec for spec in SPECS_82XX if spec.number not in (43, 127))
-        super().__init__((*specs, s(200, "33S8201E_12000")))
+        # C0120 is not available in V1.2, and C0181 comes with it. Source: EDB2102EN 6.4.2.
+        specs = (spec for spec in SPECS_82XX if spec.number not in (43, 120, 127))
+        super().__init__((*specs, d(181, "0", (0, 80)), s(200, "33S8201E_12000")))
 
     def _install(self) -> None:
         super()._install()
@@ -40,6 +42,10 @@ class Drive820X(Drive82XX):
 
     def normalized(self) -> bool:
         """There is no C0127 here: C0141 and C0046 stand side by side."""
+        return False
+
+    def ramp_generator(self) -> bool:
+        """Bits 4 and 5 of C0135 are reserved."""
         return False
 
     def think_s(self, number: int, *, write: bool, now_s: float) -> float:
@@ -56,7 +62,7 @@ class Drive820X(Drive82XX):
 
     def stores(self, spec: Spec) -> bool:
         """Parameters are acknowledged while enabled, but not saved. Source: EDB2102EN 6.4."""
-        return spec.number in _FREE_820X or bool(self.control & INHIBIT)
+        return spec.number in _FREE_820X or self.inhibited()
 
     def take_inhibit(self, text: str) -> None:
         """C0040; inhibit followed by enable resets a TRIP by a restart. Source: EDB2102EN 6.4."""
@@ -78,8 +84,8 @@ class Drive820X(Drive82XX):
         return 1 if self.fault else 0
 
     def status_word(self) -> int:
-        """C0150 of an 820X: bit 3 is reserved. Source: EDB2102EN 8.2."""
-        return super().status_word() & ~0x0008
+        """C0150 of an 820X: bits 0 and 3 are reserved. Source: EDB2102EN 8.2."""
+        return super().status_word() & ~0x0009
 
 
 class Drive821X(Drive82XX):
@@ -116,9 +122,25 @@ class Vector8200(Drive82XX):
         arrays = (
             *(d(39, "40", (0, 650), subcode=n, decimals=2, sets=True) for n in range(1, 4)),
             *(d(410, "255", (0, 255), subcode=n) for n in range(1, 33)),
+            *(d(412, "255", (0, 255), subcode=n) for n in range(1, 10)),
             *(d(417, "0", (0, 255), subcode=n) for n in range(1, 17)),
+            *(d(421, "0", (0, 255), subcode=n) for n in range(1, 11)),
         )
-        super().__init__((*SPECS_82XX, *arrays, s(200, "82S8212V_30000")))
+        # C0127 and the setpoint C0141 are of the 821X, 822X and 824X. Source: EDB2102EN 6.5.
+        specs = (spec for spec in SPECS_82XX if spec.number not in (127, 141))
+        super().__init__((*specs, *arrays, s(200, "82S8212V_30000")))
+
+    def normalized(self) -> bool:
+        """There is no C0127: the setpoint is C0046."""
+        return False
+
+    def shown_message(self) -> bool:
+        """Bit 13 of C0150: any message."""
+        return bool(self.troubles.message)
+
+    def shown_warning(self) -> bool:
+        """Bit 12 of C0150: any warning."""
+        return bool(self.troubles.warning)
 
     def operating_status(self) -> int:
         """C0068: bits 10 and 12 are reserved. Source: EDB2102EN 8.2."""

@@ -1,141 +1,186 @@
 """The 93XX behind a 2102 module: a servo that counts in rotations and keeps its sets in RAM.
 
-Strategy: speeds are min-1, C0011 is the greatest; the setpoint is C0141 in %, the free control code
-(basic configuration C0005 = 1001). Parameters live in RAM until C0003 saves them.
+Strategy: speeds are min-1, C0011 is the greatest; the setpoint is C0141 in %, the free control
+code. The signal configuration C0005 says what the bits of the words mean: its thousands digit is
+the function, and its last digit must be 1 for the line to control the drive. With another one
+C0135 and C0141 are acknowledged, read back as written, and act on nothing; C0040 always acts.
+Parameters live in RAM until C0003 saves them.
 
-Source: EDB2102EN 3.4, 6.1.3, 8.2.
+Source: EDB2102EN 3.4, 5, 6.1.3, 8.2.
 
 Must not live here: the 82XX words.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar, Final
 
-from lecombus.simulator.families.module2102 import MODULE_SPECS, Module2102
-from lecombus.simulator.model import INHIBIT, JOG_BITS
-from lecombus.simulator.parameters import (
-    CommError,
-    ExtendedFault,
-    Kept,
-    Refusal,
-    Spec,
-    d,
-    h,
-    s,
-)
+from lecombus.simulator.families.module2102 import Module2102, tens_digit
+from lecombus.simulator.families.table2102 import FAULTS_93XX, SPECS_93XX
+from lecombus.simulator.model import JOG_BITS, QSP, word_text
+from lecombus.simulator.parameters import CommError, ExtendedFault, Refusal, Spec
+from lecombus.simulator.troubles import Kind
 
 __all__ = ["Drive93XX"]
 
-_RAM: Final = Kept.MEMORY
-
-_SPECS: Final[tuple[Spec, ...]] = (
-    *MODULE_SPECS,
-    d(3, "0", (0, 4), kept=Kept.PROCESS),
-    d(5, "1001", (0, 72000), kept=_RAM),
-    d(9, "1", (1, 99)),
-    d(11, "3000", (500, 16000), kept=_RAM),
-    d(12, "2", (0, 9999), decimals=3, kept=_RAM),
-    d(13, "2", (0, 9999), decimals=3, kept=_RAM),
-    *(d(39, "10", (-200, 200), subcode=n, decimals=2, kept=_RAM) for n in range(1, 16)),
-    d(40, "0", (0, 1), kept=Kept.PROCESS),
-    d(43, "0", (0, 0), kept=Kept.PROCESS),
-    d(46, "0"),
-    d(50, "0"),
-    d(51, "0"),
-    d(52, "0"),
-    d(53, "540"),
-    d(54, "0"),
-    d(61, "38"),
-    *(d(67, "0", subcode=n) for n in range(9)),
-    h(68, "H0000"),
-    d(93, "9321"),
-    d(99, "20"),
-    *(d(102, "2", (0, 9999), subcode=n, decimals=3, kept=_RAM) for n in range(1, 4)),
-    *(d(103, "2", (0, 9999), subcode=n, decimals=3, kept=_RAM) for n in range(1, 4)),
-    d(105, "2", (0, 9999), decimals=3, kept=_RAM),
-    d(125, "0", (0, 4)),
-    h(135, "H0000", writable=True),
-    d(141, "0", (-200, 200), decimals=2, kept=Kept.PROCESS),
-    h(150, "H0000"),
-    *(d(161, "0", subcode=n) for n in range(9)),
-    *(d(168, "0", subcode=n) for n in range(9)),
-    d(178, "1234"),
-    d(179, "5678"),
-    s(200, "33S9300I_20000"),
-    s(201, "Mar 17 1999 10:31"),
-)
+_RFG_STOP: Final = 0x0010
+_RFG_ZERO: Final = 0x0020
+_SPEED, _TORQUE = 1, 4
+_CASCADES: Final = (6, 7)
+"""Configurations 6xx1 and 7xx1: slaves of a digital frequency, with fewer functions."""
 
 
 class Drive93XX(Module2102):
-    """A 9300 servo inverter."""
+    """A 9300 servo inverter.
+
+    Attributes:
+        terminal_e1: Whether terminal E1 has a HIGH level; configuration 1011 has quick stop there.
+    """
 
     family: ClassVar[str] = "93xx"
+    fault_kinds: ClassVar[Mapping[int, Kind]] = FAULTS_93XX
+    terminal_e1 = True
 
     def __init__(self) -> None:
-        super().__init__(_SPECS)
+        self._unheeded = 0
+        super().__init__(SPECS_93XX)
 
     def _install(self) -> None:
         super()._install()
         self.readers |= {
-            46: lambda _: self.params.text(141),
+            46: lambda _: self.params.text(141) if self.follows_line() else "0",
             50: lambda _: self.frequency_text(self.motor.output / self.params.number(11) * 100, 2),
             51: lambda _: self.frequency_text(self.motor.speed, 0),
             54: lambda _: "2.1" if self.motor.output else "0",
             67: self._fault_memory,
+            135: lambda _: word_text(self.control if self.follows_line() else self._unheeded),
             161: self._fault_memory,
             168: self._fault_memory,
         }
         self.writers[3] = lambda text: self.params.save() if text != "0" else None
 
     def _fault_memory(self, subcode: int) -> str:
-        """Subcode 1 is the active fault, 2 and up the history; 0 stands for 1."""
-        if subcode <= 1:
-            return str(self.fault)
-        return str(self.faults[subcode - 2]) if subcode - 2 < len(self.faults) else "0"
+        """Subcode 1 is the active fault, 2 and up what was before; 0 stands for 1."""
+        return str(self.troubles.shifted(subcode))
+
+    # Control
+
+    def configuration(self) -> int:
+        """The function of C0005: 1 speed, 4 torque, 5 master, 6 and 7 slaves."""
+        return int(self.params.text(5)) // 1000
+
+    def follows_line(self) -> bool:
+        """Whether C0135 and C0141 act. Source: EDB2102EN 5, "Next steps for 93XX"."""
+        return int(self.params.text(5)) % 10 == 1
 
     def may_write(self, spec: Spec, text: str) -> None:
         """C0005 is written only while inhibited."""
-        if spec.number == 5 and not self.control & INHIBIT:
+        if spec.number == 5 and not self.inhibited():
             raise Refusal(CommError.NO_ACCESS, ExtendedFault.OPERATING_STATE)
+
+    def take_control_word(self, text: str) -> None:
+        """C0135; without a configuration for the line it is only kept."""
+        if self.follows_line():
+            super().take_control_word(text)
+        else:
+            self._unheeded = int(text[1:], 16)
+
+    def power_cycle(self, now_s: float, off_s: float | None = None) -> None:
+        """Switch off and on; the module has lost the control word too."""
+        self._unheeded = 0
+        super().power_cycle(now_s, off_s)
+
+    def stop_wanted(self) -> bool:
+        """Quick stop by the line, or by terminal E1 where the configuration has it there."""
+        by_terminal = self.params.text(5) == "1011" and not self.terminal_e1
+        return bool(self.control & QSP) or by_terminal
+
+    def set_e1(self, *, high: bool) -> None:
+        """Give terminal E1 a level. Source: EDB2102EN 5."""
+        self.terminal_e1 = high
+        self.steer()
+
+    def jog(self) -> int:
+        """Which fixed setpoint the control word chooses, 0 for none. Source: EDB2102EN 8.2."""
+        function = self.configuration()
+        if function == _TORQUE:
+            return self.control >> 14
+        return 0 if function in _CASCADES else self.control & JOG_BITS
 
     def setpoint(self) -> float:
         """JOG or C0141, in min-1. Source: EDB2102EN 8.2, C0135, C0141."""
-        jog = self.control & JOG_BITS
-        percent = self.params.number(39, jog) if jog else self.params.number(141)
-        return percent / 100.0 * self.params.number(11)
+        if not self.follows_line():
+            return 0.0
+        if self.control & _RFG_STOP:
+            return self.motor.speed
+        if self.control & _RFG_ZERO:
+            return 0.0
+        greatest = self.params.number(11)
+        jog = self.jog()
+        if jog:
+            return self.params.number(39, jog) / 100.0 * greatest
+        percent = self.params.number(141)
+        if self.configuration() == _TORQUE:
+            # A torque and no load: the motor goes up to its greatest speed.
+            return greatest * ((percent > 0) - (percent < 0))
+        return percent / 100.0 * greatest
 
     def ramp(self) -> tuple[float, float, float, float]:
-        """C0011 in min-1, C0012, C0013, C0105."""
+        """C0011 in min-1, C0012 and C0013 or the further ramps that bits choose, C0105."""
         number = self.params.number
-        return number(11), number(12), number(13), number(105)
+        further = self.further_ramp()
+        up_s = number(102, further) if further else number(12)
+        down_s = number(103, further) if further else number(13)
+        return number(11), up_s, down_s, number(105)
+
+    def further_ramp(self) -> int:
+        """T_i1.. by bits 14 and 15 of C0135, 0 for C0012 and C0013. Source: EDB2102EN 8.2."""
+        function = self.configuration()
+        if function in (_TORQUE, *_CASCADES) or not self.follows_line():
+            return 0
+        return self.control >> 14 if function == _SPEED else self.control >> 15
 
     def think_s(self, number: int, *, write: bool, now_s: float) -> float:
         """Source: EDB2102EN 3.4."""
         return 0.030 if number == 68 else 0.020
 
+    # Words
+
     def operating_status(self) -> int:
-        """C0068. Source: EDB2102EN 8.2."""
-        enabled = not self.control & INHIBIT and not self.fault
-        bits = (self.fault // 10 & 0xF) | int(self.comm_error) << 4
-        flags = {
-            8: not self.control & INHIBIT,
-            11: enabled,
-            14: self.motor.powered and self.motor.speed == self.motor.target,
-            15: bool(self.fault),
-        }
+        """C0068: its free bits show bits of C0150. Source: EDB2102EN 8.2."""
+        bits = tens_digit(self.fault) | int(self.comm_error) << 4
+        flags = {8: not self.inhibited(), 11: not self.pulses_off(), 14: self.at_setpoint(),
+                 15: bool(self.fault)}  # fmt: skip
         return bits | sum(1 << bit for bit, on in flags.items() if on)
 
+    def at_setpoint(self) -> bool:
+        """Whether the ramp generator's output is its input."""
+        return self.motor.powered and self.motor.speed == self.motor.target
+
+    def controller_state(self) -> int:
+        """Bits 8..11 of C0150."""
+        if self.fault:
+            return 8
+        if self.troubles.message:
+            return 7
+        return 3 if self.inhibited() else 6
+
     def status_word(self) -> int:
-        """C0150 of C0005 = 1xx1. Source: EDB2102EN 8.2."""
-        state = 8 if self.fault else 3 if self.control & INHIBIT else 6
+        """C0150 by signal configuration. Source: EDB2102EN 8.2."""
         flags = {
             0: True,
-            1: bool(self.control & INHIBIT or self.fault),
-            4: self.motor.powered and self.motor.speed == self.motor.target,
-            5: abs(self.motor.speed) <= 50.0,
+            1: self.pulses_off(),
+            4: self.at_setpoint(),
             6: self.motor.speed == 0.0,
-            7: bool(self.control & INHIBIT),
-            15: not self.fault,
+            7: self.inhibited(),
+            12: bool(self.troubles.warning),
+            13: bool(self.troubles.message),
+            15: not (self.fault or self.troubles.message),
         }
-        return state << 8 | sum(1 << bit for bit, on in flags.items() if on)
+        if self.configuration() in (_SPEED, _TORQUE):
+            flags[5] = abs(self.motor.speed) <= 50.0
+        elif self.configuration() in _CASCADES:
+            # NOT1-OUT: the torque limit is not reached.
+            flags[3] = True
+        return self.controller_state() << 8 | sum(1 << bit for bit, on in flags.items() if on)

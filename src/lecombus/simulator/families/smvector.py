@@ -1,86 +1,38 @@
 """The SMVector with its RS-485 LECOM module: parameter Pnnn is code 1000 + nnn.
 
-Strategy: P420 decides what the network may do, stops excepted; P425 and P426 are its watchdog and
-survive a power cycle, since they are drive parameters.
+Strategy: the network may write once a terminal enables it and P100 allows it, and then as far as
+P420 says; stops pass whatever these are. P425 and P426 are its watchdog and survive a power cycle,
+since they are drive parameters.
 
-Source: CMVLC401A 4.1, 4.2, 7.2, 7.3, 8.1 (table 9), 9.1.
+Source: CMVLC401A 4.1, 4.2, 7.2, 7.3, 8.1 (table 9), 9.1, 10.2.
 
 Must not live here: anything of the 2102 module.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from decimal import Decimal
 from typing import ClassVar, Final
 
+from lecombus.simulator.families.module2102 import tens_digit
+from lecombus.simulator.families.tablesmv import FAULTS_SMV, SPECS_SMV
 from lecombus.simulator.model import INHIBIT, JOG_BITS, QSP, REVERSE, Model, word_text
-from lecombus.simulator.parameters import CommError, ExtendedFault, Kept, Refusal, Spec, d, h, s
+from lecombus.simulator.parameters import CommError, ExtendedFault, Refusal, Spec
+from lecombus.simulator.troubles import Kind
 
 __all__ = ["F_NF1", "SMVector"]
 
 F_NF1: Final = 36
 """Network time-out, F.nF1. Source: CMVLC401A 9.1."""
 
-_NET: Final = Kept.PROCESS
+_OVERHEATED, _OVERVOLTAGE = 4, 6
+"""F.AF and F.HF, which have bits of their own in C0150. Source: CMVLC401A 9.1, table 9."""
 
-_SPECS: Final[tuple[Spec, ...]] = (
-    d(37, "20", (0, 500), decimals=1),
-    d(38, "30", (0, 500), decimals=1),
-    d(39, "40", (0, 500), decimals=1),
-    d(40, "0", (0, 1), kept=_NET),
-    d(43, "0", (0, 1), kept=_NET),
-    d(46, "0"),
-    d(50, "0"),
-    h(68, "H0000"),
-    h(135, "H0000", writable=True),
-    d(140, "0", (0, 500), decimals=1, kept=_NET),
-    h(150, "H0000"),
-    s(200, "33SSSMD-M_14000"),
-    s(201, "2008-10-18"),
-    d(248, "0", (0, 255), kept=_NET),
-    d(249, "0", (0, 24), kept=_NET),
-    d(1050, "0", (0, 1), kept=_NET),
-    d(1055, "0", (0, 100), decimals=1, kept=_NET),
-    d(1060, "20", (0, 500), decimals=1),
-    d(1061, "0", (0, 500), decimals=1, kept=_NET),
-    *(d(number, "0") for number in range(1070, 1075)),
-    d(1080, "100", (0, 400), decimals=1),
-    d(1081, "0", (0, 400), decimals=1, kept=_NET),
-    d(1099, "4.1"),
-    d(1100, "1", (0, 6)),
-    d(1101, "0", (0, 6)),
-    d(1102, "0", (0, 500), decimals=1),
-    d(1103, "60", ("7.5", 500), decimals=1),
-    d(1104, "20", (0, 3600), decimals=1),
-    d(1105, "20", (0, 3600), decimals=1),
-    d(1111, "0", (0, 3)),
-    d(1112, "0", (0, 1)),
-    d(1131, "20", (0, 500), decimals=1),
-    d(1400, "7", (0, 7)),
-    d(1401, "1.2"),
-    d(1402, "3"),
-    d(1403, "0", (0, 1), kept=_NET),
-    d(1404, "3", (0, 3)),
-    d(1405, "0"),
-    d(1410, "1", (1, 99)),
-    d(1411, "0", (0, 4)),
-    d(1420, "3", (0, 4)),
-    d(1424, "0", (0, 1)),
-    d(1425, "50", (0, 65000)),
-    d(1426, "0", (0, 3)),
-    d(1427, "0"),
-    d(1494, "1.20"),
-    *(d(1500, "0", subcode=n) for n in range(9)),
-    d(1501, "410"),
-    d(1502, "25"),
-    d(1505, "320"),
-    d(1506, "230"),
-    d(1507, "40"),
-    d(1508, "0"),
-    d(1527, "0"),
-    h(1530, "H0000"),
-    d(1540, "1204"),
-    d(1541, "5321"),
-)
+_LECOM: Final = "7"
+_NET_ENABLE: Final = "9"
+_INPUTS: Final = range(1121, 1125)
+"""P121..P124: what the terminals TB-13A..D do."""
 
 
 class SMVector(Model):
@@ -88,19 +40,24 @@ class SMVector(Model):
 
     Attributes:
         messages: P427: valid network messages, 0..9999, then from 0 again.
+        network_enabled: Whether the contact at the terminal for "network enable" is closed.
     """
 
     family: ClassVar[str] = "smvector"
     address_code: ClassVar[int] = 1410
     baud_code: ClassVar[int] = 1411
+    fault_kinds: ClassVar[Mapping[int, Kind]] = FAULTS_SMV
+    commissioned: ClassVar[Mapping[int, str]] = {1121: _NET_ENABLE, 1400: _LECOM, 1420: "3"}
+    kept_in_reset: ClassVar[tuple[int, ...]] = (*_INPUTS, 1400, 1420)
 
     def __init__(self) -> None:
         self.messages = 0
-        super().__init__(_SPECS)
+        self.network_enabled = True
+        super().__init__(SPECS_SMV)
 
     def _install(self) -> None:
         self.readers |= {
-            40: lambda _: "0" if self.control & INHIBIT else "1",
+            40: lambda _: "0" if self.inhibited() else "1",
             43: lambda _: "0",
             46: lambda _: self.frequency_text(self.setpoint()),
             50: lambda _: self.frequency_text(abs(self.motor.output)),
@@ -109,9 +66,10 @@ class SMVector(Model):
             150: lambda _: word_text(self.status_word()),
             1405: lambda _: "1" if self.fault == F_NF1 else "0",
             1427: lambda _: str(self.messages),
-            1500: self._fault_memory,
+            1500: lambda subcode: str(self.troubles.newest(subcode)),
             1508: lambda _: "1.8" if self.motor.output else "0",
             1527: lambda _: self.frequency_text(abs(self.motor.output)),
+            1530: lambda _: str(self._terminals()),
         }
         self.writers |= {
             40: self.take_inhibit,
@@ -119,6 +77,7 @@ class SMVector(Model):
             135: self.take_control_word,
             140: lambda text: self._command(140, 1061, text),
             1061: lambda text: self._command(1061, 140, text),
+            1403: self._reset_module,
         }
 
     def start_word(self) -> int:
@@ -142,10 +101,36 @@ class SMVector(Model):
         if number == 140 and text == "0" and self.params.text(1420) == "4":
             self.control |= QSP
 
-    def _fault_memory(self, subcode: int) -> str:
-        """P500, eight faults, newest first; subcode 0 stands for 1. Source: CMVLC401A 9.1."""
-        place = max(0, subcode - 1)
-        return str(self.faults[place]) if place < len(self.faults) else "0"
+    def take_control_word(self, text: str) -> None:
+        """C0135; where the network may not control, only its stop bits count."""
+        if self.level() >= 3 and self.under_network():
+            super().take_control_word(text)
+        else:
+            self.control |= int(text[1:], 16) & (QSP | INHIBIT)
+
+    def set_terminal(self, *, high: bool) -> None:
+        """Close or open the contact at the network enable terminal. Source: CMVLC401A 7.2."""
+        self.network_enabled = high
+
+    def _reset_module(self, text: str) -> None:
+        """P403: P401..P499 back to their defaults, address and P420 too. Source: CMVLC401A 4.1."""
+        if text == "1":
+            others = {number for number, _ in self.params.specs if not 1401 <= number <= 1499}
+            self.params.factory_reset(others)
+        self.params.set(1403, "0")
+
+    def _terminals(self) -> int:
+        """P530: bits 6, 7, 8, 0 are TB-13A..D. Source: CMVLC401A 9.3."""
+        places = (6, 7, 8, 0)
+        closed = zip(_INPUTS, places, strict=True)
+        return sum(1 << bit for number, bit in closed if self._enables(number))
+
+    def _enables(self, number: int) -> bool:
+        return self.network_enabled and self.params.text(number) == _NET_ENABLE
+
+    def listens(self) -> bool:
+        """P400: another protocol than LECOM, and nothing is heard. Source: CMVLC401A 7.1."""
+        return self.params.text(1400) == _LECOM
 
     def watchdog_setting(self) -> tuple[float, int]:
         """P425 and P426. Source: CMVLC401A 7.3."""
@@ -159,17 +144,37 @@ class SMVector(Model):
             self.control |= INHIBIT if action == 1 else QSP
 
     def may_write(self, spec: Spec, text: str) -> None:
-        """P420: 1 parameters, 2 setpoint, 3 control too; stops always. Source: CMVLC401A 4.2."""
-        level = int(self.params.text(1420))
-        if spec.number in (40, 43, 135):
-            needed = 0 if self._stops(spec.number, text) else 3
-        elif spec.number in (140, 1061):
-            needed = 2
-        else:
-            needed = 0 if spec.number in (248, 249) else 1
-        # P420 itself can be raised only at the keypad: with level 0 nothing may be programmed.
-        if level < needed:
+        """What the network may write, and within which limits. Source: CMVLC401A 4.2, 7.2."""
+        if self._stops(spec.number, text):
+            return
+        if self.level() < self._needed(spec.number) or not self.under_network():
             raise Refusal(CommError.NO_ACCESS, ExtendedFault.OPERATING_MODE)
+        if spec.number in (1060, 1061):
+            self._check_speed(Decimal(text))
+
+    def level(self) -> int:
+        """P420: 0 monitor, 1 parameters, 2 setpoints too, 3 and 4 control too."""
+        return int(self.params.text(1420))
+
+    def _needed(self, number: int) -> int:
+        # The two codes of addressing change nothing in the drive.
+        # P420 itself can be raised only at the keypad: with level 0 nothing may be programmed.
+        if number in (248, 249):
+            return 0
+        if number in (40, 43, 135):
+            return 3
+        return 2 if number in (140, 1061, 1071, 1081) else 1
+
+    def under_network(self) -> bool:
+        """A terminal enables the network, and P100 leaves control to it. Source: CMVLC401A 7.2."""
+        enabled = any(self._enables(number) for number in _INPUTS)
+        return enabled and self.params.text(1100) not in ("2", "5")
+
+    def _check_speed(self, value: Decimal) -> None:
+        """C1060 and C1061 lie between P102 and P103. Source: CMVLC401A table 9."""
+        low, high = Decimal(self.params.text(1102)), Decimal(self.params.text(1103))
+        if not low <= value <= high:
+            raise Refusal(CommError.INVALID_VALUE, ExtendedFault.VALUE_RANGE)
 
     def _stops(self, number: int, text: str) -> bool:
         if number == 40:
@@ -193,9 +198,9 @@ class SMVector(Model):
 
     def operating_status(self) -> int:
         """C0068. Source: CMVLC401A table 9."""
-        bits = (self.fault // 10 & 0xF) | int(self.comm_error) << 4
+        bits = tens_digit(self.fault) | int(self.comm_error) << 4
         flags = {
-            8: int(self.params.text(1420)) >= 3,
+            8: self.level() >= 3 and self.under_network(),
             9: self.motor.output != 0.0,
             10: self.motor.speed < 0 or bool(self.control & REVERSE),
             11: self.motor.powered,
@@ -212,8 +217,10 @@ class SMVector(Model):
             4: self.motor.powered and self.motor.speed == self.motor.target,
             5: self.motor.output != 0.0,
             6: self.motor.output == 0.0,
-            7: bool(self.control & INHIBIT),
+            7: self.inhibited(),
             8: bool(self.fault),
+            12: self.fault == _OVERHEATED,
+            13: self.fault == _OVERVOLTAGE,
             14: self.motor.speed < 0 or bool(self.control & REVERSE),
             15: not self.fault,
         }
