@@ -17,6 +17,9 @@ REPEATED = 2
 ON_THE_CLOCK = frozenset({"api", "cli", "demo", "line", "real", "simulator"})
 """Folders whose tests may open sockets, pseudo terminals and processes."""
 
+COUNTED = "counted"
+"""The property under which a test leaves a line that the run shows at its end."""
+
 LEAST_TIMEOUT_S = 60
 """For tests marked `real`: processes are started there, on a machine that may be busy."""
 
@@ -32,8 +35,23 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    show_counts(terminalreporter)
     repeated = terminalreporter.stats.get("rerun", [])
     if repeated:
         terminalreporter.section("repeated, because they failed on a real clock")
         for report in repeated:
             terminalreporter.write_line(report.nodeid)
+
+
+def show_counts(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say what tests counted: those that call `record_property("counted", text)`."""
+    counted = [
+        text
+        for report in terminalreporter.stats.get("passed", [])
+        for key, text in report.user_properties
+        if key == COUNTED
+    ]
+    if counted:
+        terminalreporter.section("counted")
+        for text in counted:
+            terminalreporter.write_line(str(text))
