@@ -14,6 +14,7 @@ from lecombus.api.documents import (
     GroupsDocument,
     LineDocument,
     ReadingDocument,
+    RestoreDocument,
 )
 from lecombus.errors import (
     CutReplyError,
@@ -150,6 +151,12 @@ async def test_one_drive_is_the_same_document_as_in_the_list(
     assert found.values[-1].value == 0x900
 
 
+async def test_whether_a_drive_may_be_restored_can_be_asked(client: httpx.AsyncClient) -> None:
+    found = RestoreDocument.model_validate((await client.get("/v1/drives/feeder/restore")).json())
+    assert (found.drive, found.permitted, found.owned) == ("feeder", True, ["C1922", "C1923"])
+    assert (await client.get("/v1/drives/fee/restore")).status_code == 404
+
+
 async def test_groups_say_how_they_are_spoken_to(client: httpx.AsyncClient) -> None:
     found = GroupsDocument.model_validate((await client.get("/v1/groups")).json())
     assert [(one.group, one.how, one.multicast_address) for one in found.groups] == [
@@ -260,6 +267,7 @@ async def test_openapi_describes_every_path_and_refers_to_nothing_missing(
         "/v1/line",
         "/v1/drives",
         "/v1/drives/{drive}",
+        "/v1/drives/{drive}/restore",
         "/v1/drives/{drive}/codes/{code}",
         "/v1/drives/{drive}/codes/{code}/{subcode}",
         "/v1/groups",
@@ -278,6 +286,7 @@ async def test_openapi_describes_every_path_and_refers_to_nothing_missing(
         "expires",
         "verify",
         "priority",
+        "restore",
     }
     assert {"200", "403", "404", "409", "422", "503", "504"} <= set(write["responses"])
     ids = [one["operationId"] for path in document["paths"].values() for one in path.values()]

@@ -70,7 +70,7 @@ async def test_expiry_is_a_duration_or_seconds(
 async def test_a_write_may_say_that_it_has_time(client: httpx.AsyncClient, line: Line) -> None:
     for said, urgency in (("", None), (', "priority": "background"', Priority.BACKGROUND)):
         assert (await put(client, f'{{"value": 1{said}}}')).status_code == 200
-        assert line.ops.written_as is urgency
+        assert line.ops.written_as == (urgency, False)
     answer = await put(client, '{"value": 1, "priority": "control"}')
     assert (answer.status_code, len(line.ops.asked)) == (422, 2)
     assert 'priority takes "interactive", or "background"' in answer.json()["detail"]

@@ -14,7 +14,7 @@ from lecombus.api import create_app
 from lecombus.drives import StopAction, family
 from lecombus.errors import LecombusError
 from lecombus.metrics import Metrics
-from lecombus.operations.reports import GroupInfo, GroupReport, WriteReport
+from lecombus.operations.reports import GroupInfo, GroupReport, RestoreRights, WriteReport
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 from lecombus.schedule.request import Outcome, Priority
@@ -36,7 +36,7 @@ class FakeOperations:
     asked: list[tuple[object, ...]] = field(default_factory=list)
     gate: anyio.Event | None = None
     read_as: tuple[Priority, float] | None = None
-    written_as: Priority | None = None
+    written_as: tuple[Priority | None, bool] | None = None
     begun: anyio.Event = field(default_factory=anyio.Event)
 
     async def _ask(self, *what: object) -> None:
@@ -71,8 +71,9 @@ class FakeOperations:
         expires_s: float | None,
         verify: bool,
         urgency: Priority | None = None,
+        restoring: bool = False,
     ) -> WriteReport:
-        self.written_as = urgency
+        self.written_as = (urgency, restoring)
         await self._ask("write", drive, code, value, expires_s, verify)
         return self.report(drive, code)
 
@@ -91,6 +92,10 @@ class FakeOperations:
     async def stop(self, action: StopAction, target: str) -> GroupReport:
         await self._ask("stop", action, target)
         return self._group_report(target, Code(135))
+
+    def restore_rights(self, drive: str) -> RestoreRights:
+        self.store.drive(drive)
+        return RestoreRights(drive, permitted=True, owned=(Code(1922), Code(1923)))
 
     def groups(self) -> Sequence[GroupInfo]:
         return (GroupInfo("conveyors", ("feeder", "belt"), None), GroupInfo("all", ("feeder",), 0))

@@ -42,6 +42,7 @@ from lecombus.api.documents import (
     OutcomeDocument,
     ProblemDocument,
     ReadingDocument,
+    RestoreDocument,
     StatusDocument,
     problem_responses,
 )
@@ -140,6 +141,12 @@ def add_known(app: FastAPI, store: Store, line_name: str, ops: OperationsPort) -
         check_query(request)
         return text_response(await drive_text(store, store.drive(drive)))
 
+    @app.get("/v1/drives/{drive}/restore", **described(RestoreDocument, 404, 422))
+    async def restore(request: Request, drive: str) -> Response:
+        """Whether a backup may be restored into a drive, and what it leaves alone there."""
+        check_query(request)
+        return json_response(ops.restore_rights(drive).as_json())
+
     @app.get("/v1/groups", **described(GroupsDocument, 422))
     async def groups(request: Request) -> Response:
         """Every group, its members and whether it is spoken to by multicast."""
@@ -195,6 +202,7 @@ def add_writes(app: FastAPI, ops: OperationsPort, keys: Idempotency) -> None:
                 expires_s=body.expires_s,
                 verify=bool(body.verify),
                 urgency=None if body.priority is None else body.priority.priority,
+                restoring=bool(body.restore),
             )
             problem = report_problem(report)
             return problem.response() if problem else json_response(report_json(report))

@@ -54,6 +54,7 @@ RIGHT: Final[Mapping[str, str]] = {
     "expires": 'a duration such as "2s", "500ms" or a number of seconds, over 0 and up to 1 h',
     "verify": "true or false",
     "priority": '"interactive", or "background" for long work that only takes idle line time',
+    "restore": "true or false",
     "action": '"quick-stop" or "inhibit"',
     "target": 'the name of a drive or a group, or "all"',
 }
@@ -144,6 +145,14 @@ class DriveWriteBody(WriteBody):
             strict=False,
             description=f"How soon: {RIGHT['priority']}. What moves a drive never waits for long "
             "work: it keeps its class",
+        ),
+    ] = None
+
+    restore: Annotated[
+        bool | None,
+        Field(
+            description="Part of restoring a backup: parameters that the roster's `writable` does "
+            "not list may be written where it says `restore: true`"
         ),
     ] = None
 

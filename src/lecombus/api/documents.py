@@ -25,6 +25,7 @@ __all__ = [
     "OutcomeDocument",
     "ProblemDocument",
     "ReadingDocument",
+    "RestoreDocument",
     "StatusDocument",
     "problem_responses",
 ]
@@ -88,6 +89,18 @@ class LineDocument(Document):
     stretch: Annotated[Exact, Field(description="1 when every cyclic read keeps its period")]
     remarks: dict[str, str]
     drives: Annotated[dict[str, int], Field(description="How many drives are in each state")]
+
+
+class RestoreDocument(Document):
+    """Whether a backup may be restored into a drive."""
+
+    drive: str
+    permitted: bool
+    owned: Annotated[
+        list[str], Field(description="Codes that lecombus sets from the roster, left alone")
+    ]
+    reason: Annotated[str | None, Field(description="Why it is not permitted")]
+    remedy: Annotated[str | None, Field(description="What to do about it")]
 
 
 class GroupDocument(Document):

@@ -12,12 +12,20 @@ from decimal import Decimal
 from typing import Protocol
 
 from lecombus.drives import StopAction
-from lecombus.operations.reports import GroupInfo, GroupReport, WriteReport
+from lecombus.operations.reports import GroupInfo, GroupReport, RestoreRights, WriteReport
 from lecombus.protocol.addressing import Code
 from lecombus.schedule.request import Priority
 from lecombus.store import Reading
 
-__all__ = ["GroupInfo", "GroupReport", "OperationsPort", "Reading", "StopAction", "WriteReport"]
+__all__ = [
+    "GroupInfo",
+    "GroupReport",
+    "OperationsPort",
+    "Reading",
+    "RestoreRights",
+    "StopAction",
+    "WriteReport",
+]
 
 
 class OperationsPort(Protocol):
@@ -46,6 +54,7 @@ class OperationsPort(Protocol):
         expires_s: float | None,
         verify: bool,
         urgency: Priority | None = None,
+        restoring: bool = False,
     ) -> WriteReport:
         """Write a code and return how that ended.
 
@@ -66,6 +75,13 @@ class OperationsPort(Protocol):
 
         Raises:
             LineError, ScheduleError, OperationError, CodeValueError: Nothing was sent.
+        """
+
+    def restore_rights(self, drive: str) -> RestoreRights:
+        """Say whether a backup may be restored into a drive.
+
+        Raises:
+            OperationError: There is no such drive.
         """
 
     async def stop(self, action: StopAction, target: str) -> GroupReport:

@@ -115,6 +115,8 @@ _DRIVE: Final = Table("drive", (
     Key("allow_address_change", YesNo(),
         "Take codes into `writable` that change the drive's address or baud rate.",
         default=False),
+    Key("restore", YesNo(),
+        "Let `lecombus restore` write parameters that `writable` does not list.", default=False),
     Key("answer_time", Duration(0.001, 10),
         "Its processing time, where it differs from its family's."),
     Key("addressing", Choice(get_args(models.Addressing)),

@@ -124,6 +124,7 @@ class DriveEntry(_Model):
         watchdog: What its watchdog shall be; None: not looked after.
         cyclic: What is read all the time; the family's status set unless the roster says.
         writable: What may be written; the family's set unless the roster says.
+        restore: Whether a backup may be restored into it, beyond what `writable` lists.
         answer_time_s: Its processing time where it differs from its family's; None: the family's.
         accept_software: Software identifications accepted besides those of the manual.
         lease: Whether its control needs a lease.
@@ -136,6 +137,7 @@ class DriveEntry(_Model):
     watchdog: WatchdogEntry | None = None
     cyclic: tuple[CyclicEntry, ...]
     writable: frozenset[Code]
+    restore: bool = False
     answer_time_s: float | None = None
     accept_software: tuple[str, ...] = ()
     lease: LeaseEntry = LeaseEntry()

@@ -21,6 +21,16 @@ from .family import (
 )
 from .faults import Fault, FaultKind
 from .loading import FAMILY_NAMES, family, load_family
+from .restoring import (
+    RestoreRule,
+    RestoreWord,
+    is_last,
+    must_be_same,
+    not_restored,
+    restore_rank,
+    restore_rule,
+    saving_rule,
+)
 from .stops import (
     StopAction,
     StopProof,
@@ -46,6 +56,8 @@ __all__ = [
     "Language",
     "LineTiming",
     "PlainWhen",
+    "RestoreRule",
+    "RestoreWord",
     "SoftwareGate",
     "StopAction",
     "StopProof",
@@ -59,11 +71,17 @@ __all__ = [
     "confirm_codes",
     "encode_for",
     "family",
+    "is_last",
     "knows_stop",
     "load_family",
     "multicast_cost",
+    "must_be_same",
     "needs_control_word",
+    "not_restored",
     "read_cost",
+    "restore_rank",
+    "restore_rule",
+    "saving_rule",
     "stop_confirmed",
     "stop_value",
     "write_cost",

@@ -21,6 +21,7 @@ from lecombus.protocol.values import Value
 
 from .codes import CodeInfo, WriteClass
 from .faults import NO_FAULT, Fault, FaultTable, fault_table
+from .restoring import RestoreRule
 from .stops import StopAction, StopRule
 from .words import FieldReading, WordInfo
 
@@ -122,6 +123,7 @@ class Family:
         software: Which software may be written to; None: any.
         set_offsets: What is added to a code's number for each parameter set; (0,) where only the
             set in use can be reached.
+        restore: What a backup may put back, and in which order.
         saved_by: The code that has to be written before stored values survive a power cycle; None
             where every write is stored at once.
     """
@@ -143,6 +145,7 @@ class Family:
     software: SoftwareGate | None = None
     set_offsets: tuple[int, ...] = (0,)
     saved_by: Code | None = None
+    restore: tuple[RestoreRule, ...] = ()
 
     @property
     def shortened_code(self) -> Code | None:

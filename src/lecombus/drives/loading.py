@@ -25,10 +25,12 @@ from .codes import CodeInfo, WriteClass
 from .document import Item, Origin, Table, read_document
 from .family import AnswerTime, Family, SoftwareGate, WatchdogTraits
 from .readers import read_code_number
+from .restoring import RestoreRule, RestoreWord
 from .sections import (
     read_answer_time,
     read_field,
     read_form,
+    read_restore,
     read_software,
     read_stop,
     read_watchdog,
@@ -135,6 +137,7 @@ class _Builder:
             software=self._software(software, codes) if software else None,
             set_offsets=offsets,
             saved_by=self._saved_by(codes),
+            restore=tuple(self._restore(codes)),
         )
         for table in self._tables:
             table.done()
@@ -193,6 +196,18 @@ class _Builder:
         if codes[code].write_class is not WriteClass.SAVE:
             item.fail(f"{code} does not save: its write_class is {codes[code].write_class}")
         return code
+
+    def _restore(self, codes: dict[Code, CodeInfo]) -> Iterator[RestoreRule]:
+        for item in self._entries("restore"):
+            rule = read_restore(item.table(), self._manual)
+            for code in rule.codes:
+                if code not in codes:
+                    item.fail(f"{code} is not described", code=str(code))
+                if codes[code].parameter_set != 1:
+                    item.fail(f"a rule for {code} is written for parameter set 1", code=str(code))
+                if rule.word is RestoreWord.SAVE and codes[code].write_class is not WriteClass.SAVE:
+                    item.fail(f"{code} does not save", code=str(code))
+            yield rule
 
     def _answer_times(self) -> tuple[dict[int, AnswerTime], AnswerTime]:
         times: dict[int, AnswerTime] = {}

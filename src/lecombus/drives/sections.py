@@ -16,6 +16,7 @@ from lecombus.protocol.values import Value
 from .document import Item, Table
 from .family import AnswerTime, SoftwareGate, WatchdogTraits
 from .readers import WORD_MAX, read_choice, read_code_number, read_flag, read_source
+from .restoring import RestoreRule, RestoreWord
 from .stops import StopAction, StopProof, StopRule
 from .words import WordField, WordInfo
 
@@ -23,6 +24,7 @@ __all__ = [
     "read_answer_time",
     "read_field",
     "read_form",
+    "read_restore",
     "read_software",
     "read_stop",
     "read_watchdog",
@@ -82,6 +84,23 @@ def read_software(table: Table, manual: str) -> SoftwareGate:
     )
     table.done()
     return gate
+
+
+def read_restore(table: Table, manual: str) -> RestoreRule:
+    """Read one entry of `restore`."""
+    word = read_choice(table.take("rule"), RestoreWord)
+    value = table.get("value")
+    if (value is not None) != (word is RestoreWord.SAVE):
+        table.fail("value belongs to the rule save, and only there")
+    rule = RestoreRule(
+        word=word,
+        codes=tuple(read_code_number(item) for item in table.take("codes").items()),
+        because=table.take("because").text(),
+        value=value.integer(0, WORD_MAX) if value else None,
+        source=read_source(table, manual),
+    )
+    table.done()
+    return rule
 
 
 def read_watchdog(table: Table, manual: str) -> WatchdogTraits:

@@ -24,8 +24,9 @@ from lecombus.errors import (
 )
 from lecombus.line.station import Station
 from lecombus.operations.control_words import ControlWords
-from lecombus.operations.reports import WriteReport
+from lecombus.operations.reports import RestoreRights, WriteReport
 from lecombus.operations.requests import Ending, Requests, is_line_lost
+from lecombus.operations.restores import check_restored, rights_of
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 from lecombus.readings import WRITE_LOCK, DriveState, LineState, Reading
@@ -116,6 +117,7 @@ class Operations:
         expires_s: float | None = None,
         verify: bool = False,
         urgency: Priority | None = None,
+        restoring: bool = False,
     ) -> WriteReport:
         """Write a code and say what came of it.
 
@@ -127,6 +129,7 @@ class Operations:
             verify: Read back afterwards.
             urgency: The class to run in; None: by what is written. What moves a drive keeps its
                 own.
+            restoring: It belongs to the restore of a backup: other codes may be written then.
 
         Raises:
             OperationError: It may not be written, or the value is not one for this code.
@@ -134,7 +137,7 @@ class Operations:
             QueueFullError: Too many requests wait; nothing was sent.
         """
         station = self._requests.station(drive)
-        wire = self.permitted(drive, station, code, value)
+        wire = self.permitted(drive, station, code, value, restoring=restoring)
         expires_at_s = None if expires_s is None else self._clock() + expires_s
         ending = self.submit_write(
             station, code, wire, expires_at_s, verify=verify, urgency=urgency
@@ -174,11 +177,16 @@ class Operations:
         station: Station,
         code: Code,
         value: Decimal | int | str,
+        *,
+        restoring: bool = False,
     ) -> Value:
         """Give the wire's value for a write that may be made now."""
         if self._closing:
             raise LineClosedError(f"{drive} is not written to: the daemon is being ended")
-        self.check_writable(drive, code)
+        if restoring:
+            check_restored(self.restore_rights(drive), station.family, code, value)
+        else:
+            self.check_writable(drive, code)
         state = self._store.drive(drive)
         # Without a line no drive answers: the worker says so when it is asked, and why.
         is_open = self._store.line().state is LineState.OPEN
@@ -209,6 +217,16 @@ class Operations:
                 code=str(code),
                 remedy="give a number, or the text as on the wire such as H0008",
             ) from exc
+
+    def restore_rights(self, drive: str) -> RestoreRights:
+        """Say whether a backup may be restored into a drive.
+
+        Raises:
+            OperationError: `no-such-drive`.
+        """
+        station = self._requests.station(drive)
+        locked = self._store.drive(drive).remarks.get(WRITE_LOCK)
+        return rights_of(self._entries[drive], station.family, locked)
 
     def check_writable(self, drive: str, code: Code) -> None:
         """Refuse a code that the roster does not let be written.

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 from lecombus.protocol.addressing import Code
-from lecombus.readings import Reading
+from lecombus.readings import Json, Reading
 from lecombus.schedule.request import Outcome
 
-__all__ = ["GroupInfo", "GroupReport", "How", "WriteReport"]
+__all__ = ["GroupInfo", "GroupReport", "How", "RestoreRights", "WriteReport"]
 
 How = Literal["multicast", "one-by-one"]
 
@@ -77,3 +77,32 @@ class GroupInfo:
     name: str
     members: tuple[str, ...]
     multicast_address: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class RestoreRights:
+    """Whether a backup may be restored into a drive.
+
+    Args:
+        drive: The drive's name.
+        permitted: The roster says `restore: true`, and nothing keeps the drive from being written.
+        owned: Codes that lecombus itself sets from the roster: a restore leaves them alone.
+        reason: Why it is not permitted.
+        remedy: What the user can do about it.
+    """
+
+    drive: str
+    permitted: bool
+    owned: tuple[Code, ...] = ()
+    reason: str = ""
+    remedy: str = ""
+
+    def as_json(self) -> dict[str, Json]:
+        """Return the JSON form."""
+        return {
+            "drive": self.drive,
+            "permitted": self.permitted,
+            "owned": [str(code) for code in self.owned],
+            "reason": self.reason or None,
+            "remedy": self.remedy or None,
+        }

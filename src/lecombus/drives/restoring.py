@@ -1,0 +1,148 @@
+"""What a backup may put back into a drive, and in which order.
+
+Strategy: the rules are data (`restore` in the family's file), each with the manual's section: what
+comes first because other codes follow from it, what comes last because it shuts the door behind
+itself, what is never written, what must be the same in both drives, and how parameters are saved
+at the end. What follows from a code's description (read only, a process value, an edge) needs no
+rule. The daemon asks `not_restored` before every such write, the command line before it shows its
+plan: the two cannot differ.
+
+A rule names a code of parameter set 1 and holds for every set. Reading values, comparing them and
+talking to a drive are `backups`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING, Final
+
+from lecombus.protocol.addressing import Code
+
+from .codes import CodeInfo, Storage, WriteClass
+
+if TYPE_CHECKING:
+    from .family import Family
+
+__all__ = [
+    "RestoreRule",
+    "RestoreWord",
+    "is_last",
+    "must_be_same",
+    "not_restored",
+    "restore_rank",
+    "restore_rule",
+    "saving_rule",
+]
+
+
+class RestoreWord(StrEnum):
+    """What a rule says of its codes."""
+
+    FIRST = "first"
+    """Written before the others, in the order given."""
+    LAST = "last"
+    """Written after the others, in the order given."""
+    NEVER = "never"
+    """Left alone."""
+    SAME = "same"
+    """Tells drives apart: a restore into a drive that reads otherwise must be asked for."""
+    SAVE = "save"
+    """Written once at the end, to keep what was written."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RestoreRule:
+    """One rule of a family for restoring.
+
+    Args:
+        word: What it says.
+        codes: The codes it says it of, in parameter set 1.
+        because: Why, in words.
+        value: What is written to save; None for every other word.
+        source: Manual and section.
+    """
+
+    word: RestoreWord
+    codes: tuple[Code, ...]
+    because: str
+    value: int | None
+    source: str
+
+
+DELICATE: Final = {
+    WriteClass.EDGE: "writing it is a command, not a setting",
+    WriteClass.STEP: "writing it is a command, not a setting",
+    WriteClass.SAVE: "writing it saves parameters",
+    WriteClass.ADDRESS: "the address and the baud rate belong to the drive's place on the line",
+    WriteClass.RESET: "writing it restarts the drive or sets it back",
+}
+
+FIRST_RANK, USUAL_RANK, LAST_RANK = 0, 1, 2
+
+
+def not_restored(family: Family, code: Code, owned: Collection[Code] = ()) -> str | None:
+    """Say why a code is left out of a restore; None where it is put back.
+
+    Args:
+        family: The drive's family.
+        code: The code.
+        owned: Codes that lecombus itself sets from the roster.
+    """
+    info = family.info(code)
+    if info is None:
+        return "no description says what writing it does"
+    if info.secret:
+        return "it is a password"
+    if not info.writable:
+        return "it is read only"
+    if info.write_class is not WriteClass.PLAIN:
+        return DELICATE[info.write_class]
+    if info.storage is Storage.VOLATILE:
+        return "it is a process value, not a setting"
+    if code in owned:
+        return "the roster sets it (watchdog)"
+    rule = restore_rule(family, code)
+    return rule.because if rule is not None and rule.word is RestoreWord.NEVER else None
+
+
+def restore_rule(family: Family, code: Code) -> RestoreRule | None:
+    """Give the first rule that names a code, whichever parameter set it lies in."""
+    base = base_code(family, family.info(code), code)
+    return next((rule for rule in family.restore if base in rule.codes), None)
+
+
+def restore_rank(family: Family, code: Code) -> tuple[int, int, int, int, Code]:
+    """Give what sorts codes into the order in which they are written."""
+    base = base_code(family, family.info(code), code)
+    for number, rule in enumerate(family.restore):
+        if base in rule.codes and rule.word in (RestoreWord.FIRST, RestoreWord.LAST):
+            group = FIRST_RANK if rule.word is RestoreWord.FIRST else LAST_RANK
+            return group, number, rule.codes.index(base), 0, code
+    info = family.info(code)
+    return USUAL_RANK, 0, 0, 1 if info is None else info.parameter_set, code
+
+
+def is_last(family: Family, code: Code) -> bool:
+    """Tell whether a code is one of those that shut the door behind themselves."""
+    return restore_rank(family, code)[0] == LAST_RANK
+
+
+def must_be_same(family: Family) -> tuple[Code, ...]:
+    """Name the codes that tell whether two drives may hold the same parameters."""
+    return tuple(
+        code for rule in family.restore if rule.word is RestoreWord.SAME for code in rule.codes
+    )
+
+
+def saving_rule(family: Family) -> RestoreRule | None:
+    """Give what is written at the end to keep the parameters; None where each write keeps."""
+    return next((rule for rule in family.restore if rule.word is RestoreWord.SAVE), None)
+
+
+def base_code(family: Family, info: CodeInfo | None, code: Code) -> Code:
+    """Give the code that means the same in parameter set 1."""
+    if info is None or info.parameter_set == 1:
+        return code
+    return Code(code.number - family.set_offsets[info.parameter_set - 1], code.subcode)
