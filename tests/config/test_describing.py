@@ -71,8 +71,6 @@ SAFE = "watchdog: {time: 2s, action: inhibit, configure: true}"
         (drive_with("watchdog: {time: 2s, action: none, configure: true}"), "nothing stops the"),
         (drive_with("watchdog: {time: 2s, action: inhibit}"), "forgets its watchdog at power-off"),
         (drive_with("watchdog: {time: 150ms, action: inhibit, configure: true}"), "may act when"),
-        (drive_with("watchdog: {time: 20ms, action: inhibit}", family="smvector"),
-         "a watchdog of 20ms cannot be fed: one read of each watched drive (1) takes"),
         (drive_with("cyclic: [{code: C0150, every: 10ms}]"), "cyclic reads ask for"),
         (drive_with("writable: [C0150]"), "(controller status word) is writable here, read only"),
         (drive_with("writable: [C0125]", "allow_address_change: true"), "answers elsewhere"),

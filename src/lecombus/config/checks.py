@@ -14,13 +14,15 @@ from typing import Final
 
 from lecombus.config.borders import is_network_port
 from lecombus.config.drive_checks import check_drive, check_lapse
+from lecombus.config.feeding import find_unheld
 from lecombus.config.kinds import UNUSABLE
 from lecombus.config.mistakes import Mistakes, did_you_mean, one_of, shown
+from lecombus.config.models import Roster
 from lecombus.config.nodes import Scalar
 from lecombus.config.shapes import Entry, Items
 from lecombus.drives import StopAction, family, knows_stop
 
-__all__ = ["check_roster", "default_socket", "drives_of"]
+__all__ = ["check_feeding", "check_roster", "default_socket", "drives_of"]
 
 MOST_DRIVES: Final = {"rs232": 1, "rs485": 31, "fibre": 52}
 """Source: EDB2102EN 4.4.1 to 4.4.3, CMVLC401A 3.3.2."""
@@ -53,6 +55,22 @@ def check_roster(roster: Entry, mistakes: Mistakes) -> None:
     _check_groups(roster, drives, mistakes)
     _check_shutdown(roster, drives, mistakes)
     _check_default_lapse(roster, drives, mistakes)
+
+
+def check_feeding(entries: Entry, roster: Roster, mistakes: Mistakes) -> None:
+    """Note every watchdog that the line cannot hold.
+
+    Args:
+        entries: The roster as it stands in the file, for the places.
+        roster: The same, built: what a line can hold depends on all of it.
+        mistakes: Noted into.
+    """
+    unheld = {one.drive: one for one in find_unheld(roster)}
+    for drive in drives_of(entries):
+        one = unheld.get(drive.get("name"))
+        watchdog = drive.get("watchdog")
+        if one is not None and isinstance(watchdog, Entry):
+            mistakes.note(watchdog.place("time"), one.what, one.right)
 
 
 def _check_line(line: Entry, mistakes: Mistakes) -> None:

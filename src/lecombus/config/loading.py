@@ -1,8 +1,8 @@
 """The way in: a file or a text becomes a `Roster`, or one `RosterError` with all that is wrong.
 
 Steps, each in its own module: text to nodes (`composing`), nodes to values (`keys`), values
-against each other (`checks`), values to models (`building`). Only a file that cannot be read and
-text that is no YAML end it early.
+against each other (`checks`), values to models (`building`), and whether the line can hold what
+is asked of it. Only a file that cannot be read and text that is no YAML end it early.
 
 What must not live here: any rule of the roster.
 """
@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Final
 
 from lecombus.config.building import build_roster
-from lecombus.config.checks import check_roster
+from lecombus.config.checks import check_feeding, check_roster
 from lecombus.config.composing import compose
 from lecombus.config.keys import ROSTER
 from lecombus.config.mistakes import Mistakes, RosterError
@@ -86,7 +86,11 @@ def parse_roster(text: str, file: str) -> Roster:
     check_roster(roster, mistakes)
     if mistakes:
         raise mistakes.error()
-    return build_roster(roster, file)
+    built = build_roster(roster, file)
+    check_feeding(roster, built, mistakes)
+    if mistakes:
+        raise mistakes.error()
+    return built
 
 
 def _read(path: Path, mistakes: Mistakes) -> bytes:

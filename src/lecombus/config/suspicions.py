@@ -14,11 +14,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
 from lecombus.config.borders import is_network_port
+from lecombus.config.exchanges import feed_times, read_times, watched_s
+from lecombus.config.feeding import feeding_of, least_time_s, written_up
 from lecombus.config.models import DriveEntry, LineEntry, Roster
 from lecombus.config.timing import line_timing
-from lecombus.drives import LineTiming, WriteClass, family, read_cost
+from lecombus.drives import LineTiming, WriteClass, family
 from lecombus.durations import format_duration
-from lecombus.protocol.addressing import Code, Form
+from lecombus.protocol.addressing import Code
 
 __all__ = ["counted", "cyclic_load", "find_warnings"]
 
@@ -39,7 +41,7 @@ def find_warnings(roster: Roster) -> list[str]:
     timing = line_timing(roster.line)
     found = list(_line(roster.line))
     found.extend(_load(roster, timing))
-    found.extend(_gathered(_feeding(roster, timing)))
+    found.extend(_gathered(_feeding(roster)))
     found.extend(_slow_codes(roster, timing))
     found.extend(_unwatched(roster))
     found.extend(_leases(roster))
@@ -88,18 +90,11 @@ def _line(line: LineEntry) -> Iterator[str]:
         yield "stall 0: an adapter that hangs without an error is never reopened"
 
 
-def _reading_s(drive: DriveEntry, code: Code, timing: LineTiming) -> tuple[float, float]:
-    """Return the usual and the longest line time of one read, turnaround included."""
-    form = next((form for form in drive.forms if code.knows(form)), Form.EXTENDED)
-    cost = read_cost(timing, family(drive.family), code, form, drive.answer_time_s)
-    return cost.expected_s + timing.turnaround_s, cost.worst_s + timing.turnaround_s
-
-
 def cyclic_load(roster: Roster) -> float:
     """Return the share of the line that the cyclic reads ask for; above 1 they are stretched."""
     timing = line_timing(roster.line)
     return sum(
-        _reading_s(drive, entry.code, timing)[0] / entry.every_s
+        read_times(drive, entry.code, timing).usual_s / entry.every_s
         for drive in roster.drives
         for entry in drive.cyclic
     )
@@ -114,35 +109,19 @@ def _load(roster: Roster, timing: LineTiming) -> Iterator[str]:
         )
 
 
-def _watched(roster: Roster) -> list[tuple[DriveEntry, float]]:
-    """Return the drives to be fed, with their watchdog times in seconds."""
-    return [
-        (drive, drive.watchdog.time_s)
-        for drive in roster.drives
-        if drive.watchdog is not None and drive.watchdog.action != "none"
-    ]
-
-
-def _feeding(roster: Roster, timing: LineTiming) -> Iterator[tuple[str, str]]:
+def _feeding(roster: Roster) -> Iterator[tuple[str, str]]:
     """Warn of watchdogs that act when one answer is lost while the others wait to be fed."""
-    watched = _watched(roster)
-    if not watched:
+    feeding = feeding_of(roster)
+    if feeding.overload(lost=1) is None:
         return
-    times = [_reading_s(drive, family(drive.family).feed_code, timing) for drive, _ in watched]
-    round_s = sum(usual for usual, _ in times)
-    need_s = round_s + max(worst for _, worst in times)
-    for drive, time_s in watched:
-        if time_s < round_s:
+    least_s = least_time_s(feeding, lost=1)
+    for drive in feeding.drives:
+        time_s = watched_s(drive)
+        if time_s is not None and (least_s is None or time_s < least_s):
+            outlast = "" if least_s is None else f"; {written_up(least_s)} would outlast that"
             yield (
                 drive.name,
-                f"a watchdog of {format_duration(time_s)} cannot be fed: one read of each watched "
-                f"drive ({len(watched)}) takes {round_s * 1000:.0f}ms at {timing.baud} baud",
-            )
-        elif time_s < need_s:
-            yield (
-                drive.name,
-                f"a watchdog of {format_duration(time_s)} may act when one answer is lost; "
-                f"{_up(need_s)}s would outlast that",
+                f"a watchdog of {format_duration(time_s)} may act when one answer is lost{outlast}",
             )
 
 
@@ -153,8 +132,9 @@ def _slow_codes(roster: Roster, timing: LineTiming) -> Iterator[str]:
     watchdog would stay as it is in the drive, and only a remark on the drive would tell.
     """
     feeds = [
-        (time_s, _reading_s(drive, family(drive.family).feed_code, timing)[0])
-        for drive, time_s in _watched(roster)
+        (time_s, feed_times(drive, timing).usual_s)
+        for drive in roster.drives
+        if (time_s := watched_s(drive))
     ]
     if not feeds:
         return
@@ -163,7 +143,7 @@ def _slow_codes(roster: Roster, timing: LineTiming) -> Iterator[str]:
     for drive in roster.drives:
         traits = family(drive.family).watchdog
         if drive.watchdog is not None and traits is not None:
-            worst_s = _reading_s(drive, traits.action_code, timing)[1]
+            worst_s = read_times(drive, traits.action_code, timing).worst_s
             if worst_s > room_s:
                 slow.append((drive, traits.action_code, worst_s))
     if slow:

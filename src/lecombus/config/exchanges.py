@@ -1,0 +1,89 @@
+"""What the exchanges that a roster asks for cost on its line, one home for everybody who reckons.
+
+`check` asks here before a roster is taken, `plan` afterwards, and both get from the cost model of
+`drives.costs` what the schedule and the time-outs get; so a promise and what keeps it cannot drift
+apart. Turnaround is included everywhere: it belongs to the line's time, whoever waits for it.
+
+What must not live here: whether all of it fits (`feeding`), what is done about it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lecombus.config.models import DriveEntry
+from lecombus.drives import (
+    LineTiming,
+    confirm_codes,
+    family,
+    read_cost,
+    stop_value,
+    write_cost,
+)
+from lecombus.protocol.addressing import Code, Form
+from lecombus.protocol.values import Value
+
+__all__ = ["Times", "feed_times", "form_for", "read_times", "stop_s", "watched_s", "write_times"]
+
+
+@dataclass(frozen=True, slots=True)
+class Times:
+    """The line time of one exchange, in seconds, turnaround included.
+
+    Args:
+        usual_s: Answered as usual.
+        given_up_s: Until its answer is given up: a stop may go out then.
+        worst_s: One attempt that fails, with the silence kept after it.
+    """
+
+    usual_s: float
+    given_up_s: float
+    worst_s: float
+
+
+def form_for(drive: DriveEntry, code: Code) -> Form:
+    """Give the addressing form in which a drive is asked for a code."""
+    return next((form for form in drive.forms if code.knows(form)), Form.EXTENDED)
+
+
+def read_times(drive: DriveEntry, code: Code, timing: LineTiming) -> Times:
+    """Give the times of reading a code."""
+    form = form_for(drive, code)
+    cost = read_cost(timing, family(drive.family), code, form, drive.answer_time_s)
+    pause_s = timing.turnaround_s
+    return Times(cost.expected_s + pause_s, cost.whole_s + pause_s, cost.worst_s + pause_s)
+
+
+def write_times(drive: DriveEntry, code: Code, value: Value, timing: LineTiming) -> Times:
+    """Give the times of writing a code."""
+    form = form_for(drive, code)
+    cost = write_cost(timing, family(drive.family), code, value, form, drive.answer_time_s)
+    pause_s = timing.turnaround_s
+    return Times(cost.expected_s + pause_s, cost.whole_s + pause_s, cost.worst_s + pause_s)
+
+
+def feed_times(drive: DriveEntry, timing: LineTiming) -> Times:
+    """Give the times of the cheapest read, which feeds a watchdog."""
+    return read_times(drive, family(drive.family).feed_code, timing)
+
+
+def watched_s(drive: DriveEntry) -> float | None:
+    """Give the time of a watchdog that lecombus has to feed, seconds; None: it need not."""
+    watchdog = drive.watchdog
+    if watchdog is None or watchdog.action == "none" or watchdog.time_s <= 0.0:
+        return None
+    return watchdog.time_s
+
+
+def stop_s(drive: DriveEntry, timing: LineTiming) -> float:
+    """Give the line time of stopping a drive and reading back that it stopped, seconds.
+
+    Zero for a family that knows no stop.
+    """
+    of = family(drive.family)
+    stops = [
+        write_times(drive, *stop_value(of, action, 0), timing).usual_s
+        + read_times(drive, confirm_codes(of, action)[0], timing).usual_s
+        for action in of.stops
+    ]
+    return max(stops, default=0.0)

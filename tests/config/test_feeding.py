@@ -1,0 +1,88 @@
+"""Whether a line can hold the watchdogs of a roster, and whether what is proposed would do."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from lecombus.config.feeding import feeding_of, find_unheld, least_time_s
+from lecombus.durations import parse_duration
+
+from .rosters import parsed, said
+
+
+def line_of(count: int, time: str, baud: int = 9600) -> str:
+    addresses = [address for address in range(1, 99) if address % 10][:count]
+    drives = "".join(
+        f"  - {{name: d{address}, address: {address}, family: smvector, "
+        f"watchdog: {{time: {time}, action: quick-stop}}}}\n"
+        for address in addresses
+    )
+    return f"line: {{name: l, port: /dev/ttyS0, baud: {baud}}}\ndrives:\n{drives}"
+
+
+def test_50_ms_on_two_drives_at_9600_is_refused_with_the_arithmetic() -> None:
+    first, second = said(line_of(2, "50ms"))
+    assert first.startswith("3:")
+    assert second.startswith("4:")
+    for text in (first, second):
+        assert "a watchdog of 50ms cannot be held at 9600 baud: within 45ms the line would" in text
+        assert "the feeds of 2 drives (77ms) behind one exchange under way (39ms) and one" in text
+        assert "a time of 220ms or more" in text
+
+
+def test_50_ms_on_one_drive_alone_can_be_held() -> None:
+    assert find_unheld(parsed(line_of(1, "50ms"))) == []
+
+
+def test_a_full_line_with_2_s_can_be_held_at_19200() -> None:
+    drives = line_of(31, "2s", 19200)
+    assert find_unheld(parsed(drives)) == []
+
+
+@pytest.mark.parametrize(("count", "time", "baud"), [
+    (2, "50ms", 9600), (31, "1s", 9600), (5, "300ms", 1200), (31, "700ms", 19200),
+])  # fmt: skip
+def test_the_times_proposed_are_held_and_a_little_less_is_not(
+    count: int, time: str, baud: int
+) -> None:
+    text = said(line_of(count, time, baud))[0]
+    proposed = re.search(r"a time of (\S+) or more", text)
+    assert proposed is not None
+    parsed(line_of(count, proposed[1], baud))
+    roster = parsed(line_of(count, "60s", baud))
+    feeding = feeding_of(roster)
+    least = least_time_s(feeding)
+    assert least is not None
+    assert least <= parse_duration(proposed[1])
+    assert said(line_of(count, f"{round(least * 1000) - 2}ms", baud))
+
+
+def test_the_baud_rate_proposed_does() -> None:
+    text = said(line_of(20, "1s", 4800))[0]
+    proposed = re.search(r"baud: (\d+)", text)
+    assert proposed is not None
+    parsed(line_of(20, "1s", int(proposed[1])))
+
+
+def test_a_long_cyclic_read_in_the_way_is_named() -> None:
+    slow = "\n  - {name: slow, address: 99, family: 821x, cyclic: [{code: C1923, every: 1min}]}\n"
+    text = said(line_of(3, "700ms").rstrip("\n") + slow)[0]
+    assert "not reading C1923 of slow cyclically" in text
+    parsed(line_of(3, "700ms").rstrip("\n") + slow.replace("C1923", "C0050"))
+
+
+def test_only_what_is_too_short_is_refused() -> None:
+    text = line_of(2, "50ms") + (
+        "  - {name: calm, address: 91, family: smvector, watchdog: {time: 10s, action: inhibit}}\n"
+    )
+    assert [line.split(":")[0] for line in said(text)] == ["3", "4"]
+
+
+def test_one_lost_answer_is_worth_a_warning_with_the_time_that_outlasts_it() -> None:
+    feeding = feeding_of(parsed(line_of(2, "250ms")))
+    least = least_time_s(feeding, lost=1)
+    assert feeding.overload() is None
+    assert least is not None
+    assert least > 0.25
