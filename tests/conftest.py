@@ -8,7 +8,12 @@ whole lines on the virtual clock are never repeated: what fails there once is wr
 
 from pathlib import Path
 
+import hypothesis
 import pytest
+
+# How long an example takes says more of the machine than of us: nothing is judged by the clock.
+hypothesis.settings.register_profile("lecombus", deadline=None)
+hypothesis.settings.load_profile("lecombus")
 
 HERE = Path(__file__).parent
 

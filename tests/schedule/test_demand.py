@@ -43,7 +43,8 @@ def test_a_long_piece_with_a_late_deadline_is_in_the_way_of_a_short_one() -> Non
     assert find_overload(streams_of((1, 10), (9, 1000)), 0.0) is None
     found = find_overload(streams_of((1, 10), (10, 1000)), 0.0)
     assert found is not None
-    assert (found.whose, found.blocking_s) == ("s0", pytest.approx(0.010))
+    assert found.whose == "s0"
+    assert found.blocking_s == pytest.approx(0.010)
 
 
 def test_what_fits_alone_does_not_fit_behind_a_longer_exchange() -> None:

@@ -148,8 +148,10 @@ def response_s(
         most_s: Give up beyond this.
 
     Returns:
-        The bound; infinity where the work above leaves no room within `most_s`.
+        The bound; infinity where the work above leaves no room, or none within `most_s`.
     """
+    if load_of(above) > FULL:
+        return math.inf
     wait_s = blocking_s
     while wait_s <= most_s:
         again_s = blocking_s + sum(stream.coming(wait_s) for stream in above)
