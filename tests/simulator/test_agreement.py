@@ -8,11 +8,13 @@ from __future__ import annotations
 import pytest
 
 from lecombus.drives import FAMILY_NAMES, Family, family
+from lecombus.drives.codes import Storage
 from lecombus.line.port import PortOpener
 from lecombus.protocol.addressing import Code, Form, encode_code
 from lecombus.protocol.values import Value
 from lecombus.simulator import MemoryEnd, SimDrive, SimLine, build
 from lecombus.simulator.families import MODELS
+from lecombus.simulator.parameters import Kept
 from lecombus.simulator.wire import code_field
 from support.sim_host import Host, read_telegram, write_telegram
 
@@ -50,6 +52,32 @@ def test_both_agree_on_what_can_be_written_at_all(name: str) -> None:
         for code, info in family(name).codes.items()
         if info.writable and not drive.model.params.find(code.number, code.subcode).writable
     ]
+    assert differ == []
+
+
+@pytest.mark.parametrize("name", FAMILY_NAMES)
+def test_both_agree_on_limits_defaults_and_where_values_live(name: str) -> None:
+    drive, _ = drive_of(name)
+    kept = {
+        Kept.DRIVE: Storage.STORED, Kept.MEMORY: Storage.STORED,
+        Kept.MODULE: Storage.MODULE, Kept.PROCESS: Storage.VOLATILE,
+    }  # fmt: skip
+    differ: list[tuple[object, ...]] = []
+    for info in family(name).described():
+        spec = drive.model.params.find(info.code.number, info.code.subcode)
+        limits = (spec.low, spec.high)
+        if info.default is not None and info.default != spec.default:
+            differ.append((str(info.code), "default", info.default, spec.default))
+        if not info.writable:
+            continue
+        if info.low is not None and (info.low, info.high) != limits:
+            differ.append((str(info.code), "limits", info.low, info.high, *limits))
+        # C0043 shows 1 for a fault, and is overwritten with 0 only (EDB2102EN 8.2).
+        choices = [choice for choice in info.selection if (spec.number, choice) != (43, 1)]
+        if not all(spec.low <= choice <= spec.high for choice in choices):
+            differ.append((str(info.code), "selection", *info.selection))
+        if kept[spec.kept] is not info.storage:
+            differ.append((str(info.code), "storage", info.storage, spec.kept))
     assert differ == []
 
 

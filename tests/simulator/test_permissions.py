@@ -13,8 +13,8 @@ def single(family: str, **codes: str) -> Host:
     return switched_on(SimDrive(11, family, "d", presets))
 
 
-def switched_on(drive: SimDrive) -> Host:
-    host = Host(SimLine([drive], baud=19200))
+def switched_on(drive: SimDrive, *, baud: int = 19200) -> Host:
+    host = Host(SimLine([drive], baud=baud))
     host.wait(0)
     return host
 
@@ -215,7 +215,7 @@ def test_an_smvector_keeps_speed_commands_within_p102_and_p103() -> None:
 
 
 def test_p403_puts_the_module_back_to_its_defaults() -> None:
-    host = single("smvector", c1425="500", c1104="7")
+    host = switched_on(SimDrive(11, "smvector", "d", {1425: "500", 1104: "7"}), baud=9600)
     assert host.write(11, 1403, "1") == "ACK"
     drive = host.line["d"]
     assert drive.address == 1

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import Any
 
@@ -26,6 +26,7 @@ from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority, Request, Schedule
+from lecombus.simulator.drive import SimDrive
 from lecombus.simulator.line import SimLine
 from lecombus.simulator.memory import MemoryEnd
 from lecombus.simulator.world import build
@@ -211,7 +212,8 @@ class Rig:
             self.schedule.add_drive(name)
         self.seen = Recorder()
         self.worker = LineWorker(
-            PORT, opener or self.end.open, self.schedule, self.timing, self.options, self.seen  # type: ignore[arg-type]
+            replace(PORT, baud=baud), opener or self.end.open,  # type: ignore[arg-type]
+            self.schedule, self.timing, self.options, self.seen,
         )  # fmt: skip
 
     async def __aenter__(self) -> Rig:
@@ -389,6 +391,35 @@ class Plant:
     def reports(self) -> list[ExchangeReport]:
         """Every exchange so far."""
         return self.tap.reports
+
+    def trip(self, drive: str, number: int, *, stays: bool = False) -> None:
+        """Let a fault occur by its LECOM number; one whose cause stays cannot be reset yet."""
+        self.line.advance(self.now_s)
+        self.line[drive].trip(number, stays=stays)
+
+    def clear_fault(self, drive: str) -> None:
+        """Take the causes of a drive's faults away; a TRIP still waits for its reset."""
+        self.line.advance(self.now_s)
+        self.line[drive].clear_fault()
+
+    def factory_reset(self, drive: str) -> None:
+        """Put a drive's stored parameters back to the maker's; the line still reaches it."""
+        self.line.advance(self.now_s)
+        self.line[drive].factory_reset()
+
+    def power_cycle(self, drive: str, off_s: float | None = None) -> None:
+        """Switch a drive off and on."""
+        self.line[drive].power_cycle(self.now_s, off_s)
+
+    def swap(
+        self, drive: str, family: str | None = None, overrides: dict[int, str] | None = None
+    ) -> SimDrive:
+        """Put another drive, new from the maker, in a drive's place (see `SimLine.swap`)."""
+        return self.line.swap(drive, self.now_s, family, overrides)
+
+    def wear(self, drive: str) -> dict[tuple[int, int], int]:
+        """How often each code (number, subcode) was written into a drive's memory."""
+        return dict(self.line[drive].model.params.wear)
 
     def apply(self, text: str) -> None:
         """Take another roster."""

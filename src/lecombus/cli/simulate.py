@@ -38,7 +38,8 @@ def command(
 
     FAULTS are NAME=CHANCE with commas between, chance per telegram from 0 to 1: lost, unheard,
     request-noise, late (:TIME), noise, bad-bcc, parity, half, nak, power-cycle (:TIME), bad-echo;
-    and echo, unplugged, absent=ADDRESS+ADDRESS.
+    and echo, unplugged, absent=ADDRESS+ADDRESS, trip=ADDRESS:NUMBER[:stays]: that drive has this
+    fault from the start, and with `stays` no reset helps.
 
     In a pipe the first line is the port and nothing else. With --json: {"port", "line", "baud",
     "drives": [{"drive", "address", "family"}]}.

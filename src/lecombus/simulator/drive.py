@@ -103,11 +103,15 @@ class SimDrive:
         self._spread = spread
         self._silent = silent_on_bad_write
         self._address = address
+        self._log_size = log_size
+        self._baud = 0
         self.generic = family == "generic"
         if not self.generic:
             self.model.params.set(self.model.address_code, str(address))
+        self._preset: set[int | tuple[int, int]] = set()
         for key, value in (overrides or {}).items():
             self.model.preset(key, value)
+            self._preset.add(key)
 
     # Inspection
 
@@ -118,14 +122,44 @@ class SimDrive:
             return self._address
         return int(self.model.params.text(self.model.address_code))
 
-    def baud(self, line_baud: int) -> int:
-        """The baud rate it speaks; C0125 or P411 once written, before that the line's."""
-        if self.generic:
-            return line_baud
-        key = (self.model.baud_code, 0)
-        if key not in self.model.params.wear:
-            return line_baud
-        return _BAUDS[self.model.params.text(key[0])]
+    @property
+    def baud(self) -> int:
+        """The baud rate it speaks; C0125 or P411 changes it, for its very acknowledgement."""
+        if self._own_rate:
+            return self._baud
+        return _BAUDS[self.model.params.text(self.model.baud_code)]
+
+    @property
+    def _own_rate(self) -> bool:
+        """Whether no code says its rate: another maker's, or one that no code can name."""
+        return self.generic or self._baud not in _BAUDS.values()
+
+    def join(self, baud: int) -> None:
+        """Be set to a line's baud rate, as by a person at the keypad, unless it has one already."""
+        if self._baud:
+            return
+        self._baud = baud
+        index = {rate: text for text, rate in _BAUDS.items()}.get(baud)
+        code = self.model.baud_code
+        if index is not None and not self.generic and code not in self._preset:
+            self.model.params.set(code, index)
+
+    def replacement(self, family: str | None, overrides: Overrides | None) -> SimDrive:
+        """Give another drive with this one's name, address and baud rate, new from the maker.
+
+        Args:
+            family: Its family; None for the same.
+            overrides: Values it has, such as its software in C0200.
+
+        Raises:
+            ValueError: No such family, or a code or value it does not know.
+        """
+        drive = SimDrive(
+            self.address, family or self.family, self.name, overrides,
+            spread=self._spread, silent_on_bad_write=self._silent, log_size=self._log_size,
+        )  # fmt: skip
+        drive.join(self.baud)
+        return drive
 
     @property
     def speed_hz(self) -> float:

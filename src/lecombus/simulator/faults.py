@@ -52,6 +52,7 @@ class Faults:
         bad_echo: One character of the echo of a telegram is wrong.
         absent: Addresses that do not answer.
         unplugged: Nothing passes either way.
+        trips: Drive faults there from the start: address, LECOM number, whether the cause stays.
     """
 
     lost: float = 0.0
@@ -71,6 +72,7 @@ class Faults:
     bad_echo: float = 0.0
     absent: set[int] = field(default_factory=set)
     unplugged: bool = False
+    trips: tuple[tuple[int, int, bool], ...] = ()
 
 
 _CHANCES: Final = (
@@ -87,6 +89,7 @@ _CHANCES: Final = (
     "bad_echo",
 )
 _SWITCHES: Final = ("echo", "unplugged")
+_TRIP: Final = re.compile(r"(\d{1,2}):(\d{1,4})(:stays)?\Z")
 _DURATION: Final = re.compile(r"(\d+(?:\.\d+)?)(ms|s)\Z")
 
 
@@ -95,7 +98,8 @@ def parse_faults(text: str) -> Faults:
 
     Args:
         text: `NAME=CHANCE` items with commas between; `late=CHANCE[:[LEAST-]MOST[:KIND]]`,
-            `power_cycle=CHANCE[:DURATION]`, `absent=11+12`, `echo`, `unplugged`. Empty: no faults.
+            `power_cycle=CHANCE[:DURATION]`, `absent=11+12`, `trip=11:50+12:15:stays`, `echo`,
+            `unplugged`. Empty: no faults.
 
     Raises:
         ValueError: An item is not understood; says which and what is right.
@@ -108,10 +112,12 @@ def parse_faults(text: str) -> Faults:
             setattr(faults, name, True)
         elif name == "absent":
             faults.absent = {_address(part, item) for part in value.split("+")}
+        elif name == "trip":
+            faults.trips = tuple(_trip(part, item) for part in value.split("+"))
         elif name in _CHANCES:
             _read_chance(faults, name, value, item)
         else:
-            names = ", ".join((*_CHANCES, *_SWITCHES, "absent")).replace("_", "-")
+            names = ", ".join((*_CHANCES, *_SWITCHES, "absent", "trip")).replace("_", "-")
             raise ValueError(f"fault {item!r}: one of {names}")
     return faults
 
@@ -163,3 +169,10 @@ def _address(text: str, item: str) -> int:
     if not text.isdecimal() or not 1 <= int(text) <= 99:
         raise ValueError(f"fault {item!r}: addresses from 1 to 99 with + between")
     return int(text)
+
+
+def _trip(text: str, item: str) -> tuple[int, int, bool]:
+    match = _TRIP.match(text)
+    if match is None:
+        raise ValueError(f"fault {item!r}: write trip=ADDRESS:NUMBER[:stays] with + between")
+    return int(match[1]), int(match[2]), bool(match[3])

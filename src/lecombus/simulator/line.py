@@ -21,7 +21,7 @@ from enum import Enum, auto
 from heapq import heappop, heappush
 from typing import Final
 
-from lecombus.simulator.drive import Reply, SimDrive
+from lecombus.simulator.drive import Overrides, Reply, SimDrive
 from lecombus.simulator.faults import Faults, LateKind
 from lecombus.simulator.outbox import Outbox, Speech
 from lecombus.simulator.parameters import CommError
@@ -78,6 +78,8 @@ class SimLine:
         twice = {address for address in addresses if addresses.count(address) > 1}
         if twice:
             raise ValueError(f"addresses given twice: {sorted(twice)}")
+        for drive in drives:
+            drive.join(baud)
         self.drives = tuple(drives)
         self.baud = baud
         self.faults = faults if faults is not None else Faults()
@@ -119,6 +121,35 @@ class SimLine:
     def host_baud(self, baud: int) -> None:
         self._host_baud = baud
         self._char_s = _BITS / baud if self.paced else 0.0
+
+    def swap(
+        self,
+        name: str | int,
+        now_s: float,
+        family: str | None = None,
+        overrides: Overrides | None = None,
+    ) -> SimDrive:
+        """Put another drive in a drive's place, with its address and baud rate set.
+
+        Args:
+            name: The old one's name or address.
+            now_s: When it is switched on.
+            family: The new one's family; None for the same.
+            overrides: Values the new one has, by code number or (code, subcode), as wire text.
+
+        Raises:
+            KeyError: No such drive.
+            ValueError: No such family, or it does not know a code or value.
+        """
+        self._run(now_s)
+        old = self[name]
+        new = old.replacement(family, overrides)
+        for speech in (*self._thinking, *self._speaking):
+            if speech.drive is old:
+                speech.cut_at_s = now_s
+        self.drives = tuple(new if drive is old else drive for drive in self.drives)
+        new.power_cycle(now_s)
+        return new
 
     # The two directions
 
@@ -253,9 +284,7 @@ class SimLine:
     def _hears(self, drive: SimDrive) -> bool:
         faults = self._faults_of(drive)
         return (
-            drive.present
-            and drive.address not in faults.absent
-            and drive.baud(self.baud) == self._host_baud
+            drive.present and drive.address not in faults.absent and drive.baud == self._host_baud
         )
 
     def _faults_of(self, drive: SimDrive) -> Faults:
@@ -293,7 +322,7 @@ class SimLine:
         self._schedule(speech.begin_s, _Event.SPEAK, speech)
 
     def _answer(self, reply: bytes, drive: SimDrive, faults: Faults) -> bytes:
-        if drive.baud(self.baud) != self._host_baud:
+        if drive.baud != self._host_baud:
             # Spoken at another baud rate: the host sees framing errors and nonsense.
             return self._spoiler.nonsense(len(reply))
         return self._spoiler.answer(reply, faults)

@@ -130,7 +130,8 @@ class MemoryEnd:
         """Open a port; has the shape of the line's `PortOpener`.
 
         Args:
-            settings: The line's port settings; only its name (`line`) is used, for errors.
+            settings: The line's port settings; its name (`line`) is used for errors, and its baud
+                rate is what the drives hear.
             receiver: The port's receiver.
 
         Raises:
@@ -142,6 +143,7 @@ class MemoryEnd:
         if self.port is not None:
             self.port.abort()
         self.opened += 1
+        self.line.host_baud = getattr(settings, "baud", self.line.baud)
         self.port = MemoryPort(self.line, receiver, name=name, latency_s=self._latency_s)
         return self.port
 

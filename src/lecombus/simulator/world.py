@@ -45,7 +45,7 @@ def build(
         ValueError: A family, an address or a fault is unknown.
     """
     presets = overrides or {}
-    return SimLine(
+    line = SimLine(
         [
             SimDrive(address, family, name, presets.get(name), spread=spread, log_size=log_size)
             for name, address, family in drives
@@ -57,3 +57,15 @@ def build(
         paced=paced,
         think_scale=think_scale,
     )
+    for address, number, stays in line.faults.trips:
+        _drive_at(line, address).trip(number, stays=stays)
+    return line
+
+
+def _drive_at(line: SimLine, address: int) -> SimDrive:
+    try:
+        return line[address]
+    except KeyError:
+        there = ", ".join(str(drive.address) for drive in line.drives)
+        message = f"fault 'trip': no drive has the address {address}: one of {there}"
+        raise ValueError(message) from None

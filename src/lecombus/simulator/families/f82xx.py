@@ -12,7 +12,7 @@ from typing import ClassVar
 from lecombus.simulator.families.inverter82xx import Drive82XX
 from lecombus.simulator.families.table2102 import SPECS_82XX
 from lecombus.simulator.model import INHIBIT, Restart
-from lecombus.simulator.parameters import Spec, d, s
+from lecombus.simulator.parameters import Kept, Spec, d, s
 
 __all__ = ["Drive820X", "Drive821X", "Drive822X", "Drive824X", "Vector8200"]
 
@@ -26,9 +26,14 @@ class Drive820X(Drive82XX):
     shortened_s: ClassVar[float] = 0.230
 
     def __init__(self) -> None:
-        # C0120 is not available in V1.2, and C0181 comes with it. Source: EDB2102EN 6.4.2.
-        specs = (spec for spec in SPECS_82XX if spec.number not in (43, 120, 127))
-        super().__init__((*specs, d(181, "0", (0, 80)), s(200, "33S8201E_12000")))
+        # C0120 is not available in V1.2, and C0181 comes with it. Source: EDB2102EN 6.4.1, 6.4.2.
+        specs = (spec for spec in SPECS_82XX if spec.number not in (43, 120, 127, 141))
+        own = (
+            d(141, "0", (0, 100), decimals=2, kept=Kept.PROCESS),
+            d(181, "0", (0, 80), kept=Kept.MODULE),
+            s(200, "33S8201E_12000"),
+        )
+        super().__init__((*specs, *own))
 
     def _install(self) -> None:
         super()._install()
