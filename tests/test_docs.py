@@ -12,7 +12,7 @@ from lecombus.cli.entry import COMMANDS
 from lecombus.config import roster_json_schema
 from lecombus.drives import FAMILY_NAMES, family
 from lecombus.protocol.addressing import Code
-from support.site_host import Plant, roster_of, with_plant
+from support.site_host import Plant, roster_of, until, with_plant
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
@@ -99,6 +99,9 @@ def test_metrics_are_those_that_are_served() -> None:
 
     async def test(plant: Plant) -> None:
         await plant.online()
+        plant.line["a"].trip(50)
+        fault = plant.site.store.drive
+        await until(lambda: (one := fault("a").fault) is not None and one.number == 50)
         page = (await plant.site.metrics.fresh_page(openmetrics=False)).decode()
         served = set(re.findall(r"^# TYPE (lecombus_\w+)", page, re.MULTILINE))
         assert told == served

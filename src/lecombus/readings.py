@@ -20,12 +20,14 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from lecombus.drives import Fault, FaultKind
     from lecombus.protocol.addressing import Code
     from lecombus.protocol.values import Value
 
 __all__ = [
     "NOT_CYCLIC",
     "WRITE_LOCK",
+    "ActiveFault",
     "DriveInfo",
     "DriveState",
     "Json",
@@ -153,6 +155,49 @@ class Reading:
 
 
 @dataclass(frozen=True, slots=True)
+class ActiveFault:
+    """The fault a drive has, as its status words show it.
+
+    Args:
+        kind: TRIP, message or warning.
+        number: Its LECOM number by the fault memory; None until that gave one that agrees.
+        known: What the manual says of the number; None where it does not list it.
+        since_s: Since when it is known to be there, Unix seconds.
+        shown_by: The status words that show it, as read.
+    """
+
+    kind: FaultKind
+    number: int | None
+    known: Fault | None
+    since_s: float
+    shown_by: str
+
+    def __str__(self) -> str:
+        """Put it into words: `trip OH (50): heat sink too hot`."""
+        if self.number is None:
+            return f"{self.kind} of a number not known ({self.shown_by})"
+        if self.known is None:
+            return f"{self.kind} {self.number}, which the manual does not list ({self.shown_by})"
+        keypad = f"{self.known.keypad} ({self.number})" if self.known.keypad else str(self.number)
+        return f"{self.kind} {keypad}: {self.known.meaning}"
+
+    def as_json(self, *, stale: bool) -> dict[str, Json]:
+        """Return the JSON form; `stale`: the drive has not been heard since."""
+        known = self.known
+        return {
+            "number": self.number,
+            "keypad": (known.keypad if known is not None else "") or None,
+            "kind": self.kind.value,
+            "meaning": None if known is None else known.meaning.en,
+            "cause": (known.cause.en if known is not None else "") or None,
+            "remedy": None if known is None else known.remedy.en,
+            "since": rfc3339(self.since_s),
+            "shown_by": self.shown_by,
+            "stale": stale,
+        }
+
+
+@dataclass(frozen=True, slots=True)
 class DriveInfo:
     """One drive: where it is, how it is doing and since when.
 
@@ -164,6 +209,7 @@ class DriveInfo:
         reason: Why, in words; empty where nothing needs saying.
         since_s: Since when, Unix seconds.
         remarks: What stands to be said about it, by subject.
+        fault: The fault it has, as far as it was last heard.
     """
 
     name: str
@@ -173,6 +219,7 @@ class DriveInfo:
     reason: str
     since_s: float
     remarks: Mapping[str, str]
+    fault: ActiveFault | None = None
 
     def as_json(self) -> dict[str, Json]:
         """Return the JSON form, without the drive's values."""
@@ -183,8 +230,15 @@ class DriveInfo:
             "state": self.state.value,
             "reason": self.reason or None,
             "since": rfc3339(self.since_s),
+            "fault": self.fault_json(),
             "remarks": dict(self.remarks),
         }
+
+    def fault_json(self) -> Json:
+        """Return the active fault's JSON form, or null."""
+        if self.fault is None:
+            return None
+        return self.fault.as_json(stale=self.state is DriveState.OFFLINE)
 
 
 @dataclass(frozen=True, slots=True)

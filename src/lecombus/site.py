@@ -25,9 +25,11 @@ from lecombus.operations.control_words import ControlWords
 from lecombus.operations.group_operations import GroupOperations
 from lecombus.operations.request_maker import RequestMaker
 from lecombus.operations.requests import Requests
-from lecombus.schedule import Cyclic, Schedule
+from lecombus.protocol.addressing import Code
+from lecombus.schedule import Cyclic, Priority, Schedule, Settle
 from lecombus.store import Store
 from lecombus.supervision.books import Books
+from lecombus.supervision.fault_watch import FaultWatch
 from lecombus.supervision.health import Health
 from lecombus.supervision.keeper import Keeper
 
@@ -38,6 +40,9 @@ SAID_FROM = 1.05
 
 STUCK_S = 6.0
 """Longer than any exchange (at 1200 baud about 4 s) and than the pause before a reopening (5 s)."""
+
+ASKED_FOR_S = 10.0
+"""What a change calls for is not read any more after this: its own turn has come by then."""
 
 ECHO = {"auto": None, "yes": True, "no": False}
 
@@ -96,8 +101,9 @@ class Site:
         timing = timing or line_timing(line)
         maker = RequestMaker(timing, line.retries, self.metrics.meters.request_ended)
         self.health = Health(self.schedule, self.store, self._wants_audit, clock)
+        watch = FaultWatch(self.store, self._read_soon, wall)
         self._books = books = Books(
-            self.store, self.metrics, self.health, self.words, self._has_drive
+            self.store, self.metrics, self.health, self.words, watch, self._has_drive
         )
         self.worker = LineWorker(
             PortSettings(line.port, line.baud, line.direction, line.parity, line.name),
@@ -232,6 +238,16 @@ class Site:
     def _wants_audit(self, name: str) -> None:
         self.words.forget(name)
         self.keeper.audit_soon(name)
+
+    def _read_soon(self, name: str, code: Code, settle: Settle) -> None:
+        """Read a code before the cyclic ones, without waiting for it here."""
+        station = self.requests.station(name)
+        expires_at_s = self._clock() + ASKED_FOR_S
+        self.worker.submit(
+            self.requests.maker.read(
+                station, code, Priority.INTERACTIVE, settle=settle, expires_at_s=expires_at_s
+            )
+        )
 
     def _figures(self) -> Figures:
         now = self._clock()

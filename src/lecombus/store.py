@@ -32,6 +32,7 @@ from typing import TYPE_CHECKING, Final
 from lecombus.errors import OperationError
 from lecombus.readings import (
     NOT_CYCLIC,
+    ActiveFault,
     DriveInfo,
     DriveState,
     LineInfo,
@@ -124,6 +125,7 @@ class DriveRecord:
     remarks: dict[str, str] = field(default_factory=dict)
     cells: dict[Code, Cell] = field(default_factory=dict)
     on_demand: dict[Code, None] = field(default_factory=dict)
+    fault: ActiveFault | None = None
 
 
 class Store:
@@ -260,6 +262,13 @@ class Store:
     def note(self, drive: str, key: str, text: str | None) -> None:
         """Set or clear a standing remark about a drive, such as a watchdog that differs."""
         if set_remark(self._record(drive).remarks, key, text):
+            self._publish(DriveChanged(drive))
+
+    def set_fault(self, drive: str, fault: ActiveFault | None) -> None:
+        """Set or clear the fault a drive has."""
+        record = self._record(drive)
+        if record.fault != fault:
+            record.fault = fault
             self._publish(DriveChanged(drive))
 
     def note_line(self, key: str, text: str | None) -> None:
@@ -411,6 +420,7 @@ class Store:
             reason,
             since_s,
             MappingProxyType(dict(record.remarks)),
+            record.fault,
         )
 
     def _why_no_line(self) -> str:

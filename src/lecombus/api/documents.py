@@ -60,6 +60,20 @@ class ReadingDocument(Document):
     age_s: Exact | None
 
 
+class FaultDocument(Document):
+    """The fault a drive has, as its status words show it."""
+
+    number: Annotated[int | None, Field(description="LECOM number; null while it is not known")]
+    keypad: Annotated[str | None, Field(description="What the keypad shows", examples=["OH"])]
+    kind: Annotated[str, Field(description="trip, message or warning")]
+    meaning: str | None
+    cause: str | None
+    remedy: str | None
+    since: str
+    shown_by: Annotated[str, Field(examples=["C0150 reads H0898"])]
+    stale: Annotated[bool, Field(description="The drive has not been heard since")]
+
+
 class DriveDocument(Document):
     """One drive with everything known of it."""
 
@@ -69,6 +83,7 @@ class DriveDocument(Document):
     state: Annotated[str, Field(description="starting, online, degraded or offline")]
     reason: str | None
     since: str
+    fault: Annotated[FaultDocument | None, Field(description="Null: none is shown")]
     remarks: dict[str, str]
     values: list[ReadingDocument]
 

@@ -76,6 +76,7 @@ def _show_drive(drive: Document) -> None:
         why = _why(drive)
         state = table_text(drive.get("state")) + (f", {why}" if why else "")
         click.echo(f"{name} at address {drive.get('address')} ({drive.get('family')}): {state}")
+        _show_fault(drive.get("fault") or {})
     rows = [
         (
             code_of(value),
@@ -90,6 +91,13 @@ def _show_drive(drive: Document) -> None:
         for quality, reason in [quality_of(value)]
     ]
     show_rows(("code", "name", "value", "unit", "quality", "age", "why"), rows)
+
+
+def _show_fault(fault: Document) -> None:
+    """Print what usually lies behind a fault and what to do; what it is stands in the remarks."""
+    for key in ("cause", "remedy"):
+        if fault.get(key):
+            click.echo(f"  {key}: {fault[key]}")
 
 
 def _why(one: Document) -> str:

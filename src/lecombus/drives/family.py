@@ -20,7 +20,7 @@ from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value
 
 from .codes import CodeInfo, WriteClass
-from .faults import NO_FAULT, Fault, FaultTable, fault_table
+from .faults import NO_FAULT, Fault, FaultKind, FaultTable, fault_table
 from .restoring import RestoreRule
 from .stops import StopAction, StopRule
 from .words import FieldReading, WordInfo
@@ -233,6 +233,16 @@ class Family:
         """Say whether a status word reports an active fault; None where it does not say."""
         word = self.words.get(code)
         return word.active_fault(value) if word is not None else None
+
+    def shown_fault(self, code: Code, value: int) -> FaultKind | None:
+        """Say what kind of fault a status word shows; None for none, or where it does not say."""
+        word = self.words.get(code)
+        if word is None:
+            return None
+        if word.active_fault(value):
+            return FaultKind.TRIP
+        notice = word.notice(value)
+        return FaultKind(notice) if notice else None
 
     @property
     def fault_table(self) -> FaultTable | None:

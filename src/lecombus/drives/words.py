@@ -93,3 +93,18 @@ class WordInfo:
                 number = field.read(word).number
                 return number in field.fault if number in field.texts else None
         return None
+
+    def notice(self, word: int) -> str:
+        """Say which notice short of a fault the word shows.
+
+        Returns:
+            `message` (pulses inhibited while it lasts), `warning`, or nothing.
+
+        Source: EDB2102EN 8.2 (C0150: controller status 7, bits 12 and 13 where they have this
+        meaning).
+        """
+        shown = self.flags(word)
+        state = self.readings(word).get("controller_status")
+        if shown.get("message") or (state is not None and state.text.startswith("message active")):
+            return "message"
+        return "warning" if shown.get("warning") else ""

@@ -125,11 +125,15 @@ class DriveFigures:
             "drive_status_bit", "Bits of the status words the manual names; 1 when set."
         )
         self._fault = gauge("drive_fault", "1 while a status word of the drive reports a fault.")
+        self._number = gauge(
+            "drive_fault_number",
+            "LECOM number of the fault, message or warning the drive has, where it is known.",
+        )
 
     @property
     def blocks(self) -> tuple[Block, ...]:
         """The families, in the order of the page."""
-        return (self._up, self._value, self._not_good, self._bit, self._fault)
+        return (self._up, self._value, self._not_good, self._bit, self._fault, self._number)
 
     def render(self, store: Store, drive: str) -> None:
         """Write the lines of one drive; one that left the roster meanwhile has none."""
@@ -153,6 +157,9 @@ class DriveFigures:
             self._word_lines(label, reading, family, faults)
         if faults:
             self._fault.lines.append(f"{self._fault.name}{{{label}}} {int(any(faults))}")
+        if up and info.fault is not None and info.fault.number is not None:
+            kind = f'kind="{info.fault.kind}"'
+            self._number.lines.append(f"{self._number.name}{{{label},{kind}}} {info.fault.number}")
 
     def _value_line(self, label: str, reading: Reading) -> None:
         assert reading.value is not None

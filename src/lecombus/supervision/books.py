@@ -12,12 +12,11 @@ from lecombus.line.observer import ExchangeReport
 from lecombus.line.station import StepKind
 from lecombus.metrics import Metrics
 from lecombus.operations.control_words import ControlWords
-from lecombus.protocol.addressing import Code
 from lecombus.protocol.exchange import ResultKind
 from lecombus.protocol.telegrams import AckAnswer, NakAnswer, UnknownCodeAnswer, ValueAnswer
-from lecombus.protocol.values import Value
 from lecombus.readings import LineState
 from lecombus.store import Store
+from lecombus.supervision.fault_watch import FaultWatch
 from lecombus.supervision.health import Health
 
 __all__ = ["Books"]
@@ -39,6 +38,7 @@ class Books:
         metrics: Counters.
         health: Judges the drives.
         words: Control words.
+        faults: Watches for faults.
         is_drive: Whether a name is a drive of the roster and has this address (None: any): it
             may have left the roster meanwhile, or come back as another device.
     """
@@ -49,6 +49,7 @@ class Books:
         metrics: Metrics,
         health: Health,
         words: ControlWords,
+        faults: FaultWatch,
         is_drive: Callable[[str, int | None], bool],
     ) -> None:
         self._store = store
@@ -56,7 +57,7 @@ class Books:
         self._health = health
         self._words = words
         self._is_drive = is_drive
-        self._raw_words: dict[tuple[str, Code], str] = {}
+        self._faults = faults
 
     def exchange_ended(self, report: ExchangeReport) -> None:
         """Book one exchange."""
@@ -74,7 +75,7 @@ class Books:
                 code = report.step.code
                 self._store.value_read(report.drive, code, answer.value, result.ended_s)
                 self._words.seen(report.drive, code, answer.value)
-                self._note_fault(report.drive, code, answer.value)
+                self._faults.seen(report.drive, code, answer.value)
             elif not (type(answer) is AckAnswer and kind is StepKind.WRITE):
                 outcome = self._book_failure(report, outcome)
             elif report.step.value is not None:
@@ -86,22 +87,7 @@ class Books:
 
     def forget(self, drive: str) -> None:
         """The drive has left the roster; what comes back by its name may be another device."""
-        for key in [key for key in self._raw_words if key[0] == drive]:
-            del self._raw_words[key]
-
-    def _note_fault(self, drive: str, code: Code, value: Value) -> None:
-        """A drive that answers well and reports a fault must not look healthy in the lists."""
-        if self._raw_words.get((drive, code)) == value.raw:
-            return
-        word = self._store.family(drive).words.get(code)
-        number = value.number
-        if word is None or not isinstance(number, int):
-            return
-        self._raw_words[drive, code] = value.raw
-        fault = word.active_fault(number)
-        if fault is not None:
-            text = f"the drive reports a fault: {code} reads {value.raw}" if fault else None
-            self._store.note(drive, f"fault {code}", text)
+        self._faults.forget(drive)
 
     def _book_multicast(self, report: ExchangeReport) -> None:
         code, value = report.step.code, report.step.value

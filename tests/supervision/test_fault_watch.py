@@ -1,0 +1,262 @@
+"""Status words show a fault, the fault memory names it, and nothing else makes one active."""
+
+from __future__ import annotations
+
+import logging
+
+import pytest
+
+from lecombus.drives import family
+from lecombus.errors import LineLostError
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+from lecombus.readings import ActiveFault
+from lecombus.schedule import Outcome, Settle
+from lecombus.store import Store
+from lecombus.supervision.fault_watch import TRIES, FaultWatch
+from support.site_host import Plant, roster_of, until, with_plant
+
+C0068, C0150, C0161 = Code(68), Code(150), Code(161)
+FINE, TRIPPED, WARNS, MESSAGE = "H0670", "H0870", "H1670", "H0770"
+
+
+class Post:
+    """A watch over one drive, and what it asks for."""
+
+    def __init__(self, kind: str = "8200vector") -> None:
+        self.now_s = 1000.0
+        self.store = Store(lambda: self.now_s, lambda: self.now_s)
+        self.store.add_drive("a", 1, family(kind))
+        self.asked: list[Code] = []
+        self.settles: list[Settle] = []
+        self.deaf = False
+        self.watch = FaultWatch(self.store, self._ask, lambda: self.now_s)
+
+    def _ask(self, drive: str, code: Code, settle: Settle) -> None:
+        if self.deaf:
+            raise LineLostError("no line")
+        self.asked.append(code)
+        self.settles.append(settle)
+
+    def sees(self, code: Code, raw: str) -> None:
+        self.watch.seen("a", code, Value.parse(raw))
+
+    def answers(self) -> None:
+        """Every read asked for ended; their values are told by `sees`."""
+        settles, self.settles = self.settles, []
+        for settle in settles:
+            settle(Outcome.DONE, "")
+
+    def fault(self) -> ActiveFault | None:
+        return self.store.drive("a").fault
+
+    def kind(self) -> str:
+        fault = self.fault()
+        assert fault is not None
+        return fault.kind
+
+    def number(self) -> int | None:
+        fault = self.fault()
+        assert fault is not None
+        return fault.number
+
+
+def test_a_fault_memory_alone_shows_no_fault() -> None:
+    post = Post()
+    post.sees(C0161, "50")
+    post.sees(C0150, FINE)
+    post.sees(C0161, "50")
+    assert post.fault() is None
+    assert post.asked == []
+
+
+def test_a_rising_fault_has_its_memory_read_at_once() -> None:
+    post = Post()
+    post.sees(C0161, "53")
+    post.sees(C0150, FINE)
+    post.sees(C0150, TRIPPED)
+    assert post.asked == [C0161, C0068]
+    assert post.number() is None  # what was read before the rise names an older fault
+    post.answers()
+    post.sees(C0161, "50")
+    assert str(post.fault()) == "trip OH (50): heat sink too hot"
+    assert post.store.drive("a").remarks["fault"] == str(post.fault())
+
+
+def test_a_number_that_does_not_fit_the_tens_digit_is_not_believed_and_asked_for_again() -> None:
+    post = Post()
+    post.sees(C0150, TRIPPED)
+    post.answers()
+    post.sees(C0161, "91")
+    assert post.number() == 91
+    post.sees(C0068, "H8005")
+    assert post.number() is None
+    assert post.asked.count(C0161) == 2
+    post.answers()
+    post.sees(C0161, "50")
+    assert post.number() == 50
+
+
+def test_a_memory_that_stays_empty_is_asked_a_few_times_and_logged_as_unknown(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    post = Post()
+    with caplog.at_level(logging.INFO):
+        post.sees(C0150, TRIPPED)
+        for _ in range(10):
+            post.answers()
+            post.sees(C0161, "0")
+            post.sees(C0150, TRIPPED)
+    assert post.asked.count(C0161) == TRIES
+    assert post.number() is None
+    assert "C0150 reads H0870" in str(post.fault())
+    assert [one.getMessage() for one in caplog.records] == [
+        "drive=a event=trip number=unknown keypad= meaning=not known"
+    ]
+
+
+def test_a_fault_and_its_end_are_logged_once_each(caplog: pytest.LogCaptureFixture) -> None:
+    post = Post()
+    with caplog.at_level(logging.INFO):
+        post.sees(C0150, TRIPPED)
+        post.sees(C0161, "11")
+        post.sees(C0161, "11")
+        post.sees(C0150, FINE)
+    assert [one.getMessage() for one in caplog.records] == [
+        "drive=a event=trip number=11 keypad=OC1 meaning=short circuit",
+        "drive=a event=trip-gone number=11",
+    ]
+    assert post.fault() is None
+    assert "fault" not in post.store.drive("a").remarks
+
+
+def test_the_same_fault_again_is_a_new_one() -> None:
+    post = Post()
+    for since_s in (1000.0, 1060.0):
+        post.now_s = since_s
+        post.sees(C0150, TRIPPED)
+        assert post.number() is None
+        post.answers()
+        post.sees(C0161, "50")
+        fault = post.fault()
+        assert fault is not None
+        assert (fault.number, fault.since_s) == (50, since_s)
+        post.sees(C0150, FINE)
+
+
+def test_a_word_that_showed_a_fault_is_read_again_when_another_shows_it_gone() -> None:
+    post = Post()
+    post.sees(C0150, TRIPPED)
+    post.sees(C0068, "H8005")
+    post.asked.clear()
+    post.sees(C0150, FINE)
+    assert post.fault() is not None  # C0068 has not said so yet
+    assert post.asked == [C0068]
+    post.sees(C0068, "H0100")
+    assert post.fault() is None
+
+
+def test_words_that_contradict_each_other_are_read_again_a_few_times_only() -> None:
+    post = Post()
+    post.sees(C0068, "H8005")
+    post.sees(C0161, "50")
+    post.asked.clear()
+    for _ in range(20):
+        post.sees(C0150, FINE)
+        post.sees(C0068, "H8005")
+    assert post.fault() is not None
+    assert post.asked == [C0068] * TRIES
+
+
+def test_a_warning_is_shown_as_one_and_an_old_trip_in_the_memory_does_not_name_it() -> None:
+    post = Post()
+    post.sees(C0150, WARNS)
+    post.answers()
+    post.sees(C0161, "50")
+    assert (post.kind(), post.number()) == ("warning", None)
+    post.sees(C0161, "203")
+    assert str(post.fault()) == "warning OH51 (203): PTC monitoring warns"
+    post.sees(C0150, TRIPPED)
+    assert (post.kind(), post.number()) == ("trip", None)
+
+
+def test_a_message_is_named_too_and_a_number_not_listed_is_shown_as_a_number() -> None:
+    post = Post("93xx")
+    post.sees(C0150, MESSAGE)
+    post.sees(Code(168, 1), "1030")
+    assert str(post.fault()) == "message LU (1030): DC bus undervoltage"
+    post = Post("93xx")
+    post.sees(C0150, TRIPPED)
+    post.sees(Code(168, 1), "499")
+    assert str(post.fault()) == "trip 499, which the manual does not list (C0150 reads H0870)"
+
+
+def test_without_a_line_nothing_is_asked_and_the_next_word_asks_again() -> None:
+    post = Post()
+    post.deaf = True
+    post.sees(C0150, TRIPPED)
+    assert post.asked == []
+    post.deaf = False
+    post.sees(C0150, TRIPPED)
+    assert post.asked == [C0161]
+
+
+def test_a_drive_that_left_the_roster_begins_anew() -> None:
+    post = Post()
+    post.sees(C0150, TRIPPED)
+    post.watch.forget("a")
+    post.store.remove_drive("a")
+    post.store.add_drive("a", 1, family("smvector"))
+    post.sees(C0150, "H0100")
+    post.sees(Code(1500), "20")
+    assert str(post.fault()) == "trip F.F5 (20): internal fault 5 (stack overflow)"
+
+
+FAMILIES = [
+    ("a", 11, "8200vector"), ("b", 12, "821x"), ("c", 13, "820x"),
+    ("d", 21, "93xx"), ("e", 22, "smvector"),
+]  # fmt: skip
+TRIPS = {"a": 50, "b": 12, "c": 14, "d": 82, "e": 36}
+
+
+def test_a_trip_of_every_family_is_named_soon_and_gone_after_its_reset() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        store = plant.site.store
+        for name, number in TRIPS.items():
+            plant.line[name].trip(number)
+        started_s = plant.now_s
+
+        def named() -> bool:
+            faults = [store.drive(name).fault for name in TRIPS]
+            return [one and one.number for one in faults] == list(TRIPS.values())
+
+        await until(named, within_s=4.0)
+        assert plant.now_s - started_s < 4.0
+        page = (await plant.site.metrics.fresh_page(openmetrics=False)).decode()
+        assert 'lecombus_drive_fault{line="t",drive="d"} 1' in page
+        assert 'lecombus_drive_fault_number{line="t",drive="d",kind="trip"} 82' in page
+        document = store.drive("c").as_json()["fault"]
+        assert isinstance(document, dict)
+        assert (document["keypad"], document["stale"]) == ("OC4", False)
+        for name in TRIPS:
+            plant.line[name].model.reset_fault()
+        await until(lambda: all(store.drive(name).fault is None for name in TRIPS), within_s=4.0)
+        page = (await plant.site.metrics.fresh_page(openmetrics=False)).decode()
+        assert "lecombus_drive_fault_number" not in page
+
+    with_plant(test, roster_of(FAMILIES))
+
+
+def test_a_fault_of_a_drive_that_is_silent_since_is_shown_as_stale() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.line["a"].trip(50)
+        await until(lambda: plant.site.store.drive("a").fault is not None)
+        plant.line.faults.absent = {11}
+        await until(lambda: plant.state("a").value == "offline", within_s=30.0)
+        document = plant.site.store.drive("a").as_json()["fault"]
+        assert isinstance(document, dict)
+        assert document["stale"] is True
+
+    with_plant(test, roster_of(FAMILIES[:1]))
