@@ -23,6 +23,7 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import anyio
@@ -39,6 +40,7 @@ from lecombus.operations.reports import GroupReport
 from lecombus.schedule import Outcome
 from lecombus.simulated import opener_for
 from lecombus.site import Site
+from lecombus.state import Keeping
 from lecombus.systemd import Notifier
 
 __all__ = ["Daemon", "plain_errors", "run"]
@@ -134,8 +136,20 @@ class Daemon:
 
     async def main(self) -> None:
         """Run until told to end."""
+        file = self._roster.state
+        keeping = Keeping(None if file is None else Path(file))
+        try:
+            await self._run(keeping)
+        finally:
+            keeping.close()
+        logger.info("event=stopped line=%s", self._roster.line.name)
+
+    async def _run(self, keeping: Keeping) -> None:
+        """Run the line and its faces."""
         clock = anyio.current_time
-        site = self.site = Site(self._roster, opener_for(self._roster), clock, time.time)
+        site = self.site = Site(
+            self._roster, opener_for(self._roster), clock, time.time, state=keeping.state
+        )
         self._progress_at_s = clock()
         logger.info(
             "event=start version=%s line=%s drives=%d",
@@ -145,6 +159,7 @@ class Daemon:
             async with anyio.create_task_group() as faces:
                 faces.start_soon(self._watch_signals)
                 await self._serve(faces, site)
+                line.start_soon(keeping.run, partial(site.store.note_line, "state"))
                 line.start_soon(site.keeper.run)
                 line.start_soon(site.worker.run)
                 faces.start_soon(self._tick, site)
@@ -156,7 +171,6 @@ class Daemon:
                 faces.cancel_scope.cancel()
             site.worker.close()
             line.cancel_scope.cancel()
-        logger.info("event=stopped line=%s", self._roster.line.name)
 
     def end(self) -> None:
         """End the daemon in good order."""
@@ -168,6 +182,7 @@ class Daemon:
             site.operations,
             site.store,
             site.metrics,
+            custody=site.custody,
             line_name=self._roster.line.name,
             ready=self.ready,
             healthy=self.healthy,

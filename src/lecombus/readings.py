@@ -25,8 +25,10 @@ if TYPE_CHECKING:
     from lecombus.protocol.values import Value
 
 __all__ = [
+    "ADDRESSING_LOCK",
+    "IDENTITY_LOCK",
     "NOT_CYCLIC",
-    "WRITE_LOCK",
+    "SOFTWARE_LOCK",
     "ActiveFault",
     "DriveInfo",
     "DriveState",
@@ -72,8 +74,11 @@ class LineState(StrEnum):
     LOST = "lost"
 
 
-WRITE_LOCK = "software"
-"""The remark that stands on a drive as long as nothing but stops may be written to it."""
+SOFTWARE_LOCK = "software"
+IDENTITY_LOCK = "identity"
+ADDRESSING_LOCK = "addressing"
+WRITE_LOCKS = (IDENTITY_LOCK, SOFTWARE_LOCK, ADDRESSING_LOCK)
+"""The remarks that let nothing but stops be written to a drive, for as long as one stands."""
 
 
 NOT_CYCLIC = "not read cyclically"
@@ -210,6 +215,7 @@ class DriveInfo:
         since_s: Since when, Unix seconds.
         remarks: What stands to be said about it, by subject.
         fault: The fault it has, as far as it was last heard.
+        identity: What it said of itself when it was last audited, by code.
     """
 
     name: str
@@ -219,7 +225,13 @@ class DriveInfo:
     reason: str
     since_s: float
     remarks: Mapping[str, str]
+    identity: Mapping[str, str]
     fault: ActiveFault | None = None
+
+    @property
+    def write_lock(self) -> str | None:
+        """Why nothing but stops may be written to it; None where writes may go."""
+        return next((self.remarks[key] for key in WRITE_LOCKS if key in self.remarks), None)
 
     def as_json(self) -> dict[str, Json]:
         """Return the JSON form, without the drive's values."""
@@ -232,6 +244,7 @@ class DriveInfo:
             "since": rfc3339(self.since_s),
             "fault": self.fault_json(),
             "remarks": dict(self.remarks),
+            "identity": dict(self.identity),
         }
 
     def fault_json(self) -> Json:

@@ -22,11 +22,14 @@ from lecombus.line.station import Station
 from lecombus.line.worker import LineWorker, WorkerOptions
 from lecombus.metrics import Figures, Metrics
 from lecombus.operations.control_words import ControlWords
+from lecombus.operations.custody import Custody
 from lecombus.operations.group_operations import GroupOperations
+from lecombus.operations.identities import Identities
 from lecombus.operations.request_maker import RequestMaker
 from lecombus.operations.requests import Requests
 from lecombus.protocol.addressing import Code
 from lecombus.schedule import Cyclic, Priority, Schedule, Settle
+from lecombus.state import State
 from lecombus.store import Store
 from lecombus.supervision.books import Books
 from lecombus.supervision.fault_watch import FaultWatch
@@ -77,6 +80,7 @@ class Site:
         wall: The time of day, Unix seconds.
         options: How the line is worked; None: by the roster.
         timing: The line's times; None: by the roster.
+        state: What was kept from before; None: nothing, and nothing is kept.
     """
 
     def __init__(
@@ -88,6 +92,7 @@ class Site:
         *,
         options: WorkerOptions | None = None,
         timing: LineTiming | None = None,
+        state: State | None = None,
     ) -> None:
         line = roster.line
         self.roster = roster
@@ -105,17 +110,18 @@ class Site:
         self._books = books = Books(
             self.store, self.metrics, self.health, self.words, watch, self._has_drive
         )
-        self.worker = LineWorker(
-            PortSettings(line.port, line.baud, line.direction, line.parity, line.name),
-            opener,
-            self.schedule,
-            timing,
-            options or options_of(roster),
-            books,
-        )
+        settings = PortSettings(line.port, line.baud, line.direction, line.parity, line.name)
+        options = options or options_of(roster)
+        self.worker = LineWorker(settings, opener, self.schedule, timing, options, books)
         self.requests = Requests(self.worker, maker, clock)
-        self.keeper = Keeper(self.requests, self.schedule, self.store, clock, self.health)
+        self.state = state or State()
+        self.identities = Identities(self.state, self.store, wall, self._wants_audit)
+        self.keeper = Keeper(
+            self.requests, self.schedule, self.store, clock, self.health, self.identities,
+            self.words,
+        )  # fmt: skip
         self.operations = GroupOperations(self.requests, self.store, self.words, clock)
+        self.custody = Custody(self.identities)
         self._cyclic: dict[str, list[object]] = {}
         self._entries: dict[str, DriveEntry] = {}
         self.apply(roster)
@@ -129,9 +135,10 @@ class Site:
         Raises:
             ConfigError: The line itself differs: that needs a restart. Nothing was changed.
         """
-        if roster.line != self.roster.line or roster.api != self.roster.api:
+        fixed, now = (self.roster, roster)
+        if (fixed.line, fixed.api, fixed.state) != (now.line, now.api, now.state):
             raise ConfigError(
-                "the sections `line` and `api` cannot change while lecombus runs: restart it, or "
+                "`line`, `api` and `state` cannot change while lecombus runs: restart it, or "
                 "put them back; the old roster is kept",
                 file=roster.file,
             )
@@ -147,6 +154,7 @@ class Site:
             self.metrics.meters.remove(name)
         for name in roster.groups:
             self.metrics.meters.add_group(name)
+        self.state.bound(wanted)
         self.operations.set_roster(roster.drives, roster.groups)
         self.roster = roster
         self.worker.nudge()
@@ -197,6 +205,7 @@ class Site:
         now = self._clock()
         self._entries[entry.name] = entry
         self.store.add_drive(entry.name, entry.address, kind)
+        self.identities.add_drive(entry)
         self.metrics.meters.add_drive(entry.name)
         self.requests.add_station(station)
         self.schedule.add_drive(entry.name)
@@ -224,6 +233,7 @@ class Site:
         self.schedule.remove_drive(name, self._clock(), f"{name} was taken out of the roster")
         self.requests.remove_station(name)
         self.words.forget(name)
+        self.identities.remove_drive(name)
         self._books.forget(name)
         for one in entry.cyclic:
             self.store.expect(name, one.code, None)

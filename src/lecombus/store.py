@@ -10,7 +10,8 @@ How quality is decided, the first that fits:
 
 1. the line is not open: `BAD`, because a dead line never shows fresh values;
 2. never read: `BAD`, "not read yet", or why the attempt failed;
-3. the last attempt failed: `BAD` with its reason; the last value stays visible beside it;
+3. the last attempt failed, or what the drive answers is not what was asked for: `BAD` with its
+   reason; the last value stays visible beside it;
 4. the drive is offline: `STALE`;
 5. older than allowed: `STALE`. A cyclic code may be twice its period (times the present stretch
    of the cadence) plus 1 s old; any other code 10 s, or what `fresh_for_s` says;
@@ -31,6 +32,7 @@ from typing import TYPE_CHECKING, Final
 
 from lecombus.errors import OperationError
 from lecombus.readings import (
+    ADDRESSING_LOCK,
     NOT_CYCLIC,
     ActiveFault,
     DriveInfo,
@@ -123,6 +125,7 @@ class DriveRecord:
     state: DriveState = DriveState.STARTING
     reason: str = ""
     remarks: dict[str, str] = field(default_factory=dict)
+    identity: dict[str, str] = field(default_factory=dict)
     cells: dict[Code, Cell] = field(default_factory=dict)
     on_demand: dict[Code, None] = field(default_factory=dict)
     fault: ActiveFault | None = None
@@ -270,6 +273,11 @@ class Store:
         if record.fault != fault:
             record.fault = fault
             self._publish(DriveChanged(drive))
+
+    def identify(self, drive: str, identity: dict[str, str]) -> None:
+        """Keep what a drive says of itself, by code."""
+        self._record(drive).identity = identity
+        self._publish(DriveChanged(drive))
 
     def note_line(self, key: str, text: str | None) -> None:
         """Set or clear a standing remark about the line, such as a stretched cadence."""
@@ -420,6 +428,7 @@ class Store:
             reason,
             since_s,
             MappingProxyType(dict(record.remarks)),
+            MappingProxyType(dict(record.identity)),
             record.fault,
         )
 
@@ -432,6 +441,8 @@ class Store:
         """Decide by the rules of the module's docstring, in their order."""
         if self._line_state is not LineState.OPEN:
             return Quality.BAD, self._why_no_line()
+        if ADDRESSING_LOCK in record.remarks:
+            return Quality.BAD, "not what was asked for: see the drive's remarks"
         if cell.failure is not None:
             return Quality.BAD, cell.failure
         if age_s is None:

@@ -495,6 +495,7 @@ def test_a_quick_stop_of_a_decade_goes_one_by_one_while_a_control_word_is_being_
 def test_a_quick_stop_whose_word_may_not_be_read_now_becomes_an_inhibit_and_does_not_wait() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()
+        await anyio.sleep(5.0)  # no module's own code, which holds the line for half a second
         plant.site.words.forget("c")
         for form in Form:
             plant.site.worker._doubts.add(encode_code(WORD, form), plant.now_s)

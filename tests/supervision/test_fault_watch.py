@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 
+import anyio
 import pytest
 
 from lecombus.drives import family
@@ -242,6 +243,7 @@ def test_a_trip_of_every_family_is_named_soon_and_gone_after_its_reset() -> None
         for name in TRIPS:
             plant.line[name].model.reset_fault()
         await until(lambda: all(store.drive(name).fault is None for name in TRIPS), within_s=4.0)
+        await anyio.sleep(1.0)  # a page is served again for so long
         page = (await plant.site.metrics.fresh_page(openmetrics=False)).decode()
         assert "lecombus_drive_fault_number" not in page
 

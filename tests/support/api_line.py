@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
 
@@ -14,6 +14,7 @@ from lecombus.api import create_app
 from lecombus.drives import StopAction, family
 from lecombus.errors import LecombusError
 from lecombus.metrics import Metrics
+from lecombus.operations.identities import IdentityReport
 from lecombus.operations.reports import GroupInfo, GroupReport, RestoreRights, WriteReport
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
@@ -107,6 +108,16 @@ class FakeOperations:
         return GroupReport(target, "one-by-one", outcome, members)
 
 
+class FakeCustody:
+    """Custody that answers from one identity."""
+
+    def identity(self, drive: str) -> IdentityReport:
+        return IdentityReport(drive, {"C1810": "NEW"}, {"C1810": "OLD"}, {}, "", "swapped")
+
+    def accept(self, drive: str, shown: Mapping[str, str]) -> IdentityReport:
+        return IdentityReport(drive, shown, shown, {}, "2026-11-22T00:00:00.000Z", "")
+
+
 @dataclass
 class Line:
     """Everything a test of the API holds."""
@@ -136,6 +147,7 @@ def make_line() -> Line:
         ops,
         store,
         metrics,
+        custody=FakeCustody(),
         line_name="hall-3",
         ready=lambda: line.ready,
         healthy=lambda: line.healthy,

@@ -31,6 +31,7 @@ from lecombus.simulator.line import SimLine
 from lecombus.simulator.memory import MemoryEnd
 from lecombus.simulator.world import build
 from lecombus.site import Site
+from lecombus.state import State
 from support.virtual_loop import run
 
 __all__ = [
@@ -344,6 +345,7 @@ class Plant:
         seed: Where chance starts from.
         options: How the line is worked, instead of by the roster.
         also: Drives on the line that the roster does not name.
+        state: What was kept from before.
     """
 
     def __init__(
@@ -355,7 +357,9 @@ class Plant:
         seed: int = 0,
         options: WorkerOptions | None = None,
         spread: float = 0.0,
+        state: State | None = None,
     ) -> None:
+        self._state = state
         self.roster = parse_roster(roster, "r.yaml") if isinstance(roster, str) else roster
         self.line = build(
             [*((one.name, one.address, one.family) for one in self.roster.drives), *also],
@@ -368,7 +372,12 @@ class Plant:
     async def __aenter__(self) -> Plant:
         clock = asyncio.get_running_loop().time
         self.site = Site(
-            self.roster, self.end.open, clock, lambda: WALL_S + clock(), options=self._options
+            self.roster,
+            self.end.open,
+            clock,
+            lambda: WALL_S + clock(),
+            options=self._options,
+            state=self._state,
         )
         self.tap = self.site.worker._observer = _Tap(self.site.worker._observer)
         self._running = _run(self.site)

@@ -15,15 +15,29 @@ import time
 from collections import Counter
 from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 import anyio.lowlevel
-from fastapi import FastAPI, Header, Query
+from fastapi import FastAPI, Query
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
 
+from lecombus.api.answers import (
+    JSON_TYPE,
+    REFUSALS,
+    Key,
+    code_of,
+    content_of,
+    described,
+    group_json,
+    group_response,
+    json_response,
+    report_json,
+    status_response,
+    text_response,
+)
 from lecombus.api.bodies import (
     RIGHT,
     DriveWriteBody,
@@ -33,6 +47,7 @@ from lecombus.api.bodies import (
     check_query,
     read_body,
 )
+from lecombus.api.custody import add_custody
 from lecombus.api.documents import (
     DriveDocument,
     DrivesDocument,
@@ -44,17 +59,14 @@ from lecombus.api.documents import (
     ReadingDocument,
     RestoreDocument,
     StatusDocument,
-    problem_responses,
 )
 from lecombus.api.exact import encode, short
-from lecombus.api.idempotency import Idempotency, SharedStops, fingerprint
-from lecombus.api.problems import Problem, ProblemError, group_problem, problem_of, report_problem
-from lecombus.api.seam import OperationsPort
-from lecombus.errors import CodeValueError, LecombusError
+from lecombus.api.idempotency import Idempotency, SharedStops
+from lecombus.api.problems import Problem, problem_of, report_problem
+from lecombus.api.seam import CustodyPort, OperationsPort
+from lecombus.errors import LecombusError
 from lecombus.metrics import OPENMETRICS_TYPE, TEXT_TYPE, Metrics, wants_openmetrics
-from lecombus.operations.reports import GroupInfo, GroupReport, WriteReport
-from lecombus.protocol.addressing import Code
-from lecombus.readings import DriveInfo, Json
+from lecombus.readings import DriveInfo
 from lecombus.store import Store
 
 __all__ = ["Check", "create_app"]
@@ -65,22 +77,13 @@ Check = Callable[[], tuple[bool, str]]
 VALUES_AT_ONCE: Final = 16
 """Values written before others get their turn: about a tenth of a millisecond."""
 
-JSON_TYPE: Final = "application/json"
-
-REFUSALS: Final = (403, 404, 409, 413, 422, 502, 503, 504)
-"""What a write or a stop can end in besides 200."""
-
-Key = Annotated[
-    str | None,
-    Header(alias="Idempotency-Key", description="Makes a repeat safe; a new one per request"),
-]
-
 
 def create_app(
     ops: OperationsPort,
     store: Store,
     metrics: Metrics,
     *,
+    custody: CustodyPort,
     line_name: str,
     ready: Check,
     healthy: Check,
@@ -93,6 +96,7 @@ def create_app(
         ops: What is done on the line.
         store: What is known.
         metrics: The metrics page.
+        custody: What looking after drives takes besides reading and writing.
         line_name: The line's name.
         ready: Whether the line is open and every drive was tried once.
         healthy: Whether the line task makes progress.
@@ -113,6 +117,7 @@ def create_app(
     add_reads(app, ops, store)
     add_writes(app, ops, keys)
     add_group_writes(app, ops, keys)
+    add_custody(app, custody, keys)
     add_service(app, metrics, ready, healthy)
     add_description(app)
     return app
@@ -328,21 +333,6 @@ def answer_errors_with_problems(app: FastAPI) -> None:
         ).response()
 
 
-def described(
-    model: type[Any], *problems: int, body: type[WriteBody | StopBody] | None = None
-) -> dict[str, Any]:
-    """Return what the OpenAPI document is told about an operation."""
-    found: dict[str, Any] = {
-        "response_model": None,
-        "response_class": Response,
-        "responses": {200: {"model": model}, **problem_responses(*problems)},
-    }
-    if body is not None:
-        content = {JSON_TYPE: {"schema": body.model_json_schema()}}
-        found["openapi_extra"] = {"requestBody": {"required": True, "content": content}}
-    return found
-
-
 async def drive_text(store: Store, info: DriveInfo) -> str:
     """Return a drive with its values as JSON text, letting others run now and then."""
     texts = [text async for text in value_texts(store, info.name)]
@@ -357,82 +347,3 @@ async def value_texts(store: Store, drive: str) -> AsyncIterator[str]:
         reading = store.reading(drive, code)
         if reading is not None:
             yield encode(reading.as_json())
-
-
-def code_of(code: str, subcode: str) -> Code:
-    """Return the code a path names.
-
-    Raises:
-        ProblemError: It names none; 404, because no drive has it.
-    """
-    text = f"{code}/{subcode}" if subcode else code
-    try:
-        return Code.parse(text)
-    except CodeValueError as exc:
-        raise ProblemError(
-            Problem("no-such-code", str(exc), code=text, remedy="write C0150 or C0039/1")
-        ) from exc
-
-
-def content_of(request: Request, body: bytes) -> bytes:
-    """Return what tells this request from another with the same key."""
-    return fingerprint(request.method.encode(), request.url.path.encode(), body)
-
-
-def group_json(group: GroupInfo) -> dict[str, Json]:
-    """Return a group's JSON form."""
-    return {
-        "group": group.name,
-        "members": list(group.members),
-        "how": "one-by-one" if group.multicast_address is None else "multicast",
-        "multicast_address": group.multicast_address,
-    }
-
-
-def report_json(report: WriteReport) -> dict[str, Json]:
-    """Return a write's JSON form."""
-    return {
-        "drive": report.drive,
-        "code": None if report.code is None else f"C{report.code.number:04d}",
-        "subcode": None if report.code is None else report.code.subcode,
-        "outcome": report.outcome.value,
-        "reason": report.reason or None,
-        "cause": report.cause or None,
-        "remedy": report.remedy or None,
-        "reading": None if report.reading is None else report.reading.as_json(),
-    }
-
-
-def group_response(report: GroupReport) -> Response:
-    """Return the answer to a group write or a stop."""
-    members: list[Json] = [report_json(one) for one in report.members]
-    problem = group_problem(report, members)
-    if problem is not None:
-        return problem.response()
-    return json_response(
-        {
-            "target": report.target,
-            "how": report.how,
-            "outcome": report.outcome.value,
-            "reason": report.reason or None,
-            "members": members,
-        }
-    )
-
-
-def status_response(kind: str, check: tuple[bool, str]) -> Response:
-    """Return health or readiness."""
-    good, detail = check
-    if good:
-        return json_response({"status": "ok", "detail": detail})
-    return Problem(kind, detail).response()
-
-
-def json_response(document: Json) -> Response:
-    """Return a document."""
-    return text_response(encode(document))
-
-
-def text_response(text: str) -> Response:
-    """Return JSON text; no cache may keep it, its age counts from now."""
-    return Response(text, headers={"Cache-Control": "no-store"}, media_type=JSON_TYPE)

@@ -27,6 +27,8 @@ from lecombus.schedule.request import Priority
 __all__ = [
     "BODY_LIMIT",
     "RIGHT",
+    "AcceptBody",
+    "Body",
     "DriveWriteBody",
     "StopBody",
     "Urgency",
@@ -56,6 +58,7 @@ RIGHT: Final[Mapping[str, str]] = {
     "priority": '"interactive", or "background" for long work that only takes idle line time',
     "restore": "true or false",
     "action": '"quick-stop" or "inhibit"',
+    "identity": 'what the drive said of itself, such as {"C1810": "33S2102I_10000"}',
     "target": 'the name of a drive or a group, or "all"',
 }
 """What each key takes, for messages."""
@@ -166,6 +169,12 @@ class StopBody(Body):
         WithJsonSchema({"type": "string", "enum": [one.value for one in StopAction]}),
     ]
     target: Annotated[str, Field(min_length=1, max_length=200, description=RIGHT["target"])]
+
+
+class AcceptBody(Body):
+    """The identity that whoever accepts a drive has seen."""
+
+    identity: Annotated[dict[str, str], Field(description=RIGHT["identity"])]
 
 
 def seconds_of(value: int | Decimal | str) -> Decimal:
@@ -286,6 +295,8 @@ def example(model: type[Body]) -> str:
     """Return a right body, for messages."""
     if model is StopBody:
         return '{"action": "quick-stop", "target": "all"}'
+    if model is AcceptBody:
+        return '{"identity": {"C1810": "33S2102I_10000"}}'
     return '{"value": 35.4, "expires": "2s", "verify": true}'
 
 

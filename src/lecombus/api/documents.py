@@ -21,6 +21,7 @@ __all__ = [
     "DrivesDocument",
     "GroupOutcomeDocument",
     "GroupsDocument",
+    "IdentityDocument",
     "LineDocument",
     "OutcomeDocument",
     "ProblemDocument",
@@ -85,7 +86,19 @@ class DriveDocument(Document):
     since: str
     fault: Annotated[FaultDocument | None, Field(description="Null: none is shown")]
     remarks: dict[str, str]
+    identity: Annotated[dict[str, str], Field(description="What it said of itself, by code")]
     values: list[ReadingDocument]
+
+
+class IdentityDocument(Document):
+    """Who a drive is, was, and should be; each by code."""
+
+    drive: str
+    found: Annotated[dict[str, str], Field(description="What it said when last asked")]
+    accepted: Annotated[dict[str, str], Field(description="What is recorded of it")]
+    roster: Annotated[dict[str, str], Field(description="What the roster says")]
+    accepted_at: Annotated[str | None, Field(description="When the record was made, RFC 3339")]
+    problem: Annotated[str | None, Field(description="Why nothing is written to it")]
 
 
 class DrivesDocument(Document):

@@ -7,17 +7,19 @@ decided in `problems`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from typing import Protocol
 
 from lecombus.drives import StopAction
+from lecombus.operations.identities import IdentityReport
 from lecombus.operations.reports import GroupInfo, GroupReport, RestoreRights, WriteReport
 from lecombus.protocol.addressing import Code
 from lecombus.schedule.request import Priority
 from lecombus.store import Reading
 
 __all__ = [
+    "CustodyPort",
     "GroupInfo",
     "GroupReport",
     "OperationsPort",
@@ -26,6 +28,24 @@ __all__ = [
     "StopAction",
     "WriteReport",
 ]
+
+
+class CustodyPort(Protocol):
+    """What looking after drives takes besides reading and writing them."""
+
+    def identity(self, drive: str) -> IdentityReport:
+        """Return who a drive is.
+
+        Raises:
+            OperationError: No such drive.
+        """
+
+    def accept(self, drive: str, shown: Mapping[str, str]) -> IdentityReport:
+        """Take the drive that is there for the drive of this name.
+
+        Raises:
+            OperationError: No such drive, or it is not what was shown.
+        """
 
 
 class OperationsPort(Protocol):

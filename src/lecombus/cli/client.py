@@ -38,6 +38,7 @@ STATUS_OF_KIND: Mapping[str, Exit] = {
     "bad-value": Exit.USAGE,
     "bad-request": Exit.USAGE,
     "not-writable": Exit.FORBIDDEN,
+    "locked": Exit.FORBIDDEN,
     "not-permitted": Exit.FORBIDDEN,
     "read-only": Exit.FORBIDDEN,
     "no-such-code": Exit.FAILED,

@@ -36,6 +36,7 @@ COMMANDS = {
     "write": "Write one code of one drive.",
     "group": "Write one code of every drive of a group.",
     "stop": "Stop drives at once, before everything else; all of them if none is named.",
+    "accept": "Take another drive in the place of the one that was there.",
     "status": "Show the line and its drives, or one drive with its values.",
 }
 

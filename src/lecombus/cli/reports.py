@@ -34,7 +34,7 @@ Document = Mapping[str, Any]
 _DONE = ("done", "verified")
 
 
-_FORBIDDEN = ("not-writable", "not-permitted", "read-only")
+_FORBIDDEN = ("not-writable", "locked", "not-permitted", "read-only")
 
 
 def status_of(report: Document) -> Exit:

@@ -20,11 +20,12 @@ from lecombus.config.models import (
     LineEntry,
     MqttEntry,
     Roster,
+    StoredWrites,
     WatchdogEntry,
 )
 from lecombus.config.shapes import Entry, Items
 from lecombus.drives import family
-from lecombus.protocol.addressing import Form
+from lecombus.protocol.addressing import Code, Form
 
 __all__ = ["build_roster", "multicast_address"]
 
@@ -45,8 +46,16 @@ def build_roster(roster: Entry, file: str) -> Roster:
     return Roster(
         file=file, line=line, drives=drives, groups=_groups(roster, drives), lease=lease,
         api=_api(roster.get("api"), line.name), mqtt=_mqtt(roster.get("mqtt")),
+        state=_state(roster.get("state"), line),
         not_yet_used=_not_yet_used(roster), **others,
     )  # fmt: skip
+
+
+def _state(given: str | None, line: LineEntry) -> str | None:
+    """Return the state file; what simulated drives say is worth nothing after the end."""
+    if given is not None or line.port.startswith("sim:"):
+        return given
+    return f"/var/lib/lecombus/{line.name}.json"
 
 
 def _fields(entry: Entry) -> dict[str, Any]:
@@ -81,8 +90,15 @@ def _drive(entry: Entry, lease: LeaseEntry) -> DriveEntry:
         restore=entry.get("restore", False),
         answer_time_s=entry.get("answer_time"),
         accept_software=tuple(item.value for item in entry.get("accept_software", ())),
+        allow_address_change=entry.get("allow_address_change", False),
+        identity={Code.parse(at.text): text for at, text in entry.get("identity", ())},
+        stored_writes=_stored_writes(entry.get("stored_writes")),
         lease=_lease(entry.get("lease"), lease),
     )  # fmt: skip
+
+
+def _stored_writes(entry: Entry | None) -> StoredWrites:
+    return StoredWrites() if entry is None else StoredWrites(**_fields(entry))
 
 
 def _forms(addressing: str | None, of_family: tuple[Form, ...]) -> tuple[Form, ...]:

@@ -19,6 +19,7 @@ from lecombus.drives import (
     knows_stop,
 )
 from lecombus.durations import format_duration
+from lecombus.errors import CodeValueError
 from lecombus.protocol.addressing import Code, Form
 
 __all__ = ["check_drive", "check_lapse"]
@@ -113,8 +114,11 @@ def _check_whole_ms(time_s: float, place: Place, mistakes: Mistakes) -> None:
 
 
 def _codes(drive: Entry, key: str) -> list[Item]:
-    """Return the codes under `cyclic` or `writable` that could be read, with their places."""
+    """Return the codes under a key that could be read, with their places."""
     items = drive.get(key)
+    if key == "identity":
+        known = ((at, _code_of(at.text)) for at, _ in items or ())
+        return [Item(at, code) for at, code in known if code is not None]
     if not isinstance(items, Items):
         return []
     if key == "writable":
@@ -123,8 +127,16 @@ def _codes(drive: Entry, key: str) -> list[Item]:
     return [Item(entry.place("code"), entry.get("code")) for entry in entries]
 
 
+def _code_of(text: str) -> Code | None:
+    try:
+        return Code.parse(text)
+    except CodeValueError:
+        return None
+
+
 def _check_doubles(drive: Entry, mistakes: Mistakes) -> None:
-    for key, doing in (("cyclic", "read cyclically"), ("writable", "writable")):
+    ways = (("cyclic", "read cyclically"), ("writable", "writable"), ("identity", "given"))
+    for key, doing in ways:
         first: dict[Code, Item] = {}
         for item in _codes(drive, key):
             other = first.setdefault(item.value, item)
@@ -141,7 +153,7 @@ def _check_forms(drive: Entry, mistakes: Mistakes) -> None:
         addressing = "both" if Form.EXTENDED in family(name).forms else "standard"
     if addressing != "standard":
         return
-    for key in ("cyclic", "writable"):
+    for key in ("cyclic", "writable", "identity"):
         for item in _codes(drive, key):
             if not item.value.knows(Form.STANDARD):
                 what = f"{item.value} needs extended addressing, which this drive does not have"

@@ -102,6 +102,13 @@ _LEASE: Final = Table("lease", (
         default="quick-stop"),
 ), "A client's promise that it is alive (not used by this version).")  # fmt: skip
 
+_STORED_WRITES: Final = Table("stored writes", (
+    Key("burst", Whole(1, 10_000), "How many writes of one code may follow each other.",
+        default=30),
+    Key("every", Duration(0.1, _DAY_S, zero="no limit"),
+        "How long until one more of that code may follow; 0 for no limit.", default="10min"),
+), "Limit on writes of codes that wear the drive's memory.")  # fmt: skip
+
 _DRIVE: Final = Table("drive", (
     Key("name", _DRIVE_NAME, "Name of the drive in commands, URLs and metrics.", required=True),
     Key("address", Address(), "1..99 without 10, 20 .. 90 (C0009, P410).", required=True),
@@ -113,7 +120,7 @@ _DRIVE: Final = Table("drive", (
     Key("writable", ListOf(_CODE, "the code"),
         "What may be written. Absent: the family's set; [] for nothing."),
     Key("allow_address_change", YesNo(),
-        "Take codes into `writable` that change the drive's address or baud rate.",
+        "Let `lecombus readdress` change the drive's address; plain writes never do.",
         default=False),
     Key("restore", YesNo(),
         "Let `lecombus restore` write parameters that `writable` does not list.", default=False),
@@ -124,6 +131,9 @@ _DRIVE: Final = Table("drive", (
         "Absent: as its family."),
     Key("accept_software", ListOf(Text("a software version such as 1.30", 20), "the version"),
         "Software versions (P494 of an SMVector) that may be written to besides the manual's."),
+    Key("identity", NamedEntries(_CODE, Text("what the drive says of itself", 240)),
+        "What identity codes such as C0200 or C1810 must read; else nothing but stops is written."),
+    Key("stored_writes", _STORED_WRITES, _STORED_WRITES.doc),
     Key("lease", _LEASE, _LEASE.doc),
 ), "A drive on the line.")  # fmt: skip
 
@@ -159,4 +169,7 @@ ROSTER: Final = Table("roster", (
     Key("mqtt", _MQTT, _MQTT.doc),
     Key("journal", AbsolutePath("/var/lib/lecombus/hall-3.sqlite"),
         "The record of writes, trips and losses (not used by this version)."),
+    Key("state", AbsolutePath("/var/lib/lecombus/hall-3.json"),
+        "What must outlive the daemon: identities and write counts. Absent: "
+        "/var/lib/lecombus/NAME.json with the line's name; for sim: nothing is kept."),
 ), "One line of drives, read by one lecombus process.")  # fmt: skip

@@ -32,6 +32,7 @@ __all__ = [
     "OnShutdown",
     "Parity",
     "Roster",
+    "StoredWrites",
     "WatchdogEntry",
 ]
 
@@ -113,6 +114,18 @@ class LeaseEntry(_Model):
     on_lapse: Lapse = "quick-stop"
 
 
+class StoredWrites(_Model):
+    """How often codes that wear a drive's memory may be written.
+
+    Args:
+        burst: Writes of one code that may follow each other.
+        every_s: Seconds until one more may follow; 0: no limit.
+    """
+
+    burst: int = 30
+    every_s: float = 600.0
+
+
 class DriveEntry(_Model):
     """One drive.
 
@@ -127,6 +140,9 @@ class DriveEntry(_Model):
         restore: Whether a backup may be restored into it, beyond what `writable` lists.
         answer_time_s: Its processing time where it differs from its family's; None: the family's.
         accept_software: Software identifications accepted besides those of the manual.
+        allow_address_change: Whether its address may be changed by the command for that.
+        identity: What identity codes must read, by code.
+        stored_writes: How often stored codes may be written.
         lease: Whether its control needs a lease.
     """
 
@@ -140,6 +156,9 @@ class DriveEntry(_Model):
     restore: bool = False
     answer_time_s: float | None = None
     accept_software: tuple[str, ...] = ()
+    allow_address_change: bool = False
+    identity: Mapping[Code, str] = {}
+    stored_writes: StoredWrites = StoredWrites()
     lease: LeaseEntry = LeaseEntry()
 
 
@@ -196,6 +215,7 @@ class Roster(_Model):
         api: Where the API listens.
         mqtt: The message broker; None: none.
         journal: The journal's file; None: none.
+        state: The state file; None: nothing is kept.
         not_yet_used: Keys that were given and checked but do nothing in this version.
     """
 
@@ -208,6 +228,7 @@ class Roster(_Model):
     api: ApiEntry
     mqtt: MqttEntry | None = None
     journal: str | None = None
+    state: str | None = None
     not_yet_used: tuple[str, ...] = ()
 
     def drive(self, name: str) -> DriveEntry | None:

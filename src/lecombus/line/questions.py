@@ -130,7 +130,7 @@ class Questions:
     def _multicast(self, job: MulticastJob, step: Step) -> Question:
         """The slowest member is left its processing time before anything else is said."""
         assert step.value is not None
-        form = Form.STANDARD if step.code.knows(Form.STANDARD) else Form.EXTENDED
+        form = next(form for form in job.station.forms if step.code.knows(form))
         telegram = write_telegram(job.station.address, step.code, step.value, form)
         char_s = self._timing.char_s
         request_s = write_request_chars(form, len(step.value.raw)) * char_s

@@ -29,7 +29,7 @@ from lecombus.operations.requests import Ending, Requests, is_line_lost
 from lecombus.operations.restores import check_restored, rights_of
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
-from lecombus.readings import WRITE_LOCK, DriveState, LineState, Reading
+from lecombus.readings import DriveState, LineState, Reading
 from lecombus.schedule import Outcome, Priority
 from lecombus.store import Store
 
@@ -198,14 +198,12 @@ class Operations:
                 code=str(code),
                 remedy="nothing was sent; a drive is written to once it answers and was audited",
             )
-        locked = state.remarks.get(WRITE_LOCK)
-        if locked is not None:
+        if state.write_lock is not None:
             raise OperationError(
-                f"nothing is written to {drive}: {locked}",
-                kind="not-writable",
+                f"nothing is written to {drive}: {state.write_lock}",
+                kind="locked",
                 drive=drive,
                 code=str(code),
-                remedy="accept the software by name in the roster, if its manual allows it",
             )
         try:
             return encode_for(station.family, code, value)
@@ -225,7 +223,7 @@ class Operations:
             OperationError: `no-such-drive`.
         """
         station = self._requests.station(drive)
-        locked = self._store.drive(drive).remarks.get(WRITE_LOCK)
+        locked = self._store.drive(drive).write_lock
         return rights_of(self._entries[drive], station.family, locked)
 
     def check_writable(self, drive: str, code: Code) -> None:

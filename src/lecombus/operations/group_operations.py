@@ -47,7 +47,7 @@ from lecombus.operations.drive_operations import REMEDIES, Operations, kind_of
 from lecombus.operations.reports import GroupInfo, GroupReport, How, WriteReport
 from lecombus.operations.request_maker import ignore_end
 from lecombus.operations.requests import Ending, Requests
-from lecombus.protocol.addressing import Code
+from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority, Request
@@ -127,7 +127,9 @@ class GroupOperations(Operations):
         stations = tuple(self._requests.station(name) for name in entry.members)
         wires = [self.permitted(one.name, one, code, value) for one in stations]
         expires_at_s = None if expires_s is None else self._clock() + expires_s
-        if entry.multicast_address is None or len({wire.raw for wire in wires}) != 1:
+        form = shared_form(stations, code)
+        same = len({wire.raw for wire in wires}) == 1
+        if entry.multicast_address is None or form is None or not same:
             waits = self._submit_each(stations, code, wires, expires_at_s, verify=bool(verify))
             reports = [
                 self.report(one.name, code, wait, *await wait.wait())
@@ -137,7 +139,7 @@ class GroupOperations(Operations):
             ]
             return group_report(group, "one-by-one", reports)
         outcome, reason, kind = await self._multicast(
-            Station(group, entry.multicast_address, stations[0].family, stations[0].forms),
+            Station(group, entry.multicast_address, stations[0].family, (form,)),
             stations, code, wires[0], expires_at_s,
         )  # fmt: skip
         if outcome is Outcome.DONE and verify is not False:
@@ -328,8 +330,11 @@ class GroupOperations(Operations):
         if len(telegrams) != 1:
             return None
         code, value = next(iter(telegrams.values()))
+        form = shared_form(able, code)
+        if form is None:
+            return None
         return self._requests.maker.multicast(
-            Station(target, group.multicast_address, able[0].family, able[0].forms),
+            Station(target, group.multicast_address, able[0].family, (form,)),
             able, code, value, Priority.STOP, settle=ignore_end,
             stops=tuple(one.name for one in able),
         )  # fmt: skip
@@ -377,6 +382,16 @@ class GroupOperations(Operations):
         )  # fmt: skip
         self._requests.worker.submit(request)
         self._stops[name, action] = _OpenStop(request, endings)
+
+
+def shared_form(stations: Sequence[Station], code: Code) -> Form | None:
+    """The form in which one telegram says a code to all: the first that every member knows.
+
+    A drive whose code bank is set is spoken to in extended addressing only: a multicast in the
+    other would write another code of it.
+    """
+    known = (form for form in stations[0].forms if code.knows(form))
+    return next((form for form in known if all(form in one.forms for one in stations)), None)
 
 
 def station_of(request: Request) -> Station:

@@ -161,7 +161,7 @@ class RequestMaker:
             max(one.family.longest_answer_time_s(code, write=True), one.answer_time_s or 0.0)
             for one in members
         )
-        form = Form.STANDARD if code.knows(Form.STANDARD) else Form.EXTENDED
+        form = form_of(group, code)
         wire_s = write_request_chars(form, len(value.raw)) * self.timing.char_s
         whole_s = wire_s + slowest_s + self.timing.adapter_latency_s
         longest_hold_s = max(one.hold_s for one in members)

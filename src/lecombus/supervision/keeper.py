@@ -27,12 +27,16 @@ from anyio.abc import TaskGroup
 from lecombus.config import DriveEntry
 from lecombus.errors import LecombusError
 from lecombus.line.station import Station
+from lecombus.operations.control_words import ControlWords
+from lecombus.operations.identities import Identities
 from lecombus.operations.requests import Requests
 from lecombus.readings import DriveState
 from lecombus.schedule import Feeding, Schedule
 from lecombus.store import Store
 from lecombus.supervision.audit import Audit
+from lecombus.supervision.gates import Gates
 from lecombus.supervision.health import Health
+from lecombus.supervision.watchdogs import WatchdogAudit
 
 __all__ = ["Keeper"]
 
@@ -54,6 +58,8 @@ class Keeper:
         store: Gets the remarks.
         clock: Monotonic time, seconds.
         health: Told when a drive has been audited.
+        identities: Knows who each drive is.
+        words: The drives' control words.
     """
 
     def __init__(
@@ -63,10 +69,13 @@ class Keeper:
         store: Store,
         clock: Callable[[], float],
         health: Health,
+        identities: Identities,
+        words: ControlWords,
     ) -> None:
         self._requests = requests
         self._schedule = schedule
-        self._audits = Audit(requests, store, self._feed)
+        watchdogs = WatchdogAudit(requests, store, self._feed)
+        self._audits = Audit(requests, Gates(requests, store, identities, words), watchdogs)
         self._clock = clock
         self._entries: dict[str, DriveEntry] = {}
         self._auditing: dict[str, anyio.CancelScope] = {}
@@ -155,7 +164,7 @@ class Keeper:
             self.tried.add(entry.name)
         slow = is_slow(station)
         turn = (lambda: self._one_at_a_time) if slow else contextlib.nullcontext
-        await self._audits.examine(entry, station, turn)
+        await self._audits.examine(entry, turn)
 
     async def _learn_the_rest(self, name: str) -> None:
         await self._audits.learn_the_rest(self._entries[name], self._requests.station(name))

@@ -1,0 +1,270 @@
+"""Who each drive is: what it says of itself, what it said before, and what the roster says.
+
+Strategy: the first identity a drive shows is recorded. When it later differs in a code that can be
+read, or from the roster, another device (or the same with other software) answers at its address:
+the difference stands as a remark that lets nothing but stops be written, until somebody who has
+seen both accepts it, or the roster names what is there. The roster decides for the codes it names,
+the record for all others. What cannot be read is no difference.
+
+Two devices of one kind with the same software say the same: they cannot be told apart.
+
+What must not live here: reading (the audit does that), HTTP, files.
+Source: EDB2102EN 8.2 (C1810, C1811), CMVLC401A table 9 (C0200, C0201), 8.1.3 (P099), 9.2 (P502).
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from lecombus.config import DriveEntry
+from lecombus.errors import CodeValueError, OperationError
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+from lecombus.readings import IDENTITY_LOCK, Json, rfc3339
+from lecombus.state import State
+from lecombus.store import Store
+
+__all__ = ["Identities", "IdentityReport", "identity_codes", "text_of"]
+
+logger = logging.getLogger(__name__)
+
+SOFTWARE_CODES = (Code(200), Code(201))
+"""Software and its date: not in the 2102 module's manual, but behind it most drives have them."""
+
+
+@dataclass(frozen=True, slots=True)
+class IdentityReport:
+    """What is known of who a drive is.
+
+    Args:
+        drive: Its name.
+        found: What it said when it was last asked, by code.
+        accepted: What is recorded of it.
+        roster: What the roster says.
+        accepted_at: When the record was made, RFC 3339; empty: there is none.
+        problem: Why it is not written to; empty when it is the drive it should be.
+    """
+
+    drive: str
+    found: Mapping[str, str]
+    accepted: Mapping[str, str]
+    roster: Mapping[str, str]
+    accepted_at: str
+    problem: str
+
+    def as_json(self) -> dict[str, Json]:
+        """Return the JSON form."""
+        return {
+            "drive": self.drive,
+            "found": dict(self.found),
+            "accepted": dict(self.accepted),
+            "roster": dict(self.roster),
+            "accepted_at": self.accepted_at or None,
+            "problem": self.problem or None,
+        }
+
+
+class Identities:
+    """Compares and remembers the identities of one line's drives.
+
+    Args:
+        state: Where they are kept.
+        store: Gets what was found, and the remarks.
+        wall: The time of day, Unix seconds.
+        on_accepted: Called with a drive whose identity somebody accepted.
+    """
+
+    def __init__(
+        self,
+        state: State,
+        store: Store,
+        wall: Callable[[], float],
+        on_accepted: Callable[[str], None],
+    ) -> None:
+        self._state = state
+        self._store = store
+        self._wall = wall
+        self._on_accepted = on_accepted
+        self._entries: dict[str, DriveEntry] = {}
+        self._found: dict[str, dict[str, str]] = {}
+
+    def add_drive(self, entry: DriveEntry) -> None:
+        """Look after a drive from now on; nothing it said as another entry counts."""
+        self._entries[entry.name] = entry
+        self._found.pop(entry.name, None)
+
+    def remove_drive(self, name: str) -> None:
+        """Look after it no longer; what is recorded of it stays."""
+        self._entries.pop(name, None)
+        self._found.pop(name, None)
+
+    def differing(self, name: str, found: Mapping[Code, Value]) -> list[Code]:
+        """Return the codes that read otherwise than the roster or the record says."""
+        entry, record = self._entries[name], self._state.drive(name).identity
+        return [
+            code for code, value in found.items()
+            if not _is(value, entry.identity.get(code, record.get(str(code))))
+        ]  # fmt: skip
+
+    def judge(self, name: str, found: Mapping[Code, Value]) -> None:
+        """Take what a drive says of itself: record it, or lock the drive where it differs.
+
+        Args:
+            name: The drive.
+            found: What could be read, by code.
+        """
+        told = {str(code): text_of(value) for code, value in found.items()}
+        self._found[name] = told
+        self._store.identify(name, told)
+        differing = self.differing(name, found)
+        if not differing:
+            self._record(name, told)
+        self._remark(name, self._difference(name, differing, told))
+
+    def report(self, name: str) -> IdentityReport:
+        """Return what is known of who a drive is.
+
+        Raises:
+            OperationError: `no-such-drive`.
+        """
+        info = self._store.drive(name)
+        facts = self._state.drive(name)
+        entry = self._entries[name]
+        return IdentityReport(
+            name,
+            self._found.get(name, {}),
+            facts.identity,
+            {str(code): text for code, text in entry.identity.items()},
+            facts.accepted_at,
+            info.remarks.get(IDENTITY_LOCK, ""),
+        )
+
+    def accept(self, name: str, shown: Mapping[str, str]) -> IdentityReport:
+        """Take the drive that is there for the drive of this name.
+
+        Args:
+            name: The drive.
+            shown: Its identity as it was shown to whoever accepts it.
+
+        Raises:
+            OperationError: No such drive; nothing was read of it yet; it is not what was shown;
+                or the roster says otherwise.
+        """
+        report = self.report(name)
+        if not report.found:
+            raise OperationError(
+                f"{name} has not said who it is",
+                kind="not-ready",
+                drive=name,
+                remedy="accept it when it is online and has been audited",
+            )
+        if dict(shown) != dict(report.found):
+            raise OperationError(
+                f"{name} is {_listed(report.found)}, not {_listed(shown)}",
+                kind="other-identity",
+                drive=name,
+                remedy="look at what it is now, and accept that",
+            )
+        against = [
+            code for code, text in self._entries[name].identity.items()
+            if str(code) in report.found and not _same(report.found[str(code)], text)
+        ]  # fmt: skip
+        if against:
+            raise OperationError(
+                f"the roster says otherwise of {', '.join(map(str, against))} of {name}",
+                kind="other-identity",
+                drive=name,
+                remedy="correct `identity` in the roster and reload, or put the drive back",
+            )
+        self._take(name, report)
+        return self.report(name)
+
+    def _take(self, name: str, report: IdentityReport) -> None:
+        facts = self._state.drive(name)
+        if any(facts.identity.get(code) != text for code, text in report.found.items()):
+            logger.warning(
+                "drive=%s event=identity-accepted from=%s to=%s",
+                name, _listed(facts.identity), _listed(report.found),
+            )  # fmt: skip
+            facts.identity = dict(report.found)
+            facts.accepted_at = rfc3339(self._wall())
+            facts.writes_before = dict(facts.writes)
+            self._state.touch()
+        self._store.note(name, IDENTITY_LOCK, None)
+        self._on_accepted(name)
+
+    def _record(self, name: str, told: Mapping[str, str]) -> None:
+        """Keep what is new; a code that could not be read this time stays as it was."""
+        facts = self._state.drive(name)
+        new = {code: text for code, text in told.items() if facts.identity.get(code) != text}
+        if not new:
+            return
+        logger.info("drive=%s event=identity-recorded identity=%s", name, _listed(told))
+        facts.identity = {**facts.identity, **told}
+        facts.accepted_at = rfc3339(self._wall())
+        self._state.touch()
+
+    def _difference(self, name: str, differing: list[Code], told: Mapping[str, str]) -> str | None:
+        """Say what differs and what to do about it; None where nothing does."""
+        if not differing:
+            return None
+        roster, record = self._entries[name].identity, self._state.drive(name).identity
+        parts = [
+            f"{code} reads {told[str(code)]}, "
+            + (f"the roster says {roster[code]}" if code in roster else f"not {record[str(code)]}")
+            for code in differing
+        ]
+        by_roster = any(code in roster for code in differing)
+        remedy = (
+            "correct `identity` in the roster and reload"
+            if by_roster
+            else f"`lecombus accept {name}`"
+        )
+        return (
+            f"this is not the drive that was there: {'; '.join(parts)}; nothing is written to it "
+            f"but stops; if it was replaced on purpose: {remedy}"
+        )
+
+    def _remark(self, name: str, text: str | None) -> None:
+        before = self._store.drive(name).remarks.get(IDENTITY_LOCK)
+        if text is not None and text != before:
+            logger.warning("drive=%s event=drive-swapped reason=%s", name, text)
+        self._store.note(name, IDENTITY_LOCK, text)
+
+
+def identity_codes(entry: DriveEntry, of_family: tuple[Code, ...]) -> tuple[Code, ...]:
+    """Return what a drive is asked to know who it is.
+
+    Args:
+        entry: The drive; its roster may name more.
+        of_family: What its family has; empty for a device nothing is known of.
+    """
+    usual = (*of_family, *SOFTWARE_CODES) if of_family else ()
+    return tuple(dict.fromkeys((*usual, *entry.identity)))
+
+
+def text_of(value: Value) -> str:
+    """Return an identity code's value as people know it, strings without their letter."""
+    number = value.number
+    return number if isinstance(number, str) else value.raw
+
+
+def _is(value: Value, text: str | None) -> bool:
+    """Whether a value is what is said of it; what is not said cannot differ."""
+    return text is None or _same(text_of(value), text) or value.raw == text
+
+
+def _same(found: str, text: str) -> bool:
+    """Whether two texts are one identity; `1.2` and `1.20` are."""
+    if found == text:
+        return True
+    try:
+        return Value.parse(found).means_same(Value.parse(text))
+    except CodeValueError:
+        return False
+
+
+def _listed(identity: Mapping[str, str]) -> str:
+    return ", ".join(f"{code} {text}" for code, text in identity.items()) or "nothing"

@@ -1,0 +1,14 @@
+"""State: the little that must outlive the process, in one file a line.
+
+`document` is what is kept of each drive: its accepted identity, how often its stored parameters
+were written, and where it was moved to. `file` reads it and puts it on disk so that a power failure
+leaves the old or the new one, never half of one. `keeping` writes it now and then beside the line.
+
+What must not live here: what any of it means. That is `operations` (identities, wear, readdress).
+"""
+
+from lecombus.state.document import DriveFacts, Moved, State
+from lecombus.state.file import StateFile
+from lecombus.state.keeping import Keeping
+
+__all__ = ["DriveFacts", "Keeping", "Moved", "State", "StateFile"]

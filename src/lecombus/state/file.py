@@ -1,0 +1,123 @@
+"""The file itself: read once, written whole, so that there is always a good one.
+
+Strategy: the new content goes to a neighbour of the file, is brought to the disk (fsync), takes
+the file's name, and the folder is brought to the disk as well. A damaged file is never overwritten:
+it is set aside under its own name with `.damaged` and a number, and said. A file of a later version
+is left alone, and nothing is kept then.
+
+What must not live here: the event loop (`keeping`), what the content means (`document`).
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Final
+
+from lecombus.state.document import NewerStateError, State, StateFormatError
+
+__all__ = ["StateFile"]
+
+LARGEST: Final = 8 * 1024 * 1024
+"""Bytes; 90 drives with a hundred codes each take under one."""
+
+SET_ASIDE_MOST: Final = 9
+"""Damaged files kept; then the last one is replaced."""
+
+MODE: Final = 0o640
+
+
+class StateFile:
+    """One state file.
+
+    Args:
+        path: Where it is; None: nothing is kept.
+
+    Attributes:
+        trouble: What was wrong with it when it was read; empty when all was well.
+        is_usable: False where it must not be written at all.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self.path = path
+        self.trouble = ""
+        self.is_usable = path is not None
+
+    def load(self) -> State:
+        """Read it; whatever is wrong with it ends in `trouble`, never in an error."""
+        if self.path is None:
+            return State()
+        try:
+            return self._read(self.path)
+        except NewerStateError as exc:
+            self.is_usable = False
+            self.trouble = f"{self.path} is not used and not changed: {exc}"
+        except StateFormatError as exc:
+            self._set_aside(self.path, str(exc))
+        except FileNotFoundError:
+            self._look_at_folder(self.path.parent)
+        except OSError as exc:
+            self.is_usable = False
+            self.trouble = f"{self.path} cannot be read: {exc.strerror}"
+        return State()
+
+    def save(self, text: str) -> None:
+        """Put new content in the place of the old; blocks for as long as the disk takes.
+
+        Raises:
+            OSError: It could not be written; the old file is as it was.
+        """
+        assert self.path is not None
+        neighbour = self.path.with_name(f".{self.path.name}.new")
+        descriptor = os.open(
+            neighbour, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | os.O_NOFOLLOW, MODE
+        )
+        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        neighbour.replace(self.path)
+        folder = os.open(self.path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+    def _look_at_folder(self, folder: Path) -> None:
+        """Say at once what the first attempt to write would say later."""
+        if not folder.is_dir():
+            self.is_usable = False
+            self.trouble = (
+                f"{folder} does not exist, nothing is kept: make it and restart, or name another "
+                "file by `state:` in the roster"
+            )
+        elif not os.access(folder, os.W_OK | os.X_OK):
+            self.is_usable = False
+            self.trouble = (
+                f"{folder} may not be written to, nothing is kept: give it to the user that "
+                "lecombus runs as and restart, or name another file by `state:` in the roster"
+            )
+
+    def _read(self, path: Path) -> State:
+        with path.open("rb") as file:
+            data = file.read(LARGEST + 1)
+        if len(data) > LARGEST:
+            raise StateFormatError("it is far too large")
+        return State.parse(data)
+
+    def _set_aside(self, path: Path, why: str) -> None:
+        names = [path.with_name(f"{path.name}.damaged-{n}") for n in range(1, SET_ASIDE_MOST + 1)]
+        aside = next((name for name in names if not name.exists()), names[-1])
+        try:
+            path.replace(aside)
+        except OSError as exc:
+            self.is_usable = False
+            self.trouble = (
+                f"{path} is damaged ({why}) and cannot be set aside: {exc.strerror}; it is not "
+                "used and not changed"
+            )
+            return
+        self.trouble = (
+            f"{path} was damaged ({why}) and stands as {aside.name} now: what was known of the "
+            "drives' identities and write counts begins anew; delete it when it is of no use"
+        )

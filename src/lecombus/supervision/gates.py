@@ -1,0 +1,175 @@
+"""Gates: what is asked of a drive before anything may be written to it.
+
+In this order, each before the first write of the audit itself:
+
+1. *addressing*: C0248 and C0249 move what standard addressing reaches, in every later access. They
+   can be read whatever they are. With one of them not 0 the drive is spoken to in extended
+   addressing only, which they do not touch; where the roster rules that out, nothing it answers is
+   what was asked for: every value is bad and nothing is written.
+2. *identity*: is it the drive that was there (`operations.identities`)? What differs is read twice
+   before it is believed: one damaged character may pass the BCC.
+3. *software*: the manual of the SMVector forbids writing to any software but its own.
+
+Each gate that is shut is a remark (`readings.WRITE_LOCKS`); stops pass all of them.
+
+What must not live here: what is accepted and recorded, when an audit is due.
+Source: EDB2102EN 8.2 (C0248, C0249), 8.3.1; CMVLC401A preface, 5.3.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+from collections.abc import Iterable
+
+from lecombus.config import DriveEntry
+from lecombus.drives import SoftwareGate
+from lecombus.errors import UnknownCodeError
+from lecombus.line.station import Station
+from lecombus.operations.control_words import ControlWords
+from lecombus.operations.identities import Identities, identity_codes
+from lecombus.operations.requests import Requests
+from lecombus.protocol.addressing import Code, Form
+from lecombus.protocol.values import Value
+from lecombus.readings import ADDRESSING_LOCK, SOFTWARE_LOCK
+from lecombus.schedule import Priority
+from lecombus.store import Store
+from lecombus.supervision.watchdogs import PATIENCE_S
+
+__all__ = ["Gates"]
+
+logger = logging.getLogger(__name__)
+
+INPUT_SELECTION = Code(248)
+CODE_BANK = Code(249)
+
+MOVED = "addressing-moved"
+"""The remark where extended addressing is used instead: writes go."""
+
+
+class Gates:
+    """Asks drives what decides whether they may be written to.
+
+    Args:
+        requests: Sends requests and waits for their end.
+        store: Gets the remarks.
+        identities: Judges who they are.
+        words: Their control words, which may be others' codes until addressing is known.
+    """
+
+    def __init__(
+        self, requests: Requests, store: Store, identities: Identities, words: ControlWords
+    ) -> None:
+        self._requests = requests
+        self._store = store
+        self._identities = identities
+        self._words = words
+
+    async def check_addressing(self, entry: DriveEntry, station: Station) -> Station:
+        """See that what is asked for is what is answered.
+
+        Returns:
+            The drive as it is to be spoken to from now on.
+
+        Raises:
+            LecombusError: It could not be finished.
+        """
+        if station.family.info(CODE_BANK) is None:
+            return station
+        found = await self._read_all(station, (CODE_BANK, INPUT_SELECTION))
+        moved = {code: value for code, value in found.items() if value.number != 0}
+        forms = entry.forms
+        if moved:
+            forms = tuple(form for form in entry.forms if form is Form.EXTENDED)
+        self._remark_addressing(entry, moved, reachable=bool(forms))
+        if moved:
+            self._words.forget(entry.name)
+        if not forms or forms == station.forms:
+            return station
+        changed = dataclasses.replace(station, forms=forms)
+        self._requests.replace_station(station, changed)
+        return changed
+
+    def _remark_addressing(
+        self, entry: DriveEntry, moved: dict[Code, Value], *, reachable: bool
+    ) -> None:
+        told = " and ".join(f"{code} is {value.raw}" for code, value in moved.items())
+        before = self._store.drive(entry.name).remarks
+        text = (
+            f"{told}: standard addressing reaches other codes or subcodes of this drive than it "
+            "should; "
+        )
+        lock = note = None
+        if moved and not reachable:
+            lock = (
+                f"{text}every value is bad and nothing is written but stops, which may go astray; "
+                "write 0 to both by whatever set them, or switch the drive off and on"
+            )
+        elif moved:
+            note = (
+                f"{text}extended addressing is used instead; another master on this line may have "
+                "set them; they are 0 again after switching off and on"
+            )
+        if moved and not before.keys() & {ADDRESSING_LOCK, MOVED}:
+            logger.warning("drive=%s event=addressing-moved reason=%s", entry.name, lock or note)
+        self._store.note(entry.name, ADDRESSING_LOCK, lock)
+        self._store.note(entry.name, MOVED, note)
+        if note is not None:
+            for code in self._store.codes(entry.name):
+                self._store.value_failed(entry.name, code, f"{told} when it was read")
+
+    async def check_identity(self, entry: DriveEntry, station: Station) -> dict[Code, Value]:
+        """Find out who it is.
+
+        Returns:
+            What could be read, by code.
+
+        Raises:
+            LecombusError: The line was no help; a code that the drive does not know is none.
+        """
+        codes = identity_codes(entry, station.family.identity)
+        found = await self._read_all(station, codes)
+        doubtful = self._identities.differing(entry.name, found)
+        found |= await self._read_all(station, doubtful)
+        if found:
+            self._identities.judge(entry.name, found)
+        return found
+
+    async def check_software(
+        self, entry: DriveEntry, station: Station, gate: SoftwareGate, known: Value | None
+    ) -> None:
+        """A drive whose software the manual does not vouch for is read, and never written to.
+
+        Args:
+            entry: What the roster says.
+            station: The drive.
+            gate: Which software may be written to.
+            known: The version, where it was read just now.
+
+        Raises:
+            LecombusError: It could not be read.
+        """
+        found = known or await self._read(station, gate.code)
+        accepted = (*gate.versions, *entry.accept_software)
+        text = None
+        if not any(found.raw == one or found.means_same(Value.parse(one)) for one in accepted):
+            text = (
+                f"{gate.code} reads software {found.raw}, the manual's codes are those of "
+                f"{', '.join(gate.versions)}: nothing is written to this drive but stops; if its "
+                f"manual says the same codes, add accept_software: ['{found.raw}'] in the roster"
+            )
+            logger.warning("drive=%s event=software-unknown reason=%s", entry.name, text)
+        self._store.note(entry.name, SOFTWARE_LOCK, text)
+
+    async def _read_all(self, station: Station, codes: Iterable[Code]) -> dict[Code, Value]:
+        """Read codes; those that the drive does not know are left out."""
+        found: dict[Code, Value] = {}
+        for code in codes:
+            try:
+                found[code] = await self._read(station, code)
+            except UnknownCodeError:
+                continue
+        return found
+
+    async def _read(self, station: Station, code: Code) -> Value:
+        return await self._requests.read(station, code, Priority.INTERACTIVE, timeout_s=PATIENCE_S)

@@ -1,0 +1,246 @@
+"""A drive's own watchdog: looked at, set where the roster says so, or the difference remarked.
+
+What a watchdog does is looked at before any drive's is set, because one that is off needs no
+feeding, and with less to feed setting them goes faster. Only what differs is written, the action
+last, each proven by reading back; on a drive that nothing may be written to it is only remarked.
+
+What must not live here: when it is done (`keeper`), who may be written to (`gates`).
+Source: EDB2102EN 6.3 (C1920..C1923), CMVLC401A 7.3.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from lecombus.config import DriveEntry
+from lecombus.drives import WatchdogTraits
+from lecombus.errors import LecombusError, OperationError, UnknownCodeError
+from lecombus.line.station import Station
+from lecombus.operations.requests import Requests
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+from lecombus.schedule import Outcome, Priority
+from lecombus.store import Store
+
+__all__ = ["PATIENCE_S", "AuditError", "WatchdogAudit", "WatchdogSetting"]
+
+logger = logging.getLogger(__name__)
+
+PATIENCE_S = 120.0
+"""An audit's read may wait this long: at the start 31 modules with 500 ms each come before it."""
+
+REMARK = "watchdog"
+
+LEAST_FED_S = 0.05
+"""A watchdog shorter than this (the 2102's least, EDB2102EN 6.3.3) cannot be kept on any line of
+this kind; trying to would take the line from everybody else."""
+
+DOES_NOT_FIT = "does-not-fit"
+"""A module's own code takes so long to read that others' watchdogs would lapse meanwhile."""
+
+
+@dataclass(frozen=True, slots=True)
+class WatchdogSetting:
+    """What a drive's watchdog is set to.
+
+    Args:
+        time_s: After this long without a telegram it acts, seconds.
+        action: What it does, as the drive's number for it; 0 is nothing.
+    """
+
+    time_s: float
+    action: int
+
+    @property
+    def armed(self) -> bool:
+        """Whether it acts at all."""
+        return self.action != 0 and self.time_s > 0.0
+
+
+class WatchdogAudit:
+    """Compares and sets the watchdogs of one line's drives.
+
+    Args:
+        requests: Sends requests and waits for their end.
+        store: Gets the remarks.
+        feed: Told how often a drive must be spoken to, seconds; None: not on purpose.
+    """
+
+    def __init__(
+        self, requests: Requests, store: Store, feed: Callable[[str, float | None], None]
+    ) -> None:
+        self._requests = requests
+        self._store = store
+        self._feed = feed
+        self._known: dict[str, WatchdogSetting] = {}
+
+    def forget(self, name: str) -> None:
+        """It may be another device now: look at everything again."""
+        self._known.pop(name, None)
+
+    async def look(self, name: str, station: Station, traits: WatchdogTraits) -> int | None:
+        """Read what the watchdog does; None: it cannot be seen, and a remark says so."""
+        action: int | None = None
+        with self._remarking(name):
+            action = int(number(await self._read(station, traits.action_code)))
+            if action == 0:
+                self._feed(name, None)
+        return action
+
+    async def settle(
+        self, entry: DriveEntry, station: Station, traits: WatchdogTraits, action: int
+    ) -> None:
+        """Put it in order, or say how it differs; make a remark of what can never be read.
+
+        Args:
+            entry: What the roster says.
+            station: The drive.
+            traits: How its watchdog is set.
+            action: What it does now.
+        """
+        with self._remarking(entry.name):
+            await self._audit_watchdog(entry, station, traits, action)
+
+    async def learn(self, name: str, station: Station, traits: WatchdogTraits) -> None:
+        """Look at a watchdog that the roster does not name, so that its user learns of it."""
+        found = await self._read_setting(station, traits, Priority.BACKGROUND)
+        self._remark_unwanted(name, traits, found)
+
+    @contextlib.contextmanager
+    def _remarking(self, name: str) -> Iterator[None]:
+        """Make a remark of what can never be read, instead of asking for it for ever."""
+        try:
+            yield
+        except UnknownCodeError as exc:
+            self._store.note(name, REMARK, f"its watchdog cannot be seen: {exc}")
+        except OperationError as exc:
+            if exc.kind != DOES_NOT_FIT:
+                raise
+            self._store.note(name, REMARK, f"its watchdog cannot be checked: {exc}")
+
+    async def _audit_watchdog(
+        self, entry: DriveEntry, station: Station, traits: WatchdogTraits, action: int
+    ) -> None:
+        wanted = entry.watchdog
+        assert wanted is not None
+        target = WatchdogSetting(wanted.time_s, traits.actions[wanted.action])
+        found = WatchdogSetting(
+            await self._find_time(entry.name, station, traits, target, action), action
+        )
+        locked = self._store.drive(entry.name).write_lock is not None
+        if found != target and wanted.configure and not locked:
+            logger.info(
+                "drive=%s event=watchdog-configure from=%s to=%s",
+                entry.name, describe(traits, found), describe(traits, target),
+            )  # fmt: skip
+            found = await self._configure(station, traits, found, target)
+        self._settle(entry.name, traits, found, target)
+
+    async def _find_time(
+        self,
+        name: str,
+        station: Station,
+        traits: WatchdogTraits,
+        target: WatchdogSetting,
+        action: int,
+    ) -> float:
+        """Read the time, unless the action shows that nothing was lost since it was in order.
+
+        A module that lost its settings with its supply has its action back at 0, and reading a
+        module's own code keeps everybody else waiting for half a second.
+        """
+        if target.armed and action == target.action and self._known.get(name) == target:
+            return target.time_s
+        return number(await self._read(station, traits.time_code)) / 1000.0
+
+    async def _configure(
+        self,
+        station: Station,
+        traits: WatchdogTraits,
+        found: WatchdogSetting,
+        target: WatchdogSetting,
+    ) -> WatchdogSetting:
+        """Write what differs, the action last: until then an idle watchdog needs no feeding."""
+        proven = True
+        if found.time_s != target.time_s:
+            proven &= await self._write(station, traits.time_code, target.time_s * 1000.0)
+        self._feed(station.name, target.time_s)
+        if found.action != target.action:
+            proven &= await self._write(station, traits.action_code, target.action)
+        return target if proven else await self._read_setting(station, traits)
+
+    def _settle(
+        self, name: str, traits: WatchdogTraits, found: WatchdogSetting, target: WatchdogSetting
+    ) -> None:
+        """Feed by what the drive really has, and say where that differs from the roster."""
+        self._known[name] = found
+        text = None
+        if found != target:
+            text = (
+                f"the drive's watchdog is {describe(traits, found)}, the roster says "
+                f"{describe(traits, target)}: set configure: true, or {traits.time_code} and "
+                f"{traits.action_code} in the drive"
+            )
+            logger.warning("drive=%s event=watchdog-differs reason=%s", name, text)
+        self._store.note(name, REMARK, text)
+        self._feed(name, max(LEAST_FED_S, found.time_s if found.armed else target.time_s))
+
+    def _remark_unwanted(self, name: str, traits: WatchdogTraits, found: WatchdogSetting) -> None:
+        """The roster names no watchdog: feeding one on purpose would go against it."""
+        if found.action == 0:
+            self._store.note(name, REMARK, None)
+            return
+        self._store.note(
+            name,
+            REMARK,
+            f"the drive's watchdog is {describe(traits, found)}, but the roster names none: it is "
+            "fed only by whatever is read anyhow",
+        )
+
+    async def _read_setting(
+        self,
+        station: Station,
+        traits: WatchdogTraits,
+        priority: Priority = Priority.INTERACTIVE,
+    ) -> WatchdogSetting:
+        time = await self._read(station, traits.time_code, priority)
+        action = await self._read(station, traits.action_code, priority)
+        return WatchdogSetting(number(time) / 1000.0, int(number(action)))
+
+    async def _read(
+        self, station: Station, code: Code, priority: Priority = Priority.INTERACTIVE
+    ) -> Value:
+        return await self._requests.read(station, code, priority, timeout_s=PATIENCE_S)
+
+    async def _write(self, station: Station, code: Code, value: float) -> bool:
+        """Write and read back; what did not take shows when the setting is read again."""
+        wire = Value.decimal(round(value))
+        outcome, reason = await self._requests.write(station, code, wire, verify=True)
+        if outcome is not Outcome.VERIFIED:
+            logger.warning(
+                "drive=%s code=%s event=watchdog-not-set value=%s outcome=%s reason=%s",
+                station.name, code, wire.raw, outcome, reason,
+            )  # fmt: skip
+        return outcome is Outcome.VERIFIED
+
+
+class AuditError(LecombusError):
+    """A drive says something about its watchdog that makes no sense."""
+
+
+def number(value: Value) -> float:
+    """The number a watchdog setting holds; nonsense from a drive is an audit that failed."""
+    found = value.number
+    if isinstance(found, str | bytes):
+        raise AuditError(f"the drive gives {value.raw!r} where a number was expected")
+    return float(found)
+
+
+def describe(traits: WatchdogTraits, setting: WatchdogSetting) -> str:
+    """Put a setting into words."""
+    words = {value: word for word, value in traits.actions.items()}
+    action = words.get(setting.action, f"action {setting.action}")
+    return "off" if action == "none" else f"{action} after {setting.time_s:g} s"

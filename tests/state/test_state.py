@@ -1,0 +1,149 @@
+"""What must outlive the process: whole on the disk or as it was, and never in the line's way."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+from pathlib import Path
+
+import anyio
+import anyio.lowlevel
+import pytest
+
+from lecombus.state import DriveFacts, Keeping, Moved, State, StateFile
+from lecombus.state.document import FORMER_MOST, VERSION, NewerStateError, StateFormatError
+
+
+def filled() -> State:
+    state = State()
+    facts = state.drive("feeder")
+    facts.identity["C1810"] = "33S2102I_10000"
+    facts.writes["C0012"] = 7
+    facts.moved = Moved(12, "2026-11-22T00:00:00.000Z", confirmed=True)
+    state.touch()
+    return state
+
+
+def test_what_was_saved_is_read_again(tmp_path: Path) -> None:
+    file = StateFile(tmp_path / "hall.json")
+    file.save(filled().text())
+    again = StateFile(tmp_path / "hall.json").load()
+    assert again.drive("feeder") == filled().drive("feeder")
+    assert [path.name for path in tmp_path.iterdir()] == ["hall.json"]
+    assert (tmp_path / "hall.json").stat().st_mode & 0o007 == 0
+
+
+def test_a_disk_that_fails_leaves_the_old_file_as_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = StateFile(tmp_path / "hall.json")
+    file.save(filled().text())
+    before = (tmp_path / "hall.json").read_bytes()
+
+    def full(descriptor: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space"):
+        file.save(State().text())
+    assert (tmp_path / "hall.json").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [b"", b"{", b"\xff\xfe", b"[]", b'{"version": 1}', b'{"version": 0, "drives": {}}',
+     b'{"version": 1, "drives": {"a": {"writes": {"C0012": -1}}}}',
+     b'{"version": 1, "drives": {"a": {"identity": {"C0012": 5}}}}'],
+)  # fmt: skip
+def test_a_damaged_file_is_set_aside_and_said(tmp_path: Path, damage: bytes) -> None:
+    path = tmp_path / "hall.json"
+    (tmp_path / "hall.json.damaged-1").write_bytes(b"an older one")
+    path.write_bytes(damage)
+    file = StateFile(path)
+    assert file.load().drive("feeder") == DriveFacts()
+    assert (tmp_path / "hall.json.damaged-2").read_bytes() == damage
+    assert "hall.json.damaged-2" in file.trouble
+    assert file.is_usable, "a new one is begun"
+    assert not path.exists()
+
+
+def test_a_file_of_a_later_version_is_neither_used_nor_touched(tmp_path: Path) -> None:
+    path = tmp_path / "hall.json"
+    later = json.dumps({"version": VERSION + 1, "drives": [], "more": 1})
+    path.write_text(later)
+    keeping = Keeping(path)
+    keeping.state.drive("feeder").writes["C0012"] = 1
+    keeping.state.touch()
+    keeping.close()
+    assert path.read_text() == later
+    with pytest.raises(NewerStateError, match=f"version {VERSION + 1}"):
+        State.parse(later.encode())
+    with pytest.raises(StateFormatError):
+        State.parse(b"7")
+
+
+def test_a_folder_that_is_not_there_fails_nothing(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    said: list[str | None] = []
+
+    async def main() -> None:
+        keeping = Keeping(tmp_path / "nowhere" / "hall.json")
+        keeping.state.touch()
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(keeping.run, said.append)
+            await anyio.lowlevel.checkpoint()
+            await anyio.lowlevel.checkpoint()
+            tasks.cancel_scope.cancel()
+        keeping.close()
+
+    with caplog.at_level(logging.WARNING):
+        anyio.run(main)
+    assert said
+    assert "does not exist" in str(said[0])
+    assert [record.getMessage().split()[0] for record in caplog.records] == ["event=state-not-kept"]
+
+
+def test_changes_are_written_beside_the_line_and_at_the_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "hall.json"
+    monkeypatch.setattr("lecombus.state.keeping.EVERY_S", 0.01)
+
+    async def main() -> None:
+        keeping = Keeping(path)
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(keeping.run, lambda text: None)
+            keeping.state.drive("feeder").writes["C0012"] = 1
+            keeping.state.touch()
+            with anyio.fail_after(15):
+                while not path.exists():  # noqa: ASYNC110 - a file has no event
+                    await anyio.sleep(0.01)
+            tasks.cancel_scope.cancel()
+        keeping.state.drive("feeder").writes["C0012"] = 2
+        keeping.state.touch()
+        keeping.close()
+
+    anyio.run(main)
+    assert StateFile(path).load().drive("feeder").writes == {"C0012": 2}
+
+
+def test_without_a_file_nothing_is_kept_and_nothing_said() -> None:
+    keeping = Keeping(None)
+    keeping.state.touch()
+    keeping.close()
+    assert StateFile(None).trouble == ""
+
+
+def test_drives_that_left_the_roster_are_remembered_up_to_a_bound() -> None:
+    state = State()
+    for number in range(FORMER_MOST + 5):
+        state.drive(f"old-{number}")
+    state.drive("feeder").writes["C0012"] = 3
+    state.bound(["feeder", "new"])
+    kept = json.loads(state.text())["drives"]
+    assert len(kept) == FORMER_MOST + 1
+    assert kept["feeder"]["writes"] == {"C0012": 3}
+    assert "old-4" not in kept
+    assert "old-5" in kept

@@ -1,0 +1,224 @@
+"""Who may be written to: the drive that was there, spoken to as it hears, with software known."""
+
+from __future__ import annotations
+
+import logging
+
+import anyio
+import pytest
+
+from lecombus.drives import StopAction
+from lecombus.errors import OperationError
+from lecombus.protocol.addressing import Code
+from lecombus.readings import Quality
+from lecombus.schedule import Outcome
+from lecombus.simulator.parameters import CommError, ExtendedFault, Refusal
+from lecombus.state import DriveFacts, State
+from support.site_host import Plant, roster_of, until, with_plant
+
+ONE = [("a", 11, "8200vector")]
+WRITABLE = ", writable: [C0012, C0046, C0135]"
+ROSTER = roster_of(ONE, drive=WRITABLE)
+MODULE, SETPOINT = Code(1810), Code(46)
+
+
+def lock(plant: Plant, drive: str = "a") -> str:
+    return plant.site.store.drive(drive).write_lock or ""
+
+
+async def write(plant: Plant) -> Outcome:
+    return (await plant.site.operations.write("a", SETPOINT, 20, verify=True)).outcome
+
+
+def make_another(plant: Plant, drive: str = "a", text: str = "S33S2102I_20000") -> None:
+    """Put another device in a drive's place."""
+    plant.line[drive].model.params.set(1810, text)
+
+
+async def leave_and_return(plant: Plant, drive: str = "a") -> None:
+    plant.line[drive].power_cycle(plant.now_s, 20.0)
+    await until(lambda: plant.state(drive).value == "offline")
+    await plant.online(drive)
+
+
+def written(plant: Plant, drive: str = "a") -> list[int]:
+    return [entry.code for entry in plant.line[drive].log if entry.kind == "write"]
+
+
+def test_what_a_drive_says_first_is_recorded_and_shown() -> None:
+    state = State()
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        info = plant.site.store.drive("a")
+        assert info.identity["C1810"] == "33S2102I_10000"
+        assert info.identity["C0200"] == "82S8212V_30000"
+        assert state.drive("a").identity == dict(info.identity)
+        assert state.changes == 1
+        assert lock(plant) == ""
+        await leave_and_return(plant)
+        assert state.changes == 1, "the same again is no news"
+        assert await write(plant) is Outcome.VERIFIED
+
+    with_plant(test, ROSTER, state=state)
+
+
+def test_a_swapped_drive_is_not_written_to_until_it_is_accepted(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    watchdog = "{time: 2s, action: quick-stop, configure: true}"
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        make_another(plant)
+        since = len(written(plant))
+        await leave_and_return(plant)
+        assert "C1810 reads 33S2102I_20000, not 33S2102I_10000" in lock(plant)
+        assert "lecombus accept a" in lock(plant)
+        with pytest.raises(OperationError) as caught:
+            await write(plant)
+        assert caught.value.kind == "locked"
+        assert written(plant)[since:] == [], "its watchdog is not set either"
+        stopped = await plant.site.operations.stop(StopAction.QUICK_STOP, "a")
+        assert stopped.outcome is Outcome.VERIFIED, "a stop always goes"
+        found = plant.site.custody.identity("a").found
+        with pytest.raises(OperationError, match="not C1810 nonsense"):
+            plant.site.custody.accept("a", {"C1810": "nonsense"})
+        assert lock(plant)
+        assert plant.site.custody.accept("a", found).problem == ""
+        assert lock(plant) == ""
+        assert await write(plant) is Outcome.VERIFIED
+        await until(lambda: 1922 in written(plant)[since:])
+        await leave_and_return(plant)
+        assert lock(plant) == ""
+        assert state.drive("a").writes_before == {"C0012": 9}
+
+    state = State({"a": DriveFacts(writes={"C0012": 9})})
+    with caplog.at_level(logging.INFO):
+        with_plant(test, roster_of(ONE, drive=WRITABLE, watchdog=watchdog), state=state)
+    events = [record.getMessage() for record in caplog.records]
+    assert len([one for one in events if "event=drive-swapped" in one]) == 1
+    assert len([one for one in events if "event=identity-accepted" in one]) == 1
+
+
+def test_a_record_from_before_the_start_counts() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        assert "C1810 reads 33S2102I_10000, not 33S2102I_09000" in lock(plant)
+
+    state = State({"a": DriveFacts(identity={"C1810": "33S2102I_09000"})})
+    with_plant(test, ROSTER, state=state)
+
+
+def test_what_cannot_be_read_is_no_swap_and_stays_on_record() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+
+        def refuse(subcode: int) -> str:
+            raise Refusal(CommError.INVALID_CODE, ExtendedFault.CODE)
+
+        plant.line["a"].model.readers[1810] = refuse
+        await leave_and_return(plant)
+        assert lock(plant) == ""
+        assert plant.site.state.drive("a").identity["C1810"] == "33S2102I_10000"
+
+    with_plant(test, ROSTER)
+
+
+def test_the_rosters_word_goes_before_the_record() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        assert lock(plant) == "", "the roster accepts it"
+        assert state.drive("a").identity["C1810"] == "33S2102I_10000"
+        plant.apply(ROSTER.replace(WRITABLE, f"{WRITABLE}, identity: {{C1810: OTHER}}"))
+        await plant.online()
+        assert "the roster says OTHER" in lock(plant)
+        assert "correct `identity` in the roster" in lock(plant)
+        with pytest.raises(OperationError, match="the roster says otherwise of C1810"):
+            plant.site.custody.accept("a", plant.site.custody.identity("a").found)
+        plant.apply(ROSTER)
+        await plant.online()
+        assert lock(plant) == ""
+
+    state = State({"a": DriveFacts(identity={"C1810": "33S2102I_09000"})})
+    by_roster = ROSTER.replace(WRITABLE, f"{WRITABLE}, identity: {{C1810: 33S2102I_10000}}")
+    with_plant(test, by_roster, state=state)
+
+
+def test_a_difference_that_a_second_look_does_not_confirm_is_none() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        asked = 0
+
+        def once_wrong(subcode: int) -> str:
+            nonlocal asked
+            asked += 1
+            return "S33S2102I_1000p" if asked == 1 else "S33S2102I_10000"
+
+        plant.line["a"].model.readers[1810] = once_wrong
+        await leave_and_return(plant)
+        assert asked == 2
+        assert lock(plant) == ""
+
+    with_plant(test, ROSTER)
+
+
+def test_a_smvector_of_other_software_is_locked_until_the_roster_accepts_it() -> None:
+    async def test(plant: Plant) -> None:
+        plant.line["a"].model.preset(1494, "1.30")
+        await plant.online()
+        assert "accept_software: ['1.30']" in lock(plant)
+        with pytest.raises(OperationError) as caught:
+            await plant.site.operations.write("a", Code(1061), 20)
+        assert caught.value.kind == "locked"
+        assert "P494" not in str(caught.value)
+        plant.apply(roster_of(drives, drive=", accept_software: [1.3]"))
+        await plant.online()
+        assert lock(plant) == ""
+
+    drives = [("a", 11, "smvector")]
+    with_plant(test, roster_of(drives))
+
+
+@pytest.mark.parametrize(("number", "value"), [(249, "4"), (248, "1")])
+def test_with_a_code_bank_or_input_selection_extended_addressing_is_used(
+    number: int, value: str
+) -> None:
+    async def test(plant: Plant) -> None:
+        plant.line["a"].model.preset(number, value)
+        await plant.online()
+        remarks = plant.site.store.drive("a").remarks
+        assert f"C0{number} is {value}" in remarks["addressing-moved"]
+        assert lock(plant) == ""
+        assert await write(plant) is Outcome.VERIFIED
+        assert plant.line["a"].model.params.text(46) == "20"
+        await anyio.sleep(3.0)
+        reading = plant.site.store.reading("a", Code(150))
+        assert reading is not None
+        assert reading.quality is Quality.GOOD
+        since_s = plant.now_s
+        stopped = await plant.site.operations.stop(StopAction.QUICK_STOP, "all")
+        assert stopped.outcome is Outcome.VERIFIED
+        group = plant.sent_to(10, since_s) + plant.sent_to(0, since_s)
+        assert all(b"!" in one.data for one in group), "standard addressing would miss the drive"
+        await leave_and_return(plant)
+        assert "addressing-moved" not in plant.site.store.drive("a").remarks
+        assert plant.site.requests.station("a").forms == plant.site._entries["a"].forms
+
+    with_plant(test, ROSTER)
+
+
+def test_where_extended_addressing_is_ruled_out_nothing_is_believed_and_nothing_written() -> None:
+    async def test(plant: Plant) -> None:
+        plant.line["a"].model.preset(249, "4")
+        await plant.online()
+        assert "C0249 is 4" in lock(plant)
+        await anyio.sleep(3.0)
+        reading = plant.site.store.reading("a", Code(150))
+        assert reading is not None
+        assert reading.quality is Quality.BAD
+        assert "not what was asked" in str(reading.reason)
+        with pytest.raises(OperationError, match="nothing is written to a"):
+            await write(plant)
+
+    with_plant(test, roster_of(ONE, drive=f"{WRITABLE}, addressing: standard"))
