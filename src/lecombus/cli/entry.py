@@ -31,6 +31,7 @@ COMMANDS = {
     "demo": "Watch simulated drives of five families, without any hardware.",
     "run": "Run the line that a roster describes.",
     "check": "Say what is wrong with a roster, or what it means.",
+    "plan": "Say what a line can hold and how long everything waits, before it runs.",
     "simulate": "Serve a roster's drives as simulated ones, on a pty or a TCP port.",
     "read": "Read one code of one drive.",
     "write": "Write one code of one drive.",
@@ -76,8 +77,8 @@ class _Commands(click.Group):
 def lecombus() -> None:
     """Speak LECOM-A/B with a line of Lenze drives.
 
-    demo, run, check and simulate work on a roster; read, write, group, stop and status talk to a
-    running daemon. lecombus is not a safety function: have an emergency stop without software.
+    demo, run, check, plan and simulate work on a roster; read, write, group, stop and status talk
+    to a running daemon. lecombus is not a safety function: have an emergency stop without software.
     """
 
 

@@ -1,0 +1,144 @@
+"""`lecombus plan`: what a line can hold and how long everything waits, before it runs."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import click
+
+from lecombus.cli.arguments import json_option, roster_option
+from lecombus.cli.exits import Exit
+from lecombus.cli.screen import show_rows
+from lecombus.config import Roster, line_timing, load_roster
+from lecombus.durations import format_duration
+from lecombus.planning import Plan, make_plan
+from lecombus.planning.picture import picture
+from lecombus.planning.preview import preview
+
+__all__ = ["command"]
+
+
+@click.command("plan")
+@roster_option
+@json_option
+@click.option(
+    "--svg",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Draw the line over one hyperperiod into FILE.",
+)
+def command(roster: Path, as_json: bool, svg: Path | None) -> int:
+    """Say what a line can hold and how long everything waits at most, before it runs.
+
+    No port is opened. A roster whose watchdogs cannot be held is refused with the arithmetic, as
+    by check. The promises hold while every drive answers and at most one exchange is lost; they are
+    reckoned with the same costs that the schedule and the time-outs use.
+    """
+    loaded = load_roster(roster)
+    plan = make_plan(loaded)
+    if svg is not None:
+        _draw(loaded, svg)
+    if as_json:
+        click.echo(json.dumps(plan.as_json(), ensure_ascii=False))
+    else:
+        _show(plan)
+    return Exit.DONE
+
+
+def _draw(roster: Roster, file: Path) -> None:
+    names = tuple(drive.name for drive in roster.drives)
+    shown = preview(roster, line_timing(roster.line))
+    title = f"line {roster.line.name}, {roster.line.baud} baud: who speaks when"
+    try:
+        file.write_text(picture(title, names, shown), encoding="utf-8")
+    except OSError as exc:
+        raise click.UsageError(f"{file} cannot be written: {exc.strerror}") from exc
+
+
+def _show(plan: Plan) -> None:
+    load = plan.load
+    click.echo(
+        f"line {plan.line} at {plan.baud} baud: {load.total:.0%} of it is asked for "
+        f"(cyclic reads {load.cyclic:.0%}, feeds beside them {load.feeding:.0%})"
+    )
+    if load.stretch > 1.0:
+        click.echo(f"that is too much: every cyclic period is stretched by {load.stretch:.2f}")
+    _show_waits(plan)
+    _show_watchdogs(plan)
+    _show_exchanges(plan)
+    _show_effects(plan)
+
+
+def _show_waits(plan: Plan) -> None:
+    click.echo()
+    show_rows(
+        ("class", "begins within", "under load", "own exchange", "what is counted"),
+        [
+            (one.name, _time(one.quiet_s), _time(one.loaded_s), _time(one.own_s), one.counts)
+            for one in plan.waits
+        ],
+        title="how long one request waits at most",
+    )
+
+
+def _show_watchdogs(plan: Plan) -> None:
+    if not plan.watchdogs:
+        return
+    click.echo()
+    show_rows(
+        ("drive", "watchdog", "a feed", "least held", "least outlasting a lost answer", "verdict"),
+        [
+            (one.drive, format_duration(one.time_s), _time(one.feed_s), _time(one.least_s),
+             _time(one.outlasts_s), one.verdict)
+            for one in plan.watchdogs
+        ],
+        title="watchdogs",
+    )  # fmt: skip
+
+
+def _show_exchanges(plan: Plan) -> None:
+    click.echo()
+    show_rows(
+        ("drive", "what", "asked every", "reached", "usual", "one failed attempt", "at most"),
+        [
+            (one.drive, one.what, format_duration(one.every_s), _time(one.cycle_s),
+             _time(one.times.usual_s), _time(one.times.worst_s), _time(one.most_s))
+            for one in plan.exchanges
+        ],
+        title="exchanges",
+    )  # fmt: skip
+
+
+def _show_effects(plan: Plan) -> None:
+    click.echo()
+    show_rows(
+        ("baud", "asked for", "cycles", "watchdogs", "least time for all"),
+        [
+            (str(one.baud), f"{one.load.total:.0%}", f"x{one.load.stretch:.2f}",
+             "held" if one.held else "not held", _time(one.least_s))
+            for one in plan.bauds
+        ],
+        title="at other baud rates",
+    )  # fmt: skip
+    if plan.absent:
+        click.echo()
+        show_rows(
+            ("absent", "asked for", "cycle rate of the others"),
+            [
+                (str(one.absent), f"{one.load.total:.0%}", f"x{one.cycle_rate:.2f}")
+                for one in plan.absent
+            ],
+            title="with drives away",
+        )
+
+
+def _time(seconds: float | None) -> str:
+    if seconds is None:
+        return "none"
+    if math.isinf(seconds):
+        return "no promise"
+    if seconds < 1.0:
+        return f"{seconds * 1000:.0f} ms"
+    return f"{seconds:.2f} s"

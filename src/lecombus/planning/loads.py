@@ -1,0 +1,121 @@
+"""What share of a line is asked for, what cycles follow, and what would change it.
+
+The load is the cyclic reads plus the feeds that they do not stand for: a drive that is read often
+enough is fed by that. Above all of the line every period is stretched by the same factor, which is
+how the schedule's cadence treats it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from lecombus.config import DriveEntry, Roster, line_timing
+from lecombus.config.exchanges import feed_times, read_times, watched_s
+from lecombus.config.feeding import BAUDS, feeding_of, least_time_s
+from lecombus.drives import LineTiming
+from lecombus.schedule.feeds import HARD_PART
+from lecombus.schedule.shares import BACKOFF_MOST_S
+
+__all__ = ["AbsentEffect", "BaudEffect", "Load", "absent_effects", "baud_effects", "load_on"]
+
+ABSENT: Final = (1, 3, 10)
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """What is asked of a line all the time, as shares of its time.
+
+    Args:
+        cyclic: The cyclic reads.
+        feeding: The feeds beside them.
+        probing: The probes of absent drives.
+    """
+
+    cyclic: float
+    feeding: float
+    probing: float = 0.0
+
+    @property
+    def total(self) -> float:
+        """All of it; above 1 the cycles are stretched."""
+        return self.cyclic + self.feeding + self.probing
+
+    @property
+    def stretch(self) -> float:
+        """The factor by which cyclic periods grow; 1: they are kept."""
+        return max(1.0, self.cyclic / max(1.0 - self.feeding - self.probing, 0.01))
+
+
+@dataclass(frozen=True, slots=True)
+class BaudEffect:
+    """The line at another baud rate.
+
+    Args:
+        baud: The rate, bit/s.
+        load: What would be asked of it.
+        held: All watchdogs of the roster can be held.
+        least_s: The least time for all watchdogs that are shorter; None: none will do.
+    """
+
+    baud: int
+    load: Load
+    held: bool
+    least_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class AbsentEffect:
+    """The line while drives are away.
+
+    Args:
+        absent: How many.
+        load: What is asked of it then.
+        cycle_rate: The others' cycles, relative to those with none absent; 1: the same.
+    """
+
+    absent: int
+    load: Load
+    cycle_rate: float
+
+
+def load_on(drives: Sequence[DriveEntry], timing: LineTiming) -> Load:
+    """Reckon what drives that are all there ask of the line."""
+    cyclic = feeding = 0.0
+    for drive in drives:
+        rate = 0.0
+        for entry in drive.cyclic:
+            cyclic += read_times(drive, entry.code, timing).usual_s / entry.every_s
+            rate += 1.0 / entry.every_s
+        time_s = watched_s(drive)
+        if time_s is not None:
+            missing = max(0.0, 1.0 / (HARD_PART * time_s) - rate)
+            feeding += missing * feed_times(drive, timing).usual_s
+    return Load(cyclic, feeding)
+
+
+def baud_effects(roster: Roster) -> list[BaudEffect]:
+    """Reckon the line at every baud rate there is."""
+    effects = []
+    for baud in BAUDS:
+        timing = line_timing(roster.line.model_copy(update={"baud": baud}))
+        feeding = feeding_of(roster, timing)
+        held = feeding.overload() is None
+        effects.append(
+            BaudEffect(baud, load_on(roster.drives, timing), held, least_time_s(feeding))
+        )
+    return effects
+
+
+def absent_effects(roster: Roster, timing: LineTiming) -> list[AbsentEffect]:
+    """Reckon the line while drives are away: the last ones of the roster."""
+    whole = load_on(roster.drives, timing)
+    effects = []
+    for absent in (count for count in ABSENT if count < len(roster.drives)):
+        gone = roster.drives[-absent:]
+        probes = sum(feed_times(drive, timing).worst_s for drive in gone) / BACKOFF_MOST_S
+        left = load_on(roster.drives[:-absent], timing)
+        load = Load(left.cyclic, left.feeding, min(probes, roster.line.absent_share))
+        effects.append(AbsentEffect(absent, load, whole.stretch / load.stretch))
+    return effects

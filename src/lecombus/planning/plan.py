@@ -1,0 +1,143 @@
+"""A plan: everything a line promises, from its roster alone, as data.
+
+Put together from the other modules of this room; `cli.plan` shows it. Times are seconds, shares
+are fractions, and a promise that cannot be given is None (JSON knows no infinity).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from lecombus.config import DriveEntry, Roster, line_timing
+from lecombus.config.exchanges import Times, feed_times, read_times, stop_s, watched_s
+from lecombus.drives import LineTiming
+from lecombus.planning.loads import (
+    AbsentEffect,
+    BaudEffect,
+    Load,
+    absent_effects,
+    baud_effects,
+    load_on,
+)
+from lecombus.planning.waits import ClassWait, class_waits
+from lecombus.planning.watchdogs import WatchdogPlan, watchdog_plans
+
+__all__ = ["Plan", "PlannedExchange", "make_plan"]
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedExchange:
+    """One thing a line does again and again.
+
+    Args:
+        drive: With whom.
+        what: The code read, or `feed`.
+        every_s: How often the roster asks for it; for a feed, its watchdog time.
+        times: Its line time.
+        most_s: The longest it can take, all repetitions failing.
+        cycle_s: The period that is reached; for a feed, the same as `every_s`.
+    """
+
+    drive: str
+    what: str
+    every_s: float
+    times: Times
+    most_s: float
+    cycle_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What a line promises.
+
+    Args:
+        line: Its name.
+        baud: Its baud rate.
+        load: What is asked of it all the time.
+        exchanges: What it does again and again.
+        waits: How long each class waits at most.
+        watchdogs: Each watched drive's, and how short it could be.
+        bauds: The same line at every baud rate.
+        absent: The same line while drives are away.
+    """
+
+    line: str
+    baud: int
+    load: Load
+    exchanges: tuple[PlannedExchange, ...]
+    waits: tuple[ClassWait, ...]
+    watchdogs: tuple[WatchdogPlan, ...]
+    bauds: tuple[BaudEffect, ...]
+    absent: tuple[AbsentEffect, ...]
+
+    def wait(self, name: str) -> ClassWait:
+        """Give the promise to a class, such as `stop`."""
+        return next(one for one in self.waits if one.name == name)
+
+    def as_json(self) -> dict[str, Any]:
+        """Give the plan for `--json`."""
+        found = _finite(dataclasses.asdict(self))
+        assert isinstance(found, dict)
+        found["load"] |= {"total": self.load.total, "stretch": self.load.stretch}
+        for one, row in zip(self.watchdogs, found["watchdogs"], strict=True):
+            row["verdict"] = one.verdict
+        return found
+
+
+def make_plan(roster: Roster, timing: LineTiming | None = None) -> Plan:
+    """Plan a line.
+
+    Args:
+        roster: The line and its drives.
+        timing: The line's times; None: the roster's.
+    """
+    timing = timing or line_timing(roster.line)
+    load = load_on(roster.drives, timing)
+    longest_stop_s = max((stop_s(drive, timing) for drive in roster.drives), default=0.0)
+    return Plan(
+        line=roster.line.name,
+        baud=timing.baud,
+        load=load,
+        exchanges=tuple(
+            exchange
+            for drive in roster.drives
+            for exchange in _exchanges(drive, roster, timing, load)
+        ),
+        waits=tuple(class_waits(roster, timing, longest_stop_s)),
+        watchdogs=tuple(watchdog_plans(roster, timing)),
+        bauds=tuple(baud_effects(roster)),
+        absent=tuple(absent_effects(roster, timing)),
+    )
+
+
+def _exchanges(
+    drive: DriveEntry, roster: Roster, timing: LineTiming, load: Load
+) -> list[PlannedExchange]:
+    attempts = roster.line.retries + 1
+    found = []
+    for entry in drive.cyclic:
+        times = read_times(drive, entry.code, timing)
+        reached_s = entry.every_s * load.stretch
+        found.append(
+            PlannedExchange(drive.name, str(entry.code), entry.every_s, times,
+                            attempts * times.worst_s, reached_s)
+        )  # fmt: skip
+    time_s = watched_s(drive)
+    if time_s is not None:
+        times = feed_times(drive, timing)
+        most_s = attempts * times.worst_s
+        found.append(PlannedExchange(drive.name, "feed", time_s, times, most_s, time_s))
+    return found
+
+
+def _finite(found: object) -> object:
+    if isinstance(found, float):
+        return None if math.isinf(found) else round(found, 6)
+    if isinstance(found, dict):
+        return {key: _finite(value) for key, value in found.items()}
+    if isinstance(found, list | tuple):
+        return [_finite(value) for value in found]
+    return found

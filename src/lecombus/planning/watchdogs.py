@@ -1,0 +1,77 @@
+"""How short each drive's watchdog could be, the others staying as they are.
+
+Method: the demand bound of `schedule.demand`, over the feeds of `config.feeding`, halved down to a
+millisecond. Two times are given: the least that can be held while every drive answers, and the
+least that also outlasts one answer that is lost just when the line is fullest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lecombus.config import Roster
+from lecombus.config.exchanges import watched_s
+from lecombus.config.feeding import LONGEST_S, Feeding, feeding_of, smallest
+from lecombus.drives import LineTiming, family
+from lecombus.schedule.demand import FULL, Stream, find_overload, load_of
+from lecombus.schedule.feeds import HARD_PART
+
+__all__ = ["WatchdogPlan", "watchdog_plans"]
+
+
+@dataclass(frozen=True, slots=True)
+class WatchdogPlan:
+    """One drive's watchdog.
+
+    Args:
+        drive: The drive.
+        time_s: What the roster says, seconds.
+        feed_s: What one feed costs, seconds.
+        least_s: The least time that can be held; None: none.
+        outlasts_s: The least time that outlasts one lost answer; None: none.
+    """
+
+    drive: str
+    time_s: float
+    feed_s: float
+    least_s: float | None
+    outlasts_s: float | None
+
+    @property
+    def verdict(self) -> str:
+        """Say what the roster's time is good for."""
+        if self.outlasts_s is not None and self.time_s >= self.outlasts_s:
+            return "held, also when an answer is lost"
+        if self.least_s is not None and self.time_s >= self.least_s:
+            return "held while every answer comes"
+        return "cannot be held"
+
+
+def watchdog_plans(roster: Roster, timing: LineTiming) -> list[WatchdogPlan]:
+    """Plan every watched drive's watchdog, in the roster's order."""
+    feeding = feeding_of(roster, timing)
+    plans = []
+    known: dict[tuple[float, float, float], tuple[float | None, float | None]] = {}
+    for number, drive in enumerate(feeding.drives):
+        stream = feeding.streams[number]
+        traits = family(drive.family).watchdog
+        low_s = max(traits.low_s if traits else 0.0, 0.001)
+        alike = (stream.cost_s, stream.every_s, low_s)
+        if alike not in known:
+            known[alike] = (_least(feeding, number, low_s, 0), _least(feeding, number, low_s, 1))
+        least_s, outlasts_s = known[alike]
+        time_s = watched_s(drive) or 0.0
+        plans.append(WatchdogPlan(drive.name, time_s, stream.cost_s, least_s, outlasts_s))
+    return plans
+
+
+def _least(feeding: Feeding, number: int, low_s: float, lost: int) -> float | None:
+    blocking_s = feeding.blocking_s + lost * feeding.lost_s
+    own = feeding.streams[number]
+    others = [stream for at, stream in enumerate(feeding.streams) if at != number]
+
+    def holds(time_s: float) -> bool:
+        streams = [*others, Stream(own.name, own.cost_s, HARD_PART * time_s)]
+        return find_overload(streams, blocking_s) is None and load_of(streams) <= FULL
+
+    return smallest(holds, low_s, LONGEST_S)

@@ -1,0 +1,131 @@
+"""What a plan says: loads, watchdogs, other baud rates, absent drives, and the picture."""
+
+from __future__ import annotations
+
+import json
+from xml.etree import ElementTree
+
+import pytest
+
+from lecombus.config import line_timing
+from lecombus.config.feeding import feeding_of
+from lecombus.planning import make_plan
+from lecombus.planning.picture import picture
+from lecombus.planning.preview import preview
+
+from .rosters import roster_of
+
+
+def test_the_load_is_the_sum_of_what_is_read() -> None:
+    plan = make_plan(roster_of(2, time="", only="smvector"))
+    reads = sum(one.times.usual_s / one.every_s for one in plan.exchanges)
+    assert plan.load.cyclic == pytest.approx(reads)
+    assert plan.load.feeding == 0.0
+    assert plan.load.stretch == 1.0
+
+
+def test_feeds_count_only_where_reads_do_not_feed() -> None:
+    often = make_plan(roster_of(3, time="2s"))
+    never = make_plan(roster_of(3, time="2s", cyclic=", cyclic: []"))
+    assert often.load.feeding == 0.0
+    feed_s = sum(one.feed_s for one in never.watchdogs)
+    assert never.load.feeding == pytest.approx(feed_s / 1.8)
+
+
+def test_a_line_asked_for_too_much_says_by_how_much_cycles_grow() -> None:
+    fast = ", cyclic: [{code: C0150, every: 100ms}]"
+    plan = make_plan(roster_of(10, time="", cyclic=fast))
+    assert plan.load.total > 3.0
+    assert plan.load.stretch == pytest.approx(plan.load.total)
+    assert plan.exchanges[0].cycle_s == pytest.approx(0.1 * plan.load.stretch)
+
+
+def test_every_least_time_holds_and_a_millisecond_less_does_not() -> None:
+    roster = roster_of(6, time="1s")
+    for one in make_plan(roster).watchdogs:
+        assert one.least_s is not None
+        assert one.outlasts_s is not None
+        assert one.least_s < one.outlasts_s
+        for time_s, lost in ((one.least_s, 0), (one.outlasts_s, 1)):
+            assert feeding_with(roster, one.drive, time_s, lost), one
+            assert not feeding_with(roster, one.drive, time_s - 0.001, lost), one
+
+
+def feeding_with(roster, drive: str, time_s: float, lost: int) -> bool:  # type: ignore[no-untyped-def]
+    """Whether all watchdogs hold with another time for one drive; blocking as before."""
+    feeding = feeding_of(roster)
+    streams = [
+        type(one)(one.name, one.cost_s, 0.9 * time_s) if one.name == drive else one
+        for one in feeding.streams
+    ]
+    changed = type(feeding)(
+        feeding.drives, tuple(streams), feeding.under_way_s, feeding.stop_s, feeding.lost_s
+    )
+    return changed.overload(lost=lost) is None
+
+
+def test_the_verdict_follows_from_the_times() -> None:
+    assert make_plan(roster_of(2, time="4s")).watchdogs[0].verdict.startswith("held, also")
+    assert make_plan(roster_of(1, time="150ms")).watchdogs[0].verdict == (
+        "held while every answer comes"
+    )
+
+
+def test_a_faster_line_is_asked_for_less_of_itself() -> None:
+    bauds = make_plan(roster_of(10)).bauds
+    assert [one.baud for one in bauds] == [1200, 2400, 4800, 9600, 19200]
+    loads = [one.load.total for one in bauds]
+    assert loads == sorted(loads, reverse=True)
+    assert not bauds[0].held
+    assert bauds[-1].held
+
+
+def test_absent_drives_take_their_share_and_leave_their_own() -> None:
+    plan = make_plan(roster_of(31, time="4s", baud=19200))
+    assert [one.absent for one in plan.absent] == [1, 3, 10]
+    for one in plan.absent:
+        assert one.load.probing <= 0.10
+        assert one.cycle_rate >= 0.85
+        assert one.load.cyclic < plan.load.cyclic
+
+
+def test_the_plan_is_json_with_every_part() -> None:
+    found = json.loads(json.dumps(make_plan(roster_of(3)).as_json(), allow_nan=False))
+    assert set(found) == {
+        "line", "baud", "load", "exchanges", "waits", "watchdogs", "bauds", "absent",
+    }  # fmt: skip
+    assert [one["name"] for one in found["waits"]] == [
+        "stop", "control", "watchdog", "interactive", "cyclic", "background",
+    ]  # fmt: skip
+    assert found["watchdogs"][0]["verdict"]
+    assert found["load"]["total"] > 0
+
+
+def test_the_preview_never_shows_two_at_once_and_keeps_every_deadline() -> None:
+    roster = roster_of(20, time="2s", baud=19200)
+    shown = preview(roster, line_timing(roster.line))
+    ends = 0.0
+    for span in shown.spans:
+        assert span.start_s >= ends - 1e-9
+        ends = span.end_s
+    for drive, times in shown.deadlines.items():
+        starts = [span.start_s for span in shown.spans if span.drive == drive]
+        ends_of = [span.end_s for span in shown.spans if span.drive == drive]
+        for due_s in (one for one in times if one > 1.8):  # earlier: fed before the picture
+            fed = any(due_s - 1.8 < end <= due_s + 1e-9 for end in ends_of)
+            assert fed or due_s > max(starts), (drive, due_s)
+
+
+def test_the_picture_is_well_formed_and_escapes_names() -> None:
+    roster = roster_of(5)
+    names = tuple(drive.name for drive in roster.drives)
+    shown = preview(roster, line_timing(roster.line))
+    tree = ElementTree.fromstring(picture("<hall> & yard", names, shown))
+    texts = [element.text for element in tree.iter("{http://www.w3.org/2000/svg}text")]
+    assert set(names) <= set(texts)
+    assert "<hall> & yard" in texts
+    boxes = [
+        element for element in tree.iter("{http://www.w3.org/2000/svg}rect")
+        if len(element)  # an exchange has a title
+    ]  # fmt: skip
+    assert len(boxes) == sum(1 for span in shown.spans if span.start_s < shown.length_s)

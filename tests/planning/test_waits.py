@@ -1,0 +1,120 @@
+"""Every wait that the running schedule shows stays within what the plan promised."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import pytest
+
+from lecombus.config import Roster, line_timing
+from lecombus.config.exchanges import Times, feed_times, read_times, watched_s
+from lecombus.planning import make_plan
+from lecombus.schedule import Cyclic, Feeding, Outcome, Priority, Request, Schedule
+
+from .rosters import roster_of
+
+LINES = [
+    roster_of(1),
+    roster_of(5, time="1s"),
+    roster_of(12, time="3s", baud=19200),
+    roster_of(31, time="4s", baud=19200),
+    roster_of(8, time=""),
+]
+
+
+class Run:
+    """The schedule over a roster, with one client asking at random moments."""
+
+    def __init__(self, roster: Roster, seed: int) -> None:
+        self.random = random.Random(seed)
+        self.roster = roster
+        self.timing = line_timing(roster.line)
+        self.schedule = Schedule()
+        self.times: dict[int, Times] = {}
+        self.waits: dict[Priority, float] = {}
+        for drive in roster.drives:
+            self.schedule.add_drive(drive.name)
+            for entry in drive.cyclic:
+                times = read_times(drive, entry.code, self.timing)
+                make = self.maker(drive.name, Priority.CYCLIC, times)
+                self.schedule.add_cyclic(Cyclic(drive.name, entry.every_s, make), 0.0)
+            if time_s := watched_s(drive):
+                times = feed_times(drive, self.timing)
+                make = self.maker(drive.name, Priority.WATCHDOG, times)
+                self.schedule.set_feeding(drive.name, Feeding(time_s, make), 0.0)
+
+    def maker(self, drive: str, priority: Priority, times: Times):  # type: ignore[no-untyped-def]
+        return lambda: Request(drive, priority, times.usual_s, times.worst_s, ended)
+
+    def ask(self, priority: Priority, now_s: float) -> Request:
+        drive = self.random.choice(self.roster.drives)
+        times = feed_times(drive, self.timing)
+        request = Request(drive.name, priority, times.usual_s, times.worst_s, ended)
+        self.schedule.submit(request, now_s)
+        return request
+
+    def go(self, priority: Priority, length_s: float) -> float:
+        """Run, with one request of a class after the other; give the longest wait."""
+        now_s, asked_at, waiting = 0.0, 3.0, None
+        longest_s = 0.0
+        while now_s < length_s:
+            if waiting is None and now_s >= asked_at:
+                waiting = self.ask(priority, asked_at)
+            request = self.schedule.next(now_s)
+            if request is None:
+                wake_s = self.schedule.wake_at_s(now_s) or length_s
+                until = [wake_s] if waiting else [wake_s, asked_at]
+                now_s = max(min(until), now_s + 1e-6)
+                continue
+            if request is waiting:
+                longest_s = max(longest_s, now_s - asked_at)
+                waiting, asked_at = None, now_s + self.random.uniform(0.2, 1.5)
+            end_s = now_s + request.cost_s
+            while waiting is None and asked_at < end_s and self.random.random() < 0.9:
+                waiting = self.ask(priority, asked_at)
+            self.schedule.finished(request, now_s, end_s, True)
+            request.end(Outcome.DONE)
+            now_s = end_s
+        return longest_s
+
+
+def ended(outcome: Outcome, reason: str) -> None:
+    """Nobody waits."""
+
+
+@pytest.mark.parametrize("roster", LINES, ids=lambda roster: f"{len(roster.drives)} drives")
+@pytest.mark.parametrize("priority", [Priority.STOP, Priority.CONTROL, Priority.INTERACTIVE])
+def test_no_wait_is_longer_than_promised(roster: Roster, priority: Priority) -> None:
+    promised_s = make_plan(roster).wait(priority.name.lower()).quiet_s
+    assert math.isfinite(promised_s)
+    for seed in range(3):
+        longest_s = Run(roster, seed).go(priority, 200.0)
+        assert 0.0 < longest_s <= promised_s
+
+
+def test_the_stop_waits_for_the_exchange_under_way_and_nothing_else() -> None:
+    roster = roster_of(31, time="4s", baud=19200)
+    stop = make_plan(roster).wait("stop")
+    timing = line_timing(roster.line)
+    given_up = max(
+        read_times(drive, entry.code, timing).given_up_s
+        for drive in roster.drives
+        for entry in drive.cyclic
+    )
+    assert stop.quiet_s == pytest.approx(given_up + timing.turnaround_s + 0.002)
+    assert stop.loaded_s > 0.5, "a module's own codes take half a second"
+
+
+def test_a_higher_class_never_waits_longer_under_the_same_load() -> None:
+    plan = make_plan(roster_of(12, time="3s", baud=19200))
+    stop, control = plan.wait("stop"), plan.wait("control")
+    assert stop.quiet_s < control.quiet_s
+    assert stop.loaded_s < control.loaded_s
+    assert control.quiet_s <= control.loaded_s
+
+
+def test_where_feeding_takes_all_there_is_no_promise() -> None:
+    roster = roster_of(60, time="4s", baud=9600)
+    assert math.isinf(make_plan(roster).wait("control").loaded_s)
+    assert make_plan(roster).as_json()["waits"][1]["loaded_s"] is None
