@@ -362,3 +362,88 @@ def test_what_is_read_unasked_can_be_read() -> None:
     own = GOOD.replace("name: action, format: VD", "name: action, format: VD, readable: false")
     with pytest.raises(DescriptionError, match="C0922 cannot be read"):
         load(own.replace("identity: [C0150]", "identity: [C0922]"))
+
+
+WORDS = """\
+configured_by: C0922
+words:
+  - {code: C0150, bits: {7: inhibited}, fields: [state], free: [0, 1],
+     states: {inhibited: inhibited, fault: state = 8}, source: "4"}
+  - {code: C0150, configuration: [1xx1], bits: {0: up}, states: {ready: not up}, source: "4"}
+control_words:
+  - code: C0135
+    bits:
+      3: {name: stop, off: [no stop, kein Halt], on: [stop, Halt]}
+    fields:
+      - {name: jog, bits: [0, 1], texts: {0: [none, keiner], 2: [second, zweiter]}}
+    free: [2, 4]
+    reserved: [5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15]
+    source: "4"
+  - code: C0135
+    configuration: [1xx1, 2xx1]
+    bits:
+      2: {name: up, off: [no, nein], on: [yes, ja]}
+    source: "4"
+"""
+BEFORE = GOOD.partition("words:")[0], GOOD.partition("stops:")[2]
+
+
+def wordy(words: str) -> str:
+    return f"{BEFORE[0]}{words}stops:{BEFORE[1]}"
+
+
+def test_a_configuration_adds_to_what_holds_for_all() -> None:
+    drive = load(wordy(WORDS))
+    one, two = drive.configured(1011), drive.configured(2001)
+    assert [dict(each.words[Code(150)].bits) for each in (drive, one, two)] == [
+        {"inhibited": 128}, {"up": 1, "inhibited": 128}, {"inhibited": 128},
+    ]  # fmt: skip
+    assert [each.words[Code(150)].free for each in (drive, one, two)] == [(0, 1), (1,), (0, 1)]
+    assert [each.control_words[Code(135)].free for each in (drive, one)] == [(2, 4), (4,)]
+    assert one.words[Code(150)].shown_states(0x0880) == ("inhibited", "fault", "ready")
+
+
+BAD_WORDS = [
+    ("configured_by: C0922\n", "", "family: test", "configured_by must name the code"),
+    ("configured_by: C0922", "configured_by: C0999", "C0999", "C0999 is not described"),
+    ("[1xx1]", "[1yy1]", "1yy1", "no signal configuration such as 1xx1"),
+    ("{0: up}", "{7: up}", "{code: C0150, configuration", "bit 7 is not free"),
+    ("free: [0, 1]", "free: [0, 7]", "7", "bit 7 has a meaning"),
+    ("free: [0, 1]", "free: [0, 9]", "9", "bit 9 has a meaning"),
+    ("not up", "no up", "no up", "a bit, `not` and a bit, or a field"),
+    ("not up", "down", "down", "; up are known"),
+    ("ready: not up", "redy: not up", "redy", "redy is not known here; ready"),
+    ("state = 8", "state = 9", "state = 9", "state has no text for 9"),
+    ("state = 8", "state", "state", "or a field as in"),
+    ("state = 8", "not state = 8", "not state = 8", "or a field as in"),
+    ("C0150, bits: {7", "C0922, bits: {7", "{code: C0922", "not described as a word"),
+    ("free: [2, 4]", "free: [2]", "code: C0135", "bit 4 has no meaning"),
+    ("free: [2, 4]", "free: [2, 4, 5]", "code: C0135", "bit 5 has two meanings"),
+    ("bits: [0, 1]", "bits: [0, 2]", "code: C0135", "bit 2 has two meanings"),
+    ("free: [2, 4]", "free: [2, 4, 16]", "16", "whole number from 0 to 15"),
+    ("2: {name: up", "3: {name: up", "code: C0135", "bit 3 is not free"),
+    ("2: {name: up", "16: {name: up", "16", "whole number from 0 to 15"),
+    ("2: [second", "4: [second", "4", "whole number from 0 to 3"),
+    ("{name: jog", "{name: stop", "{name: stop", "stop stands here twice"),
+    ("on: [stop, Halt]", "on: stop", "stop", "a list is right here"),
+    (", 2xx1]", ", 1xx1]", "code: C0135", "described twice"),
+]
+
+
+@pytest.mark.parametrize(("right", "wrong", "at", "message"), BAD_WORDS)
+def test_a_word_that_cannot_be_is_named_with_its_place(
+    right: str, wrong: str, at: str, message: str
+) -> None:
+    good = wordy(WORDS)
+    assert right in good
+    text = good.replace(right, wrong, 1)
+    with pytest.raises(DescriptionError, match=message) as refused:
+        load(text)
+    assert text_at(text, refused.value.where).startswith(at)
+
+
+def test_a_configuration_needs_what_holds_for_all() -> None:
+    general = "    bits:\n      3"
+    text = wordy(WORDS.replace(general, f"    configuration: [3xx1]\n{general}"))
+    with pytest.raises(DescriptionError, match="no entry without configuration before this one"):
+        load(text)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lecombus.drives import FAMILY_NAMES, family
+from lecombus.drives import FAMILY_NAMES, OperatingState, family, join_states
 from lecombus.protocol.addressing import Code
 
 C0068, C0150 = Code(68), Code(150)
@@ -139,3 +139,83 @@ def test_any_word_is_taken_apart_without_complaint(word: int, name: str) -> None
         flags = drive.status_bits(code, word)
         assert sum(flags.values()) <= word.bit_count()
         assert all(one.number <= 15 for one in drive.status_fields(code, word).values())
+
+
+# Signal configuration, C0150, states: EDB2102EN 8.2.
+SHOWN = [
+    ("820x", None, 0x8000, "ready"),
+    ("820x", None, 0x0186, "inhibited pulses_inhibited current_limit fault"),
+    ("820x", None, 0xD071, "ready at_setpoint zero_speed below_threshold direction_ccw warning"),
+    ("820x", None, 0x2000, "overvoltage"),
+    ("821x", None, 0x8608, "ready enabled at_setpoint"),
+    ("821x", None, 0x0000, "initialising"),
+    ("821x", None, 0x0101, "start_lock parameter_set_2"),
+    ("821x", None, 0x8382, "ready inhibited operation_inhibited pulses_inhibited"),
+    ("821x", None, 0x0410, "ramp_done flying_restart"),
+    ("821x", None, 0x4504, "current_limit direction_ccw dc_braking"),
+    ("821x", None, 0x2702, "pulses_inhibited overvoltage message"),
+    ("821x", None, 0x0882, "inhibited pulses_inhibited fault"),
+    ("8200vector", None, 0xC63D, "enabled"),
+    ("8200vector", None, 0x3742, "pulses_inhibited zero_speed warning message"),
+    ("8200vector", None, 0x0982, "inhibited pulses_inhibited power_off"),
+    ("93xx", None, 0xC63D, "enabled"),
+    ("93xx", 1001, 0x8635, "ready enabled ramp_done below_threshold current_limit"),
+    ("93xx", 4001, 0x8635, "ready enabled ramp_done below_threshold current_limit"),
+    ("93xx", 5001, 0x862C, "ready enabled torque_limit homing homed"),
+    ("93xx", 6001, 0x862C, "ready enabled homing homed"),
+    ("93xx", 7001, 0x8600, "ready enabled torque_limit"),
+    ("smvector", None, 0x8076, "ready at_setpoint zero_speed above_threshold current_limit"),
+    ("smvector", None, 0x3182, "inhibited overvoltage fault"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "configuration", "word", "states"), SHOWN)
+def test_states_are_those_the_manual_names(
+    name: str, configuration: int | None, word: int, states: str
+) -> None:
+    info = family(name).configured(configuration).words[Code(150)]
+    assert sorted(info.shown_states(word)) == sorted(states.split())
+
+
+@pytest.mark.parametrize(
+    ("name", "word", "states"),
+    [
+        ("820x", 0x1100, "enabled quick_stop"),
+        ("821x", 0xFF00, "quick_stop"),
+        ("smvector", 0xFF00, "quick_stop"),
+        ("8200vector", 0xFFFF, ""),
+        ("93xx", 0xFFFF, ""),
+    ],
+)
+def test_the_operating_status_adds_what_the_status_word_does_not_say(
+    name: str, word: int, states: str
+) -> None:
+    info = family(name).words[Code(68)]
+    assert sorted(info.shown_states(word)) == sorted(states.split())
+
+
+@pytest.mark.parametrize(
+    ("name", "configuration", "free"),
+    [
+        ("8200vector", None, (0, 2, 3, 4, 5, 14, 15)),
+        ("93xx", None, (0, 2, 3, 4, 5, 14, 15)),
+        ("93xx", 1001, (3, 14)),
+        ("93xx", 7001, (14,)),
+        ("821x", None, ()),
+    ],
+)
+def test_free_bits_stay_free(name: str, configuration: int | None, free: tuple[int, ...]) -> None:
+    info = family(name).configured(configuration).words[Code(150)]
+    assert info.free == free
+    named = {mask for _, mask in info.bits}
+    assert not named & {1 << bit for bit in free}
+
+
+def test_words_that_contradict_each_other_are_not_both_believed() -> None:
+    ready, enabled, inhibited = (
+        OperatingState.READY, OperatingState.ENABLED, OperatingState.INHIBITED,
+    )  # fmt: skip
+    assert join_states([(ready, inhibited), (enabled,)]) == (ready, inhibited)
+    assert join_states([(ready,), (enabled,)]) == (ready, enabled)
+    assert join_states([(enabled, ready), (inhibited, ready)]) == (ready, enabled)
+    assert join_states([]) == ()

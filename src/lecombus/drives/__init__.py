@@ -11,6 +11,7 @@ Pure: no input or output but the packaged data files, no clock, nothing of the l
 from __future__ import annotations
 
 from .codes import CodeInfo, PlainWhen, Storage, WriteClass
+from .commands import ControlBit, ControlField, ControlWordInfo
 from .costs import Cost, LineTiming, multicast_cost, read_cost, write_cost
 from .encoding import encode_for
 from .family import (
@@ -21,6 +22,7 @@ from .family import (
 )
 from .faults import Fault, FaultKind
 from .loading import FAMILY_NAMES, family, load_family
+from .operating import OperatingState, StateRule, join_states
 from .restoring import (
     RestoreRule,
     RestoreWord,
@@ -48,6 +50,9 @@ __all__ = [
     "FAMILY_NAMES",
     "AnswerTime",
     "CodeInfo",
+    "ControlBit",
+    "ControlField",
+    "ControlWordInfo",
     "Cost",
     "Family",
     "Fault",
@@ -55,10 +60,12 @@ __all__ = [
     "FieldReading",
     "Language",
     "LineTiming",
+    "OperatingState",
     "PlainWhen",
     "RestoreRule",
     "RestoreWord",
     "SoftwareGate",
+    "StateRule",
     "StopAction",
     "StopProof",
     "StopRule",
@@ -72,6 +79,7 @@ __all__ = [
     "encode_for",
     "family",
     "is_last",
+    "join_states",
     "knows_stop",
     "load_family",
     "multicast_cost",

@@ -14,12 +14,13 @@ What must not live here: reading files, telegram times (`costs`), or anything wi
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value
 
 from .codes import CodeInfo, WriteClass
+from .commands import ControlWordInfo
 from .faults import NO_FAULT, Fault, FaultKind, FaultTable, fault_table
 from .restoring import RestoreRule
 from .stops import StopAction, StopRule
@@ -124,6 +125,12 @@ class Family:
         set_offsets: What is added to a code's number for each parameter set; (0,) where only the
             set in use can be reached.
         restore: What a backup may put back, and in which order.
+        control_words: Its control words.
+        configured_by: The code whose value decides what the bits of its words mean (93XX: the
+            signal configuration C0005); None where they are fixed.
+        configuration: The signal configuration this is for, such as `1xx1`; empty: any.
+        variants: This family in each signal configuration by its name, in any under the empty
+            name; empty where there are none.
         saved_by: The code that has to be written before stored values survive a power cycle; None
             where every write is stored at once.
     """
@@ -145,6 +152,10 @@ class Family:
     software: SoftwareGate | None = None
     set_offsets: tuple[int, ...] = (0,)
     saved_by: Code | None = None
+    control_words: Mapping[Code, ControlWordInfo] = field(default_factory=dict)
+    configured_by: Code | None = None
+    configuration: str = ""
+    variants: Mapping[str, Family] = field(default_factory=dict)
     restore: tuple[RestoreRule, ...] = ()
 
     @property
@@ -158,6 +169,23 @@ class Family:
     def info(self, code: Code) -> CodeInfo | None:
         """Give a code's description; None where there is none (it may be read all the same)."""
         return self.codes.get(code)
+
+    def configured(self, number: int | None) -> Family:
+        """Give this family as a drive of it is whose signal configuration is known.
+
+        Args:
+            number: The value of `configured_by`; None where it is not known. Where the manual says
+                nothing of it, what holds for every configuration is all that is known.
+
+        Source: EDB2102EN 8.2 (C0135, C0150).
+        """
+        written = "" if number is None else str(number)
+        for name, variant in self.variants.items():
+            if len(name) == len(written) and all(
+                one in ("x", two) for one, two in zip(name, written, strict=True)
+            ):
+                return variant
+        return self.variants.get("", self)
 
     def described(self) -> Iterable[CodeInfo]:
         """Give every described code by number, those of further parameter sets included."""

@@ -13,6 +13,7 @@ or a bad extension, never a user's roster; that is why one mistake at a time is 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import cache
 from importlib import resources
 from typing import Final
@@ -28,16 +29,14 @@ from .readers import read_code_number
 from .restoring import RestoreRule, RestoreWord
 from .sections import (
     read_answer_time,
-    read_field,
     read_form,
     read_restore,
     read_software,
     read_stop,
     read_watchdog,
-    read_word,
 )
 from .stops import StopAction, StopRule
-from .words import WordField, WordInfo
+from .word_entries import WordBook
 
 __all__ = ["FAMILY_NAMES", "family", "load_family"]
 
@@ -118,6 +117,8 @@ class _Builder:
         answer_times, other = self._answer_times()
         watchdog = self._single("watchdog")
         software = self._single("software")
+        book = self._words(codes)
+        variants: dict[str, Family] = {}
         family = Family(
             name=self._name,
             title=self._required("title").text(),
@@ -131,7 +132,10 @@ class _Builder:
             / 1000,
             identity=tuple(self._shown(item, codes) for item in self._required("identity").items()),
             stops=self._stops(codes),
-            words=self._words(codes),
+            words=book.words(),
+            control_words=book.control_words(),
+            configured_by=self._configured_by(codes, book),
+            variants=variants,
             answer_times=answer_times,
             other_answer_time=other,
             software=self._software(software, codes) if software else None,
@@ -141,6 +145,7 @@ class _Builder:
         )
         for table in self._tables:
             table.done()
+        variants |= _variants(family, book)
         return family
 
     def _open(self, file: str, named: Item | None = None) -> Table:
@@ -226,20 +231,19 @@ class _Builder:
             self._own.fail("answer_times needs one entry with codes: others")
         return times, other
 
-    def _words(self, codes: dict[Code, CodeInfo]) -> dict[Code, WordInfo]:
-        shared: dict[str, WordField] = {}
-        for item in self._entries("fields"):
-            field = read_field(item.table())
-            shared[field.name] = field
-        words: dict[Code, WordInfo] = {}
+    def _words(self, codes: dict[Code, CodeInfo]) -> WordBook:
+        book = WordBook(self._entries("fields"), codes, self._manual)
         for item in self._entries("words"):
-            code, word = read_word(item.table(), self._manual, shared)
-            if code in words:
-                item.fail(f"{code} is taken apart twice", code=str(code))
-            if code not in codes or codes[code].hex_digits is None:
-                item.fail(f"{code} is not described as a word (VH)", code=str(code))
-            words[code] = word
-        return words
+            book.add_word(item)
+        for item in self._entries("control_words"):
+            book.add_control_word(item)
+        return book
+
+    def _configured_by(self, codes: dict[Code, CodeInfo], book: WordBook) -> Code | None:
+        item = self._single("configured_by")
+        if item is None and book.configurations:
+            self._own.fail("configured_by must name the code of the signal configuration")
+        return self._shown(item, codes) if item else None
 
     def _stops(self, codes: dict[Code, CodeInfo]) -> dict[StopAction, StopRule]:
         stops: dict[StopAction, StopRule] = {}
@@ -309,3 +313,16 @@ class _Builder:
         if code not in codes:
             item.fail(f"{code} is not described", code=str(code))
         return code
+
+
+def _variants(family: Family, book: WordBook) -> dict[str, Family]:
+    """Give the family in each signal configuration, and in any under the empty name."""
+    return {"": family} | {
+        name: replace(
+            family,
+            configuration=name,
+            words=book.words(name),
+            control_words=book.control_words(name),
+        )
+        for name in book.configurations
+    }

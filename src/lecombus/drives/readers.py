@@ -1,4 +1,4 @@
-"""Small readers that every section of a data file uses: codes, choices, flags, sources.
+"""Small readers that many sections of a data file use: codes, choices, flags, sources, bits.
 
 They stand between `document`, which knows places but no meaning, and `sections` and
 `code_entries`, which know what a family is made of.
@@ -23,7 +23,10 @@ __all__ = [
     "read_code_number",
     "read_decimal",
     "read_flag",
+    "read_items",
+    "read_numbers",
     "read_source",
+    "read_span",
     "read_text",
 ]
 
@@ -79,3 +82,23 @@ def read_text(item: Item) -> Text:
     if len(both) != 2:
         item.fail("a text is given in two languages: [english, german]")
     return Text(both[0].text(), both[1].text())
+
+
+def read_items(table: Table, key: str) -> list[Item]:
+    """Read a list that may be missing."""
+    item = table.get(key)
+    return item.items() if item else []
+
+
+def read_numbers(table: Table, key: str, highest: int) -> tuple[int, ...]:
+    """Read the numbers of bits, such as `free: [2, 3]`; none where the key is missing."""
+    return tuple(item.integer(0, highest) for item in read_items(table, key))
+
+
+def read_span(table: Table, highest: int) -> tuple[int, int]:
+    """Read the lowest and the highest bit of a field."""
+    bits = table.take("bits").items()
+    if len(bits) != 2:
+        table.fail("bits is the lowest and the highest bit: [8, 11]")
+    low = bits[0].integer(0, highest)
+    return low, bits[1].integer(low, highest)

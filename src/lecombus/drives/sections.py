@@ -1,14 +1,12 @@
 """Building each section of a family description from its table in a data file.
 
 One function a section, each refusing what it cannot mean with file, line and column: an entry
-without source, an unknown action, a bit named twice, a time of zero. The codes, the longest
-section, have a module of their own (`code_entries`). How sections of several files are put
+without source, an unknown action, a time of zero. The codes and the words, the longest sections,
+have modules of their own (`code_entries`, `word_entries`). How sections of several files are put
 together, and what must hold between sections, is `loading`.
 """
 
 from __future__ import annotations
-
-from collections.abc import Mapping
 
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value
@@ -18,21 +16,17 @@ from .family import AnswerTime, SoftwareGate, WatchdogTraits
 from .readers import WORD_MAX, read_choice, read_code_number, read_flag, read_source
 from .restoring import RestoreRule, RestoreWord
 from .stops import StopAction, StopProof, StopRule
-from .words import WordField, WordInfo
 
 __all__ = [
     "read_answer_time",
-    "read_field",
     "read_form",
     "read_restore",
     "read_software",
     "read_stop",
     "read_watchdog",
-    "read_word",
 ]
 
 MAX_MS = 600_000
-LONGEST_WORD = 0xFFFF_FFFF
 
 ROSTER_ACTIONS = ("none", "inhibit", "quick-stop", "trip")
 
@@ -125,50 +119,6 @@ def read_watchdog(table: Table, manual: str) -> WatchdogTraits:
     return traits
 
 
-def read_field(table: Table) -> WordField:
-    """Read a number inside a status word."""
-    bits = table.take("bits").items()
-    if len(bits) != 2:
-        table.fail("bits is the lowest and the highest bit: [8, 11]")
-    low = bits[0].integer(0, 31)
-    texts, fault = table.get("texts"), table.get("fault")
-    field = WordField(
-        name=table.take("name").text(),
-        low=low,
-        high=bits[1].integer(low, 31),
-        texts=_numbered(texts.table(), LONGEST_WORD) if texts else {},
-        fault=frozenset(item.integer(0, LONGEST_WORD) for item in fault.items())
-        if fault
-        else frozenset(),
-    )
-    if not field.fault <= field.texts.keys():
-        table.fail("every number under fault needs a text")
-    table.done()
-    return field
-
-
-def read_word(table: Table, manual: str, shared: Mapping[str, WordField]) -> tuple[Code, WordInfo]:
-    """Read one entry of `words`; its fields stand in it or are named from `fields`."""
-    code = read_code_number(table.take("code"))
-    fields: list[WordField] = []
-    for item in table.take("fields").items():
-        if not item.is_text():
-            fields.append(read_field(item.table()))
-        elif item.text() in shared:
-            fields.append(shared[item.text()])
-        else:
-            item.fail(f"there is no field {item.text()}; {', '.join(shared) or 'none'} are shared")
-    fault_bit = table.get("fault_bit")
-    word = WordInfo(
-        bits=_bits(table.take("bits").table(), fields),
-        fields=tuple(fields),
-        fault_mask=1 << fault_bit.integer(0, 31) if fault_bit else 0,
-        source=read_source(table, manual),
-    )
-    table.done()
-    return code, word
-
-
 def read_stop(table: Table, manual: str) -> tuple[StopAction, StopRule]:
     """Read one entry of `stops`: a value, or bits changed in the control word."""
     value, set_bits, clear_bits = table.get("value"), table.get("set"), table.get("clear")
@@ -202,20 +152,6 @@ def _proof(table: Table) -> tuple[Code, StopProof]:
     code = read_code_number(table.take("code"))
     table.done()
     return code, proof
-
-
-def _bits(table: Table, fields: list[WordField]) -> tuple[tuple[str, int], ...]:
-    numbered = _numbered(table, 31)
-    if len(set(numbered.values())) < len(numbered):
-        table.fail("two bits have one name")
-    for field in fields:
-        if any(field.low <= bit <= field.high for bit in numbered):
-            table.fail(f"a bit of {field.name} has a name of its own")
-    return tuple((name, 1 << bit) for bit, name in sorted(numbered.items()))
-
-
-def _numbered(table: Table, high: int) -> dict[int, str]:
-    return {key.integer(0, high): value.text() for key, value in table.pairs()}
 
 
 def _seconds(item: Item) -> float:

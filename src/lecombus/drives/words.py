@@ -2,9 +2,10 @@
 
 Strategy: a word is described by data (`WordInfo`, loaded from the family's file) and decoded by
 one short loop. A bit has a name only where the manual gives it one meaning: bits that the drive
-lets its user assign (8200 vector C0417, 93XX signal configurations) stay unnamed and do not
-appear. A field of several bits gives a number and, where the manual lists it, a text; a number
-that the manual does not list is shown as a number and nothing is concluded from it.
+lets its user assign (8200 vector C0417, 93XX without a known signal configuration) are listed as
+free and nothing is read from them. A field of several bits gives a number and, where the manual
+lists it, a text; a number that the manual does not list is shown as a number and nothing is
+concluded from it. What the words say of the drive's state is named by `operating`.
 
 Nothing here decides what a bit means for the operation of a line; in particular nothing derives
 "running" from any of them (EDB2102EN 8.2, CMVLC401A table 9).
@@ -14,6 +15,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+
+from .operating import OperatingState, StateRule
 
 __all__ = ["FieldReading", "WordField", "WordInfo"]
 
@@ -49,9 +52,14 @@ class WordField:
     texts: Mapping[int, str]
     fault: frozenset[int] = frozenset()
 
+    @property
+    def mask(self) -> int:
+        """Its bits."""
+        return ((1 << self.high - self.low + 1) - 1) << self.low
+
     def read(self, word: int) -> FieldReading:
         """Take this field out of a word."""
-        number = word >> self.low & (1 << (self.high - self.low + 1)) - 1
+        number = (word & self.mask) >> self.low
         return FieldReading(number, self.texts.get(number, ""))
 
 
@@ -64,16 +72,24 @@ class WordInfo:
         fields: The numbers inside the word.
         fault_mask: The bit that is set while a fault is active; 0 where there is none.
         source: Manual and section.
+        states: What shows which state of the drive.
+        free: Bits that the drive's user assigns.
     """
 
     bits: tuple[tuple[str, int], ...]
     fields: tuple[WordField, ...]
     fault_mask: int
     source: str
+    states: tuple[StateRule, ...] = ()
+    free: tuple[int, ...] = ()
 
     def flags(self, word: int) -> dict[str, bool]:
         """Name every described bit and say whether it is set."""
         return {name: bool(word & mask) for name, mask in self.bits}
+
+    def shown_states(self, word: int) -> tuple[OperatingState, ...]:
+        """Name the states that the word shows."""
+        return tuple(dict.fromkeys(rule.state for rule in self.states if rule.holds(word)))
 
     def readings(self, word: int) -> dict[str, FieldReading]:
         """Read every described field."""

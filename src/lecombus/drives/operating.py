@@ -1,0 +1,93 @@
+"""What a drive says it is doing, in words that are the same for every family.
+
+Strategy: a rule is a mask and a number (`StateRule`, from the family's data file), so that reading
+a word's states is one short loop. A state has a rule only where the manual gives the bit that one
+meaning: bits that users assign have none, and neither have bits whose meaning two manuals
+contradict (the "power stage energized" bits of SMVector). Nothing is concluded from the absence
+of a state: "not inhibited" does not mean that the motor turns, and no state says that it stands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+
+__all__ = ["OperatingState", "StateRule", "join_states"]
+
+
+class OperatingState(StrEnum):
+    """One thing that a drive reports of itself."""
+
+    READY = "ready"
+    """Ready for operation: no fault, no overvoltage or undervoltage."""
+    INITIALISING = "initialising"
+    START_LOCK = "start_lock"
+    """Autostart lock, switch-on inhibit: it waits for a fresh enable."""
+    INHIBITED = "inhibited"
+    """Controller inhibit."""
+    OPERATION_INHIBITED = "operation_inhibited"
+    """The controller status says so, whoever does it: line, terminal or the drive itself."""
+    ENABLED = "enabled"
+    """Operation enabled: not that the motor turns."""
+    QUICK_STOP = "quick_stop"
+    PULSES_INHIBITED = "pulses_inhibited"
+    AT_SETPOINT = "at_setpoint"
+    RAMP_DONE = "ramp_done"
+    """The ramp generator's output has reached its input."""
+    ZERO_SPEED = "zero_speed"
+    """The actual frequency or speed is reported as 0: not that the shaft stands still."""
+    BELOW_THRESHOLD = "below_threshold"
+    ABOVE_THRESHOLD = "above_threshold"
+    CURRENT_LIMIT = "current_limit"
+    TORQUE_LIMIT = "torque_limit"
+    DIRECTION_CCW = "direction_ccw"
+    PARAMETER_SET_2 = "parameter_set_2"
+    FLYING_RESTART = "flying_restart"
+    DC_BRAKING = "dc_braking"
+    HOMING = "homing"
+    HOMED = "homed"
+    OVERVOLTAGE = "overvoltage"
+    WARNING = "warning"
+    MESSAGE = "message"
+    """It has stopped the pulses by itself and goes on when the cause is gone."""
+    FAULT = "fault"
+    POWER_OFF = "power_off"
+
+
+@dataclass(frozen=True, slots=True)
+class StateRule:
+    """Values of a word that show a state: `word & mask == equals`."""
+
+    state: OperatingState
+    mask: int
+    equals: int
+
+    def holds(self, word: int) -> bool:
+        """Tell whether a word shows the state."""
+        return word & self.mask == self.equals
+
+
+OPPOSITES = {
+    OperatingState.ENABLED: OperatingState.INHIBITED,
+    OperatingState.INHIBITED: OperatingState.ENABLED,
+}
+
+
+def join_states(words: Iterable[Iterable[OperatingState]]) -> tuple[OperatingState, ...]:
+    """Join the states that several words of a drive show.
+
+    Words are read at different times: where one contradicts another, the earlier in the list is
+    believed and the other says nothing.
+
+    Args:
+        words: The states of each word, the word that is read most often first.
+    """
+    found: dict[OperatingState, None] = {}
+    for states in words:
+        known = frozenset(found)
+        found |= {state: None for state in states if OPPOSITES.get(state) not in known}
+    return tuple(sorted(found, key=ORDER.__getitem__))
+
+
+ORDER = {state: number for number, state in enumerate(OperatingState)}
