@@ -57,6 +57,12 @@ class Item:
             code=code,
         )
 
+    @property
+    def place(self) -> str:
+        """Where it stands: `FILE:LINE:COLUMN`."""
+        mark = self._node.start_mark
+        return f"{self._origin.file}:{mark.line + 1}:{mark.column + 1}"
+
     def text(self) -> str:
         """Give a text that says something."""
         if not isinstance(self._node, yaml.ScalarNode) or not self._node.value.strip():

@@ -1,0 +1,79 @@
+"""Reading a drive whole, through short losses of the line.
+
+Strategy: all codes are handed over at once and asked a few at a time. What failed for the line's
+sake (no answer, no port, the drive being audited) is asked again when the drive can be asked,
+a bounded number of times; what the drive itself refused is not. When the drive stays away longer
+than the user has patience, what is missing is left missing, with its reason.
+
+What must not live here: HTTP, files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from lecombus.protocol.addressing import Code
+
+from .access import Answer, DriveAccess, Listener, is_passing, wait_until_usable
+
+__all__ = ["Taken", "take"]
+
+TRIES: Final = 4
+"""How often one code is asked: more than a line that is plugged in again ever needs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Taken:
+    """What came of reading a drive.
+
+    Args:
+        answers: One for each code, in the order of codes.
+        gave_up: Why some codes were not asked to the end; empty when all were.
+    """
+
+    answers: dict[Code, Answer]
+    gave_up: str = ""
+
+    @property
+    def unsettled(self) -> list[Answer]:
+        """What could not be read for a reason that may pass."""
+        return [one for one in self.answers.values() if one.value is None and is_passing(one.kind)]
+
+
+async def take(
+    access: DriveAccess, codes: Sequence[Code], *, patience_s: float, listener: Listener
+) -> Taken:
+    """Read codes.
+
+    Args:
+        access: The drive.
+        codes: What to read.
+        patience_s: How long to wait, each time, for a drive or a line that is away, seconds.
+        listener: Told how it goes.
+    """
+    answers: dict[Code, Answer] = {}
+    pending = list(dict.fromkeys(codes))
+    total, why = len(pending), ""
+
+    def heard(answer: Answer) -> None:
+        answers[answer.code] = answer
+        listener.advance(sum(not is_unsettled(one) for one in answers.values()), total)
+
+    for _ in range(TRIES):
+        why = await wait_until_usable(access, patience_s, listener)
+        if why or not pending:
+            break
+        await access.read_many(pending, heard)
+        pending = [code for code in pending if is_unsettled(answers.get(code))]
+        if not pending:
+            break
+    for code in pending:
+        answers.setdefault(code, Answer(code, None, "offline", why))
+    return Taken(dict(sorted(answers.items())), why)
+
+
+def is_unsettled(answer: Answer | None) -> bool:
+    """Tell whether a code has to be asked again."""
+    return answer is None or (answer.value is None and is_passing(answer.kind))

@@ -1,0 +1,137 @@
+"""A backup's text: YAML that a person reads and git compares line by line.
+
+Strategy: one line a code, always in the same place and with the same comment column, so that a
+changed value is one changed line. Values are written as they stand on the wire, numbers with the
+digits the drive sent. Name, unit and meaning are comments: they say what stands there and are
+never read back. The only line that differs between two backups of an unchanged drive is `taken`,
+and, apart in their own section, process values.
+
+What must not live here: reading it back (`reading`), files.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Final
+
+import yaml
+
+from lecombus.drives import CodeInfo, Family
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+
+from .document import Backup, Entry, Section
+
+__all__ = ["FORMAT_KEY", "FORMAT_VERSION", "NOT_READ", "keypad_name", "meaning_of", "write_backup"]
+
+FORMAT_KEY: Final = "lecombus-backup"
+FORMAT_VERSION: Final = 1
+NOT_READ: Final = "not-read"
+
+COMMENT_COLUMN: Final = 28
+
+INTRODUCTION: Final = """\
+# What lecombus read of one drive. Values are as on the wire; `lecombus diff` compares two such
+# files or drives, `lecombus restore` writes parameters and module back. Comments are not read.
+"""
+
+SECTION_COMMENTS: Final[Mapping[Section, str]] = {
+    Section.IDENTITY: "What was at the other end.",
+    Section.PARAMETERS: "Settings that the drive keeps.",
+    Section.MODULE: "Settings of the fieldbus module, lost at power-off.",
+    Section.PROCESS: "How the drive was just then: compared only with --all, never restored.",
+    Section.UNDESCRIBED: "Codes that no description knows: compared, never restored.",
+}
+
+WHY_NOT: Final[Mapping[str, str]] = {
+    "no-such-code": "the drive does not know it",
+    "no-answer": "the drive did not answer",
+}
+
+_PLAIN: Final = re.compile(r"-?(0|[1-9][0-9]*)(\.[0-9]+)?|[HO][0-9A-F]+", re.ASCII)
+"""What YAML takes for a number or a text without quotes, and gives back letter by letter."""
+
+_WORD: Final = re.compile(r"[A-Za-z0-9-]+", re.ASCII)
+_PARAMETER_OFFSET: Final = 1000
+
+
+def write_backup(backup: Backup) -> str:
+    """Return the text of a backup's file."""
+    head = backup.head
+    lines = [
+        f"{FORMAT_KEY}: {FORMAT_VERSION}",
+        f"drive: {quoted(head.drive)}",
+        f"line: {quoted(head.line)}",
+        f"address: {head.address}",
+        f"family: {quoted(head.family)}",
+        f"taken: {quoted(head.taken)}",
+        f"lecombus: {quoted(head.version)}",
+    ]
+    for section in Section:
+        entries = backup.of(section)
+        if entries:
+            lines += ["", f"# {SECTION_COMMENTS[section]}", f"{section}:"]
+            lines += entry_lines(backup.family, entries)
+    if backup.not_read:
+        lines += ["", "# What could not be read.", f"{NOT_READ}:"]
+        lines += entry_lines(backup.family, backup.not_read)
+    return INTRODUCTION + "\n".join(lines) + "\n"
+
+
+def entry_lines(family: Family, entries: Iterable[Entry]) -> Iterator[str]:
+    """Give one line for each entry, and a comment where another parameter set begins."""
+    parameter_set = 1
+    for entry in entries:
+        info = family.info(entry.code)
+        if info is not None and info.parameter_set != parameter_set:
+            parameter_set = info.parameter_set
+            yield f"  # parameter set {parameter_set}"
+        text = f"  {entry.code}: {value_text(entry)}"
+        comment = comment_of(family, info, entry)
+        yield f"{text:<{COMMENT_COLUMN}}# {comment}" if comment else text
+
+
+def value_text(entry: Entry) -> str:
+    """Return a value, or why there is none, as it stands in the file."""
+    if entry.value is None:
+        return quoted(entry.missing)
+    raw = entry.value.raw
+    return raw if _PLAIN.fullmatch(raw) else quoted(raw)
+
+
+def comment_of(family: Family, info: CodeInfo | None, entry: Entry) -> str:
+    """Return what a person wants to know of a line: name, unit, meaning, or why it is missing."""
+    if info is None:
+        return ""
+    name = " ".join(filter(None, (keypad_name(family, entry.code), info.name)))
+    if entry.value is None:
+        why = WHY_NOT.get(entry.missing, "")
+        return f"{name}: {why}" if why else name
+    meaning = meaning_of(info, entry.value)
+    unit = f", {info.unit}" if info.unit else ""
+    return name + unit + (f" = {meaning}" if meaning else "")
+
+
+def meaning_of(info: CodeInfo | None, value: Value | None) -> str:
+    """Return the selection's text for a value; empty where it has none."""
+    meaning = info.meaning(value) if info is not None and value is not None else None
+    return str(meaning) if meaning is not None else ""
+
+
+def keypad_name(family: Family, code: Code) -> str:
+    """Return what the drive's own keypad calls a code: P103; empty where that is its number.
+
+    Source: CMVLC401A 9 (parameter Pnnn of an SMVector is code 1000 + nnn).
+    """
+    if family.name != "smvector" or not _PARAMETER_OFFSET <= code.number < 2 * _PARAMETER_OFFSET:
+        return ""
+    return f"P{code.number - _PARAMETER_OFFSET:03d}"
+
+
+def quoted(text: str) -> str:
+    """Return a text as any reader of YAML gives it back; words that are only text stay plain."""
+    if _WORD.fullmatch(text) and yaml.safe_load(text) == text:
+        return text
+    return json.dumps(text)

@@ -1,0 +1,95 @@
+"""What a restore would do, before it does anything."""
+
+from __future__ import annotations
+
+from backups.backups import DRIVE, answers, backup_of
+from lecombus.backups import Answer, Plan, make_plan
+from lecombus.backups.plan import codes_to_read
+from lecombus.drives import family
+from lecombus.protocol.addressing import Code
+
+FILE = {
+    "C0001": "3", "C0009": "11", "C0011": "50.0", "C0012": "5", "C2001": "3", "C0046": "20",
+    "C1921": "1", "C0502": "7", "C4711": "1", "C0094": "1234",
+}  # fmt: skip
+NOW = {
+    "C0001": "0", "C0011": "50", "C0012": "7", "C2001": "0", "C1921": "0", "C0502": "7",
+    "C1810": "Sx",
+}  # fmt: skip
+
+
+def plan(now: dict[str, str] | None = None, **more: object) -> Plan:
+    return make_plan(backup_of(DRIVE, FILE), DRIVE, answers(now or NOW), **more)  # type: ignore[arg-type]
+
+
+def test_steps_stand_in_the_order_that_the_family_needs() -> None:
+    assert [str(step.code) for step in plan().steps] == ["C0001", "C2001", "C0012", "C1921"]
+    first = plan().steps[0]
+    assert (first.now_means, first.value_means) == ("keypad", "LECOM")
+    assert first.because == "first: others follow from it"
+
+
+def test_what_reads_the_wanted_value_already_is_not_written() -> None:
+    assert [str(code) for code in plan().same] == ["C0011"]
+
+
+def test_everything_left_out_says_why() -> None:
+    why = {str(skip.code): skip.why for skip in plan().skips}
+    assert why == {
+        "C0009": "the address and the baud rate belong to the drive's place on the line",
+        "C0046": "it is a process value, not a setting",
+        "C0094": "it is a password",
+        "C0502": "it is read only",
+        "C4711": "no description says what writing it does",
+    }
+    assert {str(skip.code) for skip in plan().skips if skip.expected} == {"C0046", "C0502"}
+
+
+def test_what_the_roster_sets_is_left_out() -> None:
+    made = plan(owned=(Code(1921),))
+    assert Code(1921) not in made.wanted
+    assert Code(1921) not in codes_to_read(backup_of(DRIVE, FILE), (Code(1921),))
+
+
+def test_what_the_drive_does_not_know_is_left_out() -> None:
+    now = {**answers(NOW), Code(12): Answer(Code(12), None, "no-such-code", "there is no C0012")}
+    made = make_plan(backup_of(DRIVE, FILE), DRIVE, now)
+    assert {str(skip.code): skip.why for skip in made.skips}["C0012"] == (
+        "the drive does not give it now: there is no C0012"
+    )
+
+
+def test_another_drive_must_be_asked_for() -> None:
+    other = {**NOW, "C0502": "8"}
+    assert plan(other).blockers == ("C0502 (drive ID) was 7 and is 8: another size",)
+    made = plan(other, other_drive=True)
+    assert (made.blockers, len(made.remarks)) == ((), 1)
+    unread = {code: text for code, text in NOW.items() if code != "C0502"}
+    assert plan(unread).blockers == ("C0502 (drive ID) was 7 and cannot be read now",)
+
+
+def test_another_family_is_never_restored() -> None:
+    made = make_plan(
+        backup_of("820x", {"C0011": "50"}), family("821x"), answers({"C0011": "60"}),
+        other_drive=True,
+    )  # fmt: skip
+    assert made.steps == ()
+    assert "the backup is of a 820x, the drive is a 821x" in made.blockers[0]
+
+
+def test_a_value_the_manual_does_not_know_is_told_and_left_to_the_drive() -> None:
+    made = make_plan(backup_of(DRIVE, {"C0011": "600"}), DRIVE, answers({"C0011": "50"}))
+    assert len(made.steps) == 1
+    assert "7.5 to 480 Hz; the drive may refuse it" in made.remarks[0]
+
+
+def test_a_value_that_cannot_be_sent_to_its_code_blocks_the_restore() -> None:
+    made = make_plan(backup_of(DRIVE, {"C0011": "Sfast"}), DRIVE, answers({"C0011": "50"}))
+    assert "C0011" in made.blockers[0]
+
+
+def test_the_plan_ends_by_saving_where_the_family_needs_it() -> None:
+    save = plan().save
+    assert save is not None
+    assert (str(save[0]), save[1].raw) == ("C0003", "1")
+    assert make_plan(backup_of("820x", {}), family("820x"), {}).save is None
