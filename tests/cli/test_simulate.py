@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -129,3 +131,53 @@ def test_a_port_that_is_not_there_is_a_failure_of_the_line(run: Run, tmp_path: P
     assert ran.status == 1
     assert ran.err.count("\n") == 1
     assert "no such device" in ran.err
+
+
+def test_a_running_simulator_is_told_from_another_terminal(
+    run: Run, roster: Path, tmp_path: Path
+) -> None:
+    link = tmp_path / "line"
+    words = ("simulate", "--pty", str(link), "--tell")
+    with simulated("-c", str(roster), "--pty", str(link)):
+        told = run(*words, "trip feeder 50")
+        assert (told.status, told.out) == (0, "feeder: address 11, 8200vector, TRIP 50\n")
+        ran = run(
+            "read", "--port", str(link), "--baud", "19200", "--address", "11", "--json", "C0161"
+        )
+        assert json.loads(ran.out)["value"] == 50
+        wrong = run(*words, "trip feedr 50")
+        assert (wrong.status, wrong.out) == (1, "")
+        assert "one of feeder" in wrong.err
+    gone = run("simulate", "--control", str(tmp_path / "nothing"), "--tell", "drives")
+    assert gone.status == 3
+    assert "no simulator is told through" in gone.err
+    nobody = run("simulate", "--tell", "drives")
+    assert (nobody.status, "whom to tell" in nobody.err) == (2, True)
+
+
+def test_lines_typed_into_its_terminal_are_done(roster: Path, tmp_path: Path) -> None:
+    keyboard, terminal = os.openpty()
+    words = [sys.executable, "-m", "lecombus", "simulate", "-c", str(roster), "--tcp", "0"]
+    # A shell that opens it as the leader of a session makes it the terminal of what it becomes.
+    opening = f"exec {shlex.join(words)} <{os.ttyname(terminal)}"
+    with subprocess.Popen(
+        ["sh", "-c", opening],
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    ) as process:  # fmt: skip
+        assert process.stderr is not None
+        try:
+            while "Type help" not in process.stderr.readline():
+                assert process.poll() is None
+            os.write(keyboard, b"jump\ntrip feeder 50\n")
+            assert "there is no `jump`" in process.stderr.readline()
+            assert "TRIP 50" in process.stderr.readline()
+        finally:
+            process.kill()
+    os.close(keyboard)
+    os.close(terminal)
+
+
+def test_a_roster_is_still_wanted(run: Run) -> None:
+    ran = run("simulate", "--tcp", "0")
+    assert ran.status == 2
+    assert "-c ROSTER is missing" in ran.err

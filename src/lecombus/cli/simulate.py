@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 from contextlib import ExitStack
 from pathlib import Path
 
 import click
 
-from lecombus.cli.arguments import json_option, roster_option
+from lecombus.cli.arguments import json_option
 from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.cli.simulator_talk import control_path, listen_to_terminal, tell_simulator
 from lecombus.config import Roster, load_roster
-from lecombus.simulator import PtyEnd, SimLine, TcpEnd, build, parse_faults
+from lecombus.simulator import (
+    LONGEST_PATH,
+    Control,
+    ControlSocket,
+    PtyEnd,
+    SimLine,
+    TcpEnd,
+    build,
+    parse_faults,
+)
 
 __all__ = ["command"]
 
@@ -20,17 +31,24 @@ _ENDS = {signal.SIGINT, signal.SIGTERM}
 
 
 @click.command("simulate")
-@roster_option
+@click.option("-c", "--config", "roster", metavar="ROSTER",
+              type=click.Path(dir_okay=False, path_type=Path),
+              help="The roster: a YAML file that describes the line.")  # fmt: skip
 @click.option("--pty", type=click.Path(path_type=Path), metavar="PATH",
               help="Serve a pseudo terminal; PATH becomes a link to it.")  # fmt: skip
 @click.option("--tcp", metavar="[127.0.0.1:]PORT", help="Serve a TCP port; 0: any free one.")
 @click.option("--faults", default="", metavar="FAULTS",
               help="What goes wrong, such as late=0.05:0.5s,noise=0.05,absent=11+12.")  # fmt: skip
 @click.option("--seed", type=int, default=0, help="Where all chance starts from.")
+@click.option("--control", type=click.Path(path_type=Path), metavar="PATH",
+              help="A socket to be told through; default: PATH.control of --pty.")  # fmt: skip
+@click.option("--tell", "lines", multiple=True, metavar="LINE",
+              help="Tell a running simulator something, such as help, and end.")  # fmt: skip
 @json_option
 def command(
-    roster: Path, pty: Path | None, tcp: str | None, faults: str, seed: int, as_json: bool
-) -> int:
+    roster: Path | None, pty: Path | None, tcp: str | None, faults: str, seed: int,
+    control: Path | None, lines: tuple[str, ...], as_json: bool,
+) -> int:  # fmt: skip
     """Serve the roster's drives as simulated ones until Ctrl-C or SIGTERM.
 
     Characters take the time they take at the roster's baud rate, and drives answer as late as the
@@ -41,9 +59,45 @@ def command(
     and echo, unplugged, absent=ADDRESS+ADDRESS, trip=ADDRESS:NUMBER[:stays]: that drive has this
     fault from the start, and with `stays` no reset helps.
 
+    While it runs, faults and more are typed into its terminal, or told from another one:
+    lecombus simulate --pty PATH --tell "trip feeder 50"; help lists what there is.
+
     In a pipe the first line is the port and nothing else. With --json: {"port", "line", "baud",
     "drives": [{"drive", "address", "family"}]}.
     """
+    where = control_path(pty, control)
+    if lines:
+        tell_simulator(where, lines)
+        return Exit.DONE
+    _check_ends(roster, pty, tcp)
+    assert roster is not None
+    wanted = load_roster(roster)
+    line = _build(wanted, faults, seed)
+    # Blocked before the line's thread starts, so that only sigwait gets them.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDS)
+    try:
+        with ExitStack() as stack:
+            end: PtyEnd | TcpEnd
+            if pty is not None:
+                end = stack.enter_context(PtyEnd(line, _free_link(pty)))
+            else:
+                end = stack.enter_context(TcpEnd(line, _tcp_port(tcp or "0")))
+            told = Control(line, end.lock, end)
+            if where is not None:
+                _serve_control(stack, where, told, wanted=control is not None)
+            typed = listen_to_terminal(told.do)
+            port = end.path if isinstance(end, PtyEnd) else end.url
+            _announce(wanted, port, typed=typed, as_json=as_json)
+            signal.sigwait(_ENDS)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    return Exit.DONE
+
+
+def _check_ends(roster: Path | None, pty: Path | None, tcp: str | None) -> None:
+    if roster is None:
+        problem = Problem("-c ROSTER is missing", "say which drives to simulate")
+        raise CommandError(Exit.USAGE, problem)
     if pty is not None and tcp is not None:
         raise CommandError(
             Exit.USAGE, Problem("--pty and --tcp are both given", "leave one of them out")
@@ -52,21 +106,20 @@ def command(
         raise CommandError(
             Exit.USAGE, Problem("either --pty or --tcp is needed", "say where to serve the line")
         )
-    wanted = load_roster(roster)
-    line = _build(wanted, faults, seed)
-    # Blocked before the line's thread starts, so that only sigwait gets them.
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDS)
+
+
+def _serve_control(stack: ExitStack, path: Path, told: Control, *, wanted: bool) -> None:
+    """Serve the control socket; one that nobody asked for may be missing, with a word."""
     try:
-        with ExitStack() as stack:
-            if pty is not None:
-                port = stack.enter_context(PtyEnd(line, _free_link(pty))).path
-            else:
-                port = stack.enter_context(TcpEnd(line, _tcp_port(tcp or "0"))).url
-            _announce(wanted, port, as_json=as_json)
-            signal.sigwait(_ENDS)
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-    return Exit.DONE
+        if len(os.fsencode(path)) > LONGEST_PATH:
+            raise OSError(0, f"a socket's path has at most {LONGEST_PATH} characters")
+        stack.enter_context(ControlSocket(path, told.do))
+    except OSError as exc:
+        problem = Problem(f"{path} cannot be a control socket: {exc.strerror}",
+                          "name a shorter or free path with --control")  # fmt: skip
+        if wanted:
+            raise CommandError(Exit.USAGE, problem) from exc
+        click.echo(f"lecombus: {problem}", err=True)
 
 
 def _build(roster: Roster, faults: str, seed: int) -> SimLine:
@@ -113,7 +166,7 @@ def _tcp_port(text: str) -> int:
     return int(port)
 
 
-def _announce(roster: Roster, port: str, *, as_json: bool) -> None:
+def _announce(roster: Roster, port: str, *, typed: bool, as_json: bool) -> None:
     if as_json:
         drives = [
             {"drive": entry.name, "address": entry.address, "family": entry.family}
@@ -126,4 +179,5 @@ def _announce(roster: Roster, port: str, *, as_json: bool) -> None:
     count = len(roster.drives)
     what = "1 simulated drive" if count == 1 else f"{count} simulated drives"
     text = f"{what} of {roster.line.name} at {roster.line.baud} baud; Ctrl-C ends this"
-    click.echo(text, err=True)
+    more = "\nType help for what can happen to them, such as trip, unplug, swap." if typed else ""
+    click.echo(text + more, err=True)

@@ -7,6 +7,8 @@ sides at once would prove nothing.
 
 from __future__ import annotations
 
+from lecombus.simulator.control import Control, ControlError
+from lecombus.simulator.control_socket import LONGEST_PATH, ControlSocket, tell
 from lecombus.simulator.drive import LogEntry, SimDrive
 from lecombus.simulator.faults import Faults, LateKind, parse_faults
 from lecombus.simulator.line import SimLine
@@ -16,6 +18,10 @@ from lecombus.simulator.tcp import TcpEnd
 from lecombus.simulator.world import build
 
 __all__ = [
+    "LONGEST_PATH",
+    "Control",
+    "ControlError",
+    "ControlSocket",
     "Faults",
     "LateKind",
     "LogEntry",
@@ -27,4 +33,5 @@ __all__ = [
     "TcpEnd",
     "build",
     "parse_faults",
+    "tell",
 ]

@@ -20,6 +20,9 @@ __all__ = ["CommError", "ExtendedFault", "Kept", "Parameters", "Refusal", "Spec"
 
 Key = tuple[int, int]
 
+_LONGEST_STRING = 20
+"""Characters of a string. Source: CMVLC401A 5.4."""
+
 
 class CommError(IntEnum):
     """Bits 4..7 of C0068. Source: EDB2102EN 8.2."""
@@ -119,6 +122,22 @@ class Spec:
         if not (fits and self.low <= number <= self.high):
             raise Refusal(CommError.INVALID_VALUE, ExtendedFault.VALUE_RANGE)
         return decimal_text(number)
+
+    def at_keypad(self, text: str) -> str:
+        """Give the wire text for what a person sets, also where the bus may only read.
+
+        Raises:
+            Refusal: No value of this format, or outside the limits.
+        """
+        if self.format == "S":
+            if not (text.isascii() and text.isprintable() and len(text) <= _LONGEST_STRING):
+                raise Refusal(CommError.INVALID_VALUE, ExtendedFault.DATA_TYPE)
+            return "S" + text
+        if self.format == "H" or self.writable:
+            return self.check(text)
+        if read_decimal(text) is None:
+            raise Refusal(CommError.INVALID_VALUE, ExtendedFault.DATA_TYPE)
+        return text
 
     def _check_word(self, text: str) -> str:
         word = read_hexadecimal(text)

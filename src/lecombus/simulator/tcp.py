@@ -51,6 +51,15 @@ class TcpEnd(PacedEnd):
             self.line.drop_everything(time.monotonic())
         self._settle()
 
+    def unplug(self) -> None:
+        """Cut the client off and take no other until `replug`."""
+        self.refuse(True)
+        self.drop()
+
+    def replug(self) -> None:
+        """Take clients again, on the same port."""
+        self.refuse(False)
+
     def refuse(self, refusing: bool) -> None:
         """Stop listening, so that connecting is refused, or listen again on the same port."""
         with self.lock:
