@@ -165,6 +165,9 @@ class ExchangeError(LecombusError):
     def __init__(self, message: str, record: ExchangeRecord | None = None) -> None:
         super().__init__(message)
         self.record = record or ExchangeRecord()
+        self.cause = ""
+        """The likely cause, filled in by whoever knows the family."""
+        self.remedy = ""
 
 
 class NoReplyError(ExchangeError):

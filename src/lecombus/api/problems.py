@@ -192,8 +192,11 @@ def problem_of(error: LecombusError, *, drive: str = "", code: str = "") -> Prob
             code=error.code or code,
             remedy=error.remedy,
         )
-    remedy = REMEDIES.get(kind_of(error), "")
-    return Problem(kind_of(error), str(error), drive=drive, code=code, remedy=remedy)
+    kind, cause, remedy = kind_of(error), "", ""
+    if isinstance(error, ExchangeError):
+        cause, remedy = error.cause, error.remedy
+    remedy = remedy or REMEDIES.get(kind, "")
+    return Problem(kind, str(error), drive=drive, code=code, cause=cause, remedy=remedy)
 
 
 REMEDIES: Final[Mapping[str, str]] = {

@@ -21,9 +21,11 @@ from lecombus.errors import (
     LineClosedError,
     NakError,
     OperationError,
+    RefusedError,
 )
 from lecombus.line.station import Station
 from lecombus.operations.control_words import ControlWords
+from lecombus.operations.refusals import Refusals
 from lecombus.operations.reports import RestoreRights, WriteReport
 from lecombus.operations.requests import Ending, Requests, is_line_lost
 from lecombus.operations.restores import check_restored, rights_of
@@ -59,6 +61,7 @@ class Operations:
         self._requests = requests
         self._store = store
         self._words = words
+        self._refusals = Refusals(requests, store, clock)
         self._closing = False
         self._clock = clock
         self._entries: dict[str, DriveEntry] = {}
@@ -96,7 +99,11 @@ class Operations:
             QueueFullError: Too many requests wait.
         """
         station = self._requests.station(drive)
-        await self._requests.read(station, code, priority, timeout_s=timeout_s)
+        try:
+            await self._requests.read(station, code, priority, timeout_s=timeout_s)
+        except RefusedError as exc:
+            self._refusals.explain_read(exc, station, code)
+            raise
         reading = self._store.reading(drive, code)
         if reading is None:
             raise OperationError(
@@ -142,7 +149,8 @@ class Operations:
         ending = self.submit_write(
             station, code, wire, expires_at_s, verify=verify, urgency=urgency
         )
-        return self.report(drive, code, ending, *await ending.wait())
+        report = self.report(drive, code, ending, *await ending.wait())
+        return await self._refusals.explain(report, station, wire)
 
     def submit_write(
         self,

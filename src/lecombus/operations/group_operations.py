@@ -137,6 +137,7 @@ class GroupOperations(Operations):
                 else wait
                 for one, wait in zip(stations, waits, strict=True)
             ]
+            reports = await self._refusals.explain_all(reports, stations, wires)
             return group_report(group, "one-by-one", reports)
         outcome, reason, kind = await self._multicast(
             Station(group, entry.multicast_address, stations[0].family, (form,)),
@@ -144,6 +145,7 @@ class GroupOperations(Operations):
         )  # fmt: skip
         if outcome is Outcome.DONE and verify is not False:
             proofs = await asyncio.gather(*(self._proof(one, code, wires[0]) for one in stations))
+            proofs = await self._refusals.explain_all(proofs, stations, wires)
             return group_report(group, "multicast", proofs)
         told = Outcome.UNKNOWN if outcome is Outcome.DONE else outcome
         reports = [

@@ -78,6 +78,11 @@ class RequestMaker:
             expires_at_s=expires_at_s,
         )
 
+    def cost_of_read_s(self, station: Station, code: Code) -> float:
+        """Give the line time of a read that is answered, seconds."""
+        form = form_of(station, code)
+        return read_cost(self.timing, station.family, code, form, station.answer_time_s).expected_s
+
     def write(
         self,
         station: Station,

@@ -38,7 +38,7 @@ def test_an_entry_is_what_the_file_says() -> None:
     [
         ('  - {numbers: [50], keypad: OH, meaning: [hot, heiß]}\n', "8:5", "source is missing"),
         ('  - {numbers: [], keypad: OH, meaning: [hot, heiß], source: "2"}\n', "8:5", "one number"),
-        ('  - {numbers: [50], meaning: [hot], source: "2"}\n', "8:30", "English, German"),
+        ('  - {numbers: [50], meaning: [hot], source: "2"}\n', "8:30", "two languages"),
         ('  - {numbers: [50], meaning: [hot, ""], source: "2"}\n', "8:36", "a text is right"),
         ('  - {numbers: [0], meaning: [a, b], source: "2"}\n', "8:16", "from 1 to 9999"),
         (ENTRY + ENTRY, "9:16", "fault 50 stands here twice"),

@@ -13,10 +13,10 @@ from functools import cache
 from importlib import resources
 from typing import Final
 
-from lecombus.errors import CodeValueError, DescriptionError
-from lecombus.protocol.addressing import Code
+from lecombus.errors import DescriptionError
 
 from ..document import Item, Origin, Table, read_document
+from ..readers import read_code_number, read_source, read_text
 from ..texts import Text
 from .model import (
     CommunicationError,
@@ -28,7 +28,16 @@ from .model import (
     kind_by_thousands,
 )
 
-__all__ = ["TABLES", "fault_table", "link_report", "load_link_report", "load_table"]
+__all__ = [
+    "TABLES",
+    "ReadFile",
+    "fault_table",
+    "link_report",
+    "load_link_report",
+    "load_table",
+    "open_document",
+    "packaged",
+]
 
 TABLES: Final = ("82xx", "93xx", "smvector")
 HIGHEST_NUMBER: Final = 9999
@@ -57,14 +66,14 @@ def link_report() -> LinkReport:
     Raises:
         DescriptionError: The data file is wrong.
     """
-    return load_link_report(_packaged)
+    return load_link_report(packaged)
 
 
 @cache
 def _by_family() -> dict[str, FaultTable]:
     tables: dict[str, FaultTable] = {}
     for name in TABLES:
-        table = load_table(name, _packaged)
+        table = load_table(name, packaged)
         for family in table.families:
             if family in tables:
                 other = tables[family].name
@@ -73,7 +82,8 @@ def _by_family() -> dict[str, FaultTable]:
     return tables
 
 
-def _packaged(file: str) -> str:
+def packaged(file: str) -> str:
+    """Give the text of a data file of this package."""
     return (resources.files(__package__) / file).read_text(encoding="utf-8")
 
 
@@ -87,19 +97,19 @@ def load_table(name: str, read_file: ReadFile) -> FaultTable:
     Raises:
         DescriptionError: The file is missing, or says something that cannot be.
     """
-    document = _open(name, read_file)
+    document = open_document(name, read_file)
     own = document.take("table")
     if own.text() != name:
         own.fail(f"the file is named {name}.yaml: table must be {name}")
     manual = document.take("manual").text()
-    look_up = _text(document.take("look_up"))
+    look_up = read_text(document.take("look_up"))
     thousands = document.get("thousands")
     table = FaultTable(
         name=name,
         families=tuple(item.text() for item in document.take("families").items()),
         faults=_faults(document.take("faults"), manual, look_up),
         thousands=thousands.flag() if thousands else False,
-        memories=tuple(_code(item) for item in document.take("memories").items()),
+        memories=tuple(read_code_number(item) for item in document.take("memories").items()),
         look_up=look_up,
         source=f"{manual} {document.take('memories_source').text()}",
     )
@@ -113,28 +123,39 @@ def load_link_report(read_file: ReadFile) -> LinkReport:
     Raises:
         DescriptionError: The file is missing, or says something that cannot be.
     """
-    document = _open("extended", read_file)
+    document = open_document("extended", read_file)
     manual = document.take("manual").text()
-    classes = {key.text(): _text(item) for key, item in document.take("classes").table().pairs()}
+    classes = {
+        key.text(): read_text(item) for key, item in document.take("classes").table().pairs()
+    }
     extended: dict[int, ExtendedFault] = {}
     for number, entry in _numbered(document.take("extended"), HIGHEST_EXTENDED):
         name = _known(entry.take("class"), classes)
         extended[number] = ExtendedFault(
-            number, name, _text(entry.take("meaning")), classes[name], _source(entry, manual)
+            number,
+            name,
+            read_text(entry.take("meaning")),
+            classes[name],
+            read_source(entry, manual),
         )
         entry.done()
     communication: dict[int, CommunicationError] = {}
     for number, entry in _numbered(document.take("communication"), HIGHEST_ERROR):
         allows = frozenset(_known(item, classes) for item in entry.take("allows").items())
         communication[number] = CommunicationError(
-            number, _text(entry.take("meaning")), allows, _source(entry, manual)
+            number, read_text(entry.take("meaning")), allows, read_source(entry, manual)
         )
         entry.done()
     document.done()
     return LinkReport(extended, communication)
 
 
-def _open(name: str, read_file: ReadFile) -> Table:
+def open_document(name: str, read_file: ReadFile) -> Table:
+    """Open a data file by its name without `.yaml`.
+
+    Raises:
+        DescriptionError: It is missing, or no YAML.
+    """
     file = f"{name}.yaml"
     try:
         text = read_file(file)
@@ -161,10 +182,10 @@ def _read_fault(entry: Table, manual: str, look_up: Text) -> Iterator[tuple[Faul
     cause, remedy = entry.get("cause"), entry.get("remedy")
     keypad = shown.text() if shown else ""
     words = (
-        _text(entry.take("meaning")),
-        _text(cause) if cause else NOTHING,
-        _text(remedy) if remedy else look_up,
-        _source(entry, manual),
+        read_text(entry.take("meaning")),
+        read_text(cause) if cause else NOTHING,
+        read_text(remedy) if remedy else look_up,
+        read_source(entry, manual),
     )
     entry.done()
     if not numbers:
@@ -193,27 +214,8 @@ def _numbered(entries: Item, high: int) -> Iterator[tuple[int, Table]]:
         yield number, entry
 
 
-def _code(item: Item) -> Code:
-    try:
-        return Code.parse(item.text())
-    except CodeValueError as exc:
-        item.fail(str(exc))
-
-
-def _text(item: Item) -> Text:
-    """Read [English, German]."""
-    both = item.items()
-    if len(both) != 2:
-        item.fail("a text is [English, German]")
-    return Text(both[0].text(), both[1].text())
-
-
 def _known(item: Item, known: Iterable[str]) -> str:
     words = tuple(known)
     if item.text() not in words:
         item.fail(f"{item.text()} is not known here; {', '.join(words)} are")
     return item.text()
-
-
-def _source(entry: Table, manual: str) -> str:
-    return f"{manual} {entry.take('source').text()}"

@@ -1,0 +1,343 @@
+"""Likely causes of a refusal, by family, from `causes.yaml`, and how well each is supported.
+
+Strategy: a rule says what it needs and what would speak for it. `likely_causes` is given what is
+known (the code's description, values of other codes, what C1962 and C0068 said) and keeps the
+rules that are supported best: proven by a value, said by the drive, or at least usual. Nothing is
+asked here and nothing is sent; `operations.refusals` decides what is worth a look.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from decimal import Decimal
+from enum import IntEnum, StrEnum
+from functools import cache
+from typing import Final, TypeVar
+
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+
+from ..codes import CodeInfo, Storage
+from ..document import Item, Table
+from ..readers import WORD_MAX, read_choice, read_code_number, read_flag, read_text
+from ..texts import Text
+from .loading import ReadFile, link_report, open_document, packaged
+from .model import LinkReport
+
+__all__ = [
+    "Cause",
+    "CauseRule",
+    "Condition",
+    "Happened",
+    "Known",
+    "Support",
+    "cause_rules",
+    "likely_causes",
+    "load_causes",
+    "rules_for",
+]
+
+HIGHEST_C1962: Final = 255
+HIGHEST_ERROR: Final = 15
+T = TypeVar("T")
+
+TESTS: Final = ("not_in", "in", "below", "last_digit_not", "clear")
+
+
+class Happened(StrEnum):
+    """What the drive did."""
+
+    REFUSED = "refused"
+    IGNORED = "ignored"
+    UNKNOWN = "unknown"
+    DAMAGED = "damaged"
+
+
+class When(StrEnum):
+    """What may be known of an exchange without asking the drive."""
+
+    READ_ONLY = "read-only"
+    OUT_OF_RANGE = "out-of-range"
+    NEEDS_INHIBIT = "needs-inhibit"
+    STORED = "stored"
+    SUBCODE = "subcode"
+    OTHER_SET = "other-set"
+    DESCRIBED = "described"
+    UNDESCRIBED = "undescribed"
+
+
+class Support(IntEnum):
+    """How well a cause is supported."""
+
+    USUAL = 1
+    """Nothing speaks for it but that it is usual for this code."""
+    SAID = 2
+    """What C0068 said of the last exchange fits it."""
+    NUMBERED = 3
+    """C1962 says so."""
+    DESCRIBED = 4
+    """The manual says so of this code or value."""
+    PROVEN = 5
+    """A value of the drive shows it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """A value of the drive that makes a rule true.
+
+    Args:
+        code: Which code.
+        test: One of `TESTS`.
+        numbers: What the test compares with.
+    """
+
+    code: Code
+    test: str
+    numbers: frozenset[int]
+
+    def holds(self, value: Value | None) -> bool | None:
+        """Say whether it is so; None where the value is not known or no number."""
+        if value is None or isinstance(value.number, (str, bytes)):
+            return None
+        number = int(value.number)
+        (first, *_) = self.numbers
+        if self.test == "below":
+            return number < first
+        if self.test == "last_digit_not":
+            return number % 10 != first
+        if self.test == "clear":
+            return not number & first
+        return (number in self.numbers) == (self.test == "in")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CauseRule:
+    """One likely cause.
+
+    Args:
+        name: A stable word for it.
+        families: Whose drives it is for.
+        codes: The codes it is for; empty for all.
+        happened: What must have happened.
+        when: What must be known of the exchange.
+        condition: A value that makes it so.
+        extended: Numbers of C1962 that say so.
+        communication: Errors in C0068 that say so.
+        likely: Worth naming without anything that speaks for it.
+        cause: What it is.
+        remedy: What to do.
+        source: Manual and section.
+    """
+
+    name: str
+    families: frozenset[str]
+    codes: frozenset[Code]
+    happened: frozenset[Happened]
+    when: frozenset[When]
+    condition: Condition | None
+    extended: frozenset[int]
+    communication: frozenset[int]
+    likely: bool
+    cause: Text
+    remedy: Text
+    source: str
+
+    def fits(self, family: str, known: Known) -> bool:
+        """Say whether it is a rule for this exchange at all."""
+        return (
+            family in self.families
+            and known.happened in self.happened
+            and (not self.codes or known.code in self.codes)
+            and self.when <= known.facts
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """A cause that may be the one.
+
+    Args:
+        rule: The rule.
+        support: How well it is supported.
+        shown_by: What shows it, such as `C0001 reads 0`; empty where nothing does.
+    """
+
+    rule: CauseRule
+    support: Support
+    shown_by: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """What is known of an exchange that did not do what was asked.
+
+    Args:
+        happened: What the drive did.
+        code: The code read or written.
+        info: Its description, where there is one.
+        value: The value written; None for a read.
+        values: Values of other codes that are fresh enough to conclude from.
+        extended: What C1962 read; 0 or None where it said nothing.
+        communication: What C0068 bits 4 to 7 read; 0 or None where they said nothing.
+    """
+
+    happened: Happened
+    code: Code
+    info: CodeInfo | None = None
+    value: Value | None = None
+    values: Mapping[Code, Value] = field(default_factory=dict)
+    extended: int | None = None
+    communication: int | None = None
+
+    @property
+    def facts(self) -> frozenset[When]:
+        """What the description says of the exchange."""
+        info = self.info
+        facts = {When.SUBCODE} if self.code.subcode else set()
+        if info is None:
+            return frozenset(facts | {When.UNDESCRIBED})
+        facts.add(When.DESCRIBED)
+        flags = {
+            When.READ_ONLY: not info.writable,
+            When.NEEDS_INHIBIT: info.needs_inhibit,
+            When.STORED: info.storage is Storage.STORED,
+            When.OTHER_SET: info.parameter_set > 1,
+            When.OUT_OF_RANGE: is_out_of_range(info, self.value),
+        }
+        return frozenset(facts | {fact for fact, so in flags.items() if so})
+
+
+def is_out_of_range(info: CodeInfo, value: Value | None) -> bool:
+    """Say whether the manual does not allow a value."""
+    number = None if value is None else value.number
+    return isinstance(number, (int, Decimal)) and not info.may_be(number)
+
+
+def likely_causes(family: str, known: Known) -> list[Cause]:
+    """Give the causes that are supported best, the best first; empty where none is known."""
+    report = link_report()
+    extended = believed_extended(report, known)
+    found = [
+        cause
+        for rule in rules_for(family, known)
+        if (cause := supported(rule, known, extended)) is not None
+    ]
+    best = max((one.support for one in found), default=None)
+    best_found = [one for one in found if one.support is best]
+    # What is said of this very code says more than what is said of any.
+    return [one for one in best_found if one.rule.codes] or best_found
+
+
+def rules_for(family: str, known: Known) -> list[CauseRule]:
+    """Give the rules for an exchange, whatever speaks for or against them."""
+    return [rule for rule in cause_rules() if rule.fits(family, known)]
+
+
+def believed_extended(report: LinkReport, known: Known) -> int | None:
+    """Give C1962 unless C0068 shows that it is left from an earlier exchange."""
+    number = known.extended or None
+    error = report.communication.get(known.communication or 0)
+    told = report.extended.get(number or 0)
+    if error is not None and told is not None and told.classification not in error.allows:
+        return None
+    return number
+
+
+def supported(rule: CauseRule, known: Known, extended: int | None) -> Cause | None:
+    """Say how well a rule that fits is supported; None where something speaks against it."""
+    condition = rule.condition
+    if condition is not None:
+        value = known.values.get(condition.code)
+        holds = condition.holds(value)
+        if holds is False:
+            return None
+        if holds and value is not None:
+            return Cause(rule, Support.PROVEN, f"{condition.code} reads {value.raw}")
+    elif rule.when & {When.READ_ONLY, When.OUT_OF_RANGE}:
+        return Cause(rule, Support.DESCRIBED, "")
+    if extended in rule.extended:
+        return Cause(rule, Support.NUMBERED, f"C1962 reads {extended}")
+    if extended is not None and rule.extended:
+        return None
+    if known.communication and known.communication in rule.communication:
+        return Cause(rule, Support.SAID, f"C0068 shows error {known.communication}")
+    if known.communication and rule.communication:
+        return None
+    return Cause(rule, Support.USUAL, "") if rule.likely else None
+
+
+@cache
+def cause_rules() -> tuple[CauseRule, ...]:
+    """Give all rules, in the order of the file.
+
+    Raises:
+        DescriptionError: The data file is wrong.
+    """
+    return load_causes(packaged)
+
+
+def load_causes(read_file: ReadFile) -> tuple[CauseRule, ...]:
+    """Build the rules from `causes.yaml`.
+
+    Raises:
+        DescriptionError: The file is missing, or says something that cannot be.
+    """
+    document = open_document("causes", read_file)
+    for _, families in document.take("families").table().pairs():
+        families.items()
+    rules: list[CauseRule] = []
+    names: set[str] = set()
+    for item in document.take("causes").items():
+        rule = _rule(item.table())
+        if rule.name in names:
+            item.fail(f"{rule.name} stands here twice")
+        names.add(rule.name)
+        rules.append(rule)
+    document.done()
+    return tuple(rules)
+
+
+def _rule(table: Table) -> CauseRule:
+    value = table.get("value")
+    rule = CauseRule(
+        name=table.take("name").text(),
+        families=frozenset(item.text() for item in table.take("families").items()),
+        codes=frozenset(_each(table.get("codes"), read_code_number)),
+        happened=frozenset(_each(table.take("happened"), lambda it: read_choice(it, Happened))),
+        when=frozenset(_each(table.get("when"), lambda it: read_choice(it, When))),
+        condition=_condition(value.table()) if value else None,
+        extended=frozenset(_each(table.get("extended"), _c1962)),
+        communication=frozenset(_each(table.get("communication"), _c0068)),
+        likely=read_flag(table, "likely"),
+        cause=read_text(table.take("cause")),
+        remedy=read_text(table.take("remedy")),
+        source=table.take("source").text(),
+    )
+    table.done()
+    return rule
+
+
+def _condition(table: Table) -> Condition:
+    code = read_code_number(table.take("code"))
+    given = [(test, item) for test in TESTS if (item := table.get(test)) is not None]
+    table.done()
+    if len(given) != 1:
+        table.fail(f"one of {', '.join(TESTS)} is right here")
+    ((test, item),) = given
+    items = item.items() if test in ("not_in", "in") else [item]
+    if not items:
+        item.fail("at least one number is right here")
+    return Condition(code, test, frozenset(one.integer(0, WORD_MAX) for one in items))
+
+
+def _each(item: Item | None, read: Callable[[Item], T]) -> list[T]:
+    return [read(one) for one in item.items()] if item is not None else []
+
+
+def _c1962(item: Item) -> int:
+    return item.integer(1, HIGHEST_C1962)
+
+
+def _c0068(item: Item) -> int:
+    return item.integer(1, HIGHEST_ERROR)
