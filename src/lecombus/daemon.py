@@ -184,6 +184,8 @@ class Daemon:
             site.metrics,
             custody=site.custody,
             line_name=self._roster.line.name,
+            port=self._roster.line.port,
+            baud=self._roster.line.baud,
             ready=self.ready,
             healthy=self.healthy,
             version=__version__,

@@ -120,7 +120,9 @@ class Site:
             self.requests, self.schedule, self.store, clock, self.health, self.identities,
             self.words,
         )  # fmt: skip
-        self.operations = GroupOperations(self.requests, self.store, self.words, clock)
+        self.operations = GroupOperations(
+            self.requests, self.store, self.words, clock, lambda: books.disturbances
+        )
         self.custody = Custody(self.identities)
         self._cyclic: dict[str, list[object]] = {}
         self._entries: dict[str, DriveEntry] = {}

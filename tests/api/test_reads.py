@@ -265,8 +265,12 @@ async def test_openapi_describes_every_path_and_refers_to_nothing_missing(
     document = json.loads(text, parse_float=Decimal)
     assert {
         "/v1/line",
+        "/v1/line/addresses/{address}/codes/{code}",
+        "/v1/line/addresses/{address}/codes/{code}/{subcode}",
         "/v1/drives",
         "/v1/drives/{drive}",
+        "/v1/drives/{drive}/accept",
+        "/v1/drives/{drive}/identity",
         "/v1/drives/{drive}/restore",
         "/v1/drives/{drive}/codes/{code}",
         "/v1/drives/{drive}/codes/{code}/{subcode}",

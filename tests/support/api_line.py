@@ -14,9 +14,10 @@ from lecombus.api import create_app
 from lecombus.drives import StopAction, family
 from lecombus.errors import LecombusError
 from lecombus.metrics import Metrics
+from lecombus.operations.address_reads import Heard, HeardKind
 from lecombus.operations.identities import IdentityReport
 from lecombus.operations.reports import GroupInfo, GroupReport, RestoreRights, WriteReport
-from lecombus.protocol.addressing import Code
+from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value
 from lecombus.schedule.request import Outcome, Priority
 from lecombus.store import DriveState, LineState, Reading, Store
@@ -35,6 +36,7 @@ class FakeOperations:
         drive, code, Outcome.DONE
     )
     asked: list[tuple[object, ...]] = field(default_factory=list)
+    heard: Heard = field(default_factory=lambda: Heard(HeardKind.SILENCE))
     gate: anyio.Event | None = None
     read_as: tuple[Priority, float] | None = None
     written_as: tuple[Priority | None, bool] | None = None
@@ -77,6 +79,12 @@ class FakeOperations:
         self.written_as = (urgency, restoring)
         await self._ask("write", drive, code, value, expires_s, verify)
         return self.report(drive, code)
+
+    async def read_address(
+        self, address: int, code: Code, *, form: Form, family_name: str, patient: bool
+    ) -> Heard:
+        await self._ask("read_address", address, code, form, family_name, patient)
+        return self.heard
 
     async def write_group(
         self,

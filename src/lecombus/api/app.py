@@ -13,7 +13,7 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import replace
 from typing import Annotated, Final
 
@@ -24,6 +24,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
 
+from lecombus.api.addresses import add_addresses
 from lecombus.api.answers import (
     JSON_TYPE,
     REFUSALS,
@@ -66,7 +67,7 @@ from lecombus.api.problems import Problem, problem_of, report_problem
 from lecombus.api.seam import CustodyPort, OperationsPort
 from lecombus.errors import LecombusError
 from lecombus.metrics import OPENMETRICS_TYPE, TEXT_TYPE, Metrics, wants_openmetrics
-from lecombus.readings import DriveInfo
+from lecombus.readings import DriveInfo, Json
 from lecombus.store import Store
 
 __all__ = ["Check", "create_app"]
@@ -87,6 +88,8 @@ def create_app(
     line_name: str,
     ready: Check,
     healthy: Check,
+    port: str = "",
+    baud: int = 9600,
     version: str = "",
     clock: Callable[[], float] = time.monotonic,
 ) -> FastAPI:
@@ -100,6 +103,8 @@ def create_app(
         line_name: The line's name.
         ready: Whether the line is open and every drive was tried once.
         healthy: Whether the line task makes progress.
+        port: The line's port, as the roster has it.
+        baud: Its baud rate, bit/s.
         version: lecombus' version, for the OpenAPI document.
         clock: A monotonic clock for idempotency keys, seconds.
     """
@@ -112,9 +117,10 @@ def create_app(
         redirect_slashes=False,
     )
     answer_errors_with_problems(app)
-    add_known(app, store, line_name, ops)
+    add_known(app, store, {"line": line_name, "port": port, "baud": baud}, ops)
     keys = Idempotency(clock)
     add_reads(app, ops, store)
+    add_addresses(app, ops)
     add_writes(app, ops, keys)
     add_group_writes(app, ops, keys)
     add_custody(app, custody, keys)
@@ -123,7 +129,7 @@ def create_app(
     return app
 
 
-def add_known(app: FastAPI, store: Store, line_name: str, ops: OperationsPort) -> None:
+def add_known(app: FastAPI, store: Store, facts: Mapping[str, Json], ops: OperationsPort) -> None:
     """Add what is known now: line, drives, drive, groups."""
 
     @app.get("/v1/line", **described(LineDocument, 422))
@@ -131,7 +137,7 @@ def add_known(app: FastAPI, store: Store, line_name: str, ops: OperationsPort) -
         """The line: its state, and how many drives are in which state."""
         check_query(request)
         states = Counter(info.state.value for info in store.drives())
-        return json_response({"line": line_name, **store.line().as_json(), "drives": {**states}})
+        return json_response({**facts, **store.line().as_json(), "drives": {**states}})
 
     @app.get("/v1/drives", **described(DrivesDocument, 422))
     async def drives(request: Request) -> Response:

@@ -21,6 +21,7 @@ __all__ = [
     "DrivesDocument",
     "GroupOutcomeDocument",
     "GroupsDocument",
+    "HeardDocument",
     "IdentityDocument",
     "LineDocument",
     "OutcomeDocument",
@@ -75,6 +76,25 @@ class FaultDocument(Document):
     stale: Annotated[bool, Field(description="The drive has not been heard since")]
 
 
+class HeardDocument(Document):
+    """What came back from an address of which nothing is known."""
+
+    address: int
+    code: str
+    subcode: int
+    heard: Annotated[
+        str,
+        Field(description="value, no-such-code, transmission-error, silence, garbled or echo"),
+    ]
+    value: Scalar
+    raw: str | None
+    format: str | None
+    received: Annotated[str | None, Field(description="What was no usable answer, as hex")]
+    disturbances: Annotated[
+        int, Field(description="How often the line carried something that was no answer")
+    ]
+
+
 class DriveDocument(Document):
     """One drive with everything known of it."""
 
@@ -111,6 +131,8 @@ class LineDocument(Document):
     """The line."""
 
     line: str
+    port: Annotated[str, Field(description="As in the roster")]
+    baud: int
     state: Annotated[str, Field(description="closed, open or lost")]
     reason: str | None
     since: str

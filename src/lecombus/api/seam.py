@@ -12,9 +12,10 @@ from decimal import Decimal
 from typing import Protocol
 
 from lecombus.drives import StopAction
+from lecombus.operations.address_reads import Heard
 from lecombus.operations.identities import IdentityReport
 from lecombus.operations.reports import GroupInfo, GroupReport, RestoreRights, WriteReport
-from lecombus.protocol.addressing import Code
+from lecombus.protocol.addressing import Code, Form
 from lecombus.schedule.request import Priority
 from lecombus.store import Reading
 
@@ -102,6 +103,15 @@ class OperationsPort(Protocol):
 
         Raises:
             OperationError: There is no such drive.
+        """
+
+    async def read_address(
+        self, address: int, code: Code, *, form: Form, family_name: str, patient: bool
+    ) -> Heard:
+        """Read a code at an address that the roster does not have, once.
+
+        Raises:
+            ExchangeError, LineError, ScheduleError, OperationError: Nothing was asked.
         """
 
     async def stop(self, action: StopAction, target: str) -> GroupReport:

@@ -29,6 +29,7 @@ import uvicorn
 from anyio.abc import TaskStatus
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from lecombus.api.addresses import ADDRESSES_PATH
 from lecombus.api.crowd import ACCEPT_AT_ONCE, Connection, Crowd, connections
 from lecombus.api.exact import short
 from lecombus.api.problems import Problem
@@ -106,6 +107,12 @@ class ReadOnlyDoor:
                 "read-only",
                 f"{scope['method']} is not answered over TCP",
                 remedy="use the Unix socket: only who may open it may write and stop",
+            )
+        if scope["path"].startswith(ADDRESSES_PATH):
+            return Problem(
+                "not-permitted",
+                "addresses of unknown drives are not asked over TCP",
+                remedy="use the Unix socket",
             )
         return None
 

@@ -39,6 +39,7 @@ COMMANDS = {
     "stop": "Stop drives at once, before everything else; all of them if none is named.",
     "accept": "Take another drive in the place of the one that was there.",
     "status": "Show the line and its drives, or one drive with its values.",
+    "scan": "Find the drives on a line, and propose a roster.",
 }
 
 
@@ -77,8 +78,9 @@ class _Commands(click.Group):
 def lecombus() -> None:
     """Speak LECOM-A/B with a line of Lenze drives.
 
-    demo, run, check, plan and simulate work on a roster; read, write, group, stop and status talk
-    to a running daemon. lecombus is not a safety function: have an emergency stop without software.
+    demo, run, check, plan and simulate work on a roster; read, write, group, stop, status and scan
+    talk to a running daemon, and read and scan open a port themselves if told to. lecombus is not a
+    safety function: have an emergency stop without software.
     """
 
 

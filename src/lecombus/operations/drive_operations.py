@@ -24,12 +24,13 @@ from lecombus.errors import (
     RefusedError,
 )
 from lecombus.line.station import Station
+from lecombus.operations.address_reads import Heard, check_address, read_address
 from lecombus.operations.control_words import ControlWords
 from lecombus.operations.refusals import Refusals
 from lecombus.operations.reports import RestoreRights, WriteReport
 from lecombus.operations.requests import Ending, Requests, is_line_lost
 from lecombus.operations.restores import check_restored, rights_of
-from lecombus.protocol.addressing import Code
+from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value
 from lecombus.readings import DriveState, LineState, Reading
 from lecombus.schedule import Outcome, Priority
@@ -49,6 +50,7 @@ class Operations:
         store: What is known.
         words: The drives' control words as last seen.
         clock: Monotonic time, seconds.
+        disturbances: How often the line has carried something that was no answer.
     """
 
     def __init__(
@@ -57,6 +59,7 @@ class Operations:
         store: Store,
         words: ControlWords,
         clock: Callable[[], float],
+        disturbances: Callable[[], int] = lambda: 0,
     ) -> None:
         self._requests = requests
         self._store = store
@@ -64,6 +67,7 @@ class Operations:
         self._refusals = Refusals(requests, store, clock)
         self._closing = False
         self._clock = clock
+        self._disturbances = disturbances
         self._entries: dict[str, DriveEntry] = {}
         self._groups: Mapping[str, GroupEntry] = {}
 
@@ -114,6 +118,35 @@ class Operations:
                 remedy="ask again",
             )
         return reading
+
+    async def read_address(
+        self, address: int, code: Code, *, form: Form, family_name: str, patient: bool
+    ) -> Heard:
+        """Read a code at an address that the roster does not have, once, when nothing else is due.
+
+        Args:
+            address: 1..99, not ending in 0.
+            code: What to read.
+            form: In this addressing form and no other.
+            family_name: Whose answer times to wait by.
+            patient: Wait longer than any description says.
+
+        Raises:
+            OperationError: No drive can have the address, the roster has it, or nothing was sent.
+            LineError: There is no line.
+            QueueFullError: Too many requests wait.
+        """
+        check_address(address, family_name, self._entries.values())
+        return await read_address(
+            self._requests,
+            address,
+            code,
+            form=form,
+            family_name=family_name,
+            patient=patient,
+            priority=Priority.BACKGROUND,
+            disturbances=self._disturbances,
+        )
 
     async def write(
         self,

@@ -86,8 +86,9 @@ class GroupOperations(Operations):
         store: Store,
         words: ControlWords,
         clock: Callable[[], float],
+        disturbances: Callable[[], int] = lambda: 0,
     ) -> None:
-        super().__init__(requests, store, words, clock)
+        super().__init__(requests, store, words, clock, disturbances)
         self._stops: dict[tuple[str, StopAction], _OpenStop] = {}
         self._shared: dict[tuple[str, StopAction], Request] = {}
 

@@ -58,9 +58,12 @@ class Books:
         self._words = words
         self._is_drive = is_drive
         self._faults = faults
+        self.disturbances = 0
 
     def exchange_ended(self, report: ExchangeReport) -> None:
         """Book one exchange."""
+        if not report.result.clean:
+            self.disturbances += 1
         result = report.result
         answer = result.answer
         kind = report.step.kind
@@ -140,6 +143,7 @@ class Books:
 
     def stray_bytes(self, data: bytes, late_answer: bool) -> None:
         """Bytes came that nobody asked for."""
+        self.disturbances += 1
         self._metrics.meters.stray_bytes.inc(len(data))
         if late_answer:
             self._metrics.meters.late_answers.inc()

@@ -1,0 +1,139 @@
+"""A port of our own, for the commands that need no daemon: `read --port` and `scan --port`.
+
+The same worker as in the daemon speaks on it, so time-outs, parity, echo, quarantine and doubts
+are those that a line has. A port that is in use is refused by `line` when it is opened.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+import anyio
+
+from lecombus.drives import LineTiming
+from lecombus.errors import LecombusError, LineLostError
+from lecombus.line.observer import ExchangeReport
+from lecombus.line.opening import open_port
+from lecombus.line.port import Port, PortSettings, Receiver
+from lecombus.line.worker import LineWorker, WorkerOptions
+from lecombus.operations.request_maker import RequestMaker
+from lecombus.operations.requests import Requests
+from lecombus.schedule import Outcome, Priority, Schedule
+
+__all__ = ["OwnLine", "own_line"]
+
+STRAYS_KEPT = 256
+"""Bytes nobody asked for that are kept; the rest is only more of the same."""
+
+
+class OwnLine:
+    """An open port with a worker on it, and the ears of whoever has it.
+
+    Args:
+        settings: The port.
+        timing: Its times.
+        retries: How often a failed read is repeated.
+
+    Attributes:
+        requests: What is asked goes through here.
+        schedule: For those who ask drives by a name.
+        bytes_heard: How many bytes have come, whatever they were.
+        disturbances: How often something came that was no answer to its question.
+    """
+
+    def __init__(self, settings: PortSettings, timing: LineTiming, retries: int) -> None:
+        self.known = anyio.Event()
+        self.error: LineLostError | None = None
+        self.schedule = Schedule()
+        # A line may be silent for as long as it likes here: nobody is on it, perhaps.
+        options = WorkerOptions(stall_s=0.0)
+        self.worker = LineWorker(settings, self._open, self.schedule, timing, options, self)
+        self.requests = Requests(self.worker, RequestMaker(timing, retries, _count), time.monotonic)
+        self.bytes_heard = 0
+        self.disturbances = 0
+        self._strays = bytearray()
+
+    def take_strays(self) -> bytes:
+        """Give the bytes that nobody asked for since the last call, the first of them."""
+        strays = bytes(self._strays)
+        self._strays.clear()
+        return strays
+
+    async def _open(self, settings: PortSettings, receiver: Receiver) -> Port:
+        """Open the port, and keep why it could not be opened; the worker calls this."""
+        try:
+            return await open_port(settings, _CountingReceiver(receiver, self))
+        except LineLostError as exc:
+            self.error = exc
+            raise
+
+    def exchange_ended(self, report: ExchangeReport) -> None:
+        """Nobody keeps books here, but of what was no answer."""
+        if not report.result.clean:
+            self.disturbances += 1
+
+    def line_changed(self, up: bool, reason: str) -> None:
+        """Take note that it was tried."""
+        self.known.set()
+
+    def thinking(self, for_s: float) -> None:
+        """Nothing is done meanwhile."""
+
+    def stray_bytes(self, data: bytes, late_answer: bool) -> None:
+        """Keep what nobody asked for: it may be somebody else's talk."""
+        self.disturbances += 1
+        self._strays += data[: STRAYS_KEPT - len(self._strays)]
+
+
+class _CountingReceiver:
+    """Counts bytes on their way to the worker: an echo is heard and then removed there."""
+
+    def __init__(self, receiver: Receiver, line: OwnLine) -> None:
+        self._receiver = receiver
+        self._line = line
+
+    def received(self, data: bytes) -> None:
+        """Count, and pass on."""
+        self._line.bytes_heard += len(data)
+        self._receiver.received(data)
+
+    def lost(self, exc: Exception | None) -> None:
+        """Pass on."""
+        self._receiver.lost(exc)
+
+
+def _count(priority: Priority, outcome: Outcome) -> None:
+    """Nobody counts requests here."""
+
+
+@asynccontextmanager
+async def own_line(
+    settings: PortSettings, timing: LineTiming, *, retries: int
+) -> AsyncIterator[OwnLine]:
+    """Open a port for the length of a block.
+
+    Args:
+        settings: The port.
+        timing: Its times.
+        retries: How often a failed read is repeated.
+
+    Raises:
+        LecombusError: The port cannot be opened, or what the block raises.
+    """
+    line = OwnLine(settings, timing, retries)
+    failure: LecombusError | None = None
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(line.worker.run)
+        await line.known.wait()
+        try:
+            if line.error is not None:
+                raise line.error
+            yield line
+        except LecombusError as exc:  # outside the task group, or it would come out wrapped
+            failure = exc
+        finally:
+            line.worker.close()
+    if failure is not None:
+        raise failure

@@ -1,0 +1,170 @@
+"""Asking an address of which nothing is known: what a scan is made of.
+
+Here silence is an answer, and "no such code" a good one: something is there. Nothing is repeated
+and nothing is kept: whoever scans decides what an answer means. There is deliberately no way to
+write to an address.
+
+What must not live here: which addresses are asked for what, and families (`scanning`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+
+from lecombus.config import DriveEntry
+from lecombus.drives import FAMILY_NAMES, family
+from lecombus.errors import (
+    ChecksumReportedError,
+    CutReplyError,
+    EchoError,
+    ExchangeError,
+    NoReplyError,
+    OperationError,
+    UnknownCodeError,
+)
+from lecombus.line.station import Station
+from lecombus.operations.requests import Requests
+from lecombus.protocol.addressing import Code, Form, is_drive_address
+from lecombus.protocol.values import Value
+from lecombus.schedule import Priority
+
+__all__ = ["Heard", "HeardKind", "check_address", "read_address"]
+
+PATIENT_ANSWER_TIME_S = 0.3
+"""Waited for twice as long: more than an adapter has ever been seen to hold an answer up."""
+ASKED_WITHIN_S = 30.0
+"""A background read on a full line waits its turn."""
+
+
+class HeardKind(StrEnum):
+    """What came back."""
+
+    VALUE = "value"
+    NO_SUCH_CODE = "no-such-code"
+    TRANSMISSION_ERROR = "transmission-error"
+    """The drive saw a transmission error in the question (`?`): it is there."""
+    SILENCE = "silence"
+    GARBLED = "garbled"
+    ECHO = "echo"
+    """What came back of our own telegram was not what was sent."""
+
+
+_KINDS: tuple[tuple[type[ExchangeError], HeardKind], ...] = (
+    (UnknownCodeError, HeardKind.NO_SUCH_CODE),
+    (ChecksumReportedError, HeardKind.TRANSMISSION_ERROR),
+    (NoReplyError, HeardKind.SILENCE),
+    (EchoError, HeardKind.ECHO),
+    (ExchangeError, HeardKind.GARBLED),
+)
+"""The first that fits counts."""
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """What came back from an address.
+
+    Args:
+        kind: What it was.
+        value: The value, if it was one.
+        received: Bytes that were no usable answer, parity bits included; the first of them.
+        disturbances: How often, ever, the line has carried something that was no answer to its
+            question; more than before means that something was heard besides.
+    """
+
+    kind: HeardKind
+    value: Value | None = None
+    received: bytes = b""
+    disturbances: int = 0
+
+    @property
+    def is_answer(self) -> bool:
+        """Whether a drive answered, whatever it said."""
+        return self.kind in (
+            HeardKind.VALUE,
+            HeardKind.NO_SUCH_CODE,
+            HeardKind.TRANSMISSION_ERROR,
+        )
+
+    @property
+    def text(self) -> str:
+        """The value as people read it; empty where there is none."""
+        return "" if self.value is None else str(self.value.number)
+
+    @property
+    def exists(self) -> bool | None:
+        """Whether the drive has the code; None where it did not say."""
+        if self.kind is HeardKind.VALUE:
+            return True
+        return False if self.kind is HeardKind.NO_SUCH_CODE else None
+
+
+def check_address(address: int, family_name: str, entries: Iterable[DriveEntry]) -> None:
+    """See that an address may be asked: a drive can have it, and none of the roster does.
+
+    Raises:
+        OperationError: It may not.
+    """
+    if not is_drive_address(address):
+        raise OperationError(
+            f"no drive has the address {address}",
+            kind="no-such-address",
+            remedy="it is 1 to 99, and not 10, 20 .. 90, which are groups that nobody answers for",
+        )
+    if family_name not in FAMILY_NAMES:
+        raise OperationError(
+            f"there is no family {family_name}",
+            kind="bad-request",
+            remedy=f"known are: {', '.join(FAMILY_NAMES)}",
+        )
+    for entry in entries:
+        if entry.address == address:
+            raise OperationError(
+                f"the roster has address {address}: it is {entry.name}",
+                kind="in-roster",
+                drive=entry.name,
+                remedy="read its codes by its name; a scan asks the other addresses",
+            )
+
+
+async def read_address(
+    requests: Requests,
+    address: int,
+    code: Code,
+    *,
+    form: Form,
+    family_name: str,
+    patient: bool,
+    priority: Priority,
+    disturbances: Callable[[], int],
+) -> Heard:
+    """Read a code at an address, once.
+
+    Args:
+        requests: Sends it.
+        address: 1..99, not ending in 0.
+        code: What to read.
+        form: In this addressing form and no other.
+        family_name: Whose answer times to wait by.
+        patient: Wait longer than any description says.
+        priority: The class to run in.
+        disturbances: Counts what the line carries that is no answer to its question.
+
+    Raises:
+        OperationError: It was never sent, or cannot be.
+        CutReplyError: The line was lost meanwhile.
+        LineError: There is no line.
+        QueueFullError: Too many wait.
+    """
+    answer_time_s = PATIENT_ANSWER_TIME_S if patient else None
+    name = f"address {address}"
+    station = Station(name, address, family(family_name), (form,), answer_time_s=answer_time_s)
+    try:
+        value = await requests.read(station, code, priority, timeout_s=ASKED_WITHIN_S, retries=0)
+    except CutReplyError:
+        raise
+    except ExchangeError as exc:
+        kind = next(kind for cls, kind in _KINDS if isinstance(exc, cls))
+        return Heard(kind, None, exc.record.received, disturbances())
+    return Heard(HeardKind.VALUE, value, disturbances=disturbances())

@@ -1,0 +1,288 @@
+"""What a drive is, by what it answers: families are told apart by the codes they have.
+
+Theory of operation. Only what the manuals say is relied on; the text of a software label decides
+nothing but between 821X, 822X and 824X, which lecombus describes alike.
+
+========================================= =====================================================
+answers extended addressing               no: some other maker's device, `generic`
+C1810 (its text names the 2102 module)    a 2102 module; else an SMVector or `generic`
+C2011, that is C0011 in parameter set 2   82XX and 8200 vector; 93XX shows its current set only
+C4011, that is C0011 in parameter set 3   8200 vector only
+C0043, TRIP reset                         all but 820X
+C0168/1, fault memory as an array         93XX, where there is no second set
+C1400 = 7 and C1410 = its own address     SMVector (P400: LECOM-B; P410)
+========================================= =====================================================
+
+What does not fit whole is `generic`, with what was odd about it: a wrong family would read wrong
+words and be stopped the wrong way. Everything is asked in extended addressing, which the input
+selection C0248 and the code bank C0249 do not redirect.
+
+Sources: EDB2102EN 6.1.1, 6.1.2, 6.1.3 (parameter sets), 6.4 (820X), 8.2; CMVLC401A 4.1, 4.2, 9.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Generator
+from dataclasses import dataclass, field
+from decimal import Decimal
+
+from lecombus.drives import Family, family
+from lecombus.protocol.addressing import Code, Form
+from lecombus.protocol.values import Format
+from lecombus.scanning.asking import Ask, Heard, HeardKind, Reading, Step, read_surely
+from lecombus.scanning.finding import Finding, FoundWatchdog
+
+__all__ = ["identify"]
+
+MODULE = Code(1810)
+OWN_ADDRESS = Code(9)
+TRIP_RESET = Code(43)
+IN_SET_2 = Code(2011)
+IN_SET_3 = Code(4011)
+FAULT_ARRAY = Code(168, 1)
+SOFTWARE = Code(200)
+PROTOCOL = Code(1400)
+NETWORK_ADDRESS = Code(1410)
+LECOM_B = 7
+REDIRECTING = (Code(248), Code(249))
+
+LATER_82XX = re.compile(r"82([124])[1-8]")
+"""A later 82XX's type in its software label, such as `8221`."""
+
+
+@dataclass(slots=True)
+class Talk:
+    """The conversation with one drive.
+
+    Args:
+        baud: Its baud rate, bit/s.
+        address: Its address.
+        patient: It answers late.
+        labels: What it said of itself so far.
+        remarks: What stands to be said about it so far.
+    """
+
+    baud: int
+    address: int
+    patient: bool
+    labels: list[tuple[Code, str]] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+
+    def read(self, code: Code, form: Form = Form.EXTENDED, waiting: str = "generic") -> Reading:
+        """Read a code; `waiting`: by whose answer times."""
+        ask = Ask(self.baud, self.address, code, form, waiting, self.patient)
+        return (yield from read_surely(ask))
+
+    def label(self, code: Code) -> Reading:
+        """Read what the drive says of itself, and keep it."""
+        heard = yield from self.read(code)
+        self.keep(code, heard)
+        return heard
+
+    def keep(self, code: Code, heard: Heard) -> None:
+        """Keep what the drive says of itself."""
+        if heard.text:
+            self.labels.append((code, heard.text))
+
+    def finding(
+        self, name: str, why: str, *, certain: bool = True, watchdog: FoundWatchdog | None = None
+    ) -> Finding:
+        """Say what it is."""
+        return Finding(
+            self.address,
+            self.baud,
+            name,
+            certain and name != "generic",
+            why,
+            tuple(self.labels),
+            watchdog,
+            tuple(self.remarks),
+            self.patient,
+        )
+
+    def generic(self, why: str) -> Finding:
+        """Say that it cannot be told what it is."""
+        return self.finding("generic", why)
+
+
+Identification = Generator[Step, Heard, Finding]
+
+
+def identify(baud: int, address: int, *, patient: bool = False) -> Identification:
+    """Find out what answers at an address.
+
+    Args:
+        baud: The baud rate, bit/s.
+        address: Where something answered.
+        patient: It answered late.
+    """
+    talk = Talk(baud, address, patient)
+    own = yield from talk.read(OWN_ADDRESS)
+    if not own.is_answer:
+        return (yield from _without_extended_addressing(talk))
+    module = yield from talk.label(MODULE)
+    if module.exists is None:
+        return talk.generic(f"it answers, but not whole when asked for {MODULE}")
+    yield from _redirection(talk)
+    if module.exists:
+        return (yield from _behind_a_module(talk, own, module))
+    return (yield from _smvector_or_other(talk))
+
+
+def _without_extended_addressing(talk: Talk) -> Identification:
+    """Another maker's device; what it says in place of a software label may help people."""
+    heard = yield from talk.read(SOFTWARE, Form.STANDARD)
+    if heard.value is not None and heard.value.format is Format.VS:
+        talk.keep(SOFTWARE, heard)
+    return talk.generic(
+        "it does not answer extended addressing, as every drive described here does"
+    )
+
+
+def _redirection(talk: Talk) -> Generator[Step, Heard, None]:
+    """Say so if standard addressing is redirected in this drive. Source: EDB2102EN 8.2."""
+    for code in REDIRECTING:
+        heard = yield from talk.read(code)
+        if heard.value is not None and heard.value.number != 0:
+            talk.remarks.append(
+                f"{code} is {heard.text}: every access by standard addressing reaches another "
+                "parameter; switch the module off and on, or let its program set it to 0"
+            )
+
+
+# ---- 2102 fieldbus module -----------------------------------------------------------------------
+
+
+def _behind_a_module(talk: Talk, own: Heard, module: Heard) -> Identification:
+    yield from talk.label(Code(1811))
+    software = yield from talk.label(SOFTWARE)
+    yield from talk.label(Code(201))
+    if "2102" not in module.text:
+        return talk.generic(f"its fieldbus module calls itself {module.text!r}, which is no 2102")
+    if not _is_number(own, talk.address):
+        return talk.generic(f"{OWN_ADDRESS} reads {own.text or 'nothing'} at {talk.address}")
+    has: dict[Code, bool | None] = {}
+    for code in (IN_SET_2, IN_SET_3, TRIP_RESET, FAULT_ARRAY):
+        has[code] = (yield from talk.read(code)).exists
+    name, why = _by_codes(has, software.text)
+    if name == "generic":
+        return talk.generic(why)
+    certain = name not in ("821x", "822x", "824x") or LATER_82XX.search(software.text) is not None
+    yield from _setpoint_source(talk, name)
+    watchdog = yield from _watchdog(talk, family(name))
+    return talk.finding(name, why, certain=certain, watchdog=watchdog)
+
+
+def _by_codes(has: dict[Code, bool | None], software: str) -> tuple[str, str]:
+    """Name the family behind a 2102 module by the codes it has."""
+    second, third = has[IN_SET_2], has[IN_SET_3]
+    reset, array = has[TRIP_RESET], has[FAULT_ARRAY]
+    if second and third and reset:
+        return "8200vector", f"it has more than two parameter sets ({IN_SET_3})"
+    if second and third is False and reset is False:
+        return "820x", f"it has two parameter sets and no TRIP reset ({TRIP_RESET})"
+    if second and third is False and reset:
+        return _later_82xx(software)
+    if second is False and third is False and reset and array:
+        return "93xx", f"it shows one parameter set and an array of faults ({FAULT_ARRAY})"
+    words = {True: "has", False: "has no", None: "did not say whether it has"}
+    odd = ", ".join(f"{words[there]} {code}" for code, there in has.items())
+    return "generic", f"behind its 2102 module is none of the families known: it {odd}"
+
+
+def _later_82xx(software: str) -> tuple[str, str]:
+    """Tell 821X, 822X and 824X apart by the software label; the manual knows no other way."""
+    match = LATER_82XX.search(software)
+    if match is not None:
+        return f"82{match[1]}x", f"its software label names an {match[0]}"
+    return (
+        "821x",
+        "it is an 821X, 822X or 824X: they look alike over the line and are described alike; "
+        "correct it by the nameplate",
+    )
+
+
+def _setpoint_source(talk: Talk, name: str) -> Generator[Step, Heard, None]:
+    """Say so if the drive takes no setpoints over the line as it is set."""
+    if name == "93xx":
+        heard = yield from talk.read(Code(5))
+        if heard.value is not None and not heard.text.endswith("1"):
+            talk.remarks.append(
+                f"C0005 is {heard.text}: it takes setpoints over the line only with a C0005 that "
+                "ends in 1"
+            )
+        return
+    heard = yield from talk.read(Code(1))
+    if heard.value is not None and heard.value.number != 3:
+        talk.remarks.append(
+            f"C0001 is {heard.text}: it takes C0046 and C0135 over the line only with C0001 = 3"
+        )
+
+
+# ---- SMVector -----------------------------------------------------------------------------------
+
+
+def _smvector_or_other(talk: Talk) -> Identification:
+    protocol = yield from talk.read(PROTOCOL)
+    network = yield from talk.read(NETWORK_ADDRESS)
+    yield from talk.label(SOFTWARE)
+    yield from talk.label(Code(201))
+    if protocol.exists is None or network.exists is None:
+        return talk.generic(f"it answers, but not whole when asked for {PROTOCOL}")
+    if not _is_number(protocol, LECOM_B) or not _is_number(network, talk.address):
+        said = ", ".join(
+            f"{code} {'is ' + heard.text if heard.text else 'is not there'}"
+            for code, heard in ((PROTOCOL, protocol), (NETWORK_ADDRESS, network))
+        )
+        return talk.generic(f"it has no 2102 module ({MODULE}) and is no SMVector: {said}")
+    smvector = family("smvector")
+    yield from _smvector_labels(talk, smvector)
+    watchdog = yield from _watchdog(talk, smvector)
+    why = f"P400 is {LECOM_B} (LECOM-B) and P410 is its address"
+    return talk.finding("smvector", why, watchdog=watchdog)
+
+
+def _smvector_labels(talk: Talk, smvector: Family) -> Generator[Step, Heard, None]:
+    for code in (Code(1494), Code(1502), Code(1099)):
+        yield from talk.label(code)
+    gate = smvector.software
+    version = dict(talk.labels).get(Code(1494), "")
+    if gate is not None and version not in gate.versions:
+        talk.remarks.append(
+            f"its communication software (P494) is {version or 'unknown'}, not "
+            f"{' or '.join(gate.versions)}: nothing is written to it unless the roster accepts that"
+        )
+    level = yield from talk.read(Code(1420))
+    if level.value is not None and Decimal(level.text) < 2:
+        talk.remarks.append(
+            f"P420 is {level.text}: it takes setpoints over the line from 2 on, and is enabled "
+            "over it from 3 on"
+        )
+
+
+# ---- both ---------------------------------------------------------------------------------------
+
+
+def _watchdog(talk: Talk, of: Family) -> Generator[Step, Heard, FoundWatchdog | None]:
+    """Read how the watchdog is set. A 2102 module takes up to 500 ms over it (EDB2102EN 6.3)."""
+    traits = of.watchdog
+    if traits is None:
+        return None
+    time = yield from talk.read(traits.time_code, waiting=of.name)
+    action = yield from talk.read(traits.action_code, waiting=of.name)
+    words = {number: word for word, number in traits.actions.items()}
+    word = next((words[one] for one in words if _is_number(action, one)), None)
+    if time.kind is not HeardKind.VALUE or word is None or not time.text.isdecimal():
+        talk.remarks.append(
+            f"its watchdog could not be read: {traits.time_code} {time.text or time.kind.value}, "
+            f"{traits.action_code} {action.text or action.kind.value}"
+        )
+        return None
+    return FoundWatchdog(int(time.text) / 1000.0, word)
+
+
+def _is_number(heard: Heard, number: int) -> bool:
+    """Whether a decimal value is this number."""
+    value = heard.value
+    return value is not None and value.format is Format.VD and value.number == number

@@ -1,0 +1,151 @@
+"""The roster that a scan proposes: a file to be read through by a person, and then run.
+
+The text is checked by the roster's own reader before anybody is given it. Everything a drive said
+of itself stands in comments; nothing it said becomes a setting but its watchdog, if that acts.
+
+Must not live here: writing files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from lecombus.config import Roster, parse_roster
+from lecombus.drives import family
+from lecombus.durations import format_duration
+from lecombus.scanning.finding import Finding, Unclear
+
+__all__ = ["Place", "check_place", "entries", "propose"]
+
+LATE_ANSWER_TIME = "300ms"
+"""Proposed for a drive that answered only when waited for."""
+MOST_WITHOUT_REPEATERS = 31
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """What the roster's other sections say.
+
+    Args:
+        name: The line's name.
+        port: The port.
+        parity: Who makes parity, `line` or `port`.
+        direction: Who switches the transceiver.
+        socket: Where the daemon makes its socket; empty: where it does by itself.
+    """
+
+    name: str
+    port: str
+    parity: str = "line"
+    direction: str = "adapter"
+    socket: str = ""
+
+
+def check_place(place: Place) -> None:
+    """See that a roster can be made with this name and port, before anything is searched.
+
+    Raises:
+        RosterError: It cannot; says what would be right.
+    """
+    drive = Finding(1, 9600, "generic", False, "")
+    parse_roster("\n".join(_lines(place, 9600, [drive], [])), "the roster")
+
+
+def propose(
+    place: Place, baud: int, found: Sequence[Finding], unclear: Sequence[Unclear] = ()
+) -> tuple[str, Roster]:
+    """Write a roster for the drives found at a baud rate.
+
+    Args:
+        place: The other sections.
+        baud: The line's baud rate, bit/s.
+        found: Everything found; what answers at another rate is told in a comment.
+        unclear: Addresses from which no whole answer came.
+
+    Returns:
+        The file's text, and the roster it is read as.
+    """
+    text = "\n".join(_lines(place, baud, found, unclear)) + "\n"
+    return text, parse_roster(text, "the proposed roster")
+
+
+def _lines(
+    place: Place, baud: int, found: Sequence[Finding], unclear: Sequence[Unclear]
+) -> Iterator[str]:
+    here = sorted((one for one in found if one.baud == baud), key=lambda one: one.address)
+    yield "# What `lecombus scan` found. Nothing was written to any drive."
+    yield "# Read it through before it runs: names, watchdogs, what may be written (`writable`)."
+    yield "line:"
+    yield f"  name: {_quoted(place.name)}"
+    yield f"  port: {_quoted(place.port)}"
+    yield f"  baud: {baud}"
+    if place.parity != "line":
+        yield f"  parity: {place.parity}"
+    if place.direction != "adapter":
+        yield f"  direction: {place.direction}"
+    if len(here) > MOST_WITHOUT_REPEATERS:
+        yield f"  repeaters: true  # {len(here)} drives: more than an RS-485 line takes without"
+    yield "drives:"
+    yield from entries(here)
+    yield from _elsewhere(baud, found, unclear)
+    if place.socket:
+        yield "# Without /run/lecombus, which the systemd unit makes:"
+        yield f"api: {{socket: {_quoted(place.socket)}}}"
+
+
+def entries(found: Sequence[Finding]) -> Iterator[str]:
+    """Write drives as they stand under `drives:`."""
+    for one in found:
+        yield f"  # {family(one.family).title}: {_said(one.why)}"
+        if one.labels:
+            yield f"  # {', '.join(f'{code} {_said(text)}' for code, text in one.labels)}"
+        for remark in one.remarks:
+            yield f"  # note: {_said(remark)}"
+        yield f"  - name: {one.name}"
+        yield f"    address: {one.address}"
+        yield f"    family: {one.family}"
+        if one.late:
+            yield f"    answer_time: {LATE_ANSWER_TIME}  # it answered late; measure it"
+        yield from _watchdog(one)
+
+
+def _watchdog(one: Finding) -> Iterator[str]:
+    """Write the watchdog as found: fed if it acts, else as a comment to be thought about."""
+    traits, found = family(one.family).watchdog, one.watchdog
+    if traits is None:
+        return
+    if found is None:
+        yield "    # watchdog: {time: 3s, action: quick-stop, configure: true}"
+        return
+    time = format_duration(found.time_s)
+    if found.action != "none" and traits.low_s <= found.time_s <= traits.high_s and found.time_s:
+        yield f"    watchdog: {{time: {time}, action: {found.action}}}  # as found"
+    else:
+        yield f"    # The watchdog as found: {found.action}, {time}. To have one that acts:"
+        yield "    # watchdog: {time: 3s, action: quick-stop, configure: true}"
+
+
+def _elsewhere(baud: int, found: Sequence[Finding], unclear: Sequence[Unclear]) -> Iterator[str]:
+    """Tell, in comments, what is on the line and cannot be in this roster."""
+    for one in found:
+        if one.baud != baud:
+            yield (
+                f"# At {one.baud} baud, and so out of this line's reach: address {one.address}, "
+                f"{one.family}."
+            )
+    for odd in unclear:
+        yield (
+            f"# Address {odd.address} ({odd.baud} baud) never gave a whole answer: two drives "
+            "with one address?"
+        )
+
+
+def _said(text: str) -> str:
+    """Return a text as it may stand in a comment: one line, printable."""
+    return "".join(char if char.isprintable() else "." for char in text)
+
+
+def _quoted(text: str) -> str:
+    """Write a text as a YAML scalar that cannot be taken for anything else."""
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'

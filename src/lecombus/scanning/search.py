@@ -1,0 +1,229 @@
+"""In which order addresses and baud rates are asked, and what is made of what comes back.
+
+Theory of operation. A drive is there if anything answers at its address: a value or "no such
+code". Nothing else distinguishes an address without a drive from one whose answer is late, so:
+
+* successive addresses are asked for different codes (`PROBES`). An answer repeats its code, and no
+  code comes round again within half a second: a late answer can never make a drive of an address
+  that has none. The line room's doubts hold the same, should the line be slower still.
+* when more was heard than an answer, the addresses asked last are suspects: each is asked again,
+  alone and patiently. The line is then called disturbed, and every silent address asked twice.
+* which codes: C0248, C0249, C0046 and C0040 exist in every drive described, and no roster's status
+  set reads them. So a scan through a daemon makes none of its own reads wait for a doubt.
+
+With several baud rates the addresses that are most likely are asked at each first: the line's rate
+is then known within seconds, and the whole sweep begins with it.
+
+Before anything is said the line is listened to: a line has one master, and whoever speaks there
+already must not be spoken over.
+
+Source: EDB2102EN 8.3 (answers repeat the code), 8.3.5 (time monitoring).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Generator, Iterable
+from dataclasses import dataclass
+
+from lecombus.errors import LineError
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.host_parser import RequestParser
+from lecombus.protocol.telegrams import ReadRequest, WriteRequest
+from lecombus.scanning.asking import Ask, Heard, HeardKind, Listen, Step
+from lecombus.scanning.finding import Finding, Unclear
+from lecombus.scanning.identifying import identify
+
+__all__ = ["ForeignTalkError", "Plan", "Scan"]
+
+PROBES = (Code(248), Code(249), Code(46), Code(40))
+LIKELY = (1, 11, 2, 12, 21, 3)
+"""A single drive ex works is at 1; lines are numbered from 1 or from the first decade."""
+SUSPECTS = len(PROBES)
+"""So many addresses were asked while a late answer may have been under way."""
+LISTEN_S = 1.0
+"""A master asks something several times a second."""
+STRAY_BYTES = 2
+"""So many bytes may come out of an adapter that was just opened."""
+SAMPLES = 32
+
+Steps = Generator[Step, Heard, None]
+
+
+class ForeignTalkError(LineError):
+    """Somebody else speaks on the line: it must not be spoken over."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is to be searched.
+
+    Args:
+        addresses: 1..99, none ending in 0, in the order they are asked.
+        bauds: Baud rates in the order they are tried.
+        thorough: Ask every silent address twice, and go through all baud rates even when drives
+            were found at one.
+        listen_s: How long to listen first, seconds; 0 where somebody else has the line already.
+    """
+
+    addresses: tuple[int, ...]
+    bauds: tuple[int, ...]
+    thorough: bool = False
+    listen_s: float = LISTEN_S
+
+
+class Scan:
+    """One search, and what it has found so far.
+
+    Args:
+        plan: What is to be searched.
+
+    Attributes:
+        found: The drives, in the order they were found.
+        unclear: Addresses from which something came, and never a whole answer.
+        samples: What was heard and no answer: address asked and bytes.
+        baud: The baud rate of the moment, bit/s.
+        address: The address asked last.
+        looks: How many addresses have been asked.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        self.found: list[Finding] = []
+        self.unclear: list[Unclear] = []
+        self.samples: deque[tuple[int, bytes]] = deque(maxlen=SAMPLES)
+        self.baud = plan.bauds[0]
+        self.address = 0
+        self.looks = 0
+        self.looks_left = len(plan.addresses) * len(plan.bauds)
+        self._probe = 0
+        self._recent: deque[int] = deque(maxlen=SUSPECTS)
+        self._disturbances = 0
+
+    def steps(self) -> Steps:
+        """Search; yields what is to be said or listened to, and is sent what was heard.
+
+        Raises:
+            ForeignTalkError: Somebody else speaks on the line.
+        """
+        if self.plan.listen_s:
+            yield from self._listen()
+        order = self.plan.bauds
+        if len(order) > 1:
+            order = yield from self._order()
+        for place, baud in enumerate(order):
+            self.looks_left = len(self.plan.addresses) * (len(order) - place)
+            yield from self._sweep(baud)
+            if self.found and not self.plan.thorough:
+                break
+        self.looks_left = 0
+
+    def _listen(self) -> Steps:
+        heard = yield Listen(self.baud, self.plan.listen_s)
+        self._disturbances = heard.disturbances
+        self._note(heard, address=0)
+        if len(heard.received) > STRAY_BYTES:
+            shown = heard.received[:12].hex(" ").upper()
+            raise ForeignTalkError(
+                f"bytes arrive though nothing was asked ({shown}): another master speaks on this "
+                "line, at this baud rate or another, or the line is open and picks up noise; end "
+                "the other master (a line has one), or check bias and termination"
+            )
+
+    # ---- baud rates -------------------------------------------------------------------------
+
+    def _order(self) -> Generator[Step, Heard, tuple[int, ...]]:
+        """Find the line's rate by the likely addresses, and put it first."""
+        bauds = self.plan.bauds
+        for baud in bauds:
+            self.baud = baud
+            for address in (one for one in LIKELY if one in self.plan.addresses):
+                heard = yield from self._ask(address)
+                if heard.is_answer:
+                    return (baud, *(other for other in bauds if other != baud))
+        return bauds
+
+    def _sweep(self, baud: int) -> Steps:
+        """Ask every address at one baud rate."""
+        self.baud = baud
+        silent, suspects = yield from self._pass(self.plan.addresses)
+        disturbed = bool(suspects)
+        if self.plan.thorough or disturbed:
+            self.looks_left += len(silent)
+            silent, more = yield from self._pass(silent)
+            suspects = [*suspects, *more]
+        known = {one.address for one in self.found if one.baud == baud}
+        for address in dict.fromkeys(suspects):
+            if address not in known:
+                yield from self._look_patiently(address)
+
+    def _pass(
+        self, addresses: Iterable[int]
+    ) -> Generator[Step, Heard, tuple[list[int], list[int]]]:
+        """Ask addresses once; returns the silent ones, and those that may have answered late."""
+        silent: list[int] = []
+        suspects: list[int] = []
+        for address in addresses:
+            heard = yield from self._ask(address)
+            self.looks_left -= 1
+            if self._was_disturbed(heard):
+                suspects.extend(self._recent)
+            if heard.is_answer:
+                self.found.append((yield from identify(self.baud, address)))
+            else:
+                silent.append(address)
+        return silent, suspects
+
+    # ---- one address ------------------------------------------------------------------------
+
+    def _ask(self, address: int, *, patient: bool = False) -> Generator[Step, Heard, Heard]:
+        code = PROBES[self._probe]
+        self._probe = (self._probe + 1) % len(PROBES)
+        self.address = address
+        self._recent.append(address)
+        heard = yield Ask(self.baud, address, code, patient=patient)
+        self.looks += 1
+        self._note(heard, address)
+        return heard
+
+    def _look_patiently(self, address: int) -> Steps:
+        """Ask a suspect alone: it may be slow, or what it says may be damaged now and then."""
+        unclear = b""
+        for patient in (False, True, True):
+            heard = yield from self._ask(address, patient=patient)
+            if heard.is_answer:
+                self.found.append((yield from identify(self.baud, address, patient=patient)))
+                return
+            if heard.kind is HeardKind.GARBLED:
+                unclear = heard.received
+        if unclear:
+            self.unclear.append(Unclear(address, self.baud, unclear))
+
+    # ---- what else is heard -----------------------------------------------------------------
+
+    def _was_disturbed(self, heard: Heard) -> bool:
+        """Whether more was heard than an answer, now or since the question before."""
+        more = heard.disturbances > self._disturbances
+        self._disturbances = heard.disturbances
+        return more or heard.kind in (HeardKind.GARBLED, HeardKind.ECHO)
+
+    def _note(self, heard: Heard, address: int) -> None:
+        """Keep what was no answer, and end if it is another master's question."""
+        if not heard.received:
+            return
+        self.samples.append((address, heard.received))
+        other = _question_in(heard.received)
+        if other is not None and other not in self._recent:
+            raise ForeignTalkError(
+                f"another master speaks on this line: it asks for address {other}; end it first, "
+                "a line has one master"
+            )
+
+
+def _question_in(received: bytes) -> int | None:
+    """Give the address of a whole question among bytes, whatever their parity."""
+    parser = RequestParser()
+    for event in parser.feed(bytes(byte & 0x7F for byte in received)):
+        if isinstance(event, ReadRequest | WriteRequest):
+            return event.address
+    return None

@@ -1,0 +1,229 @@
+"""`lecombus scan` as it is called: on a port of its own, and through a daemon."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import subprocess
+import sys
+import threading
+import tty
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from cli.conftest import Run
+from cli.daemon_stub import DaemonStub
+from cli.test_simulate import simulated
+from lecombus.config import load_roster
+
+NINE = """\
+line: {name: hall-3, port: "sim:", baud: 19200}
+drives:
+  - {name: a, address: 1, family: 820x}
+  - {name: b, address: 11, family: 8200vector}
+  - {name: c, address: 12, family: 93xx}
+  - {name: d, address: 13, family: smvector}
+  - {name: e, address: 14, family: smvector}
+  - {name: f, address: 21, family: smvector}
+  - {name: g, address: 57, family: generic}
+  - {name: h, address: 58, family: generic}
+  - {name: i, address: 99, family: smvector}
+"""
+FEW = """\
+line: {name: hall-3, port: "sim:", baud: 19200}
+drives:
+  - {name: c, address: 12, family: generic}
+  - {name: d, address: 13, family: smvector}
+"""
+ADDRESSES = "1-3,11-15,21,57,58,99"
+
+
+@contextmanager
+def drives(tmp_path: Path, roster: str, *words: str) -> Iterator[str]:
+    path, link = tmp_path / "simulated.yaml", tmp_path / "bus"
+    path.write_text(roster)
+    with simulated("-c", str(path), "--pty", str(link), *words) as (_, port):
+        yield port
+
+
+@pytest.mark.slow
+def test_nine_drives_of_five_families_at_an_unknown_rate_become_a_roster(
+    run: Run, tmp_path: Path
+) -> None:
+    wanted = tmp_path / "scanned.yaml"
+    with drives(tmp_path, NINE) as port:
+        words = ("--port", port, "--all-bauds", "--addresses", ADDRESSES, "--name", "hall-3")
+        ran = run("scan", *words, "-o", str(wanted))
+    assert (ran.status, ran.err) == (0, "")
+    roster = load_roster(wanted)
+    assert (roster.line.port, roster.line.baud) == (port, 19200)
+    assert [(one.name, one.address, one.family) for one in roster.drives] == [
+        ("drive-1", 1, "820x"),
+        ("drive-11", 11, "8200vector"),
+        ("drive-12", 12, "93xx"),
+        ("drive-13", 13, "smvector"),
+        ("drive-14", 14, "smvector"),
+        ("drive-21", 21, "smvector"),
+        ("drive-57", 57, "generic"),
+        ("drive-58", 58, "generic"),
+        ("drive-99", 99, "smvector"),
+    ]
+    assert ran.out.splitlines()[0].split("\t")[:3] == ["1", "19200", "820x"]
+    assert run("check", "-c", str(wanted)).status == 0
+
+
+def test_the_roster_runs(run: Run, tmp_path: Path, short_dir: Path) -> None:
+    wanted = short_dir / "scanned.yaml"
+    with drives(tmp_path, FEW) as port:
+        words = ("--port", port, "--bauds", "19200", "--addresses", "12-14", "--name")
+        assert run("scan", *words, short_dir.name, "-o", str(wanted)).status == 0
+        assert load_roster(wanted).api.socket.endswith(f"{short_dir.name}.sock")
+        with subprocess.Popen(
+            [sys.executable, "-m", "lecombus", "run", "-c", str(wanted), "--log-format", "json"],
+            stderr=subprocess.PIPE,
+            text=True,
+        ) as running:
+            assert running.stderr is not None
+            events = []
+            for line in running.stderr:
+                events.append(json.loads(line))
+                if events[-1]["event"] == "ready":
+                    break
+            running.kill()
+    online = {one["drive"] for one in events if one.get("to") == "online"}
+    assert events[-1]["event"] == "ready", events
+    assert online <= {"drive-12", "drive-13"}
+    assert {one["level"] for one in events} <= {"info", "warning"}
+
+
+def test_the_roster_goes_to_standard_output_and_a_pipe_stays_quiet(
+    run: Run, tmp_path: Path
+) -> None:
+    with drives(tmp_path, FEW) as port:
+        ran = run("scan", "--port", port, "--bauds", "19200", "--addresses", "13")
+    assert (ran.status, ran.err) == (0, "")
+    (tmp_path / "piped.yaml").write_text(ran.out)
+    assert [one.family for one in load_roster(tmp_path / "piped.yaml").drives] == ["smvector"]
+
+
+def test_with_json_everything_stands_in_one_document(run: Run, tmp_path: Path) -> None:
+    with drives(tmp_path, FEW) as port:
+        ran = run("scan", "--port", port, "--bauds", "19200", "--addresses", "13", "--json")
+    found = json.loads(ran.out)
+    assert (ran.status, found["port"], found["baud"], found["unclear"]) == (0, port, 19200, [])
+    (drive,) = found["drives"]
+    assert (drive["drive"], drive["family"], drive["certain"]) == ("drive-13", "smvector", True)
+    assert drive["says"]["C1494"] == "1.20"
+    assert drive["watchdog"] == {"time_s": 0.05, "action": "none"}
+    assert found["roster"].startswith("# What `lecombus scan` found.")
+
+
+# ---- lines that give nothing --------------------------------------------------------------------
+
+
+def test_no_drive_is_said_with_what_to_look_at(run: Run, tmp_path: Path) -> None:
+    with drives(tmp_path, FEW) as port:
+        ran = run("scan", "--port", port, "--addresses", "11-12")
+    assert (ran.status, ran.out) == (1, "")
+    assert "no drive answers at 9600 baud: not one byte came back; try --all-bauds" in ran.err
+
+
+def test_an_echo_is_told_from_silence(run: Run, tmp_path: Path) -> None:
+    with drives(tmp_path, FEW, "--faults", "echo") as port:
+        ran = run("scan", "--port", port, "--bauds", "19200", "--addresses", "17-18")
+        assert (ran.status, ran.out) == (1, "")
+        assert "what is sent comes back" in ran.err
+        found = run("scan", "--port", port, "--bauds", "19200", "--addresses", "13")
+        assert found.status == 0
+
+
+def test_another_masters_line_is_not_spoken_on(run: Run) -> None:
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    end = threading.Event()
+
+    def talk() -> None:
+        while not end.wait(0.05):
+            os.write(master, bytes.fromhex("84 b1 b2 b0 3f 05"))
+
+    talker = threading.Thread(target=talk)
+    talker.start()
+    try:
+        ran = run("scan", "--port", os.ttyname(slave), "--addresses", "11")
+    finally:
+        end.set()
+        talker.join()
+        os.close(slave)
+        os.close(master)
+    assert (ran.status, ran.out) == (1, "")
+    assert "another master speaks on this line" in ran.err
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "said"),
+    [
+        (["--port", "/dev/no-such-port"], 1, "no such device"),
+        (["--port", "/dev/x", "--bauds", "9601"], 2, "drives know no '9601' baud"),
+        (["--port", "/dev/x", "--addresses", "10,20"], 2, "no drive has such an address"),
+        (["--port", "/dev/x", "--addresses", "x"], 2, "`x` is no address: write 11, 1-39"),
+        (["--port", "/dev/x", "--addresses", "1-99999999999"], 1, "no such device"),
+        (["--port", "/dev/x", "--name", "hall 3"], 2, "is not usable as a line name"),
+        (["--port", "COM1"], 2, "is no port"),
+        (["--port", "/dev/x", "--url", "http://127.0.0.1:1"], 2, "both given"),
+        (["--port", "/dev/x", "-o", "/no/such/place.yaml"], 2, "is no directory"),
+        ([], 3, "no daemon has its socket"),
+    ],
+)
+def test_what_cannot_be_is_said(run: Run, words: list[str], status: int, said: str) -> None:
+    ran = run("scan", *words)
+    assert (ran.status, ran.out) == (status, "")
+    assert said in ran.err
+
+
+def test_a_file_is_overwritten_only_when_told_to(run: Run, tmp_path: Path) -> None:
+    wanted = tmp_path / "kept.yaml"
+    wanted.write_text("mine")
+    with drives(tmp_path, FEW) as port:
+        words = ("scan", "--port", port, "--bauds", "19200", "--addresses", "13", "-o", str(wanted))
+        ran = run(*words)
+        assert (ran.status, wanted.read_text()) == (2, "mine")
+        assert "exists; name another file, or overwrite it with --force" in ran.err
+        assert run(*words, "--force").status == 0
+    assert load_roster(wanted).drives[0].address == 13
+
+
+# ---- through a daemon ---------------------------------------------------------------------------
+
+
+def test_a_daemon_is_asked_only_for_addresses_that_its_roster_does_not_have(
+    run: Run, daemon: DaemonStub
+) -> None:
+    line = {"line": "hall-3", "port": "/dev/x", "baud": 19200}
+    daemon.answers["GET /v1/line"] = (200, json.dumps(line))
+    daemon.answers["GET /v1/drives"] = (200, json.dumps({"drives": [{"address": 11}]}))
+    silence = {"heard": "silence", "raw": None, "received": None, "disturbances": 0}
+    for code in ("C0248", "C0249"):
+        for address in (11, 12, 13):
+            path = f"/v1/line/addresses/{address}/codes/{code}"
+            query = "addressing=standard&family=generic&patient=false"
+            daemon.answers[f"GET {path}?{query}"] = (200, json.dumps(silence))
+    ran = run("scan", "--addresses", "11-13")
+    assert (ran.status, ran.out) == (1, "")
+    assert "at an address that the roster does not have, at 19200 baud" in ran.err
+    asked = [what.split()[1].partition("?")[0] for what, _ in daemon.asked]
+    assert asked[2:] == [
+        "/v1/line/addresses/12/codes/C0248",
+        "/v1/line/addresses/13/codes/C0249",
+    ]
+
+
+def test_an_older_daemon_is_told_from_a_line_without_drives(run: Run, daemon: DaemonStub) -> None:
+    daemon.answers["GET /v1/line"] = (200, json.dumps({"line": "hall-3"}))
+    daemon.answers["GET /v1/drives"] = (200, json.dumps({"drives": []}))
+    ran = run("scan")
+    assert ran.status == 3
+    assert "does not know scans" in ran.err
