@@ -83,11 +83,18 @@ async def protocol(port: str) -> Exchanges:
 # ---- ours ---------------------------------------------------------------------------------------
 
 
-class Nobody:
-    """An observer that looks away."""
+class Counter:
+    """An observer that counts exchanges and calls back at the last one."""
+
+    def __init__(self, count: int, done: Callable[[], None]) -> None:
+        self._left = count
+        self._done = done
 
     def exchange_ended(self, report: ExchangeReport) -> None:
-        """Count nothing."""
+        """Count it."""
+        self._left -= 1
+        if not self._left:
+            self._done()
 
     def line_changed(self, up: bool, reason: str) -> None:
         """Tell nobody."""
@@ -110,17 +117,29 @@ class Again:
     """Instead of a schedule: always the same request."""
 
     def __init__(self) -> None:
-        self._job = ReadJob(STATION, STATUS, 0)
+        job = ReadJob(STATION, STATUS, 0)
+        self._request = Request("d01", Priority.CYCLIC, 0.001, 0.1, settled, job)
 
     def next(self, now_s: float) -> Request:
         """Give it again."""
-        return Request("d01", Priority.CYCLIC, 0.001, 0.1, settled, self._job)
+        self._request.settled = False
+        return self._request
 
-    def prepare(self) -> None:
-        """Nothing is to be prepared."""
+    def rehearse(self, under_way: Request | None, started_s: float, at_s: float) -> Request:
+        """It is always the same."""
+        return self._request
+
+    def foreseen(self, now_s: float) -> Request:
+        """It is always the same."""
+        return self._request
+
+    def follow(self, done: Request, started_s: float, ended_s: float, now_s: float) -> None:
+        """Book one exchange."""
+        self.finished(done, started_s, ended_s, True)
 
     def finished(self, request: Request, started_s: float, now_s: float, reached: bool) -> None:
         """Book nothing."""
+        request.settled = False
 
     def fail_all(self, now_s: float, reason: str) -> None:
         """Nothing waits."""
@@ -145,18 +164,9 @@ async def worker(port: str, schedule: Any) -> Exchanges:
     settings = PortSettings(port, BAUD, "adapter", "line", "bench")
 
     async def run(count: int) -> None:
-        ours = LineWorker(settings, open_port, schedule, timing, options, Nobody())
-        done = ours.exchanges + count
-        plain = schedule.finished
-
-        def finished(*booked: Any) -> None:
-            plain(*booked)
-            if ours.exchanges >= done:
-                ours.close()
-
-        schedule.finished = finished
+        counter = Counter(count, lambda: ours.close())
+        ours = LineWorker(settings, open_port, schedule, timing, options, counter)
         await ours.run()
-        schedule.finished = plain
 
     return run
 

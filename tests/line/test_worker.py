@@ -67,7 +67,7 @@ def test_a_stop_breaks_the_silence_after_a_failed_exchange_and_nothing_else_does
     async def test(rig: Rig) -> None:
         rig.line.drive_faults[2] = Faults(unheard=1.0)
         failed = rig.read("b", 150, Priority.INTERACTIVE)
-        await until(lambda: bool(rig.seen.reports) or len(rig.worker._reports) > 0)
+        await until(lambda: bool(rig.seen.reports) or len(rig.worker._aftermath.reports) > 0)
         given_up_s = rig.now_s
         other = rig.read("a", 50)
         await anyio.sleep(0.004)

@@ -369,6 +369,26 @@ def test_nor_one_that_is_just_going_out_to_its_group() -> None:
     with_plant(test, ROSTER)
 
 
+def test_nor_does_a_quick_stop_of_the_group_made_from_a_word_read_before_the_inhibit() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await plant.site.operations.write_group("teens", WORD, "H0000")
+        for name in "abc":
+            await plant.site.operations.read(name, WORD)
+        said = len(plant.end.sent)
+        reading = asyncio.create_task(plant.site.operations.read("a", WORD))
+        await until(lambda: len(plant.end.sent) > said)
+        inhibiting = asyncio.create_task(plant.site.operations.stop(INHIBIT, "a"))
+        await until(lambda: b"11" in written(plant, said))
+        await plant.site.operations.stop(QUICK, "teens")
+        await reading
+        assert b"10" not in written(plant, said), "one word for all would have lifted it"
+        assert (await inhibiting).outcome is Outcome.VERIFIED
+        assert plant.line["a"].model.control & 0x0208 == 0x0208
+
+    with_plant(test, ROSTER)
+
+
 # ---- a line that is not as it should be -----------------------------------------------------
 
 SIX = [(name, 31 + n, "8200vector") for n, name in enumerate("pqrstu")]

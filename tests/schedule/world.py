@@ -34,11 +34,15 @@ class World:
     sent: list[Sent] = field(default_factory=list)
     ended: list[tuple[Request, Outcome, str, float]] = field(default_factory=list)
     after: Callable[[Request, bool], bool] | None = None  # True: it has seen to the request
+    rehearses: bool = False  # the next choice is made beforehand, while an exchange lasts
+    follows: bool = False  # and what was foreseen is begun before the exchange is booked
+    followed: int = 0
     made: int = 0
 
     def __post_init__(self) -> None:
         self._events: list[tuple[float, int, Callable[[], object]]] = []
         self._numbers = count()
+        self._begun: Request | None = None
 
     def drives(self, *names: str) -> World:
         for name in names:
@@ -91,16 +95,23 @@ class World:
     def step(self) -> Request | None:
         """Run one exchange, if one may go now."""
         self._happen()
-        request = self.schedule.next(self.now_s)
+        request, self._begun = self._begun or self.schedule.next(self.now_s), None
         if request is None:
             return None
         assert not request.settled
         started_s = self.now_s
+        if self.rehearses:
+            self.schedule.rehearse(request, started_s, started_s + request.cost_s)
         reached = request.drive not in self.silent
         self.now_s += request.cost_s if reached else request.worst_s
         self.sent.append(Sent(started_s, self.now_s, request, reached))
         self._happen()  # what comes in during the exchange comes before its end is known
-        self.schedule.finished(request, started_s, self.now_s, reached)
+        self._begun = self.schedule.foreseen(self.now_s) if self.follows and reached else None
+        if self._begun is not None:
+            self.followed += 1
+            self.schedule.follow(request, started_s, self.now_s, self.now_s)
+        else:
+            self.schedule.finished(request, started_s, self.now_s, reached)
         if self.after is None or not self.after(request, reached):
             request.end(Outcome.DONE if reached else Outcome.UNKNOWN, "")
         return request

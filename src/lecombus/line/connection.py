@@ -57,6 +57,15 @@ class Connection:
         logger.info("line=%s event=port-open port=%s", self._settings.line, port.describe())
         return True
 
+    def say(self, telegram: bytes) -> LineLostError | None:
+        """Hand a telegram to the port; gives the loss, if that is how it is found out."""
+        assert self.port is not None
+        try:
+            self.port.write(telegram)
+        except LineLostError as exc:
+            return exc
+        return None
+
     def settled(self) -> None:
         """Something was heard over the port: the next loss begins with the shortest backoff."""
         self._failures = 0

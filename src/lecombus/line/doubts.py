@@ -41,6 +41,11 @@ class Doubts:
         if self.window_s > 0.0 and field:
             self._until_s[field] = now_s + self.window_s
 
+    def answered(self, field: bytes, now_s: float) -> None:
+        """Note that an answer came: an acknowledgement may be the old one that was in doubt."""
+        if field == ACK_FIELD and self.blocked_until_s(field, now_s) > now_s:
+            self.add(field, now_s)
+
     def any(self, now_s: float) -> bool:
         """Say whether any answer may still come; those that no longer may are forgotten."""
         for field, until_s in list(self._until_s.items()):

@@ -126,6 +126,13 @@ class StopJob:
         return self._step
 
     @property
+    def asks_for_word(self) -> bool:
+        """Whether the next step is made from the control word as it is when that is said."""
+        if self._step is not None or self._checking:
+            return False
+        return needs_control_word(self.station.family, self.action)
+
+    @property
     def cut_outcome(self) -> Outcome | None:
         """A stop that was said and not proven is not known to have stopped anything."""
         return Outcome.UNKNOWN if self.attempts or self._checking else None

@@ -3,7 +3,9 @@
 Theory of operation. One task goes round: is the line free (turnaround, quarantine), what does the
 schedule want said, say it, wait for the answer or its deadline, tell the schedule and the job,
 and only after the next telegram is out publish the result, so that bookkeeping runs while a drive
-thinks and costs the line nothing.
+thinks and costs the line nothing. While it thinks the next choice is made and its telegram written
+out (`_rehearse`); when a read's value has come that telegram goes out before anything else is
+done about either (`_follow`). Whatever is out of the ordinary is concluded first.
 
 * An exchange is one future that the receive path completes and one timer; a stall of the whole
   machine past a deadline does not lose an answer that is already in the kernel, because bytes are
@@ -25,19 +27,20 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import anyio
 
 from ..drives import LineTiming
 from ..errors import LineClosedError, LineLostError
-from ..protocol.exchange import ACK_FIELD, Exchange, Result, ResultKind
+from ..protocol.exchange import Exchange, Result, ResultKind
 from ..protocol.telegrams import ValueAnswer
 from ..schedule import Outcome, Priority, Request, Schedule
+from .aftermath import Aftermath
 from .connection import Connection
 from .doubts import Doubts
 from .jobs import ReadJob
 from .observer import ExchangeReport, Observer
+from .options import WorkerOptions
 from .port import PortOpener, PortSettings
 from .questions import Question, Questions
 from .silence import Silence
@@ -45,6 +48,7 @@ from .stall import StallWatch
 from .station import Job
 from .stop_job import StopJob
 from .strays import Strays
+from .waits import Deadline, Nap
 
 __all__ = ["ExchangeReport", "LineWorker", "Observer", "WorkerOptions"]
 
@@ -52,25 +56,6 @@ logger = logging.getLogger(__name__)
 
 LONGEST_REST_S = 1.0
 """An idle worker looks round at least this often: that is its sign of life."""
-
-
-@dataclass(frozen=True, slots=True)
-class WorkerOptions:
-    """How one line is worked.
-
-    Args:
-        turnaround_s: Least pause between the end of an answer and the next telegram, seconds.
-        late_answer_s: How late an answer may still come after it was given up, seconds.
-        stall_s: Silence from all drives after which the port is reopened, seconds; 0: never.
-        echo: Whether the line echoes; None: find out.
-        quarantine: Keep silence after a failed exchange. False only to show what it is good for.
-    """
-
-    turnaround_s: float = 0.002
-    late_answer_s: float = 0.5
-    stall_s: float = 30.0
-    echo: bool | None = None
-    quarantine: bool = True
 
 
 class LineWorker:
@@ -106,13 +91,13 @@ class LineWorker:
         self._strays = Strays(self._doubts)
         self._connection = Connection(settings, opener, self)
         self._exchange = Exchange(parity=True, echo=options.echo)
-        self._reports: list[ExchangeReport] = []
+        self._aftermath = Aftermath()
         self._under_way: tuple[Request, Job, Question] | None = None
-        self._unsettled: tuple[Request, ReadJob, Result] | None = None
+        self._ready: tuple[Request, Job, Question] | None = None
         self._run: asyncio.Future[None] | None = None
         self._pause: asyncio.TimerHandle | None = None
-        self._timer: asyncio.TimerHandle | None = None
-        self._nap: asyncio.Future[None] | None = None
+        self._deadline = Deadline(self._on_deadline)
+        self._nap = Nap()
         self._silence = Silence(options.turnaround_s)
         self._stall = StallWatch(options.stall_s)
         self._stop_waiting = False
@@ -144,12 +129,13 @@ class LineWorker:
         self.schedule.submit(request, asyncio.get_running_loop().time())
         if request.priority is Priority.STOP:
             self._stop_waiting = True
+            if self._under_way is not None:
+                self._rehearse()
         self.nudge()
 
     def nudge(self) -> None:
         """Look at the schedule again: something changed in it."""
-        if self._nap is not None and not self._nap.done():
-            self._nap.set_result(None)
+        self._nap.nudge()
 
     def close(self) -> None:
         """End after the exchange under way."""
@@ -198,6 +184,7 @@ class LineWorker:
         """Close the port and leave nobody waiting."""
         self._closing = True
         self._connection.drop()
+        self._deadline.clear()
         self.schedule.fail_all(asyncio.get_running_loop().time(), "the line is being closed")
 
     # ---- the loop ---------------------------------------------------------------------------
@@ -217,7 +204,7 @@ class LineWorker:
                 self._line_lost()
             self.rests += 1
             # Also after a loss: a port may open well and fail at once, again and again.
-            await self._nap_until(loop.time() + self._connection.backoff_s())
+            await self._nap.until(loop.time() + self._connection.backoff_s())
             self.rests += 1
 
     async def _open(self) -> bool:
@@ -275,17 +262,17 @@ class LineWorker:
         self.rests += 1
         wake_at = self.schedule.wake_at_s(now)
         latest = now + LONGEST_REST_S
-        await self._nap_until(latest if wake_at is None else min(wake_at, latest))
+        await self._nap.until(latest if wake_at is None else min(wake_at, latest))
 
     async def _stay_quiet(self, now: float) -> bool:
         """Keep the turnaround, and the quarantine unless a stop waits; True: ask again."""
         self._publish()
         if now < self._silence.free_at_s:
-            await self._nap_until(self._silence.free_at_s, deaf=True)
+            await self._nap.until(self._silence.free_at_s, deaf=True)
             return True
         if self._stop_waiting:
             return False
-        await self._nap_until(self._silence.quiet_until_s)
+        await self._nap.until(self._silence.quiet_until_s)
         return True
 
     # ---- one exchange after the other, without leaving the receive path ---------------------
@@ -303,37 +290,83 @@ class LineWorker:
     def _say(self, request: Request, now: float) -> None:
         """Begin the next step of a request as one exchange."""
         job: Job = request.work  # type: ignore[assignment]
-        if type(job) is StopJob:
-            self._publish()  # it asks for the control word as the last exchange left it
-        question = self._questions.ask(job, now, urgent=request.priority is Priority.STOP)
-        if type(job) is StopJob and type(question) is float and job.cannot_read():
-            question = self._questions.ask(job, now, urgent=True)
+        ready, self._ready = self._ready, None
+        is_ready = ready is not None and ready[0] is request
+        question = ready[2] if ready and is_ready else self._ask(request, job, now)
         if not isinstance(question, Question):
             self._postpone(request, question, now)
             return
         self._under_way = (request, job, question)
-        try:
-            self._begin(question, now)
-        except LineLostError as exc:
-            self._connection.note_loss(exc)
-            self._end_exchange(self._exchange.lost(now))
+        self._begin(question, now, self._connection.say(question.ask.sent))
+
+    def _ask(self, request: Request, job: Job, now: float) -> Question | float:
+        """Put the next step of a request into a telegram; or the time before which it must not."""
+        if type(job) is not StopJob:
+            return self._questions.ask(job, now, urgent=request.priority is Priority.STOP)
+        if job.asks_for_word:
+            self._publish()  # it takes the control word as the last exchange left it
+        question = self._questions.ask(job, now, urgent=True)
+        if type(question) is float and job.cannot_read():
+            question = self._questions.ask(job, now, urgent=True)
+        return question
+
+    def _rehearse(self) -> None:
+        """Choose the next request, and write out its telegram, while nothing can be sent."""
+        self._ready = None
+        now = asyncio.get_running_loop().time()
+        if self._under_way is None:
+            request = self.schedule.rehearse(None, now, max(now, self._silence.free_at_s))
         else:
-            self._publish()
-            self._observer.thinking(question.thinking_s)
-            self.schedule.prepare()
+            under_way, started_s = self._under_way[0], self._exchange.started_s
+            expected_s = started_s + under_way.cost_s - self.options.turnaround_s
+            request = self.schedule.rehearse(under_way, started_s, expected_s)
+        if request is None:
+            return
+        job: Job = request.work  # type: ignore[assignment]
+        if (type(job) is StopJob and job.asks_for_word) or self._doubts.any(now):
+            return  # that depends on what the exchange under way brings
+        question = self._questions.ask(job, now, urgent=request.priority is Priority.STOP)
+        if isinstance(question, Question):
+            self._ready = (request, job, question)
+
+    def _is_ready(self, at_s: float) -> bool:
+        """Whether the telegram that was written out is the one to be said at that time."""
+        return self._ready is not None and self.schedule.foreseen(at_s) is self._ready[0]
+
+    def _follow(self, request: Request, job: Job, result: Result) -> bool:
+        """Say what was made ready, and only then look at what the exchange before it brought.
+
+        Only after a read that brought its value, for that changes nothing about what comes next.
+        """
+        ready, now = self._ready, asyncio.get_running_loop().time()
+        free_at_s = max(result.ended_s + self.options.turnaround_s, self._silence.quiet_until_s)
+        if ready is None or now < free_at_s or self._closing or self._connection.is_lost:
+            return False
+        plain = type(result.answer) is ValueAnswer and type(job) is ReadJob
+        if not plain or not self._is_ready(now):
+            return False
+        loss = self._connection.say(ready[2].ask.sent)
+        self._ready = None
+        self.exchanges += 1
+        self._silence.exchange_ended(result.ended_s)
+        self._heard()
+        self._aftermath.put_off(request, job, result)
+        self.schedule.follow(request, result.started_s, result.ended_s, now)
+        self._stop_waiting = self._stop_waiting and ready[0].priority is Priority.STOP
+        self._under_way = ready
+        self._begin(ready[2], now, loss)
+        return True
 
     def _end_exchange(self, result: Result) -> None:
         """Conclude the exchange under way and go on; an error ends the worker, not a callback."""
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
-        under_way, self._under_way = self._under_way, None
-        if under_way is None:
+        if self._under_way is None:
             return
+        (request, job, question), self._under_way = self._under_way, None
 
         def conclude_and_go_on() -> None:
-            self._conclude(*under_way, result)
-            self._go_on()
+            if not self._follow(request, job, result):
+                self._conclude(request, job, question, result)
+                self._go_on()
 
         self._guarded(conclude_and_go_on)
 
@@ -353,6 +386,8 @@ class LineWorker:
         if not self._closing and not self._connection.is_lost and self._silence.is_over(now):
             if now < self._silence.free_at_s:
                 self._publish()
+                if not self._is_ready(self._silence.free_at_s):
+                    self._rehearse()
                 self._pause = loop.call_at(self._silence.free_at_s, self._guarded, self._go_on)
                 return
             self._say_next(now)
@@ -373,40 +408,45 @@ class LineWorker:
         self.schedule.finished(request, now, now, reached=False)
         request.end(Outcome.REFUSED, "an old answer that could pass for its own may still come")
 
-    def _begin(self, question: Question, now: float) -> None:
-        port = self._connection.port
-        assert port is not None
+    def _begin(self, question: Question, now: float, loss: LineLostError | None) -> None:
+        """Begin the exchange of a telegram that was handed over, and use the time it takes."""
         self._exchange.begin(question.ask, now)
-        port.write(question.ask.sent)
+        if loss is not None:
+            self._connection.note_loss(loss)
+            self._end_exchange(self._exchange.lost(now))
+            return
         if self._talkative:
             logger.debug("line=%s event=sent bytes=%s", self._name, question.ask.sent.hex(" "))
-        loop = asyncio.get_running_loop()
-        self._timer = loop.call_at(self._exchange.deadline_s(), self._on_deadline)
+        self._deadline.set(self._exchange.deadline_s())
+        self._publish()
+        self._rehearse()
+        self._observer.thinking(question.thinking_s)
 
     def _on_deadline(self) -> None:
-        loop = asyncio.get_running_loop()
-        result = self._exchange.expire(loop.time())
+        if self._under_way is None:
+            return
+        result = self._exchange.expire(asyncio.get_running_loop().time())
         if result is None:
-            self._timer = loop.call_at(self._exchange.deadline_s(), self._on_deadline)
+            self._deadline.set(self._exchange.deadline_s())
         else:
             self._end_exchange(result)
 
     def _conclude(self, request: Request, job: Job, question: Question, result: Result) -> None:
         """Tell schedule, doubts and job; the observer is told after the next telegram.
 
-        A read that brought its value and that nobody waits for in a hurry has nothing more to
-        say: it is settled after the next telegram too, for the line is waiting.
+        A read that brought its value has nothing more to say: it is settled after that, too.
         """
         ended = result.ended_s
         answered = result.kind is ResultKind.ANSWERED
         self.exchanges += 1
+        if type(result.answer) is not ValueAnswer:
+            self._ready = None  # a doubt, an echo, a lost line: look at it anew
         quarantined_s = self._after(question, result)
         self.schedule.finished(request, result.started_s, ended + quarantined_s, answered)
-        patient = request.expires_at_s is None and type(result.answer) is ValueAnswer
-        if patient and type(job) is ReadJob:
-            self._unsettled = (request, job, result)
+        if type(result.answer) is ValueAnswer and type(job) is ReadJob:
+            self._aftermath.put_off(request, job, result)
             return
-        self._report(request, job, result, quarantined_s)
+        self._aftermath.report(request, job, result, quarantined_s)
         if question.hold_s and (answered or not question.ask.field):
             for drive in request.members or (request.drive,):
                 self.schedule.hold(drive, ended + question.hold_s, ended)
@@ -422,29 +462,13 @@ class LineWorker:
         else:
             request.end(*verdict)
 
-    def _report(self, request: Request, job: Job, result: Result, quarantined_s: float) -> None:
-        self._reports.append(
-            ExchangeReport(
-                request.drive,
-                job.step,
-                result,
-                request.priority,
-                result.started_s - request.submitted_at_s,
-                quarantined_s,
-                request.members,
-                job.station.address,
-            )
-        )
-
     def _after(self, question: Question, result: Result) -> float:
         """Set from when the line is free again; returns the quarantine in seconds."""
         ended = result.ended_s
         self._silence.exchange_ended(ended)
         if result.kind is ResultKind.ANSWERED:
-            if self._stall.answered():
-                self._connection.settled()
-            if question.ask.field == ACK_FIELD:
-                self._keep_doubt(ended)
+            self._heard()
+            self._doubts.answered(question.ask.field, ended)
             return 0.0
         if result.kind is ResultKind.SENT:
             return 0.0
@@ -460,41 +484,9 @@ class LineWorker:
         self._silence.answer_missing(ended, question.quarantine_s)
         return question.quarantine_s
 
-    def _keep_doubt(self, now: float) -> None:
-        """An acknowledgement taken while an old one may come (a stop's) may be the old one."""
-        if self._doubts.blocked_until_s(ACK_FIELD, now) > now:
-            self._doubts.add(ACK_FIELD, now)
+    def _heard(self) -> None:
+        if self._stall.answered():
+            self._connection.settled()
 
     def _publish(self) -> None:
-        """Settle the read that was put off, and tell the observer of every exchange since."""
-        if self._unsettled is not None:
-            request, job, result = self._unsettled
-            self._unsettled = None
-            self._report(request, job, result, 0.0)
-            outcome = job.advance(result)
-            assert outcome is not None, "a value ends a read"
-            request.end(*outcome)
-        if not self._reports:
-            return
-        reports, self._reports = self._reports, []
-        for report in reports:
-            self._observer.exchange_ended(report)
-
-    async def _nap_until(self, at_s: float | None, *, deaf: bool = False) -> None:
-        """Sleep until `at_s` or, unless `deaf`, until nudged."""
-        loop = asyncio.get_running_loop()
-        nap: asyncio.Future[None] = loop.create_future()
-        timer = loop.call_at(at_s, _wake, nap) if at_s is not None else None
-        if not deaf:
-            self._nap = nap
-        try:
-            await nap
-        finally:
-            self._nap = None
-            if timer is not None:
-                timer.cancel()
-
-
-def _wake(nap: asyncio.Future[None]) -> None:
-    if not nap.done():
-        nap.set_result(None)
+        self._aftermath.publish(self._observer)

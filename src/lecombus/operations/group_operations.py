@@ -326,7 +326,9 @@ class GroupOperations(Operations):
         telegrams: dict[tuple[Code, str], tuple[Code, Value]] = {}
         for one in able:
             word = usable_word(self._words.get(one.name))
-            if needs_control_word(one.family, action) and word is None:
+            if needs_control_word(one.family, action) and (
+                word is None or self._is_being_inhibited(one.name)
+            ):
                 return None
             code, value = stop_value(one.family, action, word)
             telegrams[code, value.raw] = (code, value)
@@ -341,6 +343,15 @@ class GroupOperations(Operations):
             able, code, value, Priority.STOP, settle=ignore_end,
             stops=tuple(one.name for one in able),
         )  # fmt: skip
+
+    def _is_being_inhibited(self, name: str) -> bool:
+        """Whether a stop is about to change the control word that was read last."""
+        for action in StopAction:
+            waiting = self._stops.get((name, action))
+            job = waiting.request.work if waiting is not None else None
+            if isinstance(job, StopJob) and job.action is StopAction.INHIBIT:
+                return True
+        return False
 
     def _submit_shared(self, target: str, action: StopAction, shared: Request) -> None:
         """Send a telegram that stops all, unless the same one waits already."""

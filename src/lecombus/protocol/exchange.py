@@ -139,7 +139,7 @@ class Exchange:
         self.echo: bool | None = echo
         self._phase = _Phase.WAIT
         self._ask = Ask(b"", b"", 0.0, 0.0, 0.0, 0.0, 0.0)
-        self._started_s = 0.0
+        self.started_s = 0.0
         self._earliest_s = 0.0
         self._last_byte_s = 0.0
         self._echo_at = 0
@@ -155,7 +155,7 @@ class Exchange:
     def begin(self, ask: Ask, now_s: float) -> None:
         """Start an exchange whose telegram is being handed to the port at `now_s`."""
         self._ask = ask
-        self._started_s = self._last_byte_s = now_s
+        self.started_s = self._last_byte_s = now_s
         self._earliest_s = now_s + EARLIEST_SHARE * ask.request_s
         self._echo_at = 0
         self._echo_fault = self._fault = ""
@@ -199,11 +199,11 @@ class Exchange:
         """When to call `expire`: it moves while an answer is coming in."""
         ask = self._ask
         if not ask.field:
-            return self._started_s + ask.whole_s
-        first = self._started_s + ask.first_byte_s
+            return self.started_s + ask.whole_s
+        first = self.started_s + ask.first_byte_s
         if self._phase is not _Phase.ANSWER:
             return first
-        longest = self._started_s + ask.whole_s + MAX_ANSWER_CHARS * ask.char_s
+        longest = self.started_s + ask.whole_s + MAX_ANSWER_CHARS * ask.char_s
         return max(first, min(self._last_byte_s + ask.gap_s, longest))
 
     def expire(self, now_s: float) -> Result | None:
@@ -241,7 +241,7 @@ class Exchange:
     ) -> Result:
         clean = not (self._fault or self._echo_fault or self._late)
         kept = bytes(self._kept) if self._kept else b""
-        return Result(kind, self._started_s, now_s, answer, fault, self._late, kept, clean)
+        return Result(kind, self.started_s, now_s, answer, fault, self._late, kept, clean)
 
     def _match_echo(self, data: bytes) -> bytes:
         sent = self._ask.sent

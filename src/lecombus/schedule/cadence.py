@@ -16,6 +16,7 @@ absence must not stretch the cycles of the others.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -168,6 +169,16 @@ class Cadence:
         """Make the request of the slot that comes next, so that it need not be made in haste."""
         if self.next_s() is not None:
             self._heap[0][2].made()
+
+    @property
+    def is_joining(self) -> bool:
+        """Whether entries wait to be put on the timeline at the next `head`."""
+        return bool(self._joining)
+
+    def first(self) -> tuple[Entry | None, float]:
+        """Tell which entry is due next, and when; changes nothing, unlike `head`."""
+        due_s = self.next_s()
+        return (None, math.inf) if due_s is None else (self._heap[0][2], due_s)
 
     def may_wait(self, entry: Entry, now_s: float) -> bool:
         """Tell whether a due slot may stand back for another: not when it has for long."""

@@ -200,6 +200,16 @@ class Feeds:
         self._latest_end_s = self._due_from_s = -math.inf
         self._spare_s = None
 
+    @property
+    def calm_until_s(self) -> float:
+        """Before this no feed is due; it may be long after it that one is."""
+        return self._due_from_s
+
+    @property
+    def latest_end_s(self) -> float:
+        """An exchange over by then makes no feed late, whatever drive it is with."""
+        return self._latest_end_s
+
     def fits(self, now_s: float, worst_s: float, drive: str) -> bool:
         """Tell whether an exchange with a drive may start now.
 

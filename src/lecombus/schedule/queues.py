@@ -15,6 +15,7 @@ What is due, allowed or sensible is not decided here; who is held is asked of th
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from heapq import heapify, heappop, heappush, heapreplace
 from typing import Any, Final, Protocol
@@ -183,6 +184,10 @@ class Expiries:
         while heap and heap[0][2].settled:
             heappop(heap)
         return heap[0][0] if heap else None
+
+    def first_s(self) -> float:
+        """Tell, without tidying, before what time nothing expires."""
+        return self._heap[0][0] if self._heap else math.inf
 
     def due(self, now_s: float, most: int) -> list[Request]:
         """Take out what has expired by now, at most so many at once."""

@@ -19,8 +19,8 @@ Whatever is chosen, a stop apart, must pass the slack check (feeds.py): it is be
 watchdog can still be fed in time should it take its longest. If it does not, the feed that stands
 in its way runs first, due or not. If it never could, it is refused, with the figures.
 
-A feed is whatever is useful: the drive's first waiting control or interactive request, else its
-next cyclic slot run early, else the read that its `Feeding` makes.
+Which telegram feeds a drive stands in feed_choice.py. While an answer is coming in the choice can
+be made beforehand (rehearsal.py); whatever changes the schedule spoils it, so every way in says so.
 
 Lanes of held drives leave their queue when they come to the head, and are given back when the hold
 ends. Deferred requests, holds and slots put off share one heap of times. Expired requests are
@@ -38,27 +38,19 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 from lecombus.schedule.cadence import Cadence, Cyclic, Entry
-from lecombus.schedule.feeds import SPARE_ATTEMPTS, Feed, Feeding, Feeds
-from lecombus.schedule.request import (
-    OUT,
-    QUEUED,
-    UNDER_WAY,
-    Outcome,
-    Priority,
-    Request,
-)
-from lecombus.schedule.shares import Probe, Probes, Shares
+from lecombus.schedule.feed_choice import FeedChoice
+from lecombus.schedule.feeds import Feed, Feeding, Feeds
+from lecombus.schedule.rehearsal import Foreseen, Rehearsal
+from lecombus.schedule.request import OUT, QUEUED, UNDER_WAY, Outcome, Priority, Request
+from lecombus.schedule.shares import CLASS_SHARES, Probe, Probes, Shares
 from lecombus.schedule.stats import ScheduleStats, snapshot
-from lecombus.schedule.waiting import DriveState, Waiting, has_expired
+from lecombus.schedule.waiting import DriveState, Waiting
 
 __all__ = ["Schedule"]
 
 REFUSE_BATCH: Final = 16  # requests refused per choice for want of slack
 # Feeds run to let one request fit, per fed drive, before it is put off for a while.
 ROOMS_PER_FEED: Final = 4
-TURNS_PART: Final = 2 / 3  # of the spare: with less slack, urgent feeds no longer take turns
-SOON: Final = 2.0  # times the spare: with less slack, cyclic slots are chosen to feed
-_LOWER: Final = (Priority.INTERACTIVE, Priority.CYCLIC, Priority.BACKGROUND)
 
 
 class Schedule:
@@ -79,6 +71,10 @@ class Schedule:
         self._cadence = Cadence()
         self._probes = Probes(absent_share)
         self._shares = Shares()
+        self._feed_choice = FeedChoice(self._waiting, self._feeds, self._cadence)
+        self._rehearsal = Rehearsal(
+            self._waiting, self._feeds, self._cadence, self._probes, self._shares
+        )
         self._speaking_to: str | None = None
         self._more = False  # the last choice stopped early: there is more to do at once
         self._fed_last = False  # an urgent feed went last: it is the turn of interactive
@@ -105,6 +101,7 @@ class Schedule:
         Its time is counted from the last exchange that fed it; from now, if it is a new one.
         `feeding.make` is called once at once, for the cost; that request becomes the first feed.
         """
+        self._rehearsal.spoil()
         drive = self._drives[name]
         old = self._feeds.by_drive.pop(name, None)
         if feeding is not None:
@@ -122,6 +119,7 @@ class Schedule:
         Returns:
             The handle for `remove_cyclic`.
         """
+        self._rehearsal.spoil()
         entry = self._cadence.add(cyclic)
         if self._drives[cyclic.drive].parked is not None:
             self._cadence.leave(entry)
@@ -129,10 +127,12 @@ class Schedule:
 
     def remove_cyclic(self, handle: Entry) -> None:
         """Ask it no longer."""
+        self._rehearsal.spoil()
         self._cadence.remove(handle)
 
     def set_probe(self, name: str, make: Callable[[], Request] | None, now_s: float) -> None:
         """Say how to look whether a drive is back; probes run only while it is parked."""
+        self._rehearsal.spoil()
         old = self._probes.by_drive.pop(name, None)
         if old is not None:
             self._probes.stop(old)
@@ -151,6 +151,7 @@ class Schedule:
         Raises:
             QueueFullError: Its class is full; the request has not been taken.
         """
+        self._rehearsal.spoil()
         self._waiting.submit(request, now_s)
 
     def again(
@@ -161,26 +162,34 @@ class Schedule:
         Call it directly after `finished`. It is ended instead if a stop, a later request or
         parking came meanwhile. Its expiry no longer counts: it has begun.
         """
+        self._rehearsal.spoil()
         self._waiting.place(request, behind=behind)
         self._waiting.take_back(request, not_before_s, now_s)
 
     def defer(self, request: Request, until_s: float, now_s: float) -> None:
         """Take back, to its old place, a request that may not be sent before a time."""
         self._speaking_to = None
+        self._rehearsal.spoil()
         self._waiting.take_back(request, until_s, now_s)
 
     def join(self, stop: Request) -> bool:
         """Let a stop that waits unsaid stand for a new one like it; say whether it can."""
+        self._rehearsal.spoil()
         return self._waiting.join(stop)
 
     def withdraw(self, request: Request, outcome: Outcome, reason: str) -> bool:
         """End a request if it still waits; say whether it did."""
+        self._rehearsal.spoil()
         return self._waiting.withdraw(request, outcome, reason)
 
     # -- the choice -------------------------------------------------------------------------------
 
     def next(self, now_s: float) -> Request | None:
         """Choose what goes now, and mark it as under way; None if nothing may go yet."""
+        foreseen = self._rehearsal.holding(now_s)
+        self._rehearsal.spoil()
+        if foreseen is not None:
+            return self._begin(foreseen, now_s)
         waiting = self._waiting
         if waiting.timers and waiting.timers[0][0] <= now_s:
             self._run_timers(now_s)
@@ -200,9 +209,52 @@ class Schedule:
         self._more = True
         return None
 
-    def prepare(self) -> None:
-        """Do beforehand what the next choice would have to do: call it while the line is busy."""
-        self._cadence.prepare()
+    def rehearse(self, under_way: Request | None, started_s: float, at_s: float) -> Request | None:
+        """Make the next choice beforehand, if it is a plain one: call it while the line is busy.
+
+        Args:
+            under_way: What is on the line now; None if nothing is.
+            started_s: When that began; now, if nothing is on the line.
+            at_s: When the line is expected to be free.
+
+        Returns:
+            What `next` will give at that time unless something changes; None: not to be told.
+        """
+        found = self._rehearsal.make(under_way, started_s, at_s)
+        if found is None:
+            self._cadence.prepare()
+        return found
+
+    def foreseen(self, now_s: float) -> Request | None:
+        """Tell what was chosen beforehand, if that still holds."""
+        found = self._rehearsal.holding(now_s)
+        return None if found is None else found.request
+
+    def follow(self, done: Request, started_s: float, ended_s: float, now_s: float) -> None:
+        """Book an exchange that was answered, and what was foreseen as begun directly after it.
+
+        Args:
+            done: The request whose exchange it was.
+            started_s: When its first character went out.
+            ended_s: When its answer was complete.
+            now_s: When the request given by `foreseen` was begun.
+        """
+        found = self._rehearsal.holding(now_s)
+        assert found is not None, "nothing was foreseen"
+        self._rehearsal.spoil()
+        self.finished(done, started_s, ended_s, reached=True)
+        self._begin(found, now_s)
+
+    def _begin(self, found: Foreseen, now_s: float) -> Request:
+        """Mark what was chosen beforehand as under way."""
+        request = found.request
+        if request.priority is not Priority.STOP:
+            self._more = False
+            if request.priority is not Priority.CONTROL:
+                self._fed_last = False
+            self._shares.note(found.waiting)
+            request.by_credit = found.ahead
+        return self._start(request, now_s)
 
     def _run_timers(self, now_s: float) -> None:
         for what in self._waiting.run_timers(now_s):
@@ -217,7 +269,7 @@ class Schedule:
         """Find what is first by priority and shares; say whether it is a feed."""
         heads: dict[Priority, Request] = {}
         waiting: dict[Priority, float] = {}
-        for priority in _LOWER:
+        for priority in CLASS_SHARES:
             head = self._waiting.head(priority, now_s)
             if head is None and priority is Priority.CYCLIC:
                 head = self._periodic(now_s)
@@ -232,34 +284,19 @@ class Schedule:
         if feed is not None:
             return feed, False
         interactive = heads.get(Priority.INTERACTIVE)
-        if interactive is None or not self._has_turn(now_s):
-            feed = self._urgent_feed(now_s)
+        if interactive is None or not (self._fed_last and self._feed_choice.can_wait(now_s)):
+            feed = self._feed_choice.urgent(now_s)
             if feed is not None:
                 self._fed_last = True
                 return feed, True
         self._fed_last = False
         ahead = entitled is not None and (control is not None or entitled is not next(iter(heads)))
         for first in heads.values() if entitled is None else (heads[entitled],):
-            early = self._early_slot(first, now_s)
+            early = self._feed_choice.early_slot(first, now_s)
             chosen = early or first
             chosen.by_credit = ahead
             return chosen, early is not None
         return None, False
-
-    def _has_turn(self, now_s: float) -> bool:
-        """Tell whether interactive goes now even if a feed is urgent."""
-        feeds = self._feeds
-        return self._fed_last and feeds.fits(now_s, TURNS_PART * feeds.spare_s(), "")
-
-    def _early_slot(self, slot: Request, now_s: float) -> Request | None:
-        """Find a cyclic slot, to be run in place of another, of a drive to be fed soon."""
-        cadence, entry = self._cadence, slot.source
-        if type(entry) is not Entry or not cadence.may_wait(entry, now_s):
-            return None
-        feed = self._feeds.pressing(now_s, SOON * self._feeds.spare_s())
-        early = cadence.early(feed.drive, now_s) if feed and feed.drive != slot.drive else None
-        fits = early is not None and feed and self._as_feed(early.made(), feed, now_s)
-        return early.made() if early is not None and fits else None
 
     def _periodic(self, now_s: float) -> Request | None:
         """Find the probe or else the cyclic slot that is due."""
@@ -270,54 +307,6 @@ class Schedule:
             self._probes.schedule(probe, drive.held_until_s)
         entry = self._cadence.head(now_s, self._drives)
         return entry.made() if entry is not None else None
-
-    def _urgent_feed(self, now_s: float) -> Request | None:
-        """Find the telegram for the feed that goes first, if any is urgent.
-
-        When time is short it is the one with the earliest deadline of all, due or not. A drive
-        that never answers may take its longest: it waits until that fits, or, if it never will,
-        is tried all the same, at its own slow pace.
-        """
-        feeds = self._feeds
-        for feed in feeds.due(now_s):
-            if feeds.fits(now_s, feed.worst_s, feed.drive):
-                return self._feeding(feed, now_s)
-            if feed.failures < SPARE_ATTEMPTS:  # a lost answer or two: the spare is kept for it
-                if not feeds.fits(now_s, feed.cost_s, feed.drive):
-                    feed = feeds.first(now_s) or feed
-                return self._feeding(feed, now_s)
-            if feed.worst_s > feeds.most_s(feed.drive)[0]:
-                return self._feeding(feed, now_s)
-            other = feeds.room(now_s, feed.worst_s, feed.drive)
-            if other is not None:
-                return self._feeding(other, now_s)
-            feed.retry_at_s = feeds.retry_s(now_s)
-        pressing = feeds.pressing(now_s, feeds.spare_s())
-        return None if pressing is None else self._feeding(pressing, now_s)
-
-    def _feeding(self, feed: Feed, now_s: float) -> Request:
-        """Choose the telegram that feeds a drive: one that is wanted anyway, if there is one."""
-        for priority in (Priority.CONTROL, Priority.INTERACTIVE):
-            request = self._waiting.queues[priority].first_for(feed.drive)
-            if request is not None and self._as_feed(request, feed, now_s):
-                return request
-        entry = self._cadence.early(feed.drive, now_s)
-        if entry is not None and self._as_feed(entry.made(), feed, now_s):
-            return entry.made()
-        cost_s = feed.cost_s
-        request = feed.made()
-        if feed.cost_s > cost_s:
-            self._feeds.changed()
-        return request
-
-    def _as_feed(self, request: Request, feed: Feed, now_s: float) -> bool:
-        if has_expired(request, now_s):
-            return False
-        if request.worst_s <= feed.worst_s and request.cost_s <= feed.cost_s:
-            return True
-        if not feed.outlasts(now_s, request.worst_s):
-            return False
-        return self._feeds.fits(now_s, request.worst_s, feed.drive)
 
     def _admit(self, request: Request, now_s: float) -> Request | None:
         """Let a request go if no watchdog can suffer; else run what must go first, or end it."""
@@ -335,7 +324,7 @@ class Schedule:
             feed = feeds.room(now_s, request.worst_s, request.drive)
             if feed is not None:
                 request.rooms += 1
-                return self._feeding(feed, now_s)
+                return self._feed_choice.telegram(feed, now_s)
         self._put_off(request, feeds.retry_s(now_s))
         return None
 
@@ -402,6 +391,8 @@ class Schedule:
             now_s: When the line was free again.
             reached: The drive answered: its watchdog counts as fed at `started_s`.
         """
+        if not reached:
+            self._rehearsal.spoil()
         request.attempts += 1
         request.state = OUT
         self._speaking_to = None
@@ -422,6 +413,7 @@ class Schedule:
 
     def hold(self, name: str, until_s: float, now_s: float) -> None:
         """Leave a drive alone until a time, stops apart; others go on."""
+        self._rehearsal.spoil()
         drive = self._drives.get(name)
         if drive is None:  # taken out of the roster while it was spoken to
             return
@@ -446,6 +438,7 @@ class Schedule:
 
     def park(self, name: str, now_s: float, reason: str) -> None:
         """Take a drive as offline: what waits for it is refused, stops apart; probing begins."""
+        self._rehearsal.spoil()
         drive = self._drives[name]
         if drive.parked is not None:
             drive.parked = reason
@@ -465,6 +458,7 @@ class Schedule:
 
     def unpark(self, name: str, now_s: float) -> None:
         """Take a drive as back: its cyclic requests and feeding resume, its probing ends."""
+        self._rehearsal.spoil()
         drive = self._drives[name]
         if drive.parked is None:
             return
@@ -486,6 +480,7 @@ class Schedule:
 
         Cyclic requests and feeding stay and resume; holds end.
         """
+        self._rehearsal.spoil()
         for drive in self._drives.values():
             self._release(drive, now_s)
         for feed in self._feeds.by_drive.values():

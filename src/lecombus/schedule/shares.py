@@ -14,7 +14,8 @@ by one probe per `WINDOW_S`, and the share holds in any window of that length.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
 from heapq import heappop, heappush
 from typing import Final
 
@@ -32,6 +33,7 @@ CREDIT_EXCHANGES: Final = 4.0  # most credit, in exchanges of the size at hand
 WINDOW_S: Final = 30.0
 BACKOFF_LEAST_S: Final = 1.0
 BACKOFF_MOST_S: Final = 30.0
+ROUNDING_S: Final = 1e-6
 
 
 class Shares:
@@ -41,10 +43,10 @@ class Shares:
 
     def __init__(self) -> None:
         self._credit_s = dict.fromkeys(CLASS_SHARES, 0.0)
-        self._waiting: dict[Priority, float] = {}  # class: cost of its head at the last choice
+        self._waiting: Mapping[Priority, float] = {}  # class: cost of its head at the last choice
         self._last: Priority | None = None  # the class that went first by credit just now
 
-    def entitled(self, waiting: dict[Priority, float]) -> Priority | None:
+    def entitled(self, waiting: Mapping[Priority, float]) -> Priority | None:
         """Choose the class that goes first by its credit.
 
         Args:
@@ -52,14 +54,27 @@ class Shares:
                 their first request, seconds.
         """
         self._waiting = waiting
-        credit = self._credit_s
-        for priority, cost_s in waiting.items():
-            if credit[priority] >= cost_s > 0.0 and not (
-                # Background never takes two exchanges in a row from anyone above it.
-                priority is Priority.BACKGROUND and self._last is Priority.BACKGROUND
-            ):
-                return priority
-        return None
+        return _entitled(waiting, self._credit_s, self._last)
+
+    def foresee(
+        self, waiting: Mapping[Priority, float], under_way: Request | None, duration_s: float
+    ) -> Priority | None:
+        """Tell which class will go first once an exchange has been booked; changes nothing.
+
+        Args:
+            waiting: As for `entitled`.
+            under_way: The request whose exchange it is; None: nothing is to be booked.
+            duration_s: How long it will have taken.
+        """
+        if under_way is None:
+            return _entitled(waiting, self._credit_s, self._last)
+        used_by, by_credit = under_way.priority, under_way.by_credit
+        credit_s = self._booked(used_by, by_credit, duration_s)
+        return _entitled(waiting, credit_s, used_by if by_credit else None)
+
+    def note(self, waiting: Mapping[Priority, float]) -> None:
+        """Take note of what waits at a choice that was made by what `foresee` told."""
+        self._waiting = waiting
 
     def book(self, used_by: Priority, by_credit: bool, duration_s: float) -> None:
         """Book the line time of one exchange.
@@ -69,24 +84,43 @@ class Shares:
             by_credit: It went ahead of higher classes by its share.
             duration_s: How long it took.
         """
+        self._credit_s = self._booked(used_by, by_credit, duration_s)
         self._last = used_by if by_credit else None
+
+    def _booked(
+        self, used_by: Priority, by_credit: bool, duration_s: float
+    ) -> dict[Priority, float]:
         waiting = self._waiting
-        for priority, share in CLASS_SHARES.items():
-            credit_s = self._credit_s[priority]
+        booked: dict[Priority, float] = {}
+        for priority, credit_s in self._credit_s.items():
             cost_s = waiting.get(priority)
             if cost_s is None:
-                credit_s = min(credit_s, 0.0)
+                if credit_s > 0.0:
+                    credit_s = 0.0
             else:
                 # The cap never takes away credit: heads of different size follow each other.
-                earned_s = credit_s + share * duration_s
+                earned_s = credit_s + CLASS_SHARES[priority] * duration_s
                 credit_s = min(earned_s, max(credit_s, CREDIT_EXCHANGES * cost_s))
             if priority is used_by:
                 # Whoever went by right of its class starts at nothing when it falls behind; who
                 # went by credit and took longer than thought pays that back.
                 credit_s -= duration_s
-                if not by_credit:
-                    credit_s = max(credit_s, 0.0)
-            self._credit_s[priority] = credit_s
+                if not by_credit and credit_s < 0.0:
+                    credit_s = 0.0
+            booked[priority] = credit_s
+        return booked
+
+
+def _entitled(
+    waiting: Mapping[Priority, float], credit_s: Mapping[Priority, float], last: Priority | None
+) -> Priority | None:
+    for priority, cost_s in waiting.items():
+        if credit_s[priority] >= cost_s > 0.0 and not (
+            # Background never takes two exchanges in a row from anyone above it.
+            priority is Priority.BACKGROUND and last is Priority.BACKGROUND
+        ):
+            return priority
+    return None
 
 
 class Probe:
@@ -195,7 +229,20 @@ class Probes:
         self._fill(now_s, worst_s)
         # A hair later than computed, so that rounding does not wake the caller in vain.
         short_s = max(0.0, worst_s - self._tokens_s)
-        return max(probe.next_at_s, now_s + short_s / self._rate() + (1e-6 if short_s else 0.0))
+        return max(
+            probe.next_at_s, now_s + short_s / self._rate() + (ROUNDING_S if short_s else 0.0)
+        )
+
+    def not_before_s(self) -> float:
+        """Tell before what time no probe may run; changes nothing, not even by rounding."""
+        probe = self._tidy()
+        if probe is None or self._share <= 0.0:
+            return math.inf
+        worst_s = probe.made().worst_s
+        if worst_s > self._worst_s or self._tokens_s >= worst_s:
+            return probe.next_at_s
+        full_s = self._at_s + (worst_s - self._tokens_s) / self._rate()
+        return max(probe.next_at_s, full_s - ROUNDING_S)
 
     def take(self, probe: Probe, now_s: float) -> Request:
         """Run the probe now, and set its next time one backoff later."""

@@ -1,0 +1,74 @@
+"""What is left to tell after an exchange, kept until the line need not wait for it.
+
+Between an answer and the next telegram the line waits for whatever the worker does; so a read that
+brought its value is settled, and everybody who keeps books is told, only after that telegram is
+out. Nothing comes between: the next telegram and `publish` are one step of the event loop, in which
+no client, stop or audit runs.
+
+Strategy: one read at most is put off, because only a read that brought its value changes nothing
+about what comes next; reports are told in the order of the exchanges, each after its request ended.
+
+What must not live here: what a result means (jobs), who keeps books (observer).
+"""
+
+from __future__ import annotations
+
+from ..protocol.exchange import Result
+from ..schedule import Request
+from .observer import ExchangeReport, Observer
+from .station import Job
+
+__all__ = ["Aftermath"]
+
+
+class Aftermath:
+    """Keeps what is to be told of the exchanges of one line."""
+
+    __slots__ = ("_unsettled", "reports")
+
+    def __init__(self) -> None:
+        self.reports: list[ExchangeReport] = []
+        self._unsettled: tuple[Request, Job, Result] | None = None
+
+    def report(self, request: Request, job: Job, result: Result, quarantined_s: float) -> None:
+        """Keep the report of an exchange whose request is seen to."""
+        self._settle()
+        self._keep(request, job, result, quarantined_s)
+
+    def put_off(self, request: Request, job: Job, result: Result) -> None:
+        """Settle a read that brought its value later."""
+        self._settle()
+        self._unsettled = (request, job, result)
+
+    def publish(self, observer: Observer) -> None:
+        """Settle the read that was put off, and tell the observer of every exchange since."""
+        self._settle()
+        if not self.reports:
+            return
+        reports, self.reports = self.reports, []
+        for report in reports:
+            observer.exchange_ended(report)
+
+    def _settle(self) -> None:
+        if self._unsettled is None:
+            return
+        request, job, result = self._unsettled
+        self._unsettled = None
+        self._keep(request, job, result, 0.0)
+        outcome = job.advance(result)
+        assert outcome is not None, "a value ends a read"
+        request.end(*outcome)
+
+    def _keep(self, request: Request, job: Job, result: Result, quarantined_s: float) -> None:
+        self.reports.append(
+            ExchangeReport(
+                request.drive,
+                job.step,
+                result,
+                request.priority,
+                result.started_s - request.submitted_at_s,
+                quarantined_s,
+                request.members,
+                job.station.address,
+            )
+        )

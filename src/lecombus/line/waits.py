@@ -1,0 +1,80 @@
+"""What the worker waits for besides bytes: a time, a nudge, a deadline that moves.
+
+Both kinds of wait belong to one line and its event loop thread. `Nap` lets the worker's task sleep
+until a time or until somebody has something for it. `Deadline` calls back at a time that moves on
+with every exchange: its timer is left alone as long as it is early enough and looks again when it
+fires, because making and cancelling one timer for each exchange costs more than the rare look.
+
+What must not live here: what is waited for, and why.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+__all__ = ["Deadline", "Nap"]
+
+
+class Nap:
+    """Lets one task sleep until a time, or until nudged."""
+
+    __slots__ = ("_future",)
+
+    def __init__(self) -> None:
+        self._future: asyncio.Future[None] | None = None
+
+    def nudge(self) -> None:
+        """Wake the sleeper, if there is one that listens."""
+        if self._future is not None:
+            _wake(self._future)
+
+    async def until(self, at_s: float, *, deaf: bool = False) -> None:
+        """Sleep until `at_s` or, unless `deaf`, until nudged."""
+        loop = asyncio.get_running_loop()
+        nap: asyncio.Future[None] = loop.create_future()
+        timer = loop.call_at(at_s, _wake, nap)
+        if not deaf:
+            self._future = nap
+        try:
+            await nap
+        finally:
+            self._future = None
+            timer.cancel()
+
+
+class Deadline:
+    """Calls back when a time has come that is set anew again and again.
+
+    Args:
+        passed: Called when it may have passed; it sets the deadline again if it has not.
+    """
+
+    __slots__ = ("_passed", "_timer")
+
+    def __init__(self, passed: Callable[[], None]) -> None:
+        self._passed = passed
+        self._timer: asyncio.TimerHandle | None = None
+
+    def set(self, at_s: float) -> None:
+        """Call back at `at_s` at the latest; it may also be called earlier, for one set before."""
+        if self._timer is not None:
+            if self._timer.when() <= at_s:
+                return
+            self._timer.cancel()
+        self._timer = asyncio.get_running_loop().call_at(at_s, self._fire)
+
+    def clear(self) -> None:
+        """Call back no more."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def _fire(self) -> None:
+        self._timer = None
+        self._passed()
+
+
+def _wake(nap: asyncio.Future[None]) -> None:
+    if not nap.done():
+        nap.set_result(None)

@@ -1,0 +1,102 @@
+"""Which telegram feeds a drive, and whether one must be fed now.
+
+A feed is whatever is useful: the drive's first waiting control or interactive request, else its
+next cyclic slot run early, else the read that its `Feeding` makes. What is urgent follows from the
+deadlines (feeds.py); the order of the classes stands in schedule.py.
+
+What must not live here: deadlines, the slack check, what a choice changes.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from lecombus.schedule.cadence import Cadence, Entry
+from lecombus.schedule.feeds import SPARE_ATTEMPTS, Feed, Feeds
+from lecombus.schedule.request import Priority, Request
+from lecombus.schedule.waiting import Waiting, has_expired
+
+__all__ = ["SOON", "FeedChoice"]
+
+TURNS_PART: Final = 2 / 3  # of the spare: with less slack, urgent feeds no longer take turns
+SOON: Final = 2.0  # times the spare: with less slack, cyclic slots are chosen to feed
+
+
+class FeedChoice:
+    """Chooses telegrams that feed.
+
+    Args:
+        waiting: What waits.
+        feeds: The watchdogs.
+        cadence: The cyclic entries.
+    """
+
+    __slots__ = ("_cadence", "_feeds", "_waiting")
+
+    def __init__(self, waiting: Waiting, feeds: Feeds, cadence: Cadence) -> None:
+        self._waiting = waiting
+        self._feeds = feeds
+        self._cadence = cadence
+
+    def can_wait(self, now_s: float) -> bool:
+        """Tell whether feeds leave time for something else to take its turn with them."""
+        feeds = self._feeds
+        return feeds.fits(now_s, TURNS_PART * feeds.spare_s(), "")
+
+    def early_slot(self, slot: Request, now_s: float) -> Request | None:
+        """Find a cyclic slot, to be run in place of another, of a drive to be fed soon."""
+        cadence, entry = self._cadence, slot.source
+        if type(entry) is not Entry or not cadence.may_wait(entry, now_s):
+            return None
+        feed = self._feeds.pressing(now_s, SOON * self._feeds.spare_s())
+        early = cadence.early(feed.drive, now_s) if feed and feed.drive != slot.drive else None
+        fits = early is not None and feed and self._serves(early.made(), feed, now_s)
+        return early.made() if early is not None and fits else None
+
+    def urgent(self, now_s: float) -> Request | None:
+        """Find the telegram for the feed that goes first, if any is urgent.
+
+        When time is short it is the one with the earliest deadline of all, due or not. A drive
+        that never answers may take its longest: it waits until that fits, or, if it never will,
+        is tried all the same, at its own slow pace.
+        """
+        feeds = self._feeds
+        for feed in feeds.due(now_s):
+            if feeds.fits(now_s, feed.worst_s, feed.drive):
+                return self.telegram(feed, now_s)
+            if feed.failures < SPARE_ATTEMPTS:  # a lost answer or two: the spare is kept for it
+                if not feeds.fits(now_s, feed.cost_s, feed.drive):
+                    feed = feeds.first(now_s) or feed
+                return self.telegram(feed, now_s)
+            if feed.worst_s > feeds.most_s(feed.drive)[0]:
+                return self.telegram(feed, now_s)
+            other = feeds.room(now_s, feed.worst_s, feed.drive)
+            if other is not None:
+                return self.telegram(other, now_s)
+            feed.retry_at_s = feeds.retry_s(now_s)
+        pressing = feeds.pressing(now_s, feeds.spare_s())
+        return None if pressing is None else self.telegram(pressing, now_s)
+
+    def telegram(self, feed: Feed, now_s: float) -> Request:
+        """Choose the telegram that feeds a drive: one that is wanted anyway, if there is one."""
+        for priority in (Priority.CONTROL, Priority.INTERACTIVE):
+            request = self._waiting.queues[priority].first_for(feed.drive)
+            if request is not None and self._serves(request, feed, now_s):
+                return request
+        entry = self._cadence.early(feed.drive, now_s)
+        if entry is not None and self._serves(entry.made(), feed, now_s):
+            return entry.made()
+        cost_s = feed.cost_s
+        request = feed.made()
+        if feed.cost_s > cost_s:
+            self._feeds.changed()
+        return request
+
+    def _serves(self, request: Request, feed: Feed, now_s: float) -> bool:
+        if has_expired(request, now_s):
+            return False
+        if request.worst_s <= feed.worst_s and request.cost_s <= feed.cost_s:
+            return True
+        if not feed.outlasts(now_s, request.worst_s):
+            return False
+        return self._feeds.fits(now_s, request.worst_s, feed.drive)

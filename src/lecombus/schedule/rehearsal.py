@@ -1,0 +1,178 @@
+"""The choice made beforehand, while an answer is still coming in.
+
+Choosing takes longer than a character on the wire, and between an answer's last byte and the next
+telegram the line waits for nothing else. So the choice is made as of the moment at which the
+answer is expected, supposing that the drive answers, and used if by then nothing has changed.
+
+Only the plain case is rehearsed: a stop, or the head of a class with all feeds far from urgent.
+Whatever needs thought (a feed due or pressing, a probe, a request that a watchdog's deadline holds
+back, something that joins, expires or comes back at that moment) is left to the choice in haste,
+which is always right. A choice made beforehand holds between two times that are kept with it: not
+before its slot is due, and not after anything could become due, expire, or run short of slack.
+
+Whoever changes a schedule spoils its rehearsal. Nothing is changed by rehearsing: no request is
+begun, no credit booked; the tests hold rehearsed choices equal to those made in haste.
+
+Pure: the times are arguments. What must not live here: the order of the classes in doubtful cases.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from lecombus.schedule.cadence import Cadence, Entry
+from lecombus.schedule.feed_choice import SOON
+from lecombus.schedule.feeds import Feeds
+from lecombus.schedule.request import Priority, Request
+from lecombus.schedule.shares import CLASS_SHARES, Probe, Probes, Shares
+from lecombus.schedule.waiting import DriveState, Waiting
+
+__all__ = ["Foreseen", "Rehearsal"]
+
+
+@dataclass(frozen=True, slots=True)
+class Foreseen:
+    """A choice made beforehand.
+
+    Args:
+        request: What goes next.
+        from_s: It holds from this time on.
+        until_s: And until this one.
+        ahead: It goes first by its class's share.
+        waiting: The lower classes that have something to say, and what their first costs, seconds.
+    """
+
+    request: Request
+    from_s: float
+    until_s: float
+    ahead: bool = False
+    waiting: Mapping[Priority, float] = field(default_factory=dict)
+
+
+class Rehearsal:
+    """Makes and keeps the choice made beforehand of one schedule.
+
+    Args:
+        waiting: What waits.
+        feeds: The watchdogs.
+        cadence: The cyclic entries.
+        probes: The probes.
+        shares: The credit of the classes.
+    """
+
+    __slots__ = ("_cadence", "_feeds", "_found", "_probes", "_shares", "_waiting")
+
+    def __init__(
+        self, waiting: Waiting, feeds: Feeds, cadence: Cadence, probes: Probes, shares: Shares
+    ) -> None:
+        self._waiting = waiting
+        self._feeds = feeds
+        self._cadence = cadence
+        self._probes = probes
+        self._shares = shares
+        self._found: Foreseen | None = None
+
+    def spoil(self) -> None:
+        """Forget the choice: something changed."""
+        self._found = None
+
+    def holding(self, now_s: float) -> Foreseen | None:
+        """Give the choice if it still holds."""
+        found = self._found
+        if found is None or not found.from_s <= now_s < found.until_s:
+            return None
+        return found
+
+    def make(self, under_way: Request | None, started_s: float, at_s: float) -> Request | None:
+        """Choose what goes at a time to come.
+
+        Args:
+            under_way: The request on the line, which is supposed to be answered; None if none is.
+            started_s: When its exchange began.
+            at_s: When the line is expected to be free.
+        """
+        self._found = None
+        stop = self._waiting.stop()
+        if stop is not None:
+            self._found = Foreseen(stop, -math.inf, self._settled_until_s())
+        elif under_way is None or self._is_plain(under_way):
+            self._found = self._choose(under_way, started_s, at_s)
+        return None if self._found is None else self._found.request
+
+    def _is_plain(self, under_way: Request) -> bool:
+        """Whether its answer changes nothing that is looked at here but credits."""
+        if type(under_way.source) is Probe:
+            return False
+        feed = self._feeds.by_drive.get(under_way.drive)
+        return feed is None or not feed.left_out
+
+    def _choose(self, under_way: Request | None, started_s: float, at_s: float) -> Foreseen | None:
+        until_s = min(
+            self._settled_until_s(), self._feeds.calm_until_s, self._probes.not_before_s()
+        )
+        if (
+            at_s >= until_s
+            or self._cadence.is_joining
+            or self._waiting.queues[Priority.WATCHDOG].depth
+        ):
+            return None
+        entry, due_s = self._cadence.first()
+        if due_s <= at_s and entry is not None and self._drives[entry.cyclic.drive].held:
+            return None
+        heads = self._heads(at_s, None if due_s > at_s else entry)
+        control = self._waiting.head(Priority.CONTROL, at_s)
+        if control is None and not heads:
+            return None
+        waiting = {priority: head.cost_s for priority, head in heads.items()}
+        entitled = None
+        if len(waiting) + (control is not None) > 1:
+            entitled = self._shares.foresee(waiting, under_way, at_s - started_s)
+        if control is not None and entitled is None:
+            chosen, ahead = control, False
+        else:
+            first = next(iter(heads))
+            chosen = heads[first if entitled is None else entitled]
+            ahead = entitled is not None and (control is not None or entitled is not first)
+        from_s = due_s if entry is not None and chosen is entry.request else -math.inf
+        if due_s > at_s:  # from then on its slot waits too
+            until_s = min(until_s, due_s)
+        until_s = min(until_s, self._slack_until_s(chosen))
+        if at_s >= until_s:
+            return None
+        return Foreseen(chosen, from_s, until_s, ahead, waiting)
+
+    def _settled_until_s(self) -> float:
+        """Before this time nothing expires or comes back."""
+        waiting = self._waiting
+        expires_s = waiting.expiries.first_s()
+        return min(expires_s, waiting.timers[0][0]) if waiting.timers else expires_s
+
+    def _heads(self, at_s: float, entry: Entry | None) -> dict[Priority, Request]:
+        """The first of each lower class, where there is one; `entry` is the slot that is due."""
+        heads: dict[Priority, Request] = {}
+        for priority in CLASS_SHARES:
+            head = self._waiting.head(priority, at_s)
+            if head is None and priority is Priority.CYCLIC and entry is not None:
+                head = entry.made()
+            if head is not None:
+                heads[priority] = head
+        return heads
+
+    @property
+    def _drives(self) -> Mapping[str, DriveState]:
+        return self._waiting.drives
+
+    def _slack_until_s(self, chosen: Request) -> float:
+        """How long the choice would pass the slack check without anything being fed first."""
+        feeds = self._feeds
+        if not feeds.by_drive:
+            return math.inf
+        own = feeds.by_drive.get(chosen.drive)
+        if own is not None and chosen.worst_s > own.worst_s:
+            return -math.inf
+        spare_s = feeds.spare_s()
+        if type(chosen.source) is Entry:
+            spare_s *= SOON
+        return feeds.latest_end_s - max(chosen.worst_s, spare_s)
