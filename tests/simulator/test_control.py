@@ -9,6 +9,8 @@ import pytest
 
 from lecombus.simulator import Control, ControlError, ControlSocket, SimLine, build, tell
 
+ROOT = Path(__file__).parent.parent.parent
+
 
 class Plug:
     """An end that notes what happens to it."""
@@ -43,6 +45,15 @@ def test_every_command_is_in_the_help(control: Control) -> None:
     lines = control.do("help").splitlines()
     assert len(lines) == 18
     assert control.do("help trip") == next(one for one in lines if one.startswith("trip"))
+
+
+def test_the_documentation_has_every_command_and_no_other(control: Control) -> None:
+    rows = (ROOT / "docs" / "simulator.md").read_text().partition("|---|---|")[2].splitlines()
+    cells = [row.replace("\\|", "/").split("|")[1] for row in rows if row.startswith("|")]
+    told = [form.split()[0] for cell in cells for form in cell.replace("`", "").split(", ")]
+    assert sorted(set(told)) == sorted(
+        {line.split()[0] for line in control.do("help").splitlines()}
+    )
 
 
 @pytest.mark.parametrize("drive", ["feeder", "11"])
