@@ -20,7 +20,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from lecombus.drives import Fault, FaultKind
+    from lecombus.drives import Fault, FaultKind, OperatingState
     from lecombus.protocol.addressing import Code
     from lecombus.protocol.values import Value
 
@@ -216,6 +216,7 @@ class DriveInfo:
         remarks: What stands to be said about it, by subject.
         fault: The fault it has, as far as it was last heard.
         identity: What it said of itself when it was last audited, by code.
+        states: What its status words show now; None where they are not known well enough.
     """
 
     name: str
@@ -227,6 +228,7 @@ class DriveInfo:
     remarks: Mapping[str, str]
     identity: Mapping[str, str]
     fault: ActiveFault | None = None
+    states: tuple[OperatingState, ...] | None = None
 
     @property
     def write_lock(self) -> str | None:
@@ -242,6 +244,7 @@ class DriveInfo:
             "state": self.state.value,
             "reason": self.reason or None,
             "since": rfc3339(self.since_s),
+            "states": None if self.states is None else [state.value for state in self.states],
             "fault": self.fault_json(),
             "remarks": dict(self.remarks),
             "identity": dict(self.identity),

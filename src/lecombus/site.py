@@ -11,11 +11,11 @@ What must not live here: signals, sockets, HTTP (`daemon`).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from lecombus import __version__
 from lecombus.config import DriveEntry, Roster, line_timing
-from lecombus.drives import LineTiming, StopAction, family
+from lecombus.drives import Family, LineTiming, StopAction, family
 from lecombus.errors import ConfigError
 from lecombus.line.port import PortOpener, PortSettings
 from lecombus.line.station import Station
@@ -32,6 +32,7 @@ from lecombus.schedule import Cyclic, Priority, Schedule, Settle
 from lecombus.state import State
 from lecombus.store import Store
 from lecombus.supervision.books import Books
+from lecombus.supervision.configurations import Configurations
 from lecombus.supervision.fault_watch import FaultWatch
 from lecombus.supervision.health import Health
 from lecombus.supervision.keeper import Keeper
@@ -106,10 +107,8 @@ class Site:
         timing = timing or line_timing(line)
         maker = RequestMaker(timing, line.retries, self.metrics.meters.request_ended)
         self.health = Health(self.schedule, self.store, self._wants_audit, clock)
-        watch = FaultWatch(self.store, self._read_soon, wall)
-        self._books = books = Books(
-            self.store, self.metrics, self.health, self.words, watch, self._has_drive
-        )
+        self._configurations = Configurations(self._take_family, self._read_soon)
+        self._books = books = self._make_books(wall)
         settings = PortSettings(line.port, line.baud, line.direction, line.parity, line.name)
         options = options or options_of(roster)
         self.worker = LineWorker(settings, opener, self.schedule, timing, options, books)
@@ -127,6 +126,13 @@ class Site:
         self._cyclic: dict[str, list[object]] = {}
         self._entries: dict[str, DriveEntry] = {}
         self.apply(roster)
+
+    def _make_books(self, wall: Callable[[], float]) -> Books:
+        watch = FaultWatch(self.store, self._read_soon, wall)
+        return Books(
+            self.store, self.metrics, self.health, self.words, watch, self._configurations,
+            self._has_drive,
+        )  # fmt: skip
 
     def apply(self, roster: Roster) -> Changes:
         """Take a roster's drives and groups; drives that did not change are left alone.
@@ -207,6 +213,7 @@ class Site:
         now = self._clock()
         self._entries[entry.name] = entry
         self.store.add_drive(entry.name, entry.address, kind)
+        self._configurations.watch(entry.name, kind)
         self.identities.add_drive(entry)
         self.metrics.meters.add_drive(entry.name)
         self.requests.add_station(station)
@@ -250,6 +257,12 @@ class Site:
     def _wants_audit(self, name: str) -> None:
         self.words.forget(name)
         self.keeper.audit_soon(name)
+
+    def _take_family(self, name: str, kind: Family) -> None:
+        """Take a drive by another description of its family: its words mean something else."""
+        self.store.take_family(name, kind)
+        station = self.requests.station(name)
+        self.requests.replace_station(station, replace(station, family=kind))
 
     def _read_soon(self, name: str, code: Code, settle: Settle) -> None:
         """Read a code before the cyclic ones, without waiting for it here."""

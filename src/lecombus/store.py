@@ -25,11 +25,12 @@ What must not live here: input, output, tasks, HTTP, Prometheus.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from difflib import get_close_matches
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
+from lecombus.drives import OperatingState, join_states
 from lecombus.errors import OperationError
 from lecombus.readings import (
     ADDRESSING_LOCK,
@@ -42,6 +43,7 @@ from lecombus.readings import (
     Quality,
     Reading,
 )
+from lecombus.records import Cell, DriveRecord, make_cell, set_remark
 
 if TYPE_CHECKING:
     from lecombus.drives import Family
@@ -100,37 +102,6 @@ Event = ValueChanged | DriveChanged | LineChanged
 Subscriber = Callable[[Event], None]
 
 
-@dataclass(slots=True, eq=False)
-class Cell:
-    """What is known of one code of one drive. `value` None: never read."""
-
-    code: Code
-    name: str
-    unit: str | None
-    format: str | None
-    every_s: float | None = None
-    value: Value | None = None
-    at_s: float = 0.0
-    failure: str | None = None
-
-
-@dataclass(slots=True, eq=False)
-class DriveRecord:
-    """What is known of one drive."""
-
-    name: str
-    address: int
-    family: Family
-    since_s: float
-    state: DriveState = DriveState.STARTING
-    reason: str = ""
-    remarks: dict[str, str] = field(default_factory=dict)
-    identity: dict[str, str] = field(default_factory=dict)
-    cells: dict[Code, Cell] = field(default_factory=dict)
-    on_demand: dict[Code, None] = field(default_factory=dict)
-    fault: ActiveFault | None = None
-
-
 class Store:
     """Everything known about one line.
 
@@ -172,6 +143,12 @@ class Store:
             old.family = family
             return
         self._drives[name] = DriveRecord(name, address, family, self._wall())
+        self._publish(DriveChanged(name))
+
+    def take_family(self, name: str, family: Family) -> None:
+        """Take a drive by another description of its family, such as a signal configuration's."""
+        record = self._record(name)
+        record.family = family
         self._publish(DriveChanged(name))
 
     def remove_drive(self, name: str) -> None:
@@ -430,7 +407,26 @@ class Store:
             MappingProxyType(dict(record.remarks)),
             MappingProxyType(dict(record.identity)),
             record.fault,
+            self._states(record),
         )
+
+    def _states(self, record: DriveRecord) -> tuple[OperatingState, ...] | None:
+        """Join what the status words show, each only while its value is good.
+
+        None where the first of them is not: the others alone would leave a fault or an inhibit
+        out, and a list without them looks like a drive without them.
+        """
+        shown: list[tuple[OperatingState, ...]] = []
+        now_s = self._clock()
+        for code, word in record.family.words.items():
+            cell = record.cells.get(code)
+            reading = None if cell is None else self._judge(record, cell, now_s)
+            number = None if reading is None or reading.value is None else reading.value.number
+            if reading is not None and reading.quality is Quality.GOOD and type(number) is int:
+                shown.append(word.shown_states(number))
+            elif not shown:
+                return None
+        return join_states(shown) if shown else None
 
     def _why_no_line(self) -> str:
         return with_cause(f"line {self._line_state.value}", self._line_reason)
@@ -464,25 +460,6 @@ class Store:
         if abs(offset_s - self._offset_s) > CLOCK_STEP_S:
             self._offset_s = offset_s
         return at_s + self._offset_s
-
-
-def make_cell(family: Family, code: Code) -> Cell:
-    """Return an empty cell with what the family's description says of the code."""
-    info = family.info(code)
-    if info is None:
-        return Cell(code, "", None, None)
-    return Cell(code, info.name, info.unit, info.format.value)
-
-
-def set_remark(remarks: dict[str, str], key: str, text: str | None) -> bool:
-    """Set or clear one remark; return whether that changed anything."""
-    if remarks.get(key) == text:
-        return False
-    if text is None:
-        del remarks[key]
-    else:
-        remarks[key] = text
-    return True
 
 
 def with_cause(what: str, cause: str) -> str:

@@ -104,6 +104,10 @@ class DriveDocument(Document):
     state: Annotated[str, Field(description="starting, online, degraded or offline")]
     reason: str | None
     since: str
+    states: Annotated[
+        list[str] | None,
+        Field(description="What its status words show; null while they are not known well"),
+    ]
     fault: Annotated[FaultDocument | None, Field(description="Null: none is shown")]
     remarks: dict[str, str]
     identity: Annotated[dict[str, str], Field(description="What it said of itself, by code")]

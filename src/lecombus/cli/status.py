@@ -76,6 +76,7 @@ def _show_drive(drive: Document) -> None:
         why = _why(drive)
         state = table_text(drive.get("state")) + (f", {why}" if why else "")
         click.echo(f"{name} at address {drive.get('address')} ({drive.get('family')}): {state}")
+        _show_states(drive.get("states"))
         _show_fault(drive.get("fault") or {})
     rows = [
         (
@@ -91,6 +92,13 @@ def _show_drive(drive: Document) -> None:
         for quality, reason in [quality_of(value)]
     ]
     show_rows(("code", "name", "value", "unit", "quality", "age", "why"), rows)
+
+
+def _show_states(states: Sequence[str] | None) -> None:
+    """Print what the status words show; nothing is printed while that is not known well."""
+    if states is not None:
+        named = ", ".join(state.replace("_", " ") for state in states)
+        click.echo(f"  its status words show: {named or 'nothing of note'}")
 
 
 def _show_fault(fault: Document) -> None:

@@ -86,7 +86,7 @@ class Audit:
         action = None
         async with turn():
             station = await self._gates.check_addressing(entry, station)
-            await self._learn_control_word(station)
+            await self._learn_words(station)
             known = await self._gates.check_identity(entry, station)
             gate = station.family.software
             if gate is not None:
@@ -97,9 +97,14 @@ class Audit:
             async with turn():
                 await self._watchdogs.settle(entry, station, traits, action)
 
-    async def _learn_control_word(self, station: Station) -> None:
-        """A quick stop changes one bit of it and must not wait for reading it first."""
-        for code in {rule.code for rule in station.family.stops.values() if rule.value is None}:
+    async def _learn_words(self, station: Station) -> None:
+        """Read the control word, and before it the code that decides what its bits mean.
+
+        A quick stop changes one bit of the control word and must not wait for reading it first.
+        """
+        family = station.family
+        stops = {rule.code for rule in family.stops.values() if rule.value is None}
+        for code in filter(None, (family.configured_by, *stops)):
             with contextlib.suppress(UnknownCodeError):  # its quick stop will be an inhibit
                 await self._requests.read(station, code, Priority.INTERACTIVE, timeout_s=PATIENCE_S)
 

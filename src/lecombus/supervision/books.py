@@ -16,6 +16,7 @@ from lecombus.protocol.exchange import ResultKind
 from lecombus.protocol.telegrams import AckAnswer, NakAnswer, UnknownCodeAnswer, ValueAnswer
 from lecombus.readings import LineState
 from lecombus.store import Store
+from lecombus.supervision.configurations import Configurations
 from lecombus.supervision.fault_watch import FaultWatch
 from lecombus.supervision.health import Health
 
@@ -39,6 +40,7 @@ class Books:
         health: Judges the drives.
         words: Control words.
         faults: Watches for faults.
+        configurations: Follows the signal configurations.
         is_drive: Whether a name is a drive of the roster and has this address (None: any): it
             may have left the roster meanwhile, or come back as another device.
     """
@@ -50,6 +52,7 @@ class Books:
         health: Health,
         words: ControlWords,
         faults: FaultWatch,
+        configurations: Configurations,
         is_drive: Callable[[str, int | None], bool],
     ) -> None:
         self._store = store
@@ -59,6 +62,7 @@ class Books:
         self._is_drive = is_drive
         self._faults = faults
         self.disturbances = 0
+        self._configurations = configurations
 
     def exchange_ended(self, report: ExchangeReport) -> None:
         """Book one exchange."""
@@ -74,11 +78,13 @@ class Books:
             if kind is StepKind.WRITE and type(answer) is not NakAnswer:
                 self._store.value_written(report.drive, report.step.code)
                 self._words.disturbed(report.drive, report.step.code)
+                self._configurations.written(report.drive, report.step.code)
             if type(answer) is ValueAnswer:
                 code = report.step.code
                 self._store.value_read(report.drive, code, answer.value, result.ended_s)
                 self._words.seen(report.drive, code, answer.value)
                 self._faults.seen(report.drive, code, answer.value)
+                self._configurations.seen(report.drive, code, answer.value)
             elif not (type(answer) is AckAnswer and kind is StepKind.WRITE):
                 outcome = self._book_failure(report, outcome)
             elif report.step.value is not None:
@@ -91,12 +97,14 @@ class Books:
     def forget(self, drive: str) -> None:
         """The drive has left the roster; what comes back by its name may be another device."""
         self._faults.forget(drive)
+        self._configurations.forget(drive)
 
     def _book_multicast(self, report: ExchangeReport) -> None:
         code, value = report.step.code, report.step.value
         for member in report.members:
             if self._is_drive(member, None):
                 self._store.value_written(member, code)
+                self._configurations.written(member, code)
             self._words.disturbed(member, code)
             if value is not None and report.result.kind is ResultKind.SENT:
                 self._words.seen(member, code, value)

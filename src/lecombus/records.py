@@ -1,0 +1,71 @@
+"""What the store keeps of a drive and of each of its codes, and changes as the line works.
+
+Mutable on purpose: these stand behind every exchange. Nobody but the store holds on to one; what
+others are given are the frozen snapshots of `readings`.
+
+What must not live here: how quality is decided, and who is told of a change (`store`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from lecombus.readings import ActiveFault, DriveState
+
+if TYPE_CHECKING:
+    from lecombus.drives import Family
+    from lecombus.protocol.addressing import Code
+    from lecombus.protocol.values import Value
+
+__all__ = ["Cell", "DriveRecord", "make_cell", "set_remark"]
+
+
+@dataclass(slots=True, eq=False)
+class Cell:
+    """What is known of one code of one drive. `value` None: never read."""
+
+    code: Code
+    name: str
+    unit: str | None
+    format: str | None
+    every_s: float | None = None
+    value: Value | None = None
+    at_s: float = 0.0
+    failure: str | None = None
+
+
+@dataclass(slots=True, eq=False)
+class DriveRecord:
+    """What is known of one drive."""
+
+    name: str
+    address: int
+    family: Family
+    since_s: float
+    state: DriveState = DriveState.STARTING
+    reason: str = ""
+    remarks: dict[str, str] = field(default_factory=dict)
+    identity: dict[str, str] = field(default_factory=dict)
+    cells: dict[Code, Cell] = field(default_factory=dict)
+    on_demand: dict[Code, None] = field(default_factory=dict)
+    fault: ActiveFault | None = None
+
+
+def make_cell(family: Family, code: Code) -> Cell:
+    """Return an empty cell with what the family's description says of the code."""
+    info = family.info(code)
+    if info is None:
+        return Cell(code, "", None, None)
+    return Cell(code, info.name, info.unit, info.format.value)
+
+
+def set_remark(remarks: dict[str, str], key: str, text: str | None) -> bool:
+    """Set or clear one remark; return whether that changed anything."""
+    if remarks.get(key) == text:
+        return False
+    if text is None:
+        del remarks[key]
+    else:
+        remarks[key] = text
+    return True

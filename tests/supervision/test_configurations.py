@@ -1,0 +1,173 @@
+"""The signal configuration of a 93XX decides what its words mean, as soon and as long as known."""
+
+from __future__ import annotations
+
+from decimal import Decimal
+
+import pytest
+
+from lecombus.drives import Family, family
+from lecombus.errors import LineLostError
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+from lecombus.readings import DriveState
+from lecombus.schedule import Outcome, Settle
+from lecombus.supervision.configurations import Configurations
+from support.site_host import Plant, roster_of, until, with_plant
+
+C0005, C0135, C0150 = Code(5), Code(135), Code(150)
+
+
+class Post:
+    """Follows one drive."""
+
+    def __init__(self, kind: str = "93xx") -> None:
+        self.taken: list[str] = []
+        self.asked: list[Code] = []
+        self.deaf = False
+        self.following = Configurations(self._change, self._ask)
+        self.following.watch("a", family(kind))
+
+    def _change(self, drive: str, found: Family) -> None:
+        self.taken.append(found.configuration)
+
+    def _ask(self, drive: str, code: Code, settle: Settle) -> None:
+        if self.deaf:
+            raise LineLostError("no line")
+        self.asked.append(code)
+        settle(Outcome.DONE, "")
+
+    def reads(self, raw: str, code: Code = C0005) -> None:
+        self.following.seen("a", code, Value.parse(raw))
+
+
+def test_a_change_is_told_once() -> None:
+    post = Post()
+    for raw in ("1001", "1001", "1011", "5001", "72000", "72000", "1001"):
+        post.reads(raw)
+    assert post.taken == ["1xx1", "5xx1", "", "1xx1"]
+
+
+@pytest.mark.parametrize("raw", ["1001.5", "S1001", "O01"])
+def test_what_is_no_number_is_no_configuration(raw: str) -> None:
+    post = Post()
+    post.reads("1001")
+    post.reads(raw)
+    assert post.taken == ["1xx1", ""]
+
+
+def test_after_a_write_nothing_is_known_until_it_is_read() -> None:
+    post = Post()
+    post.reads("1001")
+    post.following.written("a", C0135)
+    assert (post.taken, post.asked) == (["1xx1"], [])
+    post.following.written("a", C0005)
+    assert (post.taken, post.asked) == (["1xx1", ""], [C0005])
+    post.deaf = True
+    post.following.written("a", C0005)
+    assert post.taken == ["1xx1", ""]
+
+
+def test_other_codes_families_and_drives_say_nothing() -> None:
+    post = Post()
+    post.reads("1001", C0135)
+    post.following.seen("b", C0005, Value.decimal(1001))
+    post.following.forget("a")
+    post.reads("1001")
+    inverter = Post("8200vector")
+    inverter.reads("1001")
+    inverter.following.written("a", C0005)
+    assert (post.taken, inverter.taken, inverter.asked) == ([], [], [])
+
+
+ROSTER = roster_of([("a", 11, "93xx"), ("b", 12, "8200vector")], drive=", writable: [C0005, C0040]")
+
+
+def configuration(plant: Plant, drive: str = "a") -> str:
+    known = plant.site.store.family(drive).configuration
+    assert plant.site.requests.station(drive).family.configuration == known
+    return known
+
+
+def states(plant: Plant, drive: str = "a") -> tuple[str, ...] | None:
+    found = plant.site.store.drive(drive).states
+    return None if found is None else tuple(state.value for state in found)
+
+
+def test_it_is_read_at_the_audit_and_kept_until_the_next() -> None:
+    async def test(plant: Plant) -> None:
+        plant.line["a"].model.params.set(5, "5001")
+        await plant.online()
+        assert configuration(plant) == "5xx1"
+        assert configuration(plant, "b") == ""
+        plant.line.faults.absent = {11}
+        await until(lambda: plant.state("a") is DriveState.OFFLINE)
+        assert configuration(plant) == "5xx1"
+        assert states(plant) is None
+        plant.line["a"].model.params.set(5, "4001")
+        plant.line.faults.absent = set()
+        await plant.online()
+        assert configuration(plant) == "4xx1"
+
+    with_plant(test, ROSTER)
+
+
+def test_a_write_of_it_is_followed() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        assert configuration(plant) == "1xx1"
+        operations = plant.site.operations
+        await operations.write("a", Code(40), Decimal(0))
+        report = await operations.write("a", C0005, Decimal(4001))
+        assert report.outcome is Outcome.DONE
+        await until(lambda: configuration(plant) == "4xx1", within_s=1.0)
+
+    with_plant(test, ROSTER)
+
+
+def test_a_reload_that_changes_the_drive_reads_it_anew() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.apply(ROSTER.replace("C0005, ", ""))
+        assert configuration(plant) == ""
+        await plant.online()
+        assert configuration(plant) == "1xx1"
+
+    with_plant(test, ROSTER)
+
+
+def test_states_and_status_bits_follow_it() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await until(lambda: states(plant) is not None)
+        shown = states(plant)
+        assert shown is not None
+        assert "ready" in shown
+        assert "inhibited" in shown or "enabled" in shown
+        page = (await plant.site.metrics.fresh_page(openmetrics=False)).decode()
+        assert 'drive="a",code="C0150",bit="ready"} 1' in page
+        assert 'drive="b",code="C0150",bit="ready"}' not in page
+        plant.site.store.value_failed("a", C0150, "no answer")
+        assert states(plant) is None
+        await until(lambda: states(plant) is not None)
+
+    with_plant(test, ROSTER)
+
+
+def test_states_are_shown_only_from_good_values() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await until(lambda: states(plant, "c") is not None)
+        store = plant.site.store
+        await plant.site.operations.write("c", Code(40), Decimal(1))
+        await plant.site.operations.write("c", Code(135), "H0008")
+        await until(lambda: "quick_stop" in (states(plant, "c") or ()), within_s=30.0)
+        store.value_failed("c", Code(68), "no answer")
+        shown = states(plant, "c")
+        assert shown is not None
+        assert "quick_stop" not in shown
+        plant.line.faults.absent = {13}
+        await until(lambda: states(plant, "c") is None, within_s=30.0)
+        assert store.drive("c").as_json()["states"] is None
+
+    with_plant(test, roster_of([("c", 13, "821x")]))
