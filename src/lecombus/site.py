@@ -23,10 +23,10 @@ from lecombus.line.worker import LineWorker, WorkerOptions
 from lecombus.metrics import Figures, Metrics
 from lecombus.operations.control_words import ControlWords
 from lecombus.operations.custody import Custody
-from lecombus.operations.group_operations import GroupOperations
 from lecombus.operations.identities import Identities
 from lecombus.operations.request_maker import RequestMaker
 from lecombus.operations.requests import Requests
+from lecombus.operations.verb_operations import VerbOperations
 from lecombus.protocol.addressing import Code
 from lecombus.schedule import Cyclic, Priority, Schedule, Settle
 from lecombus.state import State
@@ -119,9 +119,10 @@ class Site:
             self.requests, self.schedule, self.store, clock, self.health, self.identities,
             self.words,
         )  # fmt: skip
-        self.operations = GroupOperations(
-            self.requests, self.store, self.words, clock, lambda: books.disturbances
-        )
+        self.operations = VerbOperations(
+            self.requests, self.store, self.words, clock, lambda: books.disturbances,
+            self.health.restarted,
+        )  # fmt: skip
         self.custody = Custody(self.identities)
         self._cyclic: dict[str, list[object]] = {}
         self._entries: dict[str, DriveEntry] = {}

@@ -272,6 +272,7 @@ async def test_openapi_describes_every_path_and_refers_to_nothing_missing(
         "/v1/drives/{drive}/accept",
         "/v1/drives/{drive}/identity",
         "/v1/drives/{drive}/restore",
+        "/v1/drives/{drive}/verbs/{verb}",
         "/v1/drives/{drive}/codes/{code}",
         "/v1/drives/{drive}/codes/{code}/{subcode}",
         "/v1/groups",

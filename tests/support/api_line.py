@@ -11,12 +11,18 @@ import anyio
 from fastapi import FastAPI
 
 from lecombus.api import create_app
-from lecombus.drives import StopAction, family
+from lecombus.drives import StopAction, Verb, family
 from lecombus.errors import LecombusError
 from lecombus.metrics import Metrics
 from lecombus.operations.address_reads import Heard, HeardKind
 from lecombus.operations.identities import IdentityReport
-from lecombus.operations.reports import GroupInfo, GroupReport, RestoreRights, WriteReport
+from lecombus.operations.reports import (
+    GroupInfo,
+    GroupReport,
+    RestoreRights,
+    VerbReport,
+    WriteReport,
+)
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value
 from lecombus.schedule.request import Outcome, Priority
@@ -101,6 +107,23 @@ class FakeOperations:
     async def stop(self, action: StopAction, target: str) -> GroupReport:
         await self._ask("stop", action, target)
         return self._group_report(target, Code(135))
+
+    async def verb(
+        self,
+        drive: str,
+        verb: Verb,
+        *,
+        value: Decimal | None = None,
+        unit: str = "",
+        expires_s: float | None = None,
+        verify: bool = False,
+    ) -> VerbReport:
+        await self._ask("verb", drive, verb, value, unit, expires_s, verify)
+        report = self.report(drive, Code(40))
+        return VerbReport(
+            drive, verb, report.outcome, report.reason, report.cause, report.kind, report.remedy,
+            ("enabled",), ((Code(40), "1"),),
+        )  # fmt: skip
 
     def restore_rights(self, drive: str) -> RestoreRights:
         self.store.drive(drive)

@@ -65,6 +65,7 @@ from lecombus.api.exact import encode, short
 from lecombus.api.idempotency import Idempotency, SharedStops
 from lecombus.api.problems import Problem, problem_of, report_problem
 from lecombus.api.seam import CustodyPort, OperationsPort
+from lecombus.api.verbs import add_verbs
 from lecombus.errors import LecombusError
 from lecombus.metrics import OPENMETRICS_TYPE, TEXT_TYPE, Metrics, wants_openmetrics
 from lecombus.readings import DriveInfo, Json
@@ -123,6 +124,7 @@ def create_app(
     add_addresses(app, ops)
     add_writes(app, ops, keys)
     add_group_writes(app, ops, keys)
+    add_verbs(app, ops, keys)
     add_custody(app, custody, keys)
     add_service(app, metrics, ready, healthy)
     add_description(app)

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping
 from decimal import Decimal
 from difflib import get_close_matches
 from enum import StrEnum
-from typing import Annotated, Final, TypeVar
+from typing import Annotated, ClassVar, Final, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema, field_validator
 from starlette.requests import ClientDisconnect, Request
@@ -30,8 +30,10 @@ __all__ = [
     "AcceptBody",
     "Body",
     "DriveWriteBody",
+    "SpeedBody",
     "StopBody",
     "Urgency",
+    "VerbBody",
     "WriteBody",
     "check_query",
     "read_body",
@@ -59,6 +61,7 @@ RIGHT: Final[Mapping[str, str]] = {
     "restore": "true or false",
     "action": '"quick-stop" or "inhibit"',
     "identity": 'what the drive said of itself, such as {"C1810": "33S2102I_10000"}',
+    "unit": '"Hz", or "%" of the highest frequency or speed',
     "target": 'the name of a drive or a group, or "all"',
 }
 """What each key takes, for messages."""
@@ -96,6 +99,9 @@ class Body(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
+    right: ClassVar[Mapping[str, str]] = {}
+    """What a key takes here, where that is not what it takes elsewhere."""
+
 
 class WriteBody(Body):
     """What to write, how long it may wait, and whether to read it back."""
@@ -129,9 +135,7 @@ class WriteBody(Body):
     @classmethod
     def bounded(cls, value: int | Decimal | str | None) -> int | Decimal | str | None:
         """Refuse durations out of range."""
-        if value is not None and not 0 < float(seconds_of(value)) <= LONGEST_EXPIRY_S:
-            raise ValueError(RIGHT["expires"])
-        return value
+        return in_bounds(value)
 
     @property
     def expires_s(self) -> float | None:
@@ -171,10 +175,63 @@ class StopBody(Body):
     target: Annotated[str, Field(min_length=1, max_length=200, description=RIGHT["target"])]
 
 
+class VerbBody(Body):
+    """How long a verb may wait before its first write."""
+
+    expires: Annotated[
+        Number | None,
+        Field(description=f"Not begun any more after this: {RIGHT['expires']}"),
+    ] = None
+
+    @field_validator("expires")
+    @classmethod
+    def bounded(cls, value: int | Decimal | str | None) -> int | Decimal | str | None:
+        """Refuse durations out of range."""
+        return in_bounds(value)
+
+    @property
+    def expires_s(self) -> float | None:
+        """How long the verb may wait, seconds."""
+        return None if self.expires is None else float(seconds_of(self.expires))
+
+
+class SpeedBody(VerbBody):
+    """A speed with its unit."""
+
+    right: ClassVar[Mapping[str, str]] = {"value": "a number such as 35.4"}
+
+    value: Annotated[
+        int | Decimal,
+        Field(union_mode="left_to_right", description="The speed"),
+        WithJsonSchema({"type": "number"}),
+    ]
+    unit: Annotated[str, Field(min_length=1, max_length=20, description=RIGHT["unit"])]
+    verify: Annotated[bool | None, Field(description="Read it back and compare")] = None
+
+    @field_validator("value")
+    @classmethod
+    def writable(cls, value: int | Decimal) -> int | Decimal:
+        """Refuse numbers that take a megabyte to write out."""
+        if abs(Decimal(value).adjusted()) > EXPONENT_LIMIT:
+            raise ValueError("too big or too small")
+        return value
+
+
 class AcceptBody(Body):
     """The identity that whoever accepts a drive has seen."""
 
     identity: Annotated[dict[str, str], Field(description=RIGHT["identity"])]
+
+
+def in_bounds(value: int | Decimal | str | None) -> int | Decimal | str | None:
+    """Return a duration that a request may wait.
+
+    Raises:
+        ValueError: It is none; pydantic makes a mistake of it.
+    """
+    if value is not None and not 0 < float(seconds_of(value)) <= LONGEST_EXPIRY_S:
+        raise ValueError(RIGHT["expires"])
+    return value
 
 
 def seconds_of(value: int | Decimal | str) -> Decimal:
@@ -194,13 +251,20 @@ def seconds_of(value: int | Decimal | str) -> Decimal:
 B = TypeVar("B", bound=Body)
 
 
-async def read_body(request: Request, model: type[B]) -> tuple[B, bytes]:
+async def read_body(
+    request: Request, model: type[B], *, may_be_empty: bool = False
+) -> tuple[B, bytes]:
     """Return a request's body, checked, and its bytes.
+
+    Args:
+        request: The request.
+        model: What it must be.
+        may_be_empty: No body at all stands for one without keys.
 
     Raises:
         ProblemError: It is too big, not JSON, or not what is asked for.
     """
-    raw = await bounded_bytes(request)
+    raw = await bounded_bytes(request) or (b"{}" if may_be_empty else b"")
     try:
         given = decode(raw)
     except NotJsonError as exc:
@@ -272,11 +336,12 @@ def mistake_text(error: Mapping[str, object], given: Mapping[str, object], model
     key = str(place[0]) if isinstance(place, tuple) and place else ""
     if error["type"] == "extra_forbidden":
         return f"there is no key {short(key)}: {nearest(key, tuple(model.model_fields))}"
-    if key not in RIGHT:
+    right = {**RIGHT, **model.right}
+    if key not in right:
         return "a key is not text: it holds one half of a character"
     if error["type"] == "missing":
-        return f"key {key} is missing: it takes {RIGHT[key]}"
-    return f"{key} takes {RIGHT[key]}, not {shown(given.get(key))}"
+        return f"key {key} is missing: it takes {right[key]}"
+    return f"{key} takes {right[key]}, not {shown(given.get(key))}"
 
 
 def shown(value: object) -> str:
@@ -295,6 +360,10 @@ def example(model: type[Body]) -> str:
     """Return a right body, for messages."""
     if model is StopBody:
         return '{"action": "quick-stop", "target": "all"}'
+    if model is SpeedBody:
+        return '{"value": 35.4, "unit": "Hz"}'
+    if model is VerbBody:
+        return "{}"
     if model is AcceptBody:
         return '{"identity": {"C1810": "33S2102I_10000"}}'
     return '{"value": 35.4, "expires": "2s", "verify": true}'

@@ -47,7 +47,8 @@ taken but not counted yet, or cut but not closed yet: about four rounds of the l
 
 FEWEST_CONNECTIONS: Final = 8
 
-STOP_PATH: Final = "/v1/stop"
+STOP_PATHS: Final = ("/v1/stop", "/verbs/inhibit", "/verbs/quick-stop")
+"""How the path of a stop ends."""
 
 
 class Crowd:
@@ -65,7 +66,7 @@ class Crowd:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
-        if scope["type"] != "http" or scope["path"] == STOP_PATH:
+        if scope["type"] != "http" or scope["path"].endswith(STOP_PATHS):
             await self._app(scope, receive, send)
             return
         waits = needs_line(scope)

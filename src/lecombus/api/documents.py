@@ -29,6 +29,7 @@ __all__ = [
     "ReadingDocument",
     "RestoreDocument",
     "StatusDocument",
+    "VerbDocument",
     "problem_responses",
 ]
 
@@ -184,6 +185,36 @@ class OutcomeDocument(Document):
     reason: str | None
     cause: str | None
     remedy: str | None
+    reading: Annotated[ReadingDocument | None, Field(description="What was read back")]
+
+
+class WrittenDocument(Document):
+    """One value that a verb wrote."""
+
+    code: str
+    subcode: int
+    raw: Annotated[str, Field(description="As on the wire")]
+
+
+class VerbDocument(Document):
+    """How a verb ended."""
+
+    drive: str
+    verb: str
+    outcome: Annotated[
+        str, Field(description="done, verified, refused, expired, superseded or unknown")
+    ]
+    reason: str | None
+    cause: str | None
+    remedy: str | None
+    states: Annotated[
+        list[str],
+        Field(
+            description="What the drive shows afterwards: fault, inhibited, quick-stop or enabled; "
+            "empty where it was not read"
+        ),
+    ]
+    written: Annotated[list[WrittenDocument], Field(description="What was written, in order")]
     reading: Annotated[ReadingDocument | None, Field(description="What was read back")]
 
 

@@ -26,7 +26,7 @@ What must not live here: HTTP routing, and deciding what went wrong.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from starlette.responses import Response
@@ -47,7 +47,7 @@ from lecombus.errors import (
     ScheduleError,
     UnknownCodeError,
 )
-from lecombus.operations.reports import GroupReport, WriteReport
+from lecombus.operations.reports import GroupReport, VerbReport, WriteReport
 from lecombus.readings import Json
 from lecombus.schedule.request import Outcome
 
@@ -59,6 +59,7 @@ __all__ = [
     "group_problem",
     "problem_of",
     "report_problem",
+    "verb_problem",
 ]
 
 PROBLEM_TYPE: Final = "application/problem+json"
@@ -82,6 +83,10 @@ STATUS_BY_KIND: Final[Mapping[str, tuple[int, str]]] = {
     "starting": (409, "Drive not audited yet"),
     "does-not-fit": (409, "Would make a watchdog feed late"),
     "no-stop": (409, "No such stop for this drive"),
+    "no-verb": (409, "No such verb for this drive"),
+    "setting": (409, "A setting of the drive stands against it"),
+    "fault-active": (409, "The drive has a fault"),
+    "busy": (409, "Another verb is under way"),
     "other-identity": (409, "Another drive than it should be"),
     "no-control-word": (409, "Control word not known"),
     "too-big": (413, "Body too big"),
@@ -252,6 +257,26 @@ def report_problem(report: WriteReport) -> Problem | None:
         remedy=report.remedy,
         outcome=report.outcome.value,
     )
+
+
+def verb_problem(report: VerbReport, more: Mapping[str, Json]) -> Problem | None:
+    """Return the problem of a verb that was not done, or None.
+
+    Args:
+        report: How it ended.
+        more: The members a verb's answer has besides.
+    """
+    like_a_write = WriteReport(
+        report.drive,
+        report.written[-1][0] if report.written else None,
+        report.outcome,
+        report.reason,
+        report.cause,
+        report.kind,
+        report.remedy,
+    )
+    problem = report_problem(like_a_write)
+    return None if problem is None else replace(problem, more=more)
 
 
 def group_problem(report: GroupReport, members: list[Json]) -> Problem | None:

@@ -11,10 +11,16 @@ from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from typing import Protocol
 
-from lecombus.drives import StopAction
+from lecombus.drives import StopAction, Verb
 from lecombus.operations.address_reads import Heard
 from lecombus.operations.identities import IdentityReport
-from lecombus.operations.reports import GroupInfo, GroupReport, RestoreRights, WriteReport
+from lecombus.operations.reports import (
+    GroupInfo,
+    GroupReport,
+    RestoreRights,
+    VerbReport,
+    WriteReport,
+)
 from lecombus.protocol.addressing import Code, Form
 from lecombus.schedule.request import Priority
 from lecombus.store import Reading
@@ -27,6 +33,7 @@ __all__ = [
     "Reading",
     "RestoreRights",
     "StopAction",
+    "VerbReport",
     "WriteReport",
 ]
 
@@ -119,6 +126,22 @@ class OperationsPort(Protocol):
 
         Raises:
             LineError, OperationError: Nothing was sent.
+        """
+
+    async def verb(
+        self,
+        drive: str,
+        verb: Verb,
+        *,
+        value: Decimal | None = None,
+        unit: str = "",
+        expires_s: float | None = None,
+        verify: bool = False,
+    ) -> VerbReport:
+        """Have a drive do something and return what came of it.
+
+        Raises:
+            LineError, ScheduleError, OperationError, ExchangeError: Nothing was written.
         """
 
     def groups(self) -> Sequence[GroupInfo]:

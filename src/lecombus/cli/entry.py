@@ -36,6 +36,11 @@ COMMANDS = {
     "read": "Read one code of one drive.",
     "write": "Write one code of one drive.",
     "group": "Write one code of every drive of a group.",
+    "enable": "Release quick stop and inhibit of one drive: its motor may turn.",
+    "set-speed": "Give one drive its speed, in Hz or %.",
+    "reset-fault": "Reset the fault of one drive, which stays inhibited.",
+    "quick-stop": "Ramp drives down at once, before everything else.",
+    "inhibit": "Inhibit drives at once, before everything else.",
     "stop": "Stop drives at once, before everything else; all of them if none is named.",
     "accept": "Take another drive in the place of the one that was there.",
     "status": "Show the line and its drives, or one drive with its values.",
@@ -56,7 +61,7 @@ class _Commands(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        module = import_module(f"lecombus.cli.{cmd_name}")
+        module = import_module(f"lecombus.cli.{cmd_name.replace('-', '_')}")
         command: click.Command = module.command
         return command
 

@@ -24,6 +24,7 @@ __all__ = [
     "quality_of",
     "show_group",
     "show_reading",
+    "show_verb",
     "show_write",
     "status_of",
     "value_of",
@@ -120,16 +121,35 @@ def show_group(report: Document) -> Exit:
     return status_of(report)
 
 
+def show_verb(report: Document) -> Exit:
+    """Print how a verb ended.
+
+    Returns:
+        DONE for done and verified, FAILED for everything else.
+    """
+    shown = ", ".join(map(str, report.get("states") or ()))
+    cells = [table_text(report.get(key)) for key in ("drive", "verb", "outcome")]
+    rows = [(*cells, shown, _reads(report), _why(report))]
+    show_rows(("drive", "verb", "outcome", "shows", "reads", "why"), rows)
+    return status_of(report)
+
+
 def _show_outcomes(reports: Sequence[Document], title: str = "") -> None:
     rows = []
     for report in reports:
-        reading: Document = report.get("reading") or {}
-        if reading.get("quality") != "good":
-            reading = {}  # what was read before the write is not what it reads now
-        unit = table_text(reading.get("unit"))
-        reads = " ".join(filter(None, (value_of(reading), unit)))
-        said = [table_text(report.get(key)) for key in ("reason", "detail", "cause", "remedy")]
-        why = "; ".join(dict.fromkeys(part for part in said if part))
         drive, outcome = table_text(report.get("drive")), table_text(report.get("outcome"))
-        rows.append((drive, code_of(report), outcome, reads, why))
+        rows.append((drive, code_of(report), outcome, _reads(report), _why(report)))
     show_rows(("drive", "code", "outcome", "reads", "why"), rows, title=title)
+
+
+def _reads(report: Document) -> str:
+    """Return what was read back; what was read before the write is not what it reads now."""
+    reading: Document = report.get("reading") or {}
+    if reading.get("quality") != "good":
+        return ""
+    return " ".join(filter(None, (value_of(reading), table_text(reading.get("unit")))))
+
+
+def _why(report: Document) -> str:
+    said = [table_text(report.get(key)) for key in ("reason", "detail", "cause", "remedy")]
+    return "; ".join(dict.fromkeys(part for part in said if part))

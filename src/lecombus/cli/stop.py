@@ -5,9 +5,8 @@ from __future__ import annotations
 import click
 
 from lecombus.cli.arguments import daemon_options
-from lecombus.cli.client import connect
 from lecombus.cli.exits import CommandError, Exit, Problem
-from lecombus.cli.reports import show_group, status_of
+from lecombus.cli.verbs import stop
 
 __all__ = ["command"]
 
@@ -44,9 +43,4 @@ def command(
         raise CommandError(
             Exit.USAGE, Problem("a target and --all are both given", "leave one of them out")
         )
-    with connect(socket, url) as daemon:
-        answer = daemon.post("/v1/stop", {"action": action, "target": target or "all"})
-    if as_json:
-        click.echo(answer.text)
-        return status_of(answer.data)
-    return show_group(answer.data)
+    return stop(target or "all", action, socket=socket, url=url, as_json=as_json)

@@ -2,8 +2,9 @@
 
 Read `family` and `codes` for the models, `families/*.yaml` for what is known and from which
 manual, `loading` for how the one becomes the other. `words` takes status words apart, `faults`
-says what a fault number means, `stops` says how a drive is stopped and what shows it, `encoding`
-makes the value that is written, `costs` says how long an exchange takes and how long to wait.
+says what a fault number means, `stops` says how a drive is stopped and what shows it, `verbs` how
+it is enabled, given a speed and rid of a fault, `encoding` makes the value that is written, `costs`
+says how long an exchange takes and how long to wait.
 
 Pure: no input or output but the packaged data files, no clock, nothing of the line or the store.
 """
@@ -44,6 +45,7 @@ from .stops import (
     stop_value,
 )
 from .texts import Language, Text
+from .verb_rules import Verb, VerbRules
 from .words import FieldReading, WordField, WordInfo
 
 __all__ = [
@@ -71,6 +73,8 @@ __all__ = [
     "StopRule",
     "Storage",
     "Text",
+    "Verb",
+    "VerbRules",
     "WatchdogTraits",
     "WordField",
     "WordInfo",

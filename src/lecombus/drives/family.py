@@ -24,6 +24,7 @@ from .commands import ControlWordInfo
 from .faults import NO_FAULT, Fault, FaultKind, FaultTable, fault_table
 from .restoring import RestoreRule
 from .stops import StopAction, StopRule
+from .verb_rules import VerbRules
 from .words import FieldReading, WordInfo
 
 __all__ = [
@@ -133,6 +134,7 @@ class Family:
             name; empty where there are none.
         saved_by: The code that has to be written before stored values survive a power cycle; None
             where every write is stored at once.
+        verbs: How it is enabled, given a speed and rid of a fault; None where nothing is known.
     """
 
     name: str
@@ -157,6 +159,7 @@ class Family:
     configuration: str = ""
     variants: Mapping[str, Family] = field(default_factory=dict)
     restore: tuple[RestoreRule, ...] = ()
+    verbs: VerbRules | None = None
 
     @property
     def shortened_code(self) -> Code | None:

@@ -36,6 +36,8 @@ from .sections import (
     read_watchdog,
 )
 from .stops import StopAction, StopRule
+from .verb_rules import VerbRules
+from .verb_sections import read_verbs
 from .word_entries import WordBook
 
 __all__ = ["FAMILY_NAMES", "family", "load_family"]
@@ -142,6 +144,7 @@ class _Builder:
             set_offsets=offsets,
             saved_by=self._saved_by(codes),
             restore=tuple(self._restore(codes)),
+            verbs=self._verbs(codes),
         )
         for table in self._tables:
             table.done()
@@ -258,6 +261,10 @@ class _Builder:
                 item.fail(f"{rule.code} cannot be written", code=str(rule.code))
             stops[action] = rule
         return stops
+
+    def _verbs(self, codes: dict[Code, CodeInfo]) -> VerbRules | None:
+        item = self._single("verbs")
+        return read_verbs(item, self._manual, codes) if item is not None else None
 
     def _status(self, codes: dict[Code, CodeInfo]) -> Iterator[tuple[Code, float]]:
         seen: set[Code] = set()

@@ -20,6 +20,7 @@ from .stops import StopAction, StopProof, StopRule
 __all__ = [
     "read_answer_time",
     "read_form",
+    "read_proofs",
     "read_restore",
     "read_software",
     "read_stop",
@@ -124,23 +125,28 @@ def read_stop(table: Table, manual: str) -> tuple[StopAction, StopRule]:
     value, set_bits, clear_bits = table.get("value"), table.get("set"), table.get("clear")
     if (value is None) == (set_bits is None):
         table.fail("either value or set is right here")
-    proofs: dict[Code, StopProof] = {}
-    for item in table.take("proofs").items():
-        code, proof = _proof(item.table())
-        if code in proofs:
-            item.fail(f"{code} stands here twice", code=str(code))
-        proofs[code] = proof
     rule = StopRule(
         code=read_code_number(table.take("code")),
         value=Value.decimal(value.integer(0, WORD_MAX)) if value else None,
         set_mask=set_bits.integer(1, WORD_MAX) if set_bits else 0,
         clear_mask=clear_bits.integer(0, WORD_MAX) if clear_bits else 0,
-        proofs=proofs,
+        proofs=read_proofs(table.take("proofs")),
         source=read_source(table, manual),
     )
     action = read_choice(table.take("action"), StopAction)
     table.done()
     return action, rule
+
+
+def read_proofs(item: Item) -> dict[Code, StopProof]:
+    """Read what codes must show, the most telling first."""
+    proofs: dict[Code, StopProof] = {}
+    for one in item.items():
+        code, proof = _proof(one.table())
+        if code in proofs:
+            one.fail(f"{code} stands here twice", code=str(code))
+        proofs[code] = proof
+    return proofs
 
 
 def _proof(table: Table) -> tuple[Code, StopProof]:

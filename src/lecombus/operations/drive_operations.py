@@ -228,24 +228,7 @@ class Operations:
             check_restored(self.restore_rights(drive), station.family, code, value)
         else:
             self.check_writable(drive, code)
-        state = self._store.drive(drive)
-        # Without a line no drive answers: the worker says so when it is asked, and why.
-        is_open = self._store.line().state is LineState.OPEN
-        if is_open and state.state in (DriveState.OFFLINE, DriveState.STARTING):
-            raise OperationError(
-                f"{drive} is {state.state.value}: {state.reason}",
-                kind="offline" if state.state is DriveState.OFFLINE else "starting",
-                drive=drive,
-                code=str(code),
-                remedy="nothing was sent; a drive is written to once it answers and was audited",
-            )
-        if state.write_lock is not None:
-            raise OperationError(
-                f"nothing is written to {drive}: {state.write_lock}",
-                kind="locked",
-                drive=drive,
-                code=str(code),
-            )
+        self.check_ready(drive, code)
         try:
             return encode_for(station.family, code, value)
         except CodeValueError as exc:
@@ -266,6 +249,32 @@ class Operations:
         station = self._requests.station(drive)
         locked = self._store.drive(drive).write_lock
         return rights_of(self._entries[drive], station.family, locked)
+
+    def check_ready(self, drive: str, code: Code | None = None) -> None:
+        """Refuse to write to a drive that is away, not audited yet, or locked.
+
+        Raises:
+            OperationError: `offline`, `starting` or `locked`.
+        """
+        told = "" if code is None else str(code)
+        state = self._store.drive(drive)
+        # Without a line no drive answers: the worker says so when it is asked, and why.
+        is_open = self._store.line().state is LineState.OPEN
+        if is_open and state.state in (DriveState.OFFLINE, DriveState.STARTING):
+            raise OperationError(
+                f"{drive} is {state.state.value}: {state.reason}",
+                kind="offline" if state.state is DriveState.OFFLINE else "starting",
+                drive=drive,
+                code=told,
+                remedy="nothing was sent; a drive is written to once it answers and was audited",
+            )
+        if state.write_lock is not None:
+            raise OperationError(
+                f"nothing is written to {drive}: {state.write_lock}",
+                kind="locked",
+                drive=drive,
+                code=told,
+            )
 
     def check_writable(self, drive: str, code: Code) -> None:
         """Refuse a code that the roster does not let be written.

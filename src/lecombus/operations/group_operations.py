@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
@@ -91,6 +92,7 @@ class GroupOperations(Operations):
         super().__init__(requests, store, words, clock, disturbances)
         self._stops: dict[tuple[str, StopAction], _OpenStop] = {}
         self._shared: dict[tuple[str, StopAction], Request] = {}
+        self._stops_said: Counter[str] = Counter()
 
     def groups(self) -> Sequence[GroupInfo]:
         """The groups of the roster and how each is spoken to."""
@@ -364,6 +366,7 @@ class GroupOperations(Operations):
 
     def _say_stop(self, station: Station, action: StopAction, *, said: bool) -> Ending:
         """Send a stop to one drive; one like it that waits to be said stands for this one too."""
+        self._stops_said[station.name] += 1
         ending = Ending()
         waiting = self._stops.get((station.name, action))
         same = waiting is not None and station_of(waiting.request) is station

@@ -10,11 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from lecombus.drives import Verb
 from lecombus.protocol.addressing import Code
 from lecombus.readings import Json, Reading
 from lecombus.schedule.request import Outcome
 
-__all__ = ["GroupInfo", "GroupReport", "How", "RestoreRights", "WriteReport"]
+__all__ = ["GroupInfo", "GroupReport", "How", "RestoreRights", "VerbReport", "WriteReport"]
 
 How = Literal["multicast", "one-by-one"]
 
@@ -42,6 +43,35 @@ class WriteReport:
     cause: str = ""
     kind: str = ""
     remedy: str = ""
+    reading: Reading | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class VerbReport:
+    """How a verb ended.
+
+    Args:
+        drive: The drive's name.
+        verb: What it was told to do.
+        outcome: The one outcome it had; `VERIFIED`: the drive shows it.
+        reason: What happened, in words.
+        cause: The likely cause where it was not done, in words; empty where none is known.
+        kind: A stable word for programs when it was not done.
+        remedy: What the user can do about it.
+        states: What the drive shows afterwards, such as `enabled`; empty where it was not read.
+        written: What was written, in order: code and value as on the wire.
+        reading: What was read back, where it was.
+    """
+
+    drive: str
+    verb: Verb
+    outcome: Outcome
+    reason: str = ""
+    cause: str = ""
+    kind: str = ""
+    remedy: str = ""
+    states: tuple[str, ...] = ()
+    written: tuple[tuple[Code, str], ...] = ()
     reading: Reading | None = None
 
 

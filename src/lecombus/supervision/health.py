@@ -116,6 +116,16 @@ class Health:
         elif kind is not ResultKind.LOST:
             self._missed(name, record, fault)
 
+    def restarted(self, name: str) -> None:
+        """A drive was made to start anew: what it forgot is put in order before it is online.
+
+        Source: EDB2102EN 6.4 (TRIP reset of 820X: drive and fieldbus module are initialised).
+        """
+        record = self._records.get(name)
+        if record is not None and record.state is not DriveState.OFFLINE:
+            self._set(name, record, DriveState.STARTING, "it was made to restart: to be audited")
+            self._wants_audit(name)
+
     def audited(self, name: str) -> None:
         """The keeper has found the drive in order, or has put it in order."""
         record = self._records.get(name)

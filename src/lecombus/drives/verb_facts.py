@@ -1,0 +1,120 @@
+"""What was just read from a drive, held against its family's rules for verbs.
+
+`Known` is what every verb is made from. A setting that the drive does not have objects to nothing,
+for the drive itself still does; a control word that is not known is never guessed.
+
+What must not live here: the verbs (`verbs`, `speeds`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from decimal import Decimal
+
+from lecombus.errors import OperationError
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+
+from .family import Family
+from .stops import usable_word
+from .verb_rules import Access, Condition, Demand, Verb, VerbRules
+
+__all__ = ["Known", "control_word", "demand_met", "holds", "objected", "objections", "rules_of"]
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What is known of a drive when a verb is asked for.
+
+    Args:
+        drive: Its name, for messages.
+        family: Its family.
+        values: What was just read; a code that the drive does not have is missing.
+    """
+
+    drive: str
+    family: Family
+    values: Mapping[Code, Value]
+
+    def number(self, code: Code) -> Decimal | int | None:
+        """Give the number a code holds, None where it is not known or none."""
+        value = self.values.get(code)
+        number = value.number if value is not None else None
+        return None if isinstance(number, str | bytes) else number
+
+
+def rules_of(drive: str, family: Family, verb: Verb) -> VerbRules:
+    """Give the family's rules.
+
+    Raises:
+        OperationError: `no-verb`: there are none.
+    """
+    if family.verbs is None:
+        raise OperationError(
+            f"{drive} is of family {family.name}, of which nothing is described: no {verb} is "
+            "known for it, nothing was sent",
+            kind="no-verb",
+            drive=drive,
+            remedy="write the code that its own manual names, or give the drive its family in "
+            "the roster",
+        )
+    return family.verbs
+
+
+def control_word(known: Known, rules: VerbRules) -> int:
+    """Give the control word that was read.
+
+    Raises:
+        OperationError: `no-control-word`: it was not, or what was read is none.
+    """
+    number = known.number(rules.control.code)
+    word = usable_word(number if isinstance(number, int) else None)
+    if word is None:
+        value = known.values.get(rules.control.code)
+        reads = f"reads {value.raw}" if value is not None else "is not there"
+        raise OperationError(
+            f"the control word {rules.control.code} of {known.drive} {reads}: its bits are not "
+            "guessed, nothing was sent",
+            kind="no-control-word",
+            drive=known.drive,
+            code=str(rules.control.code),
+            remedy="write the codes by hand if you know what they must be",
+        )
+    return word
+
+
+def holds(known: Known, condition: Condition | None) -> bool:
+    """Say whether a setting is as wanted; no condition always holds."""
+    return condition is None or condition.holds(known.values.get(condition.code))
+
+
+def objections(known: Known, rules: VerbRules, access: Access) -> Iterator[Demand]:
+    """Give the demands for an access that the drive's settings do not meet."""
+    for demand in rules.demands:
+        code = demand.condition.code
+        if access in demand.access and code in known.values and not holds(known, demand.condition):
+            yield demand
+
+
+def demand_met(known: Known, rules: VerbRules, access: Access) -> None:
+    """Refuse an access that the drive's settings keep closed.
+
+    Raises:
+        OperationError: `setting`, with the setting and its right value.
+    """
+    for objection in objections(known, rules, access):
+        raise objected(known, objection)
+
+
+def objected(known: Known, demand: Demand) -> OperationError:
+    """Make the refusal of a demand that is not met."""
+    code = demand.condition.code
+    return OperationError(
+        f"{code} of {known.drive} reads {known.values[code].raw}: with that it does not do what it "
+        "is told over the line, nothing was sent",
+        kind="setting",
+        drive=known.drive,
+        code=str(code),
+        remedy=demand.remedy,
+    )

@@ -1,0 +1,200 @@
+"""How a family is enabled, given a speed and rid of a fault: the models of `verbs` in its file.
+
+A person says "belt: 35 Hz"; what that is on the wire differs from family to family and with the
+drive's settings. The rules are data, so that an electrician can read them beside the manual: which
+bits of the control word mean what, which settings must be so before a write has any effect, where
+a setpoint goes in which unit. `verbs` makes telegrams of them, `verb_sections` reads them.
+
+What must not live here: values read from a drive, and what to do with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from decimal import Decimal
+from enum import StrEnum
+
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+
+from .stops import StopProof
+
+__all__ = [
+    "Access",
+    "Condition",
+    "ControlBits",
+    "Demand",
+    "EnableRule",
+    "ResetRule",
+    "SetpointRule",
+    "Verb",
+    "VerbRules",
+]
+
+
+class Verb(StrEnum):
+    """What a person can have a drive do."""
+
+    ENABLE = "enable"
+    INHIBIT = "inhibit"
+    QUICK_STOP = "quick-stop"
+    SET_SPEED = "set-speed"
+    RESET_FAULT = "reset-fault"
+
+
+class Access(StrEnum):
+    """What a setting of the drive can open or close to the line."""
+
+    CONTROL_WORD = "control-word"
+    ENABLE = "enable"
+    SETPOINT = "setpoint"
+    RESET = "reset"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Condition:
+    """A setting that has one of a few values.
+
+    Args:
+        code: The setting.
+        values: What it, or one digit of it, must be.
+        digit: 1 looks at the last digit only, 1000 at the fourth from the right; 0: at the whole.
+    """
+
+    code: Code
+    values: frozenset[int]
+    digit: int = 0
+
+    def holds(self, value: Value | None) -> bool:
+        """Say whether a setting that was read is as wanted; one that is not known is not."""
+        number = value.number if value is not None else None
+        if number is None or isinstance(number, str | bytes) or number != int(number):
+            return False
+        whole = int(number)
+        return (whole // self.digit % 10 if self.digit else whole) in self.values
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Demand:
+    """A setting without which the drive does not do what it is told over the line.
+
+    Args:
+        access: What it is needed for.
+        condition: The setting and its right values.
+        remedy: What to set, for people.
+        source: Manual and section.
+    """
+
+    access: frozenset[Access]
+    condition: Condition
+    remedy: str
+    source: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ControlBits:
+    """Bits of the control word.
+
+    Args:
+        code: The control word.
+        quick_stop: Set: quick stop.
+        inhibit: Set: controller inhibit.
+        reset_edge: Going from 0 to 1 resets a fault; 0 where no bit does.
+        direction: Set: counter-clockwise; 0 where the setpoint's sign says it.
+        jog: Not 0: a fixed setpoint is selected, and the line's has no effect.
+        jog_when: The settings in which they mean that; None: always.
+        source: Manual and section.
+    """
+
+    code: Code
+    quick_stop: int
+    inhibit: int
+    reset_edge: int
+    direction: int
+    jog: int
+    jog_when: Condition | None
+    source: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EnableRule:
+    """How an inhibit is lifted.
+
+    Args:
+        code: The code written.
+        value: The value written.
+        proofs: Status words that show that nothing inhibits the drive any more.
+        otherwise: What else may inhibit it, for people: terminals that no code shows.
+        source: Manual and section.
+    """
+
+    code: Code
+    value: Value
+    proofs: Mapping[Code, StopProof]
+    otherwise: str
+    source: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResetRule:
+    """How a fault is reset.
+
+    Args:
+        code: The code written; None where an inhibit and an enable after it do it, whereupon the
+            drive starts anew and does not answer.
+        value: The value written.
+        number: Where the number of the fault is read.
+        source: Manual and section.
+    """
+
+    code: Code | None
+    value: Value | None
+    number: Code
+    source: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SetpointRule:
+    """One way to give a speed.
+
+    Args:
+        code: The code written.
+        unit: Its unit, `Hz` or `%`.
+        low: The least value.
+        high: The greatest value.
+        step: What values are rounded to when they are converted, and may not be finer than.
+        least: The setting that holds the least value in force; None: `low` is it.
+        full_scale: The setting in Hz that 100 % stands for, and that a frequency may not exceed.
+        when: The setting in which the drive takes it from there; None: in every one.
+        source: Manual and section.
+    """
+
+    code: Code
+    unit: str
+    low: Decimal
+    high: Decimal
+    step: Decimal
+    least: Code | None
+    full_scale: Code | None
+    when: Condition | None
+    source: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VerbRules:
+    """Everything that verbs are made of in one family.
+
+    Args:
+        control: The control word.
+        demands: Settings that must be so.
+        enable: How an inhibit is lifted.
+        reset: How a fault is reset.
+        setpoints: The ways to give a speed, the first that fits counts.
+    """
+
+    control: ControlBits
+    demands: tuple[Demand, ...]
+    enable: EnableRule
+    reset: ResetRule
+    setpoints: tuple[SetpointRule, ...]

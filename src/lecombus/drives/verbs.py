@@ -1,0 +1,205 @@
+"""What a verb comes to on one drive: the steps to take, or a refusal with the setting to change.
+
+Strategy: everything here is a function of what is known (`Known`: the family's rules and the values
+just read from the drive). A verb that the drive's settings would leave without effect is refused
+before anything is sent, with the setting and its right value.
+
+Rules of safety held here: a drive with a fault is not enabled; a fault is reset only on a drive
+that is inhibited, so that no reset starts a motor. Setpoints are in `speeds`.
+
+What must not live here: reading and writing, time, who else may be writing.
+
+Source: EDB2102EN 5, 6.2 to 6.5, 8.2; CMVLC401A 4.2, 7.2, table 9.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from lecombus.errors import OperationError
+from lecombus.protocol.addressing import Code
+
+from .family import Family
+from .stops import StopAction, confirm_codes, stop_confirmed
+from .verb_facts import Known, control_word, demand_met, objected, objections, rules_of
+from .verb_rules import Access, Verb, VerbRules
+from .verb_steps import BitsStep, InhibitStep, RestartStep, VerbStep, WriteStep
+
+__all__ = [
+    "enable_shown",
+    "enable_steps",
+    "fault_number",
+    "has_fault",
+    "is_enabled",
+    "questions",
+    "reset_steps",
+    "states",
+]
+
+
+def questions(drive: str, family: Family, verb: Verb) -> tuple[Code, ...]:
+    """Name the codes whose values must be known before a verb is carried out.
+
+    Raises:
+        OperationError: `no-verb`.
+    """
+    rules = rules_of(drive, family, verb)
+    return tuple(dict.fromkeys(_questions(rules, verb)))
+
+
+def _questions(rules: VerbRules, verb: Verb) -> Iterator[Code]:
+    yield rules.control.code
+    wanted = {Verb.ENABLE: {Access.ENABLE, Access.CONTROL_WORD}, Verb.SET_SPEED: {Access.SETPOINT}}
+    for demand in rules.demands:
+        if demand.access & wanted.get(verb, {Access.RESET, Access.CONTROL_WORD}):
+            yield demand.condition.code
+    if verb is not Verb.SET_SPEED:
+        yield from rules.enable.proofs
+    if verb is Verb.RESET_FAULT:
+        yield from (code for code in (rules.reset.code, rules.reset.number) if code is not None)
+    if verb is Verb.SET_SPEED:
+        yield from _speed_questions(rules)
+
+
+def _speed_questions(rules: VerbRules) -> Iterator[Code]:
+    conditions = [rules.control.jog_when, *(rule.when for rule in rules.setpoints)]
+    yield from (one.code for one in conditions if one is not None)
+    for rule in rules.setpoints:
+        yield from (code for code in (rule.full_scale, rule.least) if code is not None)
+
+
+# ---- enable ---------------------------------------------------------------------------------
+
+
+def enable_steps(known: Known) -> tuple[VerbStep, ...]:
+    """Say how a drive is enabled: quick stop released first, then the inhibit lifted.
+
+    Returns:
+        The steps; none where neither inhibit nor quick stop is there.
+
+    Raises:
+        OperationError: `fault-active`, `setting`, `no-control-word`, `no-verb`.
+    """
+    rules = rules_of(known.drive, known.family, Verb.ENABLE)
+    if has_fault(known):
+        raise OperationError(
+            f"{known.drive} has an active fault: it is not enabled, nothing was sent",
+            kind="fault-active",
+            drive=known.drive,
+            remedy=f"reset it first (lecombus reset-fault {known.drive}); "
+            f"`lecombus why {known.drive}` says what it is",
+        )
+    steps: list[VerbStep] = []
+    bits = rules.control
+    word = control_word(known, rules)
+    stopping = word & (bits.quick_stop | bits.inhibit)
+    inhibited = bool(word & bits.inhibit) or not enable_shown(known)
+    objection = next(objections(known, rules, Access.CONTROL_WORD), None)
+    if word & bits.quick_stop and objection is not None:
+        raise objected(known, objection)
+    if stopping and objection is None:
+        steps.append(BitsStep(bits.code, clear_mask=bits.quick_stop | bits.inhibit))
+    if inhibited:
+        steps.append(WriteStep(rules.enable.code, rules.enable.value))
+    if steps:
+        demand_met(known, rules, Access.ENABLE)
+    return tuple(steps)
+
+
+def enable_shown(known: Known) -> bool:
+    """Say whether the drive's status words show that nothing inhibits it."""
+    rules = rules_of(known.drive, known.family, Verb.ENABLE)
+    return all(
+        code in known.values and proof.holds(known.values[code])
+        for code, proof in rules.enable.proofs.items()
+    )
+
+
+def is_enabled(known: Known) -> bool:
+    """Say whether the drive shows that it is enabled: no inhibit, no fault, no quick stop.
+
+    Its control word counts only where its settings let the line write it.
+    """
+    rules = rules_of(known.drive, known.family, Verb.ENABLE)
+    bits = rules.control
+    word = known.number(bits.code)
+    ours = next(objections(known, rules, Access.CONTROL_WORD), None) is None
+    stopped = ours and not (isinstance(word, int) and not word & bits.quick_stop)
+    return enable_shown(known) and not has_fault(known) and not stopped
+
+
+# ---- reset-fault ----------------------------------------------------------------------------
+
+
+def has_fault(known: Known) -> bool:
+    """Say whether a status word that was read reports an active fault."""
+    numbers = ((code, known.number(code)) for code in known.family.words)
+    return any(
+        isinstance(number, int) and known.family.active_fault(code, number)
+        for code, number in numbers
+    )
+
+
+def fault_number(known: Known) -> int | None:
+    """Give the number of the fault, None where it is not known."""
+    rules = rules_of(known.drive, known.family, Verb.RESET_FAULT)
+    number = known.number(rules.reset.number)
+    return int(number) if number else None
+
+
+def reset_steps(known: Known) -> tuple[VerbStep, ...]:
+    """Say how a fault is reset: always on an inhibited drive, so that no motor starts by it.
+
+    Returns:
+        The steps; none where no fault is active.
+
+    Raises:
+        OperationError: `setting`, `no-control-word`, `no-verb`.
+    """
+    rules = rules_of(known.drive, known.family, Verb.RESET_FAULT)
+    if not has_fault(known):
+        return ()
+    demand_met(known, rules, Access.RESET)
+    bits, reset = rules.control, rules.reset
+    if reset.code is None:
+        control_word(known, rules)
+        # The enable that resets it finds a quick stop, whether or not the drive starts anew.
+        return (
+            InhibitStep(),
+            BitsStep(bits.code, set_mask=bits.quick_stop | bits.inhibit),
+            RestartStep(bits.code, set_mask=bits.quick_stop, clear_mask=bits.inhibit),
+            InhibitStep(),
+        )
+    if reset.code in known.values or not bits.reset_edge:
+        assert reset.value is not None
+        return (InhibitStep(), WriteStep(reset.code, reset.value))
+    demand_met(known, rules, Access.CONTROL_WORD)
+    control_word(known, rules)
+    down = BitsStep(bits.code, clear_mask=bits.reset_edge)
+    return (InhibitStep(), down, BitsStep(bits.code, set_mask=bits.reset_edge), down)
+
+
+# ---- states ---------------------------------------------------------------------------------
+
+
+def states(known: Known) -> tuple[str, ...]:
+    """Name what the drive's words show that matters to whoever moves it; never that it turns."""
+    rules = known.family.verbs
+    if rules is None:
+        return ()
+    found: list[str] = []
+    if has_fault(known):
+        found.append("fault")
+    inhibit = StopAction.INHIBIT
+    first = confirm_codes(known.family, inhibit)[0]
+    value = known.values.get(first)
+    inhibited = value is not None and stop_confirmed(known.family, inhibit, first, value)
+    if inhibited:
+        found.append("inhibited")
+    word = known.number(rules.control.code)
+    stopped = isinstance(word, int) and bool(word & rules.control.quick_stop)
+    if stopped:
+        found.append("quick-stop")
+    if value is not None and not found:
+        found.append("enabled")
+    return tuple(found)

@@ -1,0 +1,322 @@
+"""What a verb comes to, given what is known of a drive: steps, or a refusal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from decimal import Decimal
+
+import pytest
+
+from lecombus.drives import FAMILY_NAMES, Verb, family
+from lecombus.drives.speeds import speed_step
+from lecombus.drives.verb_facts import Known
+from lecombus.drives.verb_steps import BitsStep, InhibitStep, RestartStep, WriteStep
+from lecombus.drives.verbs import (
+    enable_steps,
+    fault_number,
+    has_fault,
+    is_enabled,
+    questions,
+    reset_steps,
+    states,
+)
+from lecombus.errors import OperationError
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+
+DESCRIBED = [name for name in FAMILY_NAMES if name != "generic"]
+LATER_82XX = ["821x", "822x", "824x", "8200vector"]
+WORD, STATUS, ENABLE = Code(135), Code(150), Code(40)
+
+SETTINGS = {
+    "820x": {1: "3", 11: "50"},
+    "821x": {1: "3", 11: "50", 127: "0"},
+    "822x": {1: "3", 11: "50", 127: "0"},
+    "824x": {1: "3", 11: "50", 127: "0"},
+    "8200vector": {1: "3", 11: "50"},
+    "93xx": {5: "1011"},
+    "smvector": {1420: "3", 1103: "60"},
+}
+FAULT = {"820x": "H0180", "smvector": "H0180"}
+
+
+def known(name: str, word: str = "H0000", status: str = "H0000", **settings: str) -> Known:
+    """A drive as its settings (`c1="0"` changes C0001) and words describe it."""
+    values = {Code(number): Value.parse(text) for number, text in SETTINGS.get(name, {}).items()}
+    values |= {WORD: Value.parse(word), STATUS: Value.parse(status)}
+    for key, text in settings.items():
+        code = Code.parse(key[1:].replace("_", "/"))
+        if text:
+            values[code] = Value.parse(text)
+        else:
+            values.pop(code, None)
+    return Known("belt", family(name), values)
+
+
+def refused(given: Known, verb: Verb, number: str = "10", unit: str = "Hz") -> OperationError:
+    acts: dict[Verb, Callable[[], object]] = {
+        Verb.ENABLE: lambda: enable_steps(given),
+        Verb.RESET_FAULT: lambda: reset_steps(given),
+        Verb.SET_SPEED: lambda: speed_step(given, Decimal(number), unit),
+    }
+    with pytest.raises(OperationError) as caught:
+        acts[verb]()
+    assert caught.value.drive == "belt"
+    assert caught.value.remedy
+    return caught.value
+
+
+def speed(given: Known, number: str, unit: str) -> tuple[int, str]:
+    step = speed_step(given, Decimal(number), unit)
+    return step.code.number, step.value.raw
+
+
+# ---- enable ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", DESCRIBED)
+def test_enable_releases_quick_stop_and_inhibit_and_leaves_other_bits(name: str) -> None:
+    steps = enable_steps(known(name, "H120C", "H0080"))
+    assert steps == (BitsStep(WORD, clear_mask=0x0208), WriteStep(ENABLE, Value.decimal(1)))
+    assert isinstance(steps[0], BitsStep)
+    assert steps[0].applied(0x120C) == 0x1004
+
+
+@pytest.mark.parametrize("name", DESCRIBED)
+def test_enable_writes_only_what_keeps_the_drive_still(name: str) -> None:
+    assert enable_steps(known(name)) == ()
+    quick_stopped = known(name, "H0008")
+    assert enable_steps(quick_stopped) == (BitsStep(WORD, clear_mask=0x0208),)
+    inhibited = known(name, "H0000", "H0080")
+    assert enable_steps(inhibited) == (WriteStep(ENABLE, Value.decimal(1)),)
+
+
+@pytest.mark.parametrize("name", DESCRIBED)
+def test_a_drive_with_a_fault_is_not_enabled(name: str) -> None:
+    error = refused(known(name, "H0208", FAULT.get(name, "H0880")), Verb.ENABLE)
+    assert error.kind == "fault-active"
+    assert "reset-fault belt" in error.remedy
+    assert "lecombus why belt" in error.remedy
+
+
+@pytest.mark.parametrize(
+    ("name", "setting", "code", "remedy"),
+    [
+        ("820x", {"c1": "0"}, "C0001", "C0001 = 3"),
+        ("821x", {"c1": "1"}, "C0001", "C0001 = 3"),
+        ("8200vector", {"c1": "2"}, "C0001", "C0001 = 3"),
+        ("93xx", {"c5": "1000"}, "C0005", "1011"),
+        ("smvector", {"c1420": "2"}, "C1420", "P420 = 3"),
+        ("smvector", {"c1420": "0"}, "C1420", "P420 = 3"),
+    ],
+)
+def test_a_quick_stop_the_settings_do_not_let_us_release_is_refused_with_the_setting(
+    name: str, setting: dict[str, str], code: str, remedy: str
+) -> None:
+    error = refused(known(name, "H0008", **setting), Verb.ENABLE)
+    assert (error.kind, error.code) == ("setting", code)
+    assert remedy in error.remedy
+    assert "nothing was sent" in str(error)
+
+
+def test_82xx_is_enabled_by_c0040_whatever_c0001_is() -> None:
+    given = known("821x", "H0200", "H0080", c1="0")
+    assert enable_steps(given) == (WriteStep(ENABLE, Value.decimal(1)),)
+
+
+def test_smvector_below_level_3_is_not_enabled_even_by_c0040() -> None:
+    assert refused(known("smvector", "H0000", "H0080", c1420="2"), Verb.ENABLE).kind == "setting"
+
+
+def test_a_control_word_that_is_none_is_not_changed() -> None:
+    assert refused(known("821x", "Sabc"), Verb.ENABLE).kind == "no-control-word"
+    assert refused(known("821x", c135=""), Verb.ENABLE).kind == "no-control-word"
+
+
+@pytest.mark.parametrize("name", DESCRIBED)
+def test_enabled_is_what_the_words_show(name: str) -> None:
+    assert is_enabled(known(name))
+    assert not is_enabled(known(name, "H0008"))
+    assert not is_enabled(known(name, "H0000", "H0080"))
+    assert not is_enabled(known(name, "H0000", FAULT.get(name, "H0800")))
+    assert not is_enabled(known(name, c150=""))
+    assert not is_enabled(known(name, c135=""))
+
+
+def test_a_control_word_the_terminals_make_says_nothing_of_enabled() -> None:
+    assert is_enabled(known("821x", "H0008", c1="0"))
+
+
+# ---- reset-fault ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", DESCRIBED)
+def test_without_a_fault_nothing_is_reset(name: str) -> None:
+    assert reset_steps(known(name)) == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [*((name, "0") for name in LATER_82XX), ("93xx", "0"), ("smvector", "1")]
+)
+def test_a_fault_is_reset_on_an_inhibited_drive(name: str, value: str) -> None:
+    given = known(name, "H0000", FAULT.get(name, "H0800"), c43="1")
+    assert reset_steps(given) == (InhibitStep(), WriteStep(Code(43), Value.parse(value)))
+
+
+@pytest.mark.parametrize("name", [*LATER_82XX, "93xx", "smvector"])
+def test_where_c0043_is_not_there_the_edge_of_bit_11_resets(name: str) -> None:
+    steps = reset_steps(known(name, "H0804", FAULT.get(name, "H0800"), c43=""))
+    word, words = 0x0804, []
+    for step in steps[1:]:
+        assert type(step) is BitsStep
+        word = step.applied(word)
+        words.append(word)
+    assert steps[0] == InhibitStep()
+    assert words == [0x0004, 0x0804, 0x0004], "an edge, and ready for the next one"
+
+
+def test_820x_is_reset_by_an_enable_in_quick_stop_and_ends_inhibited() -> None:
+    steps = reset_steps(known("820x", "H0004", "H0100"))
+    assert [type(step) for step in steps] == [InhibitStep, BitsStep, RestartStep, InhibitStep]
+    word = 0x0004
+    for step in steps[1:3]:
+        assert isinstance(step, BitsStep)
+        word = step.applied(word)
+    assert word == 0x000C, "enabled, and kept still by the quick stop"
+
+
+def test_820x_under_its_terminals_is_not_reset_from_the_line() -> None:
+    error = refused(known("820x", "H0000", "H0100", c1="0"), Verb.RESET_FAULT)
+    assert (error.kind, error.code) == ("setting", "C0001")
+
+
+def test_smvector_below_level_3_is_not_reset() -> None:
+    error = refused(known("smvector", status="H0100", c1420="1"), Verb.RESET_FAULT)
+    assert error.code == "C1420"
+
+
+@pytest.mark.parametrize(
+    ("name", "memory"),
+    [("820x", "c161"), ("821x", "c161"), ("93xx", "c168_1"), ("smvector", "c1500")],
+)
+def test_the_fault_is_named_by_its_memory(name: str, memory: str) -> None:
+    assert fault_number(known(name, **{memory: "11"})) == 11
+    assert fault_number(known(name, **{memory: "0"})) is None
+    assert Code.parse(memory[1:].replace("_", "/")) in questions(
+        "belt", family(name), Verb.RESET_FAULT
+    )
+
+
+# ---- set-speed ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "number", "unit", "written"),
+    [
+        ("820x", "35.4", "Hz", (46, "35.4")),
+        ("820x", "70.25", "%", (141, "70.25")),
+        ("821x", "50", "Hz", (46, "50")),
+        ("821x", "35", "%", (46, "17.5")),
+        ("8200vector", "33.33", "%", (46, "16.7")),
+        ("93xx", "-35.5", "%", (141, "-35.5")),
+        ("smvector", "42.5", "Hz", (1061, "42.5")),
+        ("smvector", "50", "%", (1061, "30")),
+        ("smvector", "0", "Hz", (1061, "0")),
+    ],
+)
+def test_a_speed_goes_to_the_familys_own_code(
+    name: str, number: str, unit: str, written: tuple[int, str]
+) -> None:
+    assert speed(known(name), number, unit) == written
+
+
+def test_c0127_decides_between_hertz_and_percent() -> None:
+    normalized = known("822x", c127="1")
+    assert speed(normalized, "-35", "%") == (141, "-35")
+    assert speed(normalized, "20", "Hz") == (141, "40")
+    assert refused(known("822x", c127="7"), Verb.SET_SPEED).code == "C0127"
+    assert refused(known("822x", c127=""), Verb.SET_SPEED).remedy == "set C0127 = 0 or 1"
+
+
+@pytest.mark.parametrize(
+    ("name", "number", "unit", "told"),
+    [
+        ("821x", "50.1", "Hz", "0 to 50 Hz (C0011 = 50 Hz)"),
+        ("821x", "101", "%", "0 to 50 Hz"),
+        ("821x", "-1", "Hz", "direction of rotation is bit 2 of C0135"),
+        ("821x", "35", "rpm", "0 to 50 Hz"),
+        ("820x", "100.1", "%", "0 to 100 %"),
+        ("93xx", "35", "Hz", "-100 to 100 %"),
+        ("93xx", "-100.01", "%", "-100 to 100 %"),
+        ("smvector", "60.1", "Hz", "0 to 60 Hz (C1103 = 60 Hz)"),
+        ("smvector", "30.05", "Hz", "in steps of 0.1"),
+        ("smvector", "1E+29", "%", "0 to 60 Hz"),
+    ],
+)
+def test_a_speed_of_the_wrong_unit_or_range_is_refused_with_the_range(
+    name: str, number: str, unit: str, told: str
+) -> None:
+    error = refused(known(name), Verb.SET_SPEED, number, unit)
+    assert error.kind == "bad-value"
+    assert told in error.remedy
+
+
+@pytest.mark.parametrize(
+    ("name", "setting", "remedy"),
+    [
+        ("820x", {"c1": "0"}, "C0001 = 3"),
+        ("8200vector", {"c1": "1"}, "C0001 = 3"),
+        ("93xx", {"c5": "1000"}, "1011"),
+        ("93xx", {"c5": "4001"}, "only there"),
+        ("smvector", {"c1420": "1"}, "P420 = 2"),
+    ],
+)
+def test_a_setpoint_the_drive_would_not_follow_is_refused_with_the_setting(
+    name: str, setting: dict[str, str], remedy: str
+) -> None:
+    error = refused(known(name, **setting), Verb.SET_SPEED, "10", "%")
+    assert error.kind == "setting"
+    assert remedy in error.remedy
+
+
+@pytest.mark.parametrize("name", DESCRIBED)
+def test_a_setpoint_behind_a_jog_value_is_refused(name: str) -> None:
+    error = refused(known(name, "H0002"), Verb.SET_SPEED, "10", "%")
+    assert (error.kind, error.code) == ("setting", "C0135")
+    assert "JOG value 2" in str(error)
+
+
+def test_free_bits_of_93xx_are_no_jog_values() -> None:
+    assert speed(known("93xx", "H0002", c5="6001"), "10", "%") == (141, "10")
+
+
+# ---- all of them ----------------------------------------------------------------------------
+
+
+def test_a_setting_the_drive_does_not_have_objects_to_nothing() -> None:
+    assert speed(known("8200vector", c1="", c11=""), "480", "Hz") == (46, "480")
+
+
+@pytest.mark.parametrize("verb", [Verb.ENABLE, Verb.SET_SPEED, Verb.RESET_FAULT])
+def test_a_device_nobody_describes_has_no_verbs(verb: Verb) -> None:
+    with pytest.raises(OperationError, match="family generic") as caught:
+        questions("g", family("generic"), verb)
+    assert caught.value.kind == "no-verb"
+
+
+@pytest.mark.parametrize("name", DESCRIBED)
+def test_states_are_what_the_words_show(name: str) -> None:
+    assert states(known(name)) == ("enabled",)
+    assert states(known(name, "H0208", "H0080")) == ("inhibited", "quick-stop")
+    assert states(known(name, status=FAULT.get(name, "H0880"))) == ("fault", "inhibited")
+    assert states(known(name, c150="", c135="")) == (), "nothing is known, nothing is said"
+    assert has_fault(known(name, status=FAULT.get(name, "H0880")))
+
+
+@pytest.mark.parametrize("name", DESCRIBED)
+@pytest.mark.parametrize("verb", [Verb.ENABLE, Verb.SET_SPEED, Verb.RESET_FAULT])
+def test_what_a_verb_needs_to_know_is_asked_for_once(name: str, verb: Verb) -> None:
+    asked = questions("belt", family(name), verb)
+    assert len(set(asked)) == len(asked)
+    assert WORD in asked
+    assert set(map(Code, SETTINGS[name])) - {Code(11), Code(127), Code(1103)} <= set(asked)

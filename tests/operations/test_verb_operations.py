@@ -1,0 +1,351 @@
+"""Verbs on simulated drives of every family: what they do, and what stands in their way."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Awaitable, Callable
+from decimal import Decimal
+from typing import Any
+
+import anyio
+import pytest
+
+from lecombus.drives import FAMILY_NAMES, StopAction, Verb
+from lecombus.errors import ExchangeError, LineError, OperationError
+from lecombus.operations.reports import VerbReport
+from lecombus.protocol.addressing import Code
+from lecombus.readings import DriveState
+from lecombus.schedule import Outcome
+from lecombus.simulator.faults import Faults
+from support.site_host import Plant, roster_of, until, with_plant
+
+DESCRIBED = [name for name in FAMILY_NAMES if name != "generic"]
+WATCHDOG = "{time: 2s, action: quick-stop, configure: true}"
+WORD = Code(135)
+FULL = {"93xx": 3000.0, "smvector": 60.0}
+FAULT_NUMBER = 11
+
+
+def with_drive(test: Callable[[Plant], Awaitable[None]], kind: str, **keys: Any) -> None:
+    """Run a test with one drive of a family, `a`, that is online."""
+
+    async def main(plant: Plant) -> None:
+        await plant.online()
+        await test(plant)
+
+    with_plant(main, roster_of([("a", 11, kind)], **{"watchdog": WATCHDOG} | keys))
+
+
+async def do(plant: Plant, verb: Verb, **keys: Any) -> VerbReport:
+    return await plant.site.operations.verb("a", verb, **keys)
+
+
+async def refused(plant: Plant, verb: Verb, **keys: Any) -> OperationError:
+    said = len(written(plant))
+    with pytest.raises(OperationError) as caught:
+        await do(plant, verb, **keys)
+    assert len(written(plant)) == said, "it is refused before anything is sent"
+    return caught.value
+
+
+def written(plant: Plant) -> list[bytes]:
+    """Telegrams that write."""
+    return [one.data for one in plant.end.sent if b"\x02" in one.data]
+
+
+# ---- a day in the life of a drive -----------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", DESCRIBED)
+def test_a_tripped_drive_is_reset_enabled_and_brought_to_speed_with_verbs_only(kind: str) -> None:
+    async def test(plant: Plant) -> None:
+        drive = plant.line["a"].model
+        drive.trip(FAULT_NUMBER)
+        reset = await do(plant, Verb.RESET_FAULT)
+        assert (reset.outcome, reset.states[0]) == (Outcome.VERIFIED, "inhibited")
+        assert f"fault {FAULT_NUMBER}" in reset.reason
+        assert "lecombus enable a" in reset.reason
+        speed = await do(plant, Verb.SET_SPEED, value=Decimal(50), unit="%", verify=True)
+        assert speed.outcome is Outcome.VERIFIED
+        assert speed.reading is not None
+        assert drive.motor.output == 0.0
+        enable = await do(plant, Verb.ENABLE)
+        assert (enable.outcome, enable.states) == (Outcome.VERIFIED, ("enabled",))
+        await anyio.sleep(60.0)
+        assert drive.motor.output == FULL.get(kind, 50.0) / 2
+        stop = await do(plant, Verb.QUICK_STOP)
+        assert (stop.outcome, stop.states) == (Outcome.VERIFIED, ("quick-stop",))
+        await anyio.sleep(60.0)
+        assert drive.motor.output == 0.0
+        assert (await do(plant, Verb.ENABLE)).outcome is Outcome.VERIFIED
+        inhibit = await do(plant, Verb.INHIBIT)
+        assert (inhibit.outcome, inhibit.states) == (Outcome.VERIFIED, ("inhibited",))
+
+    with_drive(test, kind)
+
+
+@pytest.mark.parametrize("kind", DESCRIBED)
+def test_a_reset_never_starts_a_motor_that_has_its_setpoint(kind: str) -> None:
+    async def test(plant: Plant) -> None:
+        drive = plant.line["a"].model
+        await do(plant, Verb.SET_SPEED, value=Decimal(50), unit="%")
+        await do(plant, Verb.ENABLE)
+        await anyio.sleep(60.0)
+        drive.trip(FAULT_NUMBER)
+        await anyio.sleep(30.0)
+        turned: list[float] = []
+        resetting = asyncio.create_task(do(plant, Verb.RESET_FAULT))
+        while not resetting.done():
+            await anyio.sleep(0.01)
+            turned.append(abs(drive.motor.output))
+        assert (await resetting).outcome is Outcome.VERIFIED
+        await anyio.sleep(10.0)
+        assert max(turned) == 0.0
+        assert drive.motor.output == 0.0
+
+    with_drive(test, kind)
+
+
+def test_820x_has_its_watchdog_again_before_a_reset_is_called_done() -> None:
+    async def test(plant: Plant) -> None:
+        drive = plant.line["a"].model
+        drive.trip(FAULT_NUMBER)
+        resetting = asyncio.create_task(do(plant, Verb.RESET_FAULT))
+        await until(lambda: plant.state("a") is not DriveState.ONLINE)
+        assert drive.params.text(1922) == "0", "the module has forgotten its settings"
+        report = await resetting
+        assert report.outcome is Outcome.VERIFIED
+        assert plant.state("a") is DriveState.ONLINE
+        assert (drive.params.text(1922), drive.params.text(1923)) == ("2", "2000")
+
+    with_drive(test, "820x")
+
+
+def test_820x_that_does_not_come_back_is_unknown_in_time_for_whoever_asked() -> None:
+    async def test(plant: Plant) -> None:
+        plant.line["a"].model.trip(FAULT_NUMBER)
+        resetting = asyncio.create_task(do(plant, Verb.RESET_FAULT))
+        await until(lambda: plant.state("a") is not DriveState.ONLINE)
+        plant.line.faults.absent = {11}
+        begun_s = plant.now_s
+        report = await resetting
+        assert report.outcome is Outcome.UNKNOWN
+        assert "was made to restart and is offline since" in report.reason
+        assert plant.now_s - begun_s < 55.0
+
+    with_drive(test, "820x")
+
+
+def test_without_a_fault_a_reset_sends_nothing() -> None:
+    async def test(plant: Plant) -> None:
+        said = len(written(plant))
+        report = await do(plant, Verb.RESET_FAULT)
+        assert report.outcome is Outcome.VERIFIED
+        assert "no fault is active: nothing was sent" in report.reason
+        assert len(written(plant)) == said
+
+    with_drive(test, "8200vector")
+
+
+@pytest.mark.parametrize("kind", [one for one in DESCRIBED if one != "820x"])
+def test_a_fault_whose_cause_lasts_is_told_as_not_reset(kind: str) -> None:
+    async def test(plant: Plant) -> None:
+        plant.line["a"].model.trip(FAULT_NUMBER, stays=True)
+        report = await do(plant, Verb.RESET_FAULT)
+        assert (report.outcome, report.kind) == (Outcome.REFUSED, "not-in-effect")
+        assert "still there or has come again" in report.reason
+        assert report.states[0] == "fault"
+        assert plant.line["a"].model.inhibited()
+
+    with_drive(test, kind)
+
+
+# ---- what stands in the way -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", DESCRIBED)
+def test_a_tripped_drive_is_not_enabled(kind: str) -> None:
+    async def test(plant: Plant) -> None:
+        plant.line["a"].model.trip(FAULT_NUMBER)
+        assert (await refused(plant, Verb.ENABLE)).kind == "fault-active"
+
+    with_drive(test, kind)
+
+
+@pytest.mark.parametrize(
+    ("kind", "setting", "value"),
+    [("820x", 1, "0"), ("821x", 1, "1"), ("8200vector", 1, "0"), ("93xx", 5, "1000"),
+     ("smvector", 1420, "1")],
+)  # fmt: skip
+def test_a_setting_that_keeps_the_line_out_is_named_before_anything_is_sent(
+    kind: str, setting: int, value: str
+) -> None:
+    async def test(plant: Plant) -> None:
+        drive = plant.line["a"].model
+        drive.control = 0x0208
+        drive.preset(setting, value)
+        for verb, keys in (
+            (Verb.ENABLE, {}), (Verb.SET_SPEED, {"value": Decimal(10), "unit": "%"})
+        ):  # fmt: skip
+            error = await refused(plant, verb, **keys)
+            assert (error.kind, error.code) == ("setting", str(Code(setting)))
+
+    with_drive(test, kind)
+
+
+@pytest.mark.parametrize("kind", [one for one in DESCRIBED if one != "smvector"])
+def test_an_enable_against_an_open_terminal_is_taken_back(kind: str) -> None:
+    async def test(plant: Plant) -> None:
+        drive = plant.line["a"].model
+        await do(plant, Verb.SET_SPEED, value=Decimal(50), unit="%")
+        drive.set_terminal(high=False)
+        report = await do(plant, Verb.ENABLE)
+        assert (report.outcome, report.kind) == (Outcome.REFUSED, "not-in-effect")
+        assert "terminal" in report.cause
+        assert "inhibited again" in report.remedy
+        drive.set_terminal(high=True)
+        await anyio.sleep(10.0)
+        assert drive.motor.output == 0.0, "whoever closes the terminal does not start the motor"
+
+    with_drive(test, kind)
+
+
+def test_a_drive_that_is_away_or_locked_is_stopped_and_nothing_else() -> None:
+    async def test(plant: Plant) -> None:
+        plant.line["a"].model.preset(1494, "1.30")
+        await plant.online()
+        assert "nothing is written" in str(await refused(plant, Verb.ENABLE))
+        assert (await do(plant, Verb.INHIBIT)).outcome is Outcome.VERIFIED
+        plant.line.faults.absent = {11}
+        await until(lambda: plant.state("a") is DriveState.OFFLINE)
+        assert (await refused(plant, Verb.SET_SPEED, value=Decimal(1), unit="Hz")).kind == "offline"
+        stop = await do(plant, Verb.QUICK_STOP)
+        assert stop.outcome is Outcome.UNKNOWN
+        assert "emergency stop circuit" in stop.remedy
+
+    with_plant(test, roster_of([("a", 11, "smvector")]))
+
+
+def test_a_roster_that_allows_no_writes_allows_no_verbs_but_stops() -> None:
+    async def test(plant: Plant) -> None:
+        error = await refused(plant, Verb.SET_SPEED, value=Decimal(10), unit="Hz")
+        assert error.kind == "not-writable"
+        assert (await do(plant, Verb.QUICK_STOP)).outcome is Outcome.VERIFIED
+
+    with_drive(test, "8200vector", drive=", writable: []")
+
+
+def test_generic_and_unknown_drives_have_no_verbs() -> None:
+    async def test(plant: Plant) -> None:
+        for verb in (Verb.ENABLE, Verb.RESET_FAULT, Verb.SET_SPEED):
+            keys = {"value": Decimal(1), "unit": "Hz"} if verb is Verb.SET_SPEED else {}
+            assert (await refused(plant, verb, **keys)).kind == "no-verb"
+        assert (await refused(plant, Verb.INHIBIT)).kind == "no-stop"
+        with pytest.raises(OperationError, match="no drive 'nonsense'"):
+            await plant.site.operations.verb("nonsense", Verb.ENABLE)
+
+    with_drive(test, "generic", watchdog="")
+
+
+def test_without_a_line_nothing_is_said() -> None:
+    async def test(plant: Plant) -> None:
+        plant.end.unplug()
+        await until(lambda: not plant.site.worker.is_open)
+        for verb in (Verb.ENABLE, Verb.INHIBIT):
+            with pytest.raises(LineError):
+                await do(plant, verb)
+
+    with_drive(test, "8200vector")
+
+
+def test_a_line_lost_half_way_leaves_the_outcome_unknown() -> None:
+    async def test(plant: Plant) -> None:
+        plant.line["a"].model.control = 0x0208
+        enabling = asyncio.create_task(do(plant, Verb.ENABLE))
+        said = len(written(plant))
+        await until(lambda: len(written(plant)) > said)
+        await anyio.sleep(0.06)
+        plant.end.unplug()
+        report = await enabling
+        assert report.outcome is Outcome.UNKNOWN
+        assert report.remedy
+
+    with_drive(test, "8200vector", drive=", cyclic: []", watchdog="")
+
+
+# ---- with others on the line ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("after_s", [0.05, 0.10, 0.15, 0.20])
+@pytest.mark.parametrize("action", list(StopAction))
+def test_a_stop_ends_a_verb_wherever_it_is(action: StopAction, after_s: float) -> None:
+    async def test(plant: Plant) -> None:
+        drive = plant.line["a"].model
+        drive.control = 0x0208
+        enabling = asyncio.create_task(do(plant, Verb.ENABLE))
+        await anyio.sleep(after_s)
+        stop = await plant.site.operations.stop(action, "a")
+        report = await enabling
+        assert stop.outcome is Outcome.VERIFIED
+        assert report.outcome in (Outcome.SUPERSEDED, Outcome.UNKNOWN)
+        await anyio.sleep(5.0)
+        assert drive.control & 0x0208, "the stop stands"
+
+    with_drive(test, "8200vector", drive=", cyclic: []", watchdog="")
+
+
+@pytest.mark.parametrize("after_s", [0.0, 0.03, 0.06, 0.09, 0.12])
+def test_a_control_word_another_client_writes_meanwhile_is_not_undone(after_s: float) -> None:
+    async def test(plant: Plant) -> None:
+        drive = plant.line["a"].model
+        drive.control = 0x0208
+        enabling = asyncio.create_task(do(plant, Verb.ENABLE))
+        await anyio.sleep(after_s)
+        await plant.site.operations.write("a", WORD, "H420C")
+        await enabling
+        assert drive.control & 0x4004 == 0x4004
+
+    with_drive(test, "8200vector", drive=", cyclic: []", watchdog="")
+
+
+def test_one_enable_or_reset_at_a_time() -> None:
+    async def test(plant: Plant) -> None:
+        plant.line["a"].model.trip(FAULT_NUMBER)
+        first = asyncio.create_task(do(plant, Verb.RESET_FAULT))
+        await anyio.sleep(0.01)
+        with pytest.raises(OperationError, match="reset-fault of a is under way") as caught:
+            await do(plant, Verb.ENABLE)
+        assert caught.value.kind == "busy"
+        assert (await first).outcome is Outcome.VERIFIED
+        assert (await do(plant, Verb.ENABLE)).outcome is Outcome.VERIFIED
+
+    with_drive(test, "8200vector")
+
+
+def test_lost_acknowledgements_do_not_make_a_verb_lie() -> None:
+    async def test(plant: Plant) -> None:
+        drive, proven = plant.line["a"].model, 0
+        for _ in range(6):
+            drive.control = 0x0208
+            plant.line.drive_faults[11] = Faults(lost=0.2)
+            report = None
+            with contextlib.suppress(ExchangeError, OperationError):  # it could not be read
+                report = await do(plant, Verb.ENABLE)
+            plant.line.drive_faults.clear()
+            if report is not None and report.outcome is Outcome.VERIFIED:
+                assert not drive.control & 0x0208
+                proven += 1
+            await plant.online()
+        assert proven
+
+    with_drive(test, "8200vector", watchdog="")
+
+
+def test_what_expires_is_not_written() -> None:
+    async def test(plant: Plant) -> None:
+        report = await do(plant, Verb.SET_SPEED, value=Decimal(10), unit="Hz", expires_s=0.02)
+        assert report.outcome is Outcome.EXPIRED
+        assert plant.line["a"].model.params.text(46) == "0"
+
+    with_drive(test, "8200vector")
