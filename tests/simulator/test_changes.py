@@ -6,6 +6,7 @@ import pytest
 
 from lecombus.simulator import SimDrive, SimLine, build
 from lecombus.simulator.families import MODELS
+from lecombus.simulator.parameters import Kept
 from support.sim_host import Host, write_telegram
 
 DESCRIBED = [name for name in MODELS if name != "generic"]
@@ -156,3 +157,40 @@ def test_faults_can_be_there_from_the_start() -> None:
 def test_a_wrong_trip_says_what_is_right(faults: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         build([("a", 11, "8200vector")], faults=faults)
+
+
+@pytest.mark.parametrize("family", DESCRIBED)
+def test_what_a_factory_reset_took_can_be_written_back_over_the_line(family: str) -> None:
+    host = single(family)
+    drive = host.line["d"]
+    drive.model.preset(40, "0")
+    untouched = {ADDRESS.get(family, 9), BAUD.get(family, 125), 1400, 1403, 1420, 1100}
+    before = {}
+    for number, subcode in stored(drive):
+        if number not in untouched:
+            value = another(drive, number, subcode)
+            answer = host.write(11, number, value, subcode, extended=True)
+            assert answer == "ACK", (number, subcode, value)
+            before[number, subcode] = value
+    drive.factory_reset()
+    assert {key: drive.text(*key) for key in before} != before
+    for (number, subcode), value in before.items():
+        assert host.write(11, number, value, subcode, extended=True) == "ACK"
+    assert {key: drive.text(*key) for key in before} == before
+
+
+def stored(drive: SimDrive) -> list[tuple[int, int]]:
+    kept = (Kept.DRIVE, Kept.MEMORY)
+    specs = drive.model.params.specs
+    keys = [key for key, spec in specs.items() if spec.writable and spec.kept in kept]
+    # C1060 lies between P102 and P103 (CMVLC401A table 9), which therefore come first.
+    return sorted(keys, key=lambda key: (key[0] == 1060, key))
+
+
+def another(drive: SimDrive, number: int, subcode: int) -> str:
+    """A value that a code may have, and does not."""
+    spec = drive.model.params.find(number, subcode)
+    now = drive.text(number, subcode)
+    if 1121 <= number <= 1124:
+        return "9"
+    return str(spec.high if now != str(spec.high) else spec.low)
