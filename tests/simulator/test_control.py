@@ -70,7 +70,8 @@ def test_a_fault_occurs_and_its_cause_goes(control: Control, line: SimLine, driv
 def test_a_terminal_opens_and_closes(control: Control, line: SimLine) -> None:
     line["feeder"].model.preset(135, "H0000")
     assert "inhibited" in control.do("terminal feeder open")
-    assert "enabled" in control.do("terminal feeder closed")
+    assert "enabled, at 0 Hz" in control.do("terminal feeder closed")
+    assert "at 0 min-1" in control.do("drives").splitlines()[2]
 
 
 def test_values_are_set_as_at_the_keypad(control: Control, line: SimLine) -> None:

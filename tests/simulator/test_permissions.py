@@ -121,6 +121,21 @@ def test_a_93xx_without_a_configuration_for_the_line_acknowledges_and_does_nothi
     assert host.word(11, 150) & 0x0080, "C0040 does not depend on it"
 
 
+def test_a_93xx_under_its_terminals_runs_on_whatever_the_control_word_says() -> None:
+    host = single("93xx", c5="1000", c12="0", c135="H0000")
+    model = host.line["d"].model
+    model.terminal_rpm = 900.0  # type: ignore[attr-defined]
+    model.control = 0
+    model.steer()
+    assert host.write(11, 135, "H0008") == "ACK"
+    host.wait(3)
+    assert host.read(11, 135) == "H0008", "it reads back as written"
+    assert host.read(11, 51) == "900"
+    assert host.write(11, 40, "0") == "ACK"
+    host.wait(3)
+    assert host.read(11, 51) == "0", "C0040 stops it all the same"
+
+
 def test_terminal_e1_is_a_quick_stop_in_configuration_1011_only() -> None:
     for configuration, speed in (("1011", 0), ("1001", 1500)):
         host = single("93xx", c5=configuration, c12="0", c105="0", c135="H0000", c141="50")

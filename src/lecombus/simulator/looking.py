@@ -49,7 +49,7 @@ def _state(drive: SimDrive) -> str:
             return f"{kind} {number}"
     state = "inhibited" if model.inhibited() else "stopped" if model.stop_wanted() else "enabled"
     warned = f", warning {troubles.warning}" if troubles.warning else ""
-    return f"{state}, at {model.motor.speed:g}{warned}"
+    return f"{state}, at {model.motor.speed:g} {model.speed_unit}{warned}"
 
 
 def describe(drive: SimDrive) -> str:

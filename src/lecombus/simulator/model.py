@@ -69,6 +69,7 @@ class Model:
     address_code: ClassVar[int] = 9
     baud_code: ClassVar[int] = 125
     boot_s: ClassVar[float] = 1.0
+    speed_unit: ClassVar[str] = "Hz"
     fault_kinds: ClassVar[Mapping[int, Kind]] = {}
     commissioned: ClassVar[Mapping[int, str]] = {}
     kept_in_reset: ClassVar[tuple[int, ...]] = ()

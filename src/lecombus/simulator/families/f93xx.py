@@ -36,11 +36,14 @@ class Drive93XX(Module2102):
 
     Attributes:
         terminal_e1: Whether terminal E1 has a HIGH level; configuration 1011 has quick stop there.
+        terminal_rpm: What its terminals ask for while the line does not control it, min-1.
     """
 
     family: ClassVar[str] = "93xx"
     fault_kinds: ClassVar[Mapping[int, Kind]] = FAULTS_93XX
+    speed_unit: ClassVar[str] = "min-1"
     terminal_e1 = True
+    terminal_rpm = 0.0
 
     def __init__(self) -> None:
         self._unheeded = 0
@@ -111,7 +114,7 @@ class Drive93XX(Module2102):
     def setpoint(self) -> float:
         """JOG or C0141, in min-1. Source: EDB2102EN 8.2, C0135, C0141."""
         if not self.follows_line():
-            return 0.0
+            return self.terminal_rpm
         if self.control & _RFG_STOP:
             return self.motor.speed
         if self.control & _RFG_ZERO:
