@@ -59,7 +59,8 @@ def test_module_and_drive_say_what_software_they_have() -> None:
         Code(201): "Mar 17 1999 10:31",
     }
     labels = dict(identified("smvector", {1099: "4.2"}).labels)
-    assert (labels[Code(1494)], labels[Code(1502)], labels[Code(1099)]) == ("1.20", "25", "4.2")
+    assert (labels[Code(1494)], labels[Code(1099)]) == ("1.20", "4.2")
+    assert labels[Code(1502)] == "25 (240 VAC three-phase, 2 HP (1.5 kW))"
 
 
 @pytest.mark.parametrize(

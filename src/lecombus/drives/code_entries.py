@@ -13,7 +13,8 @@ An entry reads, with all keys there are::
        format: VD, chars: 5, range: [7.5, 480], step: 0.02, default: 50, writable: true,
        storage: stored, needs_inhibit: true, sets: true, source: "8.2"}
 
-`subcodes: [1, 8]` makes one entry many: each gets its subcode after its name. What must hold
+`subcodes: [1, 8]` makes one entry many: each gets its subcode after its name. A value made of
+bits has `bits: {0: [english, german]}` in place of a range or a selection. What must hold
 between codes and the rest of a family is `loading`.
 """
 
@@ -48,6 +49,9 @@ from .texts import Text
 __all__ = ["CodeBook"]
 
 HEX_DIGITS = (2, 4, 8)
+
+HIGHEST_BIT = 15
+"""Of the words that drives give."""
 
 TYPICAL_CHARS = {Format.VD: 9, Format.VS: 16, Format.VO: HIGHEST_VALUE_CHARS}
 """Length of a value where the file does not say: 9 is what the manual's tables of telegram times
@@ -163,6 +167,7 @@ def _read_entry(table: Table, manual: str) -> _Entry:
         high=limits.high,
         step=limits.step,
         selection=limits.selection,
+        bits=_bits(table.get("bits"), limits),
         storage=_storage(table.get("storage"), writable=writable, motion=motion),
         readable=readable.flag() if readable else True,
         needs_inhibit=read_flag(table, "needs_inhibit"),
@@ -254,6 +259,21 @@ def _selection(item: Item | None, within: tuple[Decimal, Decimal] | None) -> Map
         if number in texts:
             key.fail(f"{number} stands here twice")
         texts[number] = read_text(value)
+    return texts
+
+
+def _bits(item: Item | None, limits: _Limits) -> Mapping[int, Text]:
+    """Read what single bits mean: of a value that is no word of its own (`words`)."""
+    if item is None:
+        return {}
+    if limits.selection or limits.low is not None:
+        item.fail("a value is made of bits, or it has a range or a selection")
+    texts: dict[int, Text] = {}
+    for key, value in item.table().pairs():
+        bit = key.integer(0, HIGHEST_BIT)
+        if texts and bit <= max(texts):
+            key.fail(f"bit {bit} stands after {max(texts)}: the lowest comes first")
+        texts[bit] = read_text(value)
     return texts
 
 

@@ -12,7 +12,7 @@ values; a selection alone is all there is.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from decimal import Decimal
 from enum import StrEnum
 
@@ -81,6 +81,7 @@ class CodeInfo:
         high: The greatest value, in `unit`; None where the manual gives none.
         step: The distance between two values, counted from `low`; None where not given.
         selection: What some values mean. Without a range these are all the values there are.
+        bits: What single bits mean, in a value that is made of them; others have no meaning.
         storage: Where the value is kept.
         readable: The drive gives the value when asked.
         needs_inhibit: It has to be inhibited before this is written.
@@ -105,6 +106,7 @@ class CodeInfo:
     high: Decimal | None = None
     step: Decimal | None = None
     selection: Mapping[int, Text] = field(default_factory=dict)
+    bits: Mapping[int, Text] = field(default_factory=dict)
     storage: Storage = Storage.VOLATILE
     readable: bool = True
     needs_inhibit: bool = False
@@ -117,10 +119,16 @@ class CodeInfo:
         return self.name_de if language is Language.DE and self.name_de else self.name
 
     def meaning(self, value: Value) -> Text | None:
-        """Return what the manual says a value means; None where it says nothing of it."""
+        """Return what the manual says a value means; None where it says nothing of it.
+
+        Of a value made of bits those that are set are named, the lowest first.
+        """
         number = value.number
-        if not self.selection or isinstance(number, (str, bytes)) or number != int(number):
+        if isinstance(number, (str, bytes)) or number != int(number):
             return None
+        set_bits = [text for bit, text in self.bits.items() if int(number) >> bit & 1]
+        if set_bits:
+            return Text(*(", ".join(words) for words in zip(*map(astuple, set_bits), strict=True)))
         return self.selection.get(int(number))
 
     def may_be(self, number: Decimal | int) -> bool:

@@ -45,6 +45,8 @@ SOFTWARE = Code(200)
 PROTOCOL = Code(1400)
 NETWORK_ADDRESS = Code(1410)
 LECOM_B = 7
+VERSION = Code(1494)
+DRIVE_ID = Code(1502)
 REDIRECTING = (Code(248), Code(249))
 
 LATER_82XX = re.compile(r"82([124])[1-8]")
@@ -84,6 +86,10 @@ class Talk:
         """Keep what the drive says of itself."""
         if heard.text:
             self.labels.append((code, heard.text))
+
+    def says(self, code: Code) -> str:
+        """Return what the drive said of itself; empty where it said nothing."""
+        return dict(self.labels).get(code, "")
 
     def finding(
         self, name: str, why: str, *, certain: bool = True, watchdog: FoundWatchdog | None = None
@@ -244,10 +250,13 @@ def _smvector_or_other(talk: Talk) -> Identification:
 
 
 def _smvector_labels(talk: Talk, smvector: Family) -> Generator[Step, Heard, None]:
-    for code in (Code(1494), Code(1502), Code(1099)):
+    for code in (VERSION, Code(1099)):
         yield from talk.label(code)
-    gate = smvector.software
-    version = dict(talk.labels).get(Code(1494), "")
+    kind, described = (yield from talk.read(DRIVE_ID)), smvector.info(DRIVE_ID)
+    if kind.value is not None:
+        meaning = described.meaning(kind.value) if described is not None else None
+        talk.labels.append((DRIVE_ID, f"{kind.text} ({meaning})" if meaning else kind.text))
+    gate, version = smvector.software, talk.says(VERSION)
     if gate is not None and version not in gate.versions:
         talk.remarks.append(
             f"its communication software (P494) is {version or 'unknown'}, not "
