@@ -89,7 +89,7 @@ def test_a_reading_has_the_shape_every_face_shows(store: Store, clocks: Clocks) 
     shown = reading.as_json()
     assert list(shown) == [
         *("drive", "code", "subcode", "name", "value", "raw", "format", "unit"),
-        *("quality", "reason", "time", "age_s"),
+        *("quality", "reason", "time", "age_s", "text"),
     ]
     assert shown["drive"] == "feeder"
     assert (shown["code"], shown["subcode"]) == ("C0046", 0)

@@ -127,6 +127,7 @@ class Reading:
         reason: Why it is not good.
         time_s: When it was read, Unix seconds.
         age_s: How long ago that was, seconds.
+        text: What the value means, where its description says so.
     """
 
     drive: str
@@ -139,6 +140,7 @@ class Reading:
     reason: str | None
     time_s: float | None
     age_s: float | None
+    text: str | None = None
 
     def as_json(self) -> dict[str, Json]:
         """Return the JSON form every face of lecombus gives a value."""
@@ -156,6 +158,7 @@ class Reading:
             "reason": self.reason,
             "time": None if self.time_s is None else rfc3339(self.time_s),
             "age_s": None if self.age_s is None else seconds(self.age_s),
+            "text": self.text,
         }
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from lecombus.readings import ActiveFault, DriveState
 
 if TYPE_CHECKING:
-    from lecombus.drives import Family
+    from lecombus.drives import CodeInfo, Family
     from lecombus.protocol.addressing import Code
     from lecombus.protocol.values import Value
 
@@ -26,6 +26,7 @@ class Cell:
     """What is known of one code of one drive. `value` None: never read."""
 
     code: Code
+    info: CodeInfo | None
     name: str
     unit: str | None
     format: str | None
@@ -56,8 +57,8 @@ def make_cell(family: Family, code: Code) -> Cell:
     """Return an empty cell with what the family's description says of the code."""
     info = family.info(code)
     if info is None:
-        return Cell(code, "", None, None)
-    return Cell(code, info.name, info.unit, info.format.value)
+        return Cell(code, None, "", None, None)
+    return Cell(code, info, info.name, info.unit, info.format.value)
 
 
 def set_remark(remarks: dict[str, str], key: str, text: str | None) -> bool:

@@ -46,7 +46,7 @@ from lecombus.readings import (
 from lecombus.records import Cell, DriveRecord, make_cell, set_remark
 
 if TYPE_CHECKING:
-    from lecombus.drives import Family
+    from lecombus.drives import CodeInfo, Family
     from lecombus.protocol.addressing import Code
     from lecombus.protocol.values import Value
 
@@ -389,6 +389,7 @@ class Store:
             reason,
             None if value is None else self._time_of(cell.at_s, now_s),
             age_s,
+            None if value is None or cell.info is None else meaning_of(cell.info, value),
         )
 
     def _describe(self, record: DriveRecord) -> DriveInfo:
@@ -460,6 +461,12 @@ class Store:
         if abs(offset_s - self._offset_s) > CLOCK_STEP_S:
             self._offset_s = offset_s
         return at_s + self._offset_s
+
+
+def meaning_of(info: CodeInfo, value: Value) -> str | None:
+    """Return what a value means in words, where its description says so."""
+    text = info.meaning(value)
+    return None if text is None else text.en
 
 
 def with_cause(what: str, cause: str) -> str:

@@ -9,6 +9,7 @@ import httpx
 import pytest
 
 from lecombus.api.documents import (
+    DescribedDocument,
     DriveDocument,
     DrivesDocument,
     GroupsDocument,
@@ -16,6 +17,7 @@ from lecombus.api.documents import (
     ReadingDocument,
     RestoreDocument,
 )
+from lecombus.drives import family
 from lecombus.errors import (
     CutReplyError,
     GarbledReplyError,
@@ -270,6 +272,7 @@ async def test_openapi_describes_every_path_and_refers_to_nothing_missing(
         "/v1/drives",
         "/v1/drives/{drive}",
         "/v1/drives/{drive}/accept",
+        "/v1/drives/{drive}/described",
         "/v1/drives/{drive}/identity",
         "/v1/drives/{drive}/restore",
         "/v1/drives/{drive}/verbs/{verb}",
@@ -296,3 +299,21 @@ async def test_openapi_describes_every_path_and_refers_to_nothing_missing(
     assert {"200", "403", "404", "409", "422", "503", "504"} <= set(write["responses"])
     ids = [one["operationId"] for path in document["paths"].values() for one in path.values()]
     assert len(ids) == len(set(ids))
+
+
+async def test_the_described_codes_of_a_drive(client: httpx.AsyncClient) -> None:
+    answer = await client.get("/v1/drives/feeder/described")
+    assert answer.status_code == 200
+    found = DescribedDocument.model_validate_json(answer.text)
+    assert (found.drive, found.family) == ("feeder", "8200vector")
+    assert len(found.codes) == len(list(family("8200vector").described()))
+    assert (await client.get("/v1/drives/nobody/described")).status_code == 404
+    assert (await client.get("/v1/drives/feeder/described?x=1")).status_code == 422
+
+
+async def test_a_reading_says_what_its_value_means(client: httpx.AsyncClient, line: Line) -> None:
+    line.store.value_read("feeder", Code(1922), Value.decimal(2), line.now_s)
+    found = (await client.get("/v1/drives/feeder/codes/C1922")).json()
+    assert (found["value"], found["text"]) == (2, "quick stop")
+    line.store.value_read("feeder", Code(1922), Value.decimal(7), line.now_s)
+    assert (await client.get("/v1/drives/feeder/codes/C1922")).json()["text"] is None

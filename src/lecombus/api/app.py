@@ -49,6 +49,7 @@ from lecombus.api.bodies import (
     read_body,
 )
 from lecombus.api.custody import add_custody
+from lecombus.api.description import add_description_of_drives
 from lecombus.api.documents import (
     DriveDocument,
     DrivesDocument,
@@ -120,6 +121,7 @@ def create_app(
     answer_errors_with_problems(app)
     add_known(app, store, {"line": line_name, "port": port, "baud": baud}, ops)
     keys = Idempotency(clock)
+    add_description_of_drives(app, store)
     add_reads(app, ops, store)
     add_addresses(app, ops)
     add_writes(app, ops, keys)

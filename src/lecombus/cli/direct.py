@@ -45,6 +45,7 @@ def read_directly(
     station = Station("drive", address, described, described.forms)
     value = run(_read, PortSettings(port, baud), station, code)
     info = described.info(code)
+    meaning = info.meaning(value) if info is not None else None
     reading = Reading(
         drive=str(address),
         code=code,
@@ -56,6 +57,7 @@ def read_directly(
         reason=None,
         time_s=time.time(),
         age_s=0.0,
+        text=str(meaning) if meaning is not None else None,
     )
     document = reading.as_json()
     return encode(document), document

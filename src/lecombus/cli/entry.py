@@ -43,6 +43,7 @@ COMMANDS = {
     "inhibit": "Inhibit drives at once, before everything else.",
     "stop": "Stop drives at once, before everything else; all of them if none is named.",
     "accept": "Take another drive in the place of the one that was there.",
+    "describe": "Say what is known of the codes of a family of drives.",
     "status": "Show the line and its drives, or one drive with its values.",
     "scan": "Find the drives on a line, and propose a roster.",
 }

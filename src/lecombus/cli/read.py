@@ -45,7 +45,7 @@ def command(
 
     On a terminal: a line of text. In a pipe: drive, code, value, unit, quality, reason, separated
     by tabs. With --json: {"drive", "code", "subcode", "name", "value", "raw", "format", "unit",
-    "quality", "reason", "time", "age_s"}. A value of quality bad makes the exit status 1.
+    "quality", "reason", "time", "age_s", "text"}. A value of quality bad makes the exit status 1.
     """
     if port:
         code = _only_code(words)

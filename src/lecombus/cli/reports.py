@@ -26,6 +26,7 @@ __all__ = [
     "show_reading",
     "show_verb",
     "show_write",
+    "shown_value",
     "status_of",
     "value_of",
 ]
@@ -62,6 +63,12 @@ def value_of(reading: Document) -> str:
     return table_text(reading.get("raw" if reading.get("format") == "VH" else "value"))
 
 
+def shown_value(reading: Document) -> str:
+    """Return a value for a person: with what it means, where that is described."""
+    value = value_of(reading)
+    return f"{value} ({reading['text']})" if reading.get("text") and on_terminal() else value
+
+
 def quality_of(reading: Document) -> tuple[str, str]:
     """Return how far a value may be trusted, and why not further.
 
@@ -81,7 +88,7 @@ def show_reading(reading: Document) -> Exit:
         FAILED for a value of quality bad.
     """
     code, (quality, reason) = code_of(reading), quality_of(reading)
-    value, unit = value_of(reading), table_text(reading.get("unit"))
+    value, unit = shown_value(reading), table_text(reading.get("unit"))
     if on_terminal():
         name = f" ({reading['name']})" if reading.get("name") else ""
         shown = " ".join(part for part in (value or "no value", unit) if part)

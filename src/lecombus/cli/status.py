@@ -10,7 +10,7 @@ import click
 from lecombus.cli.arguments import daemon_options
 from lecombus.cli.client import connect
 from lecombus.cli.exits import Exit
-from lecombus.cli.reports import Document, code_of, quality_of, value_of
+from lecombus.cli.reports import Document, code_of, quality_of, shown_value
 from lecombus.cli.screen import age, on_terminal, show_rows, table_text
 
 __all__ = ["command"]
@@ -82,7 +82,7 @@ def _show_drive(drive: Document) -> None:
         (
             code_of(value),
             table_text(value.get("name")),
-            value_of(value),
+            shown_value(value),
             table_text(value.get("unit")),
             quality,
             age(value.get("age_s")),

@@ -24,6 +24,9 @@ from .texts import Language, Text
 __all__ = ["CodeInfo", "PlainWhen", "Storage", "WriteClass"]
 
 
+RANGE_WORDS = {Language.EN: ("to", "in steps of"), Language.DE: ("bis", "in Schritten von")}
+
+
 class WriteClass(StrEnum):
     """What repeating a write could do; only PLAIN may be repeated after a failed read-back."""
 
@@ -142,8 +145,16 @@ class CodeInfo:
     @property
     def allowed(self) -> str:
         """What may be written, for people: `0 to 480 Hz`, `0 (off), 1 (on)`; empty if not known."""
+        return self.allowed_in(Language.EN)
+
+    def allowed_in(self, language: Language) -> str:
+        """Return what may be written, for people, in a language."""
         if self.low is None or self.high is None:
-            return ", ".join(f"{number} ({text})" for number, text in self.selection.items())
+            return ", ".join(
+                f"{number} ({text.in_language(language)})"
+                for number, text in self.selection.items()
+            )
+        to, by = RANGE_WORDS[language]
         unit = f" {self.unit}" if self.unit else ""
-        step = f" in steps of {self.step}" if self.step is not None else ""
-        return f"{self.low} to {self.high}{unit}{step}"
+        step = f" {by} {self.step}" if self.step is not None else ""
+        return f"{self.low} {to} {self.high}{unit}{step}"

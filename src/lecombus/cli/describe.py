@@ -1,0 +1,170 @@
+"""`lecombus describe`: what is known of a family's codes, without a daemon or a drive."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import click
+
+from lecombus.api.exact import encode
+from lecombus.cli.arguments import CODE, json_option
+from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.cli.reports import Document
+from lecombus.cli.screen import on_terminal, show_rows
+from lecombus.descriptions import bits_document, code_document, family_document
+from lecombus.drives import FAMILY_NAMES, CodeInfo, Family, Language, WriteClass, family
+from lecombus.protocol import Code
+
+__all__ = ["command"]
+
+HEADINGS = ("code", "name", "format", "values", "access", "kept", "source")
+
+
+@click.command("describe")
+@click.argument("family_name", metavar="FAMILY", type=click.Choice(FAMILY_NAMES))
+@click.argument("code", required=False, type=CODE)
+@click.option(
+    "--lang",
+    type=click.Choice([one.value for one in Language]),
+    default=Language.EN.value,
+    show_default=True,
+    help="Names and selections in this language.",
+)
+@click.option(
+    "--configuration",
+    type=int,
+    metavar="C0005",
+    help="The words of a 93XX with this signal configuration, such as 1011.",
+)
+@json_option
+def command(
+    family_name: str, code: Code | None, lang: str, configuration: int | None, as_json: bool
+) -> int:
+    """Show what is known of the codes of FAMILY, or all that is known of one CODE.
+
+    Everything is from the manuals; a range that they do not give is missing here, and any other
+    code may be read all the same. In a pipe: code, name, format, values, access, kept, source; or
+    with CODE one property a line. With --json: the document of GET /v1/drives/DRIVE/described, or
+    with CODE that code's part of it.
+    """
+    described = configured(family(family_name), configuration)
+    language = Language(lang)
+    if code is None:
+        show_family(described, language, as_json=as_json)
+        return Exit.DONE
+    info = described.info(code)
+    if info is None:
+        near = ", ".join(str(one.code) for one in neighbours(described, code))
+        raise CommandError(
+            Exit.USAGE,
+            Problem(
+                f"{code} of {family_name} is not described",
+                f"near it are {near}; any code may be read all the same" if near else
+                "any code may be read all the same",
+                "no-such-code",
+                code=str(code),
+            ),
+        )  # fmt: skip
+    if as_json:
+        click.echo(encode(code_document(described, info)))
+    else:
+        show_rows(("", ""), list(properties(described, info, language)))
+    return Exit.DONE
+
+
+def configured(described: Family, number: int | None) -> Family:
+    """Return a family as its words are with a signal configuration.
+
+    Raises:
+        CommandError: It has no such configuration.
+    """
+    found = described.configured(number)
+    if number is not None and not found.configuration:
+        known = ", ".join(filter(None, described.variants)) or "none"
+        raise CommandError(
+            Exit.USAGE,
+            Problem(
+                f"nothing is known of the signal configuration {number} of {described.name}",
+                f"known are: {known}",
+            ),
+        )
+    return found
+
+
+def show_family(described: Family, language: Language, *, as_json: bool) -> None:
+    """Print every code, one a line."""
+    if as_json:
+        codes = [code_document(described, info) for info in described.described()]
+        click.echo(encode({**family_document(described), "codes": [*codes]}))
+        return
+    if on_terminal():
+        click.echo(described.title)
+    rows = [
+        (
+            str(info.code),
+            info.name_in(language),
+            info.format.value,
+            info.allowed_in(language),
+            access(info),
+            info.storage.value,
+            info.source,
+        )
+        for info in described.described()
+    ]
+    show_rows(HEADINGS, rows)
+
+
+def properties(described: Family, info: CodeInfo, language: Language) -> Iterator[tuple[str, str]]:
+    """Give what is known of a code, one property after the other."""
+    digits = f", {info.hex_digits} hexadecimal digits" if info.hex_digits else ""
+    yield "code", str(info.code)
+    yield "name", info.name_in(language)
+    yield "format", f"{info.format.value}{digits}"
+    if info.unit:
+        yield "unit", info.unit
+    if info.low is not None:
+        yield "values", info.allowed_in(language)
+    for number, text in info.selection.items():
+        yield f"value {number}", text.in_language(language)
+    if info.default is not None:
+        yield "default", info.default
+    yield "access", access(info)
+    yield "kept", info.storage.value
+    if len(described.set_offsets) > 1:
+        yield "parameter set", str(info.parameter_set)
+    for bit in bits_document(described, info):
+        assert isinstance(bit, dict)
+        yield bit_place(bit), bit_text(bit, language)
+    yield "source", info.source
+
+
+def access(info: CodeInfo) -> str:
+    """Say what may be done with a code."""
+    parts = [word for word, may in (("read", info.readable), ("write", info.writable)) if may]
+    if info.write_class is not WriteClass.PLAIN:
+        parts.append(f"({info.write_class})")
+    if info.needs_inhibit:
+        parts.append("while inhibited")
+    return " ".join(parts)
+
+
+def bit_place(bit: Document) -> str:
+    """Name the place of a bit or a field."""
+    low, high = bit["low"], bit["high"]
+    return f"bit {low}" if low == high else f"bits {low} to {high}"
+
+
+def bit_text(bit: Document, language: Language) -> str:
+    """Say what a bit or a field is."""
+    if bit["kind"] == "free":
+        return "free: its meaning is set in the drive"
+    if bit["kind"] == "reserved":
+        return "reserved"
+    meanings = ", ".join(f"{one['value']} {one[language.value]}" for one in bit["meanings"])
+    return f"{bit['name']}: {meanings}" if meanings else str(bit["name"])
+
+
+def neighbours(described: Family, code: Code) -> Sequence[CodeInfo]:
+    """Give the described codes nearest to one that is not."""
+    nearest = sorted(described.described(), key=lambda one: abs(one.code.number - code.number))
+    return sorted(nearest[:3], key=lambda one: one.code)
