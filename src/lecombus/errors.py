@@ -262,12 +262,21 @@ class OperationError(LecombusError):
         drive: The drive's name.
         code: The code as text.
         remedy: What the user can do about it.
+        retry_after_s: When it may be asked for again, seconds from now; None: no time helps.
     """
 
     def __init__(
-        self, message: str, *, kind: str, drive: str = "", code: str = "", remedy: str = ""
+        self,
+        message: str,
+        *,
+        kind: str,
+        drive: str = "",
+        code: str = "",
+        remedy: str = "",
+        retry_after_s: float | None = None,
     ) -> None:
         super().__init__(message)
+        self.retry_after_s = retry_after_s
         self.kind = kind
         self.drive = drive
         self.code = code

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from lecombus import __version__
-from lecombus.config import DriveEntry, Roster, line_timing
+from lecombus.config import DriveEntry, Roster, line_timing, with_address
 from lecombus.drives import Family, LineTiming, StopAction, family
 from lecombus.errors import ConfigError
 from lecombus.line.port import PortOpener, PortSettings
@@ -24,9 +24,11 @@ from lecombus.metrics import Figures, Metrics
 from lecombus.operations.control_words import ControlWords
 from lecombus.operations.custody import Custody
 from lecombus.operations.identities import Identities
+from lecombus.operations.readdress import Readdress
 from lecombus.operations.request_maker import RequestMaker
 from lecombus.operations.requests import Requests
 from lecombus.operations.verb_operations import VerbOperations
+from lecombus.operations.wear import Wear
 from lecombus.protocol.addressing import Code
 from lecombus.schedule import Cyclic, Priority, Schedule, Settle
 from lecombus.state import State
@@ -34,6 +36,7 @@ from lecombus.store import Store
 from lecombus.supervision.books import Books
 from lecombus.supervision.configurations import Configurations
 from lecombus.supervision.fault_watch import FaultWatch
+from lecombus.supervision.gates import Gates
 from lecombus.supervision.health import Health
 from lecombus.supervision.keeper import Keeper
 
@@ -104,6 +107,8 @@ class Site:
         )
         self.schedule = Schedule(absent_share=line.absent_share)
         self.words = ControlWords()
+        self.state = state or State()
+        self.wear = Wear(self.state, self.store, clock)
         timing = timing or line_timing(line)
         maker = RequestMaker(timing, line.retries, self.metrics.meters.request_ended)
         self.health = Health(self.schedule, self.store, self._wants_audit, clock)
@@ -113,17 +118,17 @@ class Site:
         options = options or options_of(roster)
         self.worker = LineWorker(settings, opener, self.schedule, timing, options, books)
         self.requests = Requests(self.worker, maker, clock)
-        self.state = state or State()
         self.identities = Identities(self.state, self.store, wall, self._wants_audit)
-        self.keeper = Keeper(
-            self.requests, self.schedule, self.store, clock, self.health, self.identities,
-            self.words,
-        )  # fmt: skip
+        self.readdress = Readdress(
+            self.requests, self.store, self.state, self.identities, clock, wall, self._follow
+        )
+        gates = Gates(self.requests, self.store, self.identities, self.words, self.readdress)
+        self.keeper = Keeper(self.requests, self.schedule, self.store, clock, self.health, gates)
         self.operations = VerbOperations(
-            self.requests, self.store, self.words, clock, lambda: books.disturbances,
+            self.requests, self.store, self.words, self.wear, clock, lambda: books.disturbances,
             self.health.restarted,
         )  # fmt: skip
-        self.custody = Custody(self.identities)
+        self.custody = Custody(self.identities, self.wear, self.readdress)
         self._cyclic: dict[str, list[object]] = {}
         self._entries: dict[str, DriveEntry] = {}
         self.apply(roster)
@@ -132,7 +137,7 @@ class Site:
         watch = FaultWatch(self.store, self._read_soon, wall)
         return Books(
             self.store, self.metrics, self.health, self.words, watch, self._configurations,
-            self._has_drive,
+            self.wear, self._has_drive,
         )  # fmt: skip
 
     def apply(self, roster: Roster) -> Changes:
@@ -165,6 +170,7 @@ class Site:
             self.metrics.meters.add_group(name)
         self.state.bound(wanted)
         self.operations.set_roster(roster.drives, roster.groups)
+        self.readdress.set_roster(wanted)
         self.roster = roster
         self.worker.nudge()
         return Changes(
@@ -216,6 +222,7 @@ class Site:
         self.store.add_drive(entry.name, entry.address, kind)
         self._configurations.watch(entry.name, kind)
         self.identities.add_drive(entry)
+        self.wear.add_drive(entry)
         self.metrics.meters.add_drive(entry.name)
         self.requests.add_station(station)
         self.schedule.add_drive(entry.name)
@@ -250,6 +257,10 @@ class Site:
         if not kept:
             self.store.remove_drive(name)
             self.metrics.meters.remove(name)
+
+    def _follow(self, name: str, address: int) -> None:
+        """Speak to a drive at another address, until a roster says otherwise."""
+        self.apply(with_address(self.roster, name, address))
 
     def _has_drive(self, name: str, address: int | None) -> bool:
         entry = self._entries.get(name)
@@ -288,6 +299,7 @@ class Site:
             {name: feed.lapses for name, feed in stats.feeds.items()},
             stats.refused,
             stats.cyclic_skipped + stats.cyclic_dropped,
+            self.wear.figures(),
         )
 
 

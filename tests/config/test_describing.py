@@ -73,7 +73,7 @@ SAFE = "watchdog: {time: 2s, action: inhibit, configure: true}"
         (drive_with("watchdog: {time: 150ms, action: inhibit, configure: true}"), "may act when"),
         (drive_with("cyclic: [{code: C0150, every: 10ms}]"), "cyclic reads ask for"),
         (drive_with("writable: [C0150]"), "(controller status word) is writable here, read only"),
-        (drive_with("writable: [C0125]", "allow_address_change: true"), "answers elsewhere"),
+        (drive_with("writable: [C0125]", "allow_address_change: true"), "never written like other"),
         (drive_with("lease: {required: true, on_lapse: hold}"), "shows as a permanent alarm"),
         (drive_with("lease: {required: true}"), "a lease is required for 1 of 1 drive, but"),
     ],

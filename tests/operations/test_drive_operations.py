@@ -28,7 +28,8 @@ from support.site_host import Plant, roster_of, until, with_plant
 
 AB = [("a", 11, "8200vector"), ("b", 12, "8200vector")]
 STATUS, SETPOINT, ENABLE, PLAIN = Code(150), Code(46), Code(40), Code(11)
-WRITABLE = ", cyclic: [], writable: [C0011, C0012, C0040, C0043, C0046, C0135]"
+MODULE = Code(1920)  # not stored: written without being read first
+WRITABLE = ", cyclic: [], writable: [C0011, C0012, C0040, C0043, C0046, C0135, C1920]"
 ROSTER = roster_of(AB, drive=WRITABLE)
 
 
@@ -291,7 +292,7 @@ def test_what_the_loss_of_the_line_ends_is_told_as_that() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()
         reads = [asyncio.create_task(plant.site.operations.read("b", STATUS)) for _ in range(5)]
-        writing = asyncio.create_task(write(plant, PLAIN, 60))
+        writing = asyncio.create_task(write(plant, MODULE, 1))
         stopping = asyncio.create_task(plant.site.operations.stop(StopAction.INHIBIT, "all"))
         await anyio.sleep(0.005)
         plant.end.unplug()

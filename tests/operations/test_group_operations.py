@@ -20,7 +20,8 @@ from support.site_host import Plant, roster_of, until, with_plant
 TEENS = [("a", 11, "8200vector"), ("b", 12, "8200vector"), ("c", 13, "821x")]
 MIXED = [*TEENS, ("d", 21, "smvector"), ("g", 22, "generic")]
 STATUS, SETPOINT, ENABLE, PLAIN, WORD = Code(150), Code(46), Code(40), Code(11), Code(135)
-WRITABLE = ", cyclic: [], writable: [C0011, C0040, C0043, C0046, C0135]"
+MODULE = Code(1920)  # not stored: written without being read first
+WRITABLE = ", cyclic: [], writable: [C0011, C0040, C0043, C0046, C0135, C1920]"
 GROUPS = "groups:\n  teens: {members: [a, b, c]}\n  two: {members: [a, b]}\n"
 ROSTER = roster_of(MIXED, drive=WRITABLE, rest=GROUPS)
 QUICK, INHIBIT = StopAction.QUICK_STOP, StopAction.INHIBIT
@@ -90,7 +91,7 @@ def test_a_multicast_that_was_not_sent_says_why_for_every_member() -> None:
         await plant.online()
         busy = [asyncio.create_task(plant.site.operations.read("a", STATUS)) for _ in range(9)]
         await anyio.sleep(0.001)
-        report = await plant.site.operations.write_group("teens", PLAIN, 60, expires_s=0.03)
+        report = await plant.site.operations.write_group("teens", MODULE, 1, expires_s=0.03)
         assert {(one.outcome, one.kind) for one in report.members} == {(Outcome.EXPIRED, "expired")}
         setting = asyncio.create_task(plant.site.operations.write_group("teens", SETPOINT, 20))
         await anyio.lowlevel.checkpoint()
@@ -99,7 +100,7 @@ def test_a_multicast_that_was_not_sent_says_why_for_every_member() -> None:
         kinds = {(one.outcome, one.kind) for one in report.members}
         assert kinds == {(Outcome.SUPERSEDED, "superseded")}
         await asyncio.gather(*busy)
-        report_task = asyncio.create_task(plant.site.operations.write_group("teens", PLAIN, 60))
+        report_task = asyncio.create_task(plant.site.operations.write_group("teens", MODULE, 1))
         await anyio.sleep(0.001)
         plant.end.unplug()
         report = await report_task
@@ -136,11 +137,11 @@ def test_a_queue_that_fills_up_half_way_leaves_no_member_without_a_report() -> N
     async def test(plant: Plant) -> None:
         await plant.online()
         fill(plant, leave=1)
-        report = await plant.site.operations.write_group("two", PLAIN, 60)
+        report = await plant.site.operations.write_group("two", MODULE, 1)
         first, second = report.members
         assert (first.drive, first.outcome) == ("a", Outcome.DONE)
         assert (second.drive, second.outcome, second.kind) == ("b", Outcome.REFUSED, "queue-full")
-        assert plant.line["b"].text(11) != "60"
+        assert plant.line["b"].text(1920) != "1"
         assert report.outcome is Outcome.REFUSED
 
     with_plant(test, ROSTER)
@@ -151,7 +152,7 @@ def test_a_queue_that_is_full_from_the_beginning_is_an_error_and_nothing_is_sent
         await plant.online()
         fill(plant, leave=0)
         with pytest.raises(QueueFullError):
-            await plant.site.operations.write_group("two", PLAIN, 60)
+            await plant.site.operations.write_group("two", MODULE, 1)
 
     with_plant(test, ROSTER)
 

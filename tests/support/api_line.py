@@ -23,6 +23,7 @@ from lecombus.operations.reports import (
     VerbReport,
     WriteReport,
 )
+from lecombus.operations.wear import CodeWear, WearReport
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value
 from lecombus.schedule.request import Outcome, Priority
@@ -144,6 +145,13 @@ class FakeCustody:
 
     def identity(self, drive: str) -> IdentityReport:
         return IdentityReport(drive, {"C1810": "NEW"}, {"C1810": "OLD"}, {}, "", "swapped")
+
+    def wear(self, drive: str) -> WearReport:
+        code = CodeWear("C0012", "acceleration time", 7, 2, 0.0)
+        return WearReport(drive, 30, 600.0, (code,))
+
+    async def readdress(self, drive: str, address: int) -> WriteReport:
+        return WriteReport(drive, Code(9), Outcome.VERIFIED, f"at {address}")
 
     def accept(self, drive: str, shown: Mapping[str, str]) -> IdentityReport:
         return IdentityReport(drive, shown, shown, {}, "2026-11-22T00:00:00.000Z", "")

@@ -28,6 +28,7 @@ __all__ = [
     "BODY_LIMIT",
     "RIGHT",
     "AcceptBody",
+    "AddressBody",
     "Body",
     "DriveWriteBody",
     "SpeedBody",
@@ -62,6 +63,7 @@ RIGHT: Final[Mapping[str, str]] = {
     "action": '"quick-stop" or "inhibit"',
     "identity": 'what the drive said of itself, such as {"C1810": "33S2102I_10000"}',
     "unit": '"Hz", or "%" of the highest frequency or speed',
+    "address": "the new address, 1 to 99 without 10, 20 .. 90",
     "target": 'the name of a drive or a group, or "all"',
 }
 """What each key takes, for messages."""
@@ -234,6 +236,12 @@ def in_bounds(value: int | Decimal | str | None) -> int | Decimal | str | None:
     return value
 
 
+class AddressBody(Body):
+    """Where a drive shall be found from now on."""
+
+    address: Annotated[int, Field(description=RIGHT["address"])]
+
+
 def seconds_of(value: int | Decimal | str) -> Decimal:
     """Return a duration in seconds.
 
@@ -364,6 +372,8 @@ def example(model: type[Body]) -> str:
         return '{"value": 35.4, "unit": "Hz"}'
     if model is VerbBody:
         return "{}"
+    if model is AddressBody:
+        return '{"address": 12}'
     if model is AcceptBody:
         return '{"identity": {"C1810": "33S2102I_10000"}}'
     return '{"value": 35.4, "expires": "2s", "verify": true}'

@@ -1,4 +1,4 @@
-"""The paths of looking after a drive: who it is, and taking another in its place.
+"""The paths of looking after a drive: who it is, taking another in its place, wear, where it is.
 
 What must not live here: what an identity is, when a drive is written to (`operations`).
 """
@@ -15,10 +15,12 @@ from lecombus.api.answers import (
     content_of,
     described,
     json_response,
+    report_json,
 )
-from lecombus.api.bodies import AcceptBody, check_query, read_body
-from lecombus.api.documents import IdentityDocument
+from lecombus.api.bodies import AcceptBody, AddressBody, check_query, read_body
+from lecombus.api.documents import IdentityDocument, OutcomeDocument, WearDocument
 from lecombus.api.idempotency import Idempotency
+from lecombus.api.problems import report_problem
 from lecombus.api.seam import CustodyPort
 
 __all__ = ["add_custody"]
@@ -26,12 +28,46 @@ __all__ = ["add_custody"]
 
 def add_custody(app: FastAPI, custody: CustodyPort, keys: Idempotency) -> None:
     """Add the paths."""
+    add_what_is_known(app, custody)
+    add_what_is_done(app, custody, keys)
+
+
+def add_what_is_known(app: FastAPI, custody: CustodyPort) -> None:
+    """Add identity and wear, which send nothing to the line."""
 
     @app.get("/v1/drives/{drive}/identity", **described(IdentityDocument, 404, 422))
     async def identity(request: Request, drive: str) -> Response:
         """Who a drive is by its own word, by the record, and by the roster."""
         check_query(request)
         return json_response(custody.identity(drive).as_json())
+
+    @app.get("/v1/drives/{drive}/wear", **described(WearDocument, 404, 422))
+    async def wear(request: Request, drive: str) -> Response:
+        """How often the codes that wear a drive's memory were written, for ever."""
+        check_query(request)
+        return json_response(custody.wear(drive).as_json())
+
+
+def add_what_is_done(app: FastAPI, custody: CustodyPort, keys: Idempotency) -> None:
+    """Add another address, and another drive."""
+
+    @app.post(
+        "/v1/drives/{drive}/address", **described(OutcomeDocument, *REFUSALS, body=AddressBody)
+    )
+    async def address(request: Request, drive: str, key: Key = None) -> Response:
+        """Give a drive another address, find it there, and follow it; answers when that is known.
+
+        The roster must allow it, the drive must stand, and nothing may answer at the new address.
+        """
+        check_query(request)
+        body, raw = await read_body(request, AddressBody)
+
+        async def act() -> Response:
+            report = await custody.readdress(drive, body.address)
+            problem = report_problem(report)
+            return problem.response() if problem else json_response(report_json(report))
+
+        return await keys.run(key, content_of(request, raw), act)
 
     @app.post(
         "/v1/drives/{drive}/accept", **described(IdentityDocument, *REFUSALS, body=AcceptBody)

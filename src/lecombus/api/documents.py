@@ -31,6 +31,7 @@ __all__ = [
     "RestoreDocument",
     "StatusDocument",
     "VerbDocument",
+    "WearDocument",
     "problem_responses",
 ]
 
@@ -187,6 +188,24 @@ class DescribedDocument(Document):
     saved_by: Annotated[str | None, Field(description="What makes stored values stay")]
     parameter_set_offsets: list[int]
     codes: list[CodeDocument]
+
+
+class CodeWearDocument(Document):
+    """How often one code was written."""
+
+    code: Annotated[str, Field(examples=["C0012"])]
+    name: Annotated[str, Field(description="Empty where no description knows the code")]
+    writes: Annotated[int, Field(description="That may have reached the memory, for ever")]
+    to_this_device: Annotated[int, Field(description="Since the present device was accepted")]
+    wait_s: Annotated[Exact, Field(description="Until it may be written again; 0: now")]
+
+
+class WearDocument(Document):
+    """How often a drive's memory was written, and how often it may be."""
+
+    burst: Annotated[int, Field(description="Writes of one code that may follow each other")]
+    every_s: Annotated[Exact, Field(description="Until one more may follow; 0: no limit")]
+    codes: list[CodeWearDocument]
 
 
 class DrivesDocument(Document):

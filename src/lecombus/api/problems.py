@@ -13,6 +13,7 @@ shows the same table.
 413  the body is too big
 421  the request names a host that is not this machine
 422  the request cannot be understood, or the value cannot be sent
+429  a stored parameter was written too often (`Retry-After` says when it may be again)
 500  a mistake in lecombus
 502  the answer was garbled or belonged to something else
 503  the line is lost or closed, or it was never sent: queue full, expired while waiting
@@ -25,6 +26,7 @@ What must not live here: HTTP routing, and deciding what went wrong.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
@@ -88,9 +90,12 @@ STATUS_BY_KIND: Final[Mapping[str, tuple[int, str]]] = {
     "fault-active": (409, "The drive has a fault"),
     "busy": (409, "Another verb is under way"),
     "other-identity": (409, "Another drive than it should be"),
+    "address-taken": (409, "Address in use"),
+    "not-stopped": (409, "The drive does not stand still"),
     "no-control-word": (409, "Control word not known"),
     "too-big": (413, "Body too big"),
     "foreign-host": (421, "Wrong host"),
+    "too-many-writes": (429, "Stored parameter written too often"),
     "bad-request": (422, "Request not understood"),
     "bad-value": (422, "Value cannot be sent"),
     "key-reused": (422, "Idempotency-Key used for another request"),
@@ -198,12 +203,18 @@ def problem_of(error: LecombusError, *, drive: str = "", code: str = "") -> Prob
             drive=error.drive or drive,
             code=error.code or code,
             remedy=error.remedy,
+            headers=retry_headers(error.retry_after_s),
         )
     kind, cause, remedy = kind_of(error), "", ""
     if isinstance(error, ExchangeError):
         cause, remedy = error.cause, error.remedy
     remedy = remedy or REMEDIES.get(kind, "")
     return Problem(kind, str(error), drive=drive, code=code, cause=cause, remedy=remedy)
+
+
+def retry_headers(after_s: float | None) -> dict[str, str]:
+    """Return the header that says when to ask again, if there is such a time."""
+    return {} if after_s is None else {"Retry-After": str(math.ceil(after_s))}
 
 
 REMEDIES: Final[Mapping[str, str]] = {

@@ -21,6 +21,7 @@ from lecombus.operations.reports import (
     VerbReport,
     WriteReport,
 )
+from lecombus.operations.wear import WearReport
 from lecombus.protocol.addressing import Code, Form
 from lecombus.schedule.request import Priority
 from lecombus.store import Reading
@@ -46,6 +47,20 @@ class CustodyPort(Protocol):
 
         Raises:
             OperationError: No such drive.
+        """
+
+    def wear(self, drive: str) -> WearReport:
+        """Return how often a drive's memory was written.
+
+        Raises:
+            OperationError: No such drive.
+        """
+
+    async def readdress(self, drive: str, address: int) -> WriteReport:
+        """Give a drive another address and follow it there.
+
+        Raises:
+            LineError, ExchangeError, ScheduleError, OperationError: Nothing was changed.
         """
 
     def accept(self, drive: str, shown: Mapping[str, str]) -> IdentityReport:

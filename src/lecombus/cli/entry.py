@@ -42,6 +42,8 @@ COMMANDS = {
     "quick-stop": "Ramp drives down at once, before everything else.",
     "inhibit": "Inhibit drives at once, before everything else.",
     "stop": "Stop drives at once, before everything else; all of them if none is named.",
+    "readdress": "Give a drive another address, and follow it there.",
+    "wear": "Show how often a drive's memory was written.",
     "accept": "Take another drive in the place of the one that was there.",
     "describe": "Say what is known of the codes of a family of drives.",
     "status": "Show the line and its drives, or one drive with its values.",

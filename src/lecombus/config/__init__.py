@@ -21,6 +21,7 @@ from lecombus.config.models import (
     Roster,
     WatchdogEntry,
 )
+from lecombus.config.moving import with_address
 from lecombus.config.schema import roster_json_schema
 from lecombus.config.timing import line_timing
 
@@ -45,4 +46,5 @@ __all__ = [
     "load_roster",
     "parse_roster",
     "roster_json_schema",
+    "with_address",
 ]

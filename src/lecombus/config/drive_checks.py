@@ -14,9 +14,9 @@ from lecombus.drives import (
     Family,
     StopAction,
     WatchdogTraits,
-    WriteClass,
     family,
     knows_stop,
+    moves_drive,
 )
 from lecombus.durations import format_duration
 from lecombus.errors import CodeValueError
@@ -162,12 +162,12 @@ def _check_forms(drive: Entry, mistakes: Mistakes) -> None:
 
 
 def _check_writable(drive: Entry, of: Family, mistakes: Mistakes) -> None:
-    """Refuse codes that change how the drive is reached, unless that is asked for in words."""
+    """Refuse codes that change how the drive is reached; listed beside the key, they do nothing."""
     if drive.get("allow_address_change", "allow_address_change" in drive.nodes):
         return
     for item in _codes(drive, "writable"):
-        info = of.info(item.value)
-        if info is not None and info.write_class is WriteClass.ADDRESS:
-            what = f"{item.value} ({info.name}) changes how the drive is reached"
-            right = "remove it, or write allow_address_change: true for this drive"
+        moved = moves_drive(of, item.value)
+        if moved is not None:
+            what = f"{item.value} {moved} and is never written like other codes"
+            right = "remove it: `lecombus readdress` changes an address, with allow_address_change"
             mistakes.note(item.node, what, right)

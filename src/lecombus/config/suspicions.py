@@ -239,6 +239,6 @@ def _writable(drive: DriveEntry) -> Iterator[tuple[str, str]]:
         elif info.write_class is WriteClass.SAVE:
             yield drive.name, f"each write of {code} ({info.name}) wears the drive's memory"
         elif info.write_class is WriteClass.ADDRESS:
-            yield drive.name, f"after a write of {code} ({info.name}) the drive answers elsewhere"
+            yield drive.name, f"{code} ({info.name}) is never written like other codes"
     if drive.lease.required and drive.lease.on_lapse == "hold":
         yield drive.name, "on_lapse hold lets the drive run on, and shows as a permanent alarm"

@@ -23,6 +23,7 @@ from .family import (
 )
 from .faults import Fault, FaultKind
 from .loading import FAMILY_NAMES, family, load_family
+from .moves import address_code, moves_drive, shifts_addressing
 from .operating import OperatingState, StateRule, join_states
 from .restoring import (
     RestoreRule,
@@ -79,6 +80,7 @@ __all__ = [
     "WordField",
     "WordInfo",
     "WriteClass",
+    "address_code",
     "confirm_codes",
     "encode_for",
     "family",
@@ -86,6 +88,7 @@ __all__ = [
     "join_states",
     "knows_stop",
     "load_family",
+    "moves_drive",
     "multicast_cost",
     "must_be_same",
     "needs_control_word",
@@ -94,6 +97,7 @@ __all__ = [
     "restore_rank",
     "restore_rule",
     "saving_rule",
+    "shifts_addressing",
     "stop_confirmed",
     "stop_value",
     "write_cost",

@@ -36,6 +36,7 @@ class Figures:
         watchdog_misses: By drive, how often a feed came too late.
         refused: By class, requests the schedule refused so far.
         cyclic_skipped: Cyclic reads passed over so far.
+        writes: By drive and code, writes that may have reached the drive's memory, for ever.
     """
 
     queue_depth: Mapping[Priority, int] = field(default_factory=dict)
@@ -45,6 +46,7 @@ class Figures:
     watchdog_misses: Mapping[str, int] = field(default_factory=dict)
     refused: Mapping[Priority, int] = field(default_factory=dict)
     cyclic_skipped: int = 0
+    writes: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
 
 
 class LineFigures:
@@ -74,12 +76,17 @@ class LineFigures:
             "cyclic_skipped", "Cyclic reads passed over: drive held back, or a feed went first."
         )
 
+        self._writes = counter(
+            "parameter_writes",
+            "Writes that may have reached a drive's memory, for ever; other: codes not described.",
+        )
+
     @property
     def blocks(self) -> tuple[Block, ...]:
         """The families, in the order of the page."""
         return (
             *(self._up, self._depth, self._refused, self._stretch, self._late, self._skipped),
-            *(self._margin, self._misses),
+            *(self._margin, self._misses, self._writes),
         )
 
     def render(self, store: Store, figures: Figures) -> None:
@@ -102,6 +109,12 @@ class LineFigures:
         for drive, misses in figures.watchdog_misses.items():
             label = f'{line},drive="{escape(drive)}"'
             self._misses.lines.append(f"{self._misses.name}_total{{{label}}} {misses}")
+        for drive, writes in figures.writes.items():
+            label = f'{line},drive="{escape(drive)}",code="'
+            self._writes.lines.extend(
+                f'{self._writes.name}_total{{{label}{code}"}} {count}'
+                for code, count in writes.items()
+            )
 
 
 class DriveFigures:

@@ -1,4 +1,6 @@
-"""Looking after drives: one place for the faces to ask who a drive is and to take another for it.
+"""Looking after drives: who one is, what another in its place is, its wear, its address.
+
+One place for the faces to ask.
 
 What must not live here: how any of it is done.
 """
@@ -8,6 +10,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from lecombus.operations.identities import Identities, IdentityReport
+from lecombus.operations.readdress import Readdress
+from lecombus.operations.reports import WriteReport
+from lecombus.operations.wear import Wear, WearReport
 
 __all__ = ["Custody"]
 
@@ -17,10 +22,26 @@ class Custody:
 
     Args:
         identities: Who they are.
+        wear: How often their memories were written.
+        readdress: Changes their addresses.
     """
 
-    def __init__(self, identities: Identities) -> None:
+    def __init__(self, identities: Identities, wear: Wear, readdress: Readdress) -> None:
         self._identities = identities
+        self._wear = wear
+        self._readdress = readdress
+
+    async def readdress(self, drive: str, address: int) -> WriteReport:
+        """Give a drive another address and follow it there (see `Readdress.change`)."""
+        return await self._readdress.change(drive, address)
+
+    def wear(self, drive: str) -> WearReport:
+        """Return how often a drive's memory was written.
+
+        Raises:
+            OperationError: `no-such-drive`.
+        """
+        return self._wear.report(drive)
 
     def identity(self, drive: str) -> IdentityReport:
         """Return who a drive is.

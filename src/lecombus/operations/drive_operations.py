@@ -13,10 +13,11 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from decimal import Decimal
 
 from lecombus.config import DriveEntry, GroupEntry
-from lecombus.drives import encode_for
+from lecombus.drives import Family, WriteClass, encode_for, moves_drive, shifts_addressing
 from lecombus.errors import (
     CodeValueError,
     CutReplyError,
+    ExchangeError,
     LecombusError,
     LineClosedError,
     NakError,
@@ -30,6 +31,7 @@ from lecombus.operations.refusals import Refusals
 from lecombus.operations.reports import RestoreRights, WriteReport
 from lecombus.operations.requests import Ending, Requests, is_line_lost
 from lecombus.operations.restores import check_restored, rights_of
+from lecombus.operations.wear import Wear, wears
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value
 from lecombus.readings import DriveState, LineState, Reading
@@ -49,6 +51,7 @@ class Operations:
         requests: Sends requests.
         store: What is known.
         words: The drives' control words as last seen.
+        wear: Counts and limits what wears the drives' memories.
         clock: Monotonic time, seconds.
         disturbances: How often the line has carried something that was no answer.
     """
@@ -58,9 +61,11 @@ class Operations:
         requests: Requests,
         store: Store,
         words: ControlWords,
+        wear: Wear,
         clock: Callable[[], float],
         disturbances: Callable[[], int] = lambda: 0,
     ) -> None:
+        self._wear = wear
         self._requests = requests
         self._store = store
         self._words = words
@@ -179,11 +184,57 @@ class Operations:
         station = self._requests.station(drive)
         wire = self.permitted(drive, station, code, value, restoring=restoring)
         expires_at_s = None if expires_s is None else self._clock() + expires_s
+        if wears(station.family, code):
+            there = await self.already_there(
+                station, code, wire, verify=verify, within_s=expires_s, urgency=urgency
+            )
+            if there is not None:
+                return there
+            # Much may have become of the drive meanwhile.
+            station = self._requests.station(drive)
+            wire = self.permitted(drive, station, code, value, restoring=restoring)
+            self._wear.take(drive, code)
         ending = self.submit_write(
             station, code, wire, expires_at_s, verify=verify, urgency=urgency
         )
         report = self.report(drive, code, ending, *await ending.wait())
         return await self._refusals.explain(report, station, wire)
+
+    async def already_there(
+        self,
+        station: Station,
+        code: Code,
+        wire: Value,
+        *,
+        verify: bool,
+        within_s: float | None,
+        urgency: Priority | None = None,
+    ) -> WriteReport | None:
+        """Read a stored parameter first: what it holds already need not wear its memory.
+
+        Returns:
+            How the write ended without being sent; None: it must be.
+        """
+        info = station.family.info(code)
+        if not wears(station.family, code) or info is None or info.motion or not info.readable:
+            return None
+        if station.family.write_class(code, wire) is not WriteClass.PLAIN:
+            return None
+        try:
+            found = await self._requests.read(
+                station,
+                code,
+                urgency or Priority.INTERACTIVE,
+                timeout_s=READ_WITHIN_S if within_s is None else within_s,
+            )
+        except (ExchangeError, OperationError):
+            return None  # the write itself tells what is the matter
+        if not found.means_same(wire):
+            return None
+        outcome = Outcome.VERIFIED if verify else Outcome.DONE
+        reading = self._store.reading(station.name, code)
+        reason = "already there, not written"
+        return WriteReport(station.name, code, outcome, reason, reading=reading)
 
     def submit_write(
         self,
@@ -224,6 +275,7 @@ class Operations:
         """Give the wire's value for a write that may be made now."""
         if self._closing:
             raise LineClosedError(f"{drive} is not written to: the daemon is being ended")
+        refuse_moving(drive, station.family, code)
         if restoring:
             check_restored(self.restore_rights(drive), station.family, code, value)
         else:
@@ -304,6 +356,27 @@ class Operations:
             remedy = CUT_REMEDY
         reading = self._store.reading(drive, code)
         return WriteReport(drive, code, outcome, reason, kind=kind, remedy=remedy, reading=reading)
+
+
+def refuse_moving(drive: str, family: Family, code: Code) -> None:
+    """Refuse codes after whose write the drive, or its codes, would be elsewhere.
+
+    Raises:
+        OperationError: `not-writable`.
+    """
+    moved = moves_drive(family, code)
+    remedy = f"change an address by `lecombus readdress {drive} NEW`; a baud rate at the keypad"
+    if moved is None and shifts_addressing(family, code):
+        moved = "moves what every later telegram in standard addressing reaches"
+        remedy = "name a subcode after the code instead, as in C0039/1"
+    if moved is not None:
+        raise OperationError(
+            f"{code} of {drive} {moved}: it is never written like other codes",
+            kind="not-writable",
+            drive=drive,
+            code=str(code),
+            remedy=remedy,
+        )
 
 
 def listed(writable: Collection[Code]) -> str:

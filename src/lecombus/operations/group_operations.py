@@ -18,7 +18,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 
@@ -45,9 +45,10 @@ from lecombus.line.station import Station, Step
 from lecombus.line.stop_job import STOP_PATIENCE_S, StopJob
 from lecombus.operations.control_words import ControlWords
 from lecombus.operations.drive_operations import REMEDIES, Operations, kind_of
-from lecombus.operations.reports import GroupInfo, GroupReport, How, WriteReport
+from lecombus.operations.reports import GroupInfo, GroupReport, WriteReport, group_report
 from lecombus.operations.request_maker import ignore_end
 from lecombus.operations.requests import Ending, Requests
+from lecombus.operations.wear import Wear, wears
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value
 from lecombus.readings import DriveState
@@ -86,10 +87,11 @@ class GroupOperations(Operations):
         requests: Requests,
         store: Store,
         words: ControlWords,
+        wear: Wear,
         clock: Callable[[], float],
         disturbances: Callable[[], int] = lambda: 0,
     ) -> None:
-        super().__init__(requests, store, words, clock, disturbances)
+        super().__init__(requests, store, words, wear, clock, disturbances)
         self._stops: dict[tuple[str, StopAction], _OpenStop] = {}
         self._shared: dict[tuple[str, StopAction], Request] = {}
         self._stops_said: Counter[str] = Counter()
@@ -126,54 +128,109 @@ class GroupOperations(Operations):
             LineError: There is no line; nothing was sent.
             QueueFullError: Too many requests wait; nothing was sent to any member.
         """
-        entry = self._group(group)
-        stations = tuple(self._requests.station(name) for name in entry.members)
-        wires = [self.permitted(one.name, one, code, value) for one in stations]
         expires_at_s = None if expires_s is None else self._clock() + expires_s
-        form = shared_form(stations, code)
-        same = len({wire.raw for wire in wires}) == 1
-        if entry.multicast_address is None or form is None or not same:
-            waits = self._submit_each(stations, code, wires, expires_at_s, verify=bool(verify))
-            reports = [
+        stations, wires = self._permitted_all(group, code, value)
+        there: Sequence[WriteReport | None] = [None] * len(stations)
+        if any(wears(one.family, code) for one in stations):
+            there = await self._already_there(
+                stations, code, wires, verify=bool(verify), within_s=expires_s
+            )
+            known = [one for one in there if one is not None]
+            if len(known) == len(stations):
+                return group_report(group, "one-by-one", known)
+            stations, wires = self._permitted_all(group, code, value)  # what became of them
+        address, form = self._group(group).multicast_address, shared_form(stations, code)
+        if address is None or form is None or len({wire.raw for wire in wires}) != 1:
+            waits = self._submit_each(
+                stations, code, wires, there, expires_at_s, verify=bool(verify)
+            )
+            each = [
                 self.report(one.name, code, wait, *await wait.wait())
                 if isinstance(wait, Ending)
                 else wait
                 for one, wait in zip(stations, waits, strict=True)
             ]
-            reports = await self._refusals.explain_all(reports, stations, wires)
-            return group_report(group, "one-by-one", reports)
-        outcome, reason, kind = await self._multicast(
-            Station(group, entry.multicast_address, stations[0].family, (form,)),
-            stations, code, wires[0], expires_at_s,
-        )  # fmt: skip
-        if outcome is Outcome.DONE and verify is not False:
-            proofs = await asyncio.gather(*(self._proof(one, code, wires[0]) for one in stations))
-            proofs = await self._refusals.explain_all(proofs, stations, wires)
-            return group_report(group, "multicast", proofs)
-        told = Outcome.UNKNOWN if outcome is Outcome.DONE else outcome
-        reports = [
-            WriteReport(one.name, code, told, reason, kind=kind, remedy=REMEDIES.get(kind, ""))
-            for one in stations
-        ]
+            each = await self._refusals.explain_all(each, stations, wires)
+            return group_report(group, "one-by-one", each)
+        to = Station(group, address, stations[0].family, (form,))
+        reports = await self._write_shared(to, stations, code, wires[0], expires_at_s, verify)
         return group_report(group, "multicast", reports)
+
+    def _permitted_all(
+        self, group: str, code: Code, value: Decimal | int | str
+    ) -> tuple[tuple[Station, ...], list[Value]]:
+        """Give a group's members, and for each the wire's value that may be written to it now."""
+        members = self._group(group).members
+        stations = tuple(self._requests.station(name) for name in members)
+        return stations, [self.permitted(one.name, one, code, value) for one in stations]
+
+    async def _already_there(
+        self,
+        stations: Sequence[Station],
+        code: Code,
+        wires: Sequence[Value],
+        *,
+        verify: bool,
+        within_s: float | None,
+    ) -> list[WriteReport | None]:
+        """Read a stored parameter of every member; see that the others may be written."""
+        there = await asyncio.gather(
+            *(
+                self.already_there(one, code, wire, verify=verify, within_s=within_s)
+                for one, wire in zip(stations, wires, strict=True)
+            )
+        )
+        for one, known in zip(stations, there, strict=True):
+            if known is None:
+                self._wear.check(one.name, code)
+        return there
+
+    async def _write_shared(
+        self,
+        to: Station,
+        stations: tuple[Station, ...],
+        code: Code,
+        wire: Value,
+        expires_at_s: float | None,
+        verify: bool | None,
+    ) -> Sequence[WriteReport]:
+        """Write a code of all members by one telegram, and read it back from each."""
+        for one in stations:
+            self._wear.check(one.name, code)
+        for one in stations:
+            self._wear.take(one.name, code)
+        outcome, reason, kind = await self._multicast(to, stations, code, wire, expires_at_s)
+        if outcome is Outcome.DONE and verify is not False:
+            proofs = await asyncio.gather(*(self._proof(one, code, wire) for one in stations))
+            return await self._refusals.explain_all(proofs, stations, [wire] * len(stations))
+        told = Outcome.UNKNOWN if outcome is Outcome.DONE else outcome
+        remedy = REMEDIES.get(kind, "")
+        return [
+            WriteReport(one.name, code, told, reason, kind=kind, remedy=remedy) for one in stations
+        ]
 
     def _submit_each(
         self,
         stations: Sequence[Station],
         code: Code,
         wires: Sequence[Value],
+        there: Sequence[WriteReport | None],
         expires_at_s: float | None,
         *,
         verify: bool,
     ) -> list[Ending | WriteReport]:
-        """Put a write for every member into the line.
+        """Put a write for every member into the line that does not hold the value already.
 
         Where the queue is full half way, the members left over are told so: the others' writes
         are in the line already and will have their outcome.
         """
         waits: list[Ending | WriteReport] = []
-        for one, wire in zip(stations, wires, strict=True):
+        for one, wire, known in zip(stations, wires, there, strict=True):
+            if known is not None:
+                waits.append(known)
+                continue
             try:
+                self._wear.take(one.name, code)
                 waits.append(self.submit_write(one, code, wire, expires_at_s, verify=verify))
             except QueueFullError as exc:
                 if not waits:
@@ -423,24 +480,3 @@ def said_by(request: Request) -> Step:
     job = request.work
     assert isinstance(job, MulticastJob)
     return job.step
-
-
-_FROM_BEST = (
-    Outcome.VERIFIED,
-    Outcome.DONE,
-    Outcome.SUPERSEDED,
-    Outcome.EXPIRED,
-    Outcome.REFUSED,
-    Outcome.UNKNOWN,
-)
-
-
-def group_report(target: str, how: How, reports: Iterable[WriteReport]) -> GroupReport:
-    """Put the members' reports together.
-
-    The whole is called by the worst of them: whoever reads only one word must not be told better
-    than it is.
-    """
-    members = tuple(reports)
-    worst = max(members, key=lambda one: _FROM_BEST.index(one.outcome))
-    return GroupReport(target, how, worst.outcome, members, worst.reason)

@@ -1,12 +1,13 @@
 """How a write, a group write or a stop ended, as operations tell it and the faces show it.
 
-Frozen snapshots without behaviour. They stand apart from `operations` because whoever shows them
-must not depend on how they came about, and apart from `schedule` because a report names the
-likely cause and what to do, which a schedule does not know.
+Frozen snapshots; several put together are called by the worst of them. They stand apart from
+`operations` because whoever shows them must not depend on how they came about, and apart from
+`schedule` because a report names the likely cause and what to do, which a schedule does not know.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,7 +16,15 @@ from lecombus.protocol.addressing import Code
 from lecombus.readings import Json, Reading
 from lecombus.schedule.request import Outcome
 
-__all__ = ["GroupInfo", "GroupReport", "How", "RestoreRights", "VerbReport", "WriteReport"]
+__all__ = [
+    "GroupInfo",
+    "GroupReport",
+    "How",
+    "RestoreRights",
+    "VerbReport",
+    "WriteReport",
+    "group_report",
+]
 
 How = Literal["multicast", "one-by-one"]
 
@@ -136,3 +145,24 @@ class RestoreRights:
             "reason": self.reason or None,
             "remedy": self.remedy or None,
         }
+
+
+_FROM_BEST = (
+    Outcome.VERIFIED,
+    Outcome.DONE,
+    Outcome.SUPERSEDED,
+    Outcome.EXPIRED,
+    Outcome.REFUSED,
+    Outcome.UNKNOWN,
+)
+
+
+def group_report(target: str, how: How, reports: Iterable[WriteReport]) -> GroupReport:
+    """Put the members' reports together.
+
+    The whole is called by the worst of them: whoever reads only one word must not be told better
+    than it is.
+    """
+    members = tuple(reports)
+    worst = max(members, key=lambda one: _FROM_BEST.index(one.outcome))
+    return GroupReport(target, how, worst.outcome, members, worst.reason)

@@ -59,6 +59,7 @@ from lecombus.operations.control_words import ControlWords
 from lecombus.operations.group_operations import STOP_REMEDY, GroupOperations
 from lecombus.operations.reports import VerbReport, WriteReport
 from lecombus.operations.requests import Requests
+from lecombus.operations.wear import Wear
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 from lecombus.readings import DriveState, Reading
@@ -119,11 +120,12 @@ class VerbOperations(GroupOperations):
         requests: Requests,
         store: Store,
         words: ControlWords,
+        wear: Wear,
         clock: Callable[[], float],
         disturbances: Callable[[], int],
         restarted: Callable[[str], None],
     ) -> None:
-        super().__init__(requests, store, words, clock, disturbances)
+        super().__init__(requests, store, words, wear, clock, disturbances)
         self._restarted = restarted
         self._busy: dict[str, Verb] = {}
 

@@ -12,6 +12,7 @@ from lecombus.line.observer import ExchangeReport
 from lecombus.line.station import StepKind
 from lecombus.metrics import Metrics
 from lecombus.operations.control_words import ControlWords
+from lecombus.operations.wear import Wear
 from lecombus.protocol.exchange import ResultKind
 from lecombus.protocol.telegrams import AckAnswer, NakAnswer, UnknownCodeAnswer, ValueAnswer
 from lecombus.readings import LineState
@@ -41,6 +42,7 @@ class Books:
         words: Control words.
         faults: Watches for faults.
         configurations: Follows the signal configurations.
+        wear: Counts what may have worn a drive's memory.
         is_drive: Whether a name is a drive of the roster and has this address (None: any): it
             may have left the roster meanwhile, or come back as another device.
     """
@@ -53,12 +55,14 @@ class Books:
         words: ControlWords,
         faults: FaultWatch,
         configurations: Configurations,
+        wear: Wear,
         is_drive: Callable[[str, int | None], bool],
     ) -> None:
         self._store = store
         self._metrics = metrics
         self._health = health
         self._words = words
+        self._wear = wear
         self._is_drive = is_drive
         self._faults = faults
         self.disturbances = 0
@@ -79,6 +83,7 @@ class Books:
                 self._store.value_written(report.drive, report.step.code)
                 self._words.disturbed(report.drive, report.step.code)
                 self._configurations.written(report.drive, report.step.code)
+                self._wear.written(report.drive, report.step.code)
             if type(answer) is ValueAnswer:
                 code = report.step.code
                 self._store.value_read(report.drive, code, answer.value, result.ended_s)
@@ -105,6 +110,7 @@ class Books:
             if self._is_drive(member, None):
                 self._store.value_written(member, code)
                 self._configurations.written(member, code)
+                self._wear.written(member, code)
             self._words.disturbed(member, code)
             if value is not None and report.result.kind is ResultKind.SENT:
                 self._words.seen(member, code, value)

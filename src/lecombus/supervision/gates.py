@@ -28,6 +28,7 @@ from lecombus.errors import UnknownCodeError
 from lecombus.line.station import Station
 from lecombus.operations.control_words import ControlWords
 from lecombus.operations.identities import Identities, identity_codes
+from lecombus.operations.readdress import Readdress
 from lecombus.operations.requests import Requests
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value
@@ -55,15 +56,27 @@ class Gates:
         store: Gets the remarks.
         identities: Judges who they are.
         words: Their control words, which may be others' codes until addressing is known.
+        readdress: Knows which were moved to another address.
     """
 
     def __init__(
-        self, requests: Requests, store: Store, identities: Identities, words: ControlWords
+        self,
+        requests: Requests,
+        store: Store,
+        identities: Identities,
+        words: ControlWords,
+        readdress: Readdress,
     ) -> None:
         self._requests = requests
         self._store = store
         self._identities = identities
         self._words = words
+        self._readdress = readdress
+
+    def passed(self, name: str) -> None:
+        """A drive was audited to the end where the roster says that it is."""
+        if self._store.drive(name).write_lock is None:
+            self._readdress.seen_at_home(name)
 
     async def check_addressing(self, entry: DriveEntry, station: Station) -> Station:
         """See that what is asked for is what is answered.

@@ -27,8 +27,6 @@ from anyio.abc import TaskGroup
 from lecombus.config import DriveEntry
 from lecombus.errors import LecombusError
 from lecombus.line.station import Station
-from lecombus.operations.control_words import ControlWords
-from lecombus.operations.identities import Identities
 from lecombus.operations.requests import Requests
 from lecombus.readings import DriveState
 from lecombus.schedule import Feeding, Schedule
@@ -58,8 +56,7 @@ class Keeper:
         store: Gets the remarks.
         clock: Monotonic time, seconds.
         health: Told when a drive has been audited.
-        identities: Knows who each drive is.
-        words: The drives' control words.
+        gates: What decides whether a drive may be written to.
     """
 
     def __init__(
@@ -69,13 +66,13 @@ class Keeper:
         store: Store,
         clock: Callable[[], float],
         health: Health,
-        identities: Identities,
-        words: ControlWords,
+        gates: Gates,
     ) -> None:
         self._requests = requests
         self._schedule = schedule
         watchdogs = WatchdogAudit(requests, store, self._feed)
-        self._audits = Audit(requests, Gates(requests, store, identities, words), watchdogs)
+        self._audits = Audit(requests, gates, watchdogs)
+        self._gates = gates
         self._clock = clock
         self._entries: dict[str, DriveEntry] = {}
         self._auditing: dict[str, anyio.CancelScope] = {}
@@ -145,6 +142,7 @@ class Keeper:
             else:
                 if name not in self._again:
                     self._health.audited(name)
+                    self._gates.passed(name)
                     await self._learn_the_rest(name)
                 if name not in self._again:
                     return

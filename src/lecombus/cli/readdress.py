@@ -1,0 +1,54 @@
+"""`lecombus readdress`: a drive at another address."""
+
+from __future__ import annotations
+
+from urllib.parse import quote
+
+import click
+
+from lecombus.cli.arguments import daemon_options
+from lecombus.cli.client import connect
+from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.cli.reports import Document, show_write, status_of
+from lecombus.cli.screen import on_terminal, table_text
+
+__all__ = ["command"]
+
+
+@click.command("readdress")
+@click.argument("drive")
+@click.argument("address", type=click.IntRange(1, 99), metavar="NEW")
+@click.option("--yes", is_flag=True, help="Do it without being asked.")
+@daemon_options
+def command(
+    drive: str, address: int, yes: bool, socket: str | None, url: str | None, as_json: bool
+) -> int:
+    """Give DRIVE the address NEW, find it there and follow it.
+
+    The roster must say `allow_address_change: true` for it, the drive must be inhibited or stopped,
+    and nothing may answer at NEW. Afterwards write the new address into the roster.
+
+    Exit status 0 only if it was found at NEW. If it is found nowhere, what is known of it is said.
+    """
+    with connect(socket, url) as daemon:
+        path = f"/v1/drives/{quote(drive, safe='')}"
+        if not yes:
+            known: Document = daemon.get(path).data
+            _ask(known, address, may_ask=on_terminal() and not as_json)
+        answer = daemon.post(f"{path}/address", {"address": address})
+    if as_json:
+        click.echo(answer.text)
+        return status_of(answer.data)
+    return show_write(answer.data)
+
+
+def _ask(known: Document, address: int, *, may_ask: bool) -> None:
+    drive, old = table_text(known.get("drive")), table_text(known.get("address"))
+    if not may_ask:
+        raise CommandError(
+            Exit.USAGE, Problem(f"the address of {drive} is not changed unasked", "add --yes")
+        )
+    told = ", ".join(f"{code} {text}" for code, text in dict(known.get("identity") or {}).items())
+    click.echo(f"{drive} at address {old} ({known.get('family')}), which is {told or 'unknown'}")
+    if not click.confirm(f"Give it address {address}?"):
+        raise CommandError(Exit.FAILED, Problem("nothing was changed"))

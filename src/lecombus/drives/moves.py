@@ -1,0 +1,57 @@
+"""Codes that move a drive away: after their write it answers at another address or baud rate.
+
+Strategy: by number, for every family. LECOM devices of any maker have their address in C0009 and
+their baud rate in C0125; where nothing is described, that is the safe guess. An SMVector has them
+in P410 and P411 (C1410, C1411), and its P403 puts both back to their defaults. C0248 and C0249 move
+what every later standard-addressed telegram reaches; they are named where a family describes them,
+for in another device they are codes like any other.
+
+What must not live here: doing it (`operations.readdress`).
+Source: EDB2102EN 5, 8.2 (C0009, C0125, C0248, C0249); CMVLC401A 4.1 (P403), 4.2 (P410, P411).
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from lecombus.protocol.addressing import Code
+
+from .family import Family
+
+__all__ = ["address_code", "moves_drive", "shifts_addressing"]
+
+LECOM_ADDRESS: Final = Code(9)
+SMV_ADDRESS: Final = Code(1410)
+ADDRESSES: Final = frozenset({LECOM_ADDRESS, SMV_ADDRESS})
+BAUDS: Final = frozenset({Code(125), Code(1411)})
+MODULE_RESET: Final = Code(1403)
+SHIFTING: Final = frozenset({Code(248), Code(249)})
+
+
+def moves_drive(family: Family, code: Code) -> str | None:
+    """Say how a drive goes away when a code is written; None: it stays.
+
+    Args:
+        family: What is known of the drive.
+        code: The code.
+
+    Returns:
+        Words to stand behind "C0009 of feeder", and None for a code that moves nothing.
+    """
+    if code in ADDRESSES:
+        return "is its address"
+    if code in BAUDS:
+        return "is its baud rate, which all drives of a line share"
+    if code == MODULE_RESET and (family.info(SMV_ADDRESS) is not None or not family.codes):
+        return "puts its address and baud rate back to their defaults"
+    return None
+
+
+def shifts_addressing(family: Family, code: Code) -> bool:
+    """Whether a code moves what later telegrams in standard addressing reach."""
+    return code in SHIFTING and family.info(code) is not None
+
+
+def address_code(family: Family) -> Code:
+    """Give the code that holds a drive's own address."""
+    return SMV_ADDRESS if family.info(SMV_ADDRESS) is not None else LECOM_ADDRESS

@@ -1,0 +1,330 @@
+"""Giving a drive another address, and following it there.
+
+A drive that takes another address answers at it from then on, also perhaps the very write: nothing
+says that it went well but the drive itself, found again. So this is done in steps, each of which
+can still end well:
+
+1. *before*: the roster allows it, the address is one and nobody's, the drive is online, the one it
+   should be, and stands still; the new address is silent when it is asked. Nothing was changed yet.
+2. *the write*, once, never repeated blindly.
+3. *after*: the new address is asked for its own address and identity. Found: the line follows at
+   once, and a remark stands until the roster says the same.
+4. *the way back*: not found there, the old address is asked. There with the old value: nothing has
+   happened. There with the new value (it would move at its next start): the old is written back.
+   Found at neither: that is said, with what to do, and stands as a remark that outlives the daemon.
+
+A baud rate is not changed here: all drives of a line share it, and one that is lost in between can
+only be found at its keypad.
+
+What must not live here: HTTP, the roster's file.
+Source: EDB2102EN 5 (C0009, C0125 over LECOM), 6.2.2, 8.3.4; CMVLC401A 4.2 (P410).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import asynccontextmanager
+
+import anyio
+
+from lecombus.config import DriveEntry
+from lecombus.drives import StopAction, address_code
+from lecombus.errors import ExchangeError, NoReplyError, OperationError
+from lecombus.line.station import Station
+from lecombus.operations.identities import Identities, text_of
+from lecombus.operations.reports import WriteReport
+from lecombus.operations.requests import Requests
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+from lecombus.readings import DriveState, rfc3339
+from lecombus.schedule import Outcome, Priority
+from lecombus.state import Moved, State
+from lecombus.store import Store
+
+__all__ = ["Readdress"]
+
+logger = logging.getLogger(__name__)
+
+MOVED = "address"
+"""The remark on a drive whose address is not the roster's."""
+
+OUTPUT_FREQUENCY = Code(50)
+
+PAUSES_S = (0.1, 0.4, 1.0, 2.0)
+"""Before each look for the drive at its new address: some take a moment."""
+
+
+class Readdress:
+    """Changes addresses of the drives of one line.
+
+    Args:
+        requests: Sends requests and waits for their end.
+        store: What is known; gets the remarks.
+        state: Remembers where a drive was moved to.
+        identities: Knows who the drives are.
+        clock: Monotonic time, seconds.
+        wall: The time of day, Unix seconds.
+        follow: Makes the line speak to a drive at another address.
+    """
+
+    def __init__(
+        self,
+        requests: Requests,
+        store: Store,
+        state: State,
+        identities: Identities,
+        clock: Callable[[], float],
+        wall: Callable[[], float],
+        follow: Callable[[str, int], None],
+    ) -> None:
+        self._requests = requests
+        self._store = store
+        self._state = state
+        self._identities = identities
+        self._clock = clock
+        self._wall = wall
+        self._follow = follow
+        self._entries: Mapping[str, DriveEntry] = {}
+        self._one_at_a_time = anyio.Lock()
+
+    def set_roster(self, entries: Mapping[str, DriveEntry]) -> None:
+        """Take the roster's drives, and say which of them were moved elsewhere."""
+        self._entries = entries
+        for name, entry in entries.items():
+            facts = self._state.drive(name)
+            if facts.moved is not None and facts.moved.address == entry.address:
+                facts.moved = None
+                self._state.touch()
+            self._remark(name, entry.address, facts.moved)
+
+    def seen_at_home(self, name: str) -> None:
+        """Take note that a drive answers where the roster says, as the one it should be."""
+        facts, entry = self._state.drive(name), self._entries[name]
+        if facts.moved is not None and facts.moved.address != entry.address:
+            facts.moved = None
+            self._state.touch()
+            self._remark(name, entry.address, None)
+
+    async def change(self, drive: str, address: int) -> WriteReport:
+        """Give a drive another address and follow it there.
+
+        Args:
+            drive: The drive.
+            address: 1..99, not ending in 0, nobody's.
+
+        Returns:
+            `verified`: it was found there. `refused`: nothing was changed. `unknown`: it was found
+            nowhere; the reason says what is known.
+
+        Raises:
+            OperationError: It may not be done now; nothing was sent that changes anything.
+            ExchangeError: The drive could not be asked whether it stands; nothing was changed.
+            LineError: There is no line.
+        """
+        async with self._one_at_a_time:
+            station = self._requests.station(drive)
+            self._check(drive, station, address)
+            await self._see_that_it_stands(station)
+            async with self._at(station, address) as there:
+                await self._see_silence(drive, there)
+                self._check(drive, station, address)
+                code = address_code(station.family)
+                logger.warning(
+                    "drive=%s event=readdress from=%d to=%d", drive, station.address, address
+                )
+                outcome, reason = await self._requests.write(
+                    station, code, Value.decimal(address), verify=False
+                )
+                if outcome not in (Outcome.DONE, Outcome.UNKNOWN):
+                    return WriteReport(drive, code, outcome, reason, kind="nak")
+                found = await self._find(drive, there, address)
+            if found:
+                return self._moved(drive, station, address)
+            return await self._look_back(drive, station, address)
+
+    # ---- before -----------------------------------------------------------------------------
+
+    def _check(self, drive: str, station: Station, address: int) -> None:
+        """See what can be seen without a telegram."""
+
+        def refuse(text: str, kind: str, remedy: str) -> OperationError:
+            code = str(address_code(station.family))
+            return OperationError(text, kind=kind, drive=drive, code=code, remedy=remedy)
+
+        if not 1 <= address <= 99 or address % 10 == 0:
+            text = f"{address} is no drive's address"
+            raise refuse(text, "bad-value", "1 to 99 without 10, 20 .. 90 would be right")
+        other = next((e.name for e in self._entries.values() if e.address == address), None)
+        if other is not None:
+            text = f"{other} has address {address}" + (" already" if other == drive else "")
+            raise refuse(text, "address-taken", "choose an address that no drive has")
+        if not self._entries[drive].allow_address_change:
+            text = f"the roster does not let the address of {drive} be changed"
+            remedy = "write `allow_address_change: true` for it, reload, and take it out afterwards"
+            raise refuse(text, "not-permitted", remedy)
+        info = self._store.drive(drive)
+        if info.write_lock is not None:
+            raise refuse(f"nothing is written to {drive}: {info.write_lock}", "locked", "")
+        if info.state is not DriveState.ONLINE:
+            text = f"{drive} is {info.state.value}: {info.reason}"
+            raise refuse(text, "starting", "it is done with a drive that is online")
+
+    async def _see_that_it_stands(self, station: Station) -> None:
+        """A drive that turns must be reachable all the time."""
+        stops = station.family.stops
+        if not stops:
+            return  # a device of which nothing is known: whoever asks for this knows it
+        if await self._shows(station, StopAction.INHIBIT):
+            return
+        if await self._shows(station, StopAction.QUICK_STOP):
+            if station.family.info(OUTPUT_FREQUENCY) is None:
+                return
+            if (await self._read(station, OUTPUT_FREQUENCY)).number == 0:
+                return
+        raise OperationError(
+            f"{station.name} is neither inhibited nor stopped",
+            kind="not-stopped",
+            drive=station.name,
+            remedy=f"`lecombus stop {station.name} --action inhibit` first: while its address "
+            "changes it cannot be stopped over the line",
+        )
+
+    async def _shows(self, station: Station, action: StopAction) -> bool:
+        """Whether a drive's first proof of a stop holds now."""
+        rule = station.family.stops.get(action)
+        if rule is None or not rule.proofs:
+            return False
+        code, proof = next(iter(rule.proofs.items()))
+        return proof.holds(await self._read(station, code))
+
+    async def _see_silence(self, drive: str, there: Station) -> None:
+        """Any answer at the new address, also a damaged one, is another device."""
+        try:
+            await self._read(there, there.family.feed_code, retries=1)
+        except NoReplyError:
+            return
+        except ExchangeError:
+            pass
+        raise OperationError(
+            f"something answers at address {there.address} already, and it is not in the roster",
+            kind="address-taken",
+            drive=drive,
+            code=str(address_code(there.family)),
+            remedy="choose another address, or take that device off the line",
+        )
+
+    # ---- after ------------------------------------------------------------------------------
+
+    async def _find(self, drive: str, there: Station, address: int) -> bool:
+        """Look for the drive at its new address: it must say so itself, and be the same."""
+        for pause_s in PAUSES_S:
+            await anyio.sleep(pause_s)
+            try:
+                if (await self._read(there, address_code(there.family))).number != address:
+                    continue
+                return await self._is_the_same(drive, there)
+            except (ExchangeError, OperationError):
+                continue
+        return False
+
+    async def _is_the_same(self, drive: str, there: Station) -> bool:
+        for text, value in self._identities.report(drive).found.items():
+            if text_of(await self._read(there, Code.parse(text))) != value:
+                return False
+        return True
+
+    def _moved(self, drive: str, station: Station, address: int) -> WriteReport:
+        self._remember(drive, Moved(address, rfc3339(self._wall()), confirmed=True))
+        logger.warning("drive=%s event=readdressed from=%d to=%d", drive, station.address, address)
+        moved = self._state.drive(drive).moved
+        self._follow(drive, address)
+        self._state.drive(drive).moved = moved
+        self._remark(drive, station.address, moved)
+        return WriteReport(
+            drive,
+            address_code(station.family),
+            Outcome.VERIFIED,
+            f"it answers at address {address} now, and is the same drive",
+            remedy=f"write `address: {address}` for {drive} into the roster, then reload: until "
+            f"then lecombus speaks to {address}, after a restart to {station.address} again",
+        )
+
+    async def _look_back(self, drive: str, station: Station, address: int) -> WriteReport:
+        """Not at the new address: is it still at the old, and what does it hold there?"""
+        code = address_code(station.family)
+        try:
+            async with self._at(station, station.address) as here:  # it may count as offline by now
+                held = (await self._read(here, code)).number
+        except (ExchangeError, OperationError) as exc:
+            return self._lost(drive, station, address, str(exc))
+        if held == station.address:
+            text = f"it still answers at address {station.address}: nothing was changed"
+            return WriteReport(drive, code, Outcome.REFUSED, text, kind="not-in-effect")
+        outcome, reason = await self._requests.write(
+            station, code, Value.decimal(station.address), verify=True
+        )
+        if outcome is Outcome.VERIFIED:
+            text = (
+                f"it took {address} but still answers at {station.address}, so it would move at "
+                f"its next start: {station.address} was written back"
+            )
+            remedy = "set the address at its keypad"
+            return WriteReport(
+                drive, code, Outcome.REFUSED, text, kind="not-in-effect", remedy=remedy
+            )
+        return self._lost(drive, station, address, f"writing it back ended {outcome}: {reason}")
+
+    def _lost(self, drive: str, station: Station, address: int, why: str) -> WriteReport:
+        self._remember(drive, Moved(address, rfc3339(self._wall()), confirmed=False))
+        logger.error(
+            "drive=%s event=readdress-lost from=%d to=%d reason=%s",
+            drive, station.address, address, why,
+        )  # fmt: skip
+        self._remark(drive, station.address, self._state.drive(drive).moved)
+        return WriteReport(
+            drive,
+            address_code(station.family),
+            Outcome.UNKNOWN,
+            f"{address} was written to it, and it answers neither there nor at "
+            f"{station.address} ({why})",
+            kind="no-answer",
+            remedy=f"switch it off and on, then look at its address at the keypad: with "
+            f"{station.address} it comes back by itself, with {address} write `address: "
+            f"{address}` into the roster and reload",
+        )
+
+    # ---- parts ------------------------------------------------------------------------------
+
+    def _remember(self, drive: str, moved: Moved) -> None:
+        self._state.drive(drive).moved = moved
+        self._state.touch()
+
+    def _remark(self, drive: str, roster: int, moved: Moved | None) -> None:
+        text = None
+        if moved is not None and moved.confirmed:
+            text = (
+                f"it was moved to address {moved.address} at {moved.at}, the roster says {roster}: "
+                f"write `address: {moved.address}` there and reload"
+            )
+        elif moved is not None:
+            text = (
+                f"{moved.address} was written as its address at {moved.at}, and it was found "
+                f"neither there nor at {roster}: look at its address at the keypad"
+            )
+        self._store.note(drive, MOVED, text)
+
+    @asynccontextmanager
+    async def _at(self, station: Station, address: int) -> AsyncIterator[Station]:
+        """A drive at another address, known to the schedule for a while under another name."""
+        name = f"{station.name}@{address}"
+        schedule = self._requests.worker.schedule
+        schedule.add_drive(name)
+        try:
+            yield dataclasses.replace(station, name=name, address=address)
+        finally:
+            schedule.remove_drive(name, self._clock(), f"{name} is not looked for any more")
+
+    async def _read(self, station: Station, code: Code, *, retries: int | None = None) -> Value:
+        return await self._requests.read(station, code, Priority.INTERACTIVE, retries=retries)

@@ -1,0 +1,226 @@
+"""Wear: writes that a drive's memory takes a limited number of, counted for ever and limited.
+
+82XX drives store a parameter at every write, SMVectors too; a 93XX wears when it saves. Memory of
+this kind takes some hundred thousand writes. So a stored parameter is written only when it reads
+otherwise (`drive_operations`), and no oftener than the roster allows: a token bucket for each drive
+and code. Setpoints and control words are not stored and not limited.
+
+Every write that may have reached the memory counts, also one whose answer was lost and those of the
+keeper. Codes that nothing describes are counted where the family stores what is written; they are
+not limited, for nobody knows what they are.
+
+What must not live here: sending, files.
+Source: EDB2102EN 6.1.1 (82XX store every write), 6.1.3 (93XX store by C0003); CMVLC401A 4.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+
+from lecombus.config import DriveEntry
+from lecombus.drives import Family, Storage, WriteClass
+from lecombus.durations import format_duration
+from lecombus.errors import CodeValueError, OperationError
+from lecombus.protocol.addressing import Code
+from lecombus.readings import Json, seconds
+from lecombus.state import State
+from lecombus.store import Store
+
+__all__ = ["CodeWear", "Wear", "WearReport", "wears"]
+
+
+@dataclass(frozen=True, slots=True)
+class CodeWear:
+    """How often one code was written.
+
+    Args:
+        code: The code, as text.
+        name: What the family calls it; empty where nothing describes it.
+        writes: Writes that may have reached the memory, for ever.
+        to_this_device: Those since the present device was accepted in place of another.
+        wait_s: How long until it may be written again, seconds; 0: now.
+    """
+
+    code: str
+    name: str
+    writes: int
+    to_this_device: int
+    wait_s: float
+
+    def as_json(self) -> dict[str, Json]:
+        """Return the JSON form."""
+        return {
+            "code": self.code,
+            "name": self.name,
+            "writes": self.writes,
+            "to_this_device": self.to_this_device,
+            "wait_s": seconds(self.wait_s),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class WearReport:
+    """How often a drive's memory was written.
+
+    Args:
+        drive: Its name.
+        burst: Writes of one code that may follow each other.
+        every_s: Seconds until one more may follow; 0: no limit.
+        codes: What was written, the most first.
+    """
+
+    drive: str
+    burst: int
+    every_s: float
+    codes: tuple[CodeWear, ...]
+
+    def as_json(self) -> dict[str, Json]:
+        """Return the JSON form."""
+        return {
+            "drive": self.drive,
+            "burst": self.burst,
+            "every_s": seconds(self.every_s),
+            "codes": [one.as_json() for one in self.codes],
+        }
+
+
+class Wear:
+    """Counts and limits what wears the drives' memories.
+
+    Args:
+        state: Where counts are kept.
+        store: Knows the drives' families.
+        clock: Monotonic time, seconds.
+    """
+
+    def __init__(self, state: State, store: Store, clock: Callable[[], float]) -> None:
+        self._state = state
+        self._store = store
+        self._clock = clock
+        self._entries: dict[str, DriveEntry] = {}
+        self._full_at_s: dict[tuple[str, Code], float] = {}
+
+    def add_drive(self, entry: DriveEntry) -> None:
+        """Take what the roster allows for a drive."""
+        self._entries[entry.name] = entry
+
+    def written(self, drive: str, code: Code) -> None:
+        """Count a write that may have reached the drive's memory."""
+        if not counts(self._store.family(drive), code):
+            return
+        writes = self._state.drive(drive).writes
+        writes[str(code)] = writes.get(str(code), 0) + 1
+        self._state.touch()
+
+    def check(self, drive: str, code: Code) -> None:
+        """Refuse a write that would come too soon.
+
+        Raises:
+            OperationError: `too-many-writes`, with when it may again.
+        """
+        wait_s = self._wait_s(drive, code)
+        if wait_s <= 0.0:
+            return
+        limit = self._entries[drive].stored_writes
+        raise OperationError(
+            f"{code} of {drive} is stored in the drive at every write, and was written "
+            f"{limit.burst} times in a short time",
+            kind="too-many-writes",
+            drive=drive,
+            code=str(code),
+            remedy=f"it may be written again in {_rounded(wait_s)}, then once in "
+            f"{format_duration(limit.every_s)}; a value that changes often belongs into a "
+            "setpoint; `stored_writes` in the roster sets the limit",
+            retry_after_s=wait_s,
+        )
+
+    def take(self, drive: str, code: Code) -> None:
+        """Count a write against the limit.
+
+        Raises:
+            OperationError: `too-many-writes`.
+        """
+        self.check(drive, code)
+        if not wears(self._store.family(drive), code):
+            return
+        now, key = self._clock(), (drive, code)
+        start_s = max(now, self._full_at_s.get(key, now))
+        self._full_at_s[key] = start_s + self._entries[drive].stored_writes.every_s
+
+    def report(self, drive: str) -> WearReport:
+        """Return how often a drive's memory was written.
+
+        Raises:
+            OperationError: `no-such-drive`.
+        """
+        family = self._store.family(drive)
+        facts, limit = self._state.drive(drive), self._entries[drive].stored_writes
+        codes = []
+        for text, count in sorted(facts.writes.items(), key=lambda item: (-item[1], item[0])):
+            code = _code_of(text)
+            info = None if code is None else family.info(code)
+            codes.append(
+                CodeWear(
+                    text,
+                    info.name if info else "",
+                    count,
+                    count - facts.writes_before.get(text, 0),
+                    0.0 if code is None else self._wait_s(drive, code),
+                )
+            )
+        return WearReport(drive, limit.burst, limit.every_s, tuple(codes))
+
+    def figures(self) -> Mapping[str, Mapping[str, int]]:
+        """Return the counts for the metrics, by drive and described code; the rest as `other`."""
+        return {name: dict(self._figures_of(name)) for name in self._store.names()}
+
+    def _figures_of(self, drive: str) -> Iterator[tuple[str, int]]:
+        family, other = self._store.family(drive), 0
+        for text, count in self._state.drive(drive).writes.items():
+            code = _code_of(text)
+            if code is not None and family.info(code) is not None:
+                yield text, count
+            else:
+                other += count
+        yield "other", other
+
+    def _wait_s(self, drive: str, code: Code) -> float:
+        """How long until the bucket holds a whole write again, seconds.
+
+        The bucket is kept as the moment at which it will be full.
+        """
+        limit = self._entries[drive].stored_writes
+        full_at_s = self._full_at_s.get((drive, code), 0.0)
+        return max(0.0, full_at_s - (limit.burst - 1) * limit.every_s - self._clock())
+
+
+def wears(family: Family, code: Code) -> bool:
+    """Whether every write of a code goes into the drive's memory, as far as is described."""
+    info = family.info(code)
+    if info is None:
+        return False
+    if info.write_class is WriteClass.SAVE:
+        return True
+    return info.storage is Storage.STORED and family.saved_by is None
+
+
+def counts(family: Family, code: Code) -> bool:
+    """Whether a write of a code is counted: it wears, or may do so for all that is known."""
+    if family.info(code) is not None:
+        return wears(family, code)
+    return bool(family.codes) and family.saved_by is None
+
+
+@lru_cache(maxsize=4096)
+def _code_of(text: str) -> Code | None:
+    try:
+        return Code.parse(text)
+    except CodeValueError:
+        return None
+
+
+def _rounded(wait_s: float) -> str:
+    """Write a time as a person would: a second more or less does not matter, too early does."""
+    return format_duration(float(int(wait_s) + 1))

@@ -1,0 +1,137 @@
+"""accept, readdress and wear: shown before done, and never done unasked."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import click
+import pytest
+
+from cli.conftest import Run
+from cli.daemon_stub import DaemonStub
+from lecombus.cli import accept, readdress
+
+OLD, NEW = {"C1810": "OLD", "C1811": "x"}, {"C1810": "NEW", "C1811": "x"}
+
+
+def identity(found: dict[str, str], accepted: dict[str, str], problem: str | None = None) -> str:
+    return json.dumps(
+        {"drive": "feeder", "found": found, "accepted": accepted, "roster": {},
+         "accepted_at": None, "problem": problem}
+    )  # fmt: skip
+
+
+def posted(daemon: DaemonStub) -> list[tuple[str, Any]]:
+    return [(asked, json.loads(body)) for asked, body in daemon.asked if asked.startswith("POST")]
+
+
+@pytest.fixture
+def swapped(daemon: DaemonStub) -> DaemonStub:
+    daemon.answers["GET /v1/drives/feeder/identity"] = (200, identity(NEW, OLD, "swapped"))
+    daemon.answers["POST /v1/drives/feeder/accept"] = (200, identity(NEW, NEW))
+    return daemon
+
+
+def test_accept_in_a_pipe_shows_both_and_does_nothing_unseen(run: Run, swapped: DaemonStub) -> None:
+    ran = run("accept", "feeder")
+    assert ran.status == 2
+    assert "C1810\tOLD\tNEW" in ran.out
+    assert "--seen C1810=NEW" in ran.err
+    assert posted(swapped) == []
+
+
+def test_accept_repeats_the_whole_identity_to_the_daemon(run: Run, swapped: DaemonStub) -> None:
+    ran = run("accept", "feeder", "--seen", "C1810=NEW")
+    assert ran.status == 0
+    assert posted(swapped) == [("POST /v1/drives/feeder/accept", {"identity": NEW})]
+
+
+@pytest.mark.parametrize("seen", [["C1810=OTHER"], ["C1811=x"], ["C1810=NEW", "C0200=Q"]])
+def test_accept_of_something_else_than_is_there_is_refused(
+    run: Run, swapped: DaemonStub, seen: list[str]
+) -> None:
+    words = [word for one in seen for word in ("--seen", one)]
+    ran = run("accept", "feeder", *words)
+    assert ran.status == 2
+    assert "--seen C1810=NEW" in ran.err
+    assert posted(swapped) == []
+
+
+@pytest.mark.parametrize("seen", ["C1810", "C1810=", "=NEW", "CX=1"])
+def test_what_is_no_code_and_value_is_said(run: Run, swapped: DaemonStub, seen: str) -> None:
+    assert run("accept", "feeder", "--seen", seen).status == 2
+
+
+@pytest.mark.parametrize(("answer", "status"), [(True, 0), (False, 1)])
+def test_accept_asks_whoever_can_be_asked(
+    run: Run, swapped: DaemonStub, monkeypatch: pytest.MonkeyPatch, answer: bool, status: int
+) -> None:
+    monkeypatch.setattr(accept, "on_terminal", lambda: True)
+    monkeypatch.setattr(click, "confirm", lambda text: answer)
+    assert run("accept", "feeder").status == status
+    assert bool(posted(swapped)) is answer
+
+
+def test_a_drive_that_is_the_one_it_was_needs_no_accepting(run: Run, daemon: DaemonStub) -> None:
+    daemon.answers["GET /v1/drives/feeder/identity"] = (200, identity(OLD, OLD))
+    ran = run("accept", "feeder")
+    assert ran.status == 0
+    assert "is the drive it was" in ran.out
+    assert posted(daemon) == []
+
+
+REPORT = (
+    '{"drive": "feeder", "code": "C0009", "subcode": 0, "outcome": "verified",'
+    ' "reason": "it answers at address 35 now", "cause": null, "remedy": "write it", '
+    '"reading": null}'
+)
+DRIVE = '{"drive": "feeder", "address": 11, "family": "821x", "identity": {"C1810": "OLD"}}'
+
+
+@pytest.fixture
+def movable(daemon: DaemonStub) -> DaemonStub:
+    daemon.answers["GET /v1/drives/feeder"] = (200, DRIVE)
+    daemon.answers["POST /v1/drives/feeder/address"] = (200, REPORT)
+    return daemon
+
+
+def test_readdress_is_not_done_unasked(run: Run, movable: DaemonStub) -> None:
+    ran = run("readdress", "feeder", "35")
+    assert (ran.status, posted(movable)) == (2, [])
+    assert "--yes" in ran.err
+
+
+def test_readdress_says_how_it_ended_and_what_to_do(run: Run, movable: DaemonStub) -> None:
+    ran = run("readdress", "feeder", "35", "--yes")
+    assert ran.status == 0
+    assert posted(movable) == [("POST /v1/drives/feeder/address", {"address": 35})]
+    assert ran.out == "feeder\tC0009\tverified\t\tit answers at address 35 now; write it\n"
+    assert run("readdress", "feeder", "35", "--yes", "--json").out == REPORT + "\n"
+
+
+@pytest.mark.parametrize(("answer", "status"), [(True, 0), (False, 1)])
+def test_readdress_asks_whoever_can_be_asked(
+    run: Run, movable: DaemonStub, monkeypatch: pytest.MonkeyPatch, answer: bool, status: int
+) -> None:
+    monkeypatch.setattr(readdress, "on_terminal", lambda: True)
+    monkeypatch.setattr(click, "confirm", lambda text: answer)
+    ran = run("readdress", "feeder", "35")
+    assert ran.status == status
+    assert "feeder at address 11 (821x), which is C1810 OLD" in ran.out
+    assert bool(posted(movable)) is answer
+
+
+@pytest.mark.parametrize("address", ["0", "100", "x", "1.5"])
+def test_readdress_takes_addresses_only(run: Run, movable: DaemonStub, address: str) -> None:
+    assert run("readdress", "feeder", address, "--yes").status == 2
+
+
+def test_wear_lists_what_was_written(run: Run, daemon: DaemonStub) -> None:
+    document = (
+        '{"drive": "feeder", "burst": 30, "every_s": 600.000, "codes": [{"code": "C0012", "name": '
+        '"acceleration time", "writes": 42, "to_this_device": 2, "wait_s": 90.000}]}'
+    )
+    daemon.answers["GET /v1/drives/feeder/wear"] = (200, document)
+    assert run("wear", "feeder").out.startswith("C0012\tacceleration time\t42\t2\t")
+    assert run("wear", "feeder", "--json").out == document + "\n"

@@ -1,0 +1,267 @@
+"""Another address: asked first, written once, found again, followed; or put back, or said."""
+
+from __future__ import annotations
+
+import pytest
+
+from lecombus.config import DriveEntry
+from lecombus.drives import StopAction
+from lecombus.errors import OperationError
+from lecombus.operations.reports import WriteReport
+from lecombus.protocol.addressing import Code
+from lecombus.readings import DriveState
+from lecombus.schedule import Outcome
+from lecombus.simulator.drive import SimDrive
+from lecombus.simulator.faults import Faults
+from lecombus.simulator.receiver import Heard
+from lecombus.state import State
+from support.site_host import Plant, roster_of, until, with_plant
+
+DRIVES = [("a", 11, "8200vector"), ("b", 12, "8200vector"), ("v", 21, "smvector")]
+ALLOW = ", allow_address_change: true"
+GROUPS = "\ngroups: {teens: {members: [a, b]}}"
+ROSTER = roster_of(DRIVES, drive=ALLOW, rest=GROUPS)
+
+
+async def ready(plant: Plant) -> None:
+    await plant.online()
+    await plant.site.operations.stop(StopAction.INHIBIT, "all")
+
+
+async def change(plant: Plant, address: int, drive: str = "a") -> WriteReport:
+    return await plant.site.custody.readdress(drive, address)
+
+
+async def refused(plant: Plant, address: int, drive: str = "a") -> OperationError:
+    written = [one for one in plant.end.sent if b"\x02" in one.data]
+    with pytest.raises(OperationError) as caught:
+        await change(plant, address, drive)
+    assert [one for one in plant.end.sent if b"\x02" in one.data] == written, "nothing is changed"
+    return caught.value
+
+
+def remark(plant: Plant, drive: str = "a") -> str:
+    return plant.site.store.drive(drive).remarks.get("address", "")
+
+
+def entry(plant: Plant, drive: str = "a") -> DriveEntry:
+    found = plant.site.roster.drive(drive)
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize(("drive", "number"), [("a", 9), ("v", 1410)])
+def test_a_drive_is_found_at_its_new_address_and_followed(drive: str, number: int) -> None:
+    state = State()
+
+    async def test(plant: Plant) -> None:
+        await ready(plant)
+        old = entry(plant, drive).address
+        report = await change(plant, 35, drive)
+        assert (report.outcome, report.code) == (Outcome.VERIFIED, Code(number))
+        assert "address: 35" in report.remedy
+        assert plant.line[drive].address == 35
+        assert "moved to address 35 at 20" in remark(plant, drive)
+        await plant.online(drive, within_s=20)
+        assert plant.site.store.drive(drive).address == 35
+        assert remark(plant, drive), "it stands until the roster says the same"
+        since_s = plant.now_s
+        stopped = await plant.site.operations.stop(StopAction.QUICK_STOP, drive)
+        assert stopped.outcome is Outcome.VERIFIED
+        assert plant.sent_to(old, since_s) == []
+        writes = [
+            one for one in plant.line[drive].log if one.kind == "write" and one.code == number
+        ]
+        assert len(writes) == 1
+        assert state.drive(drive).moved is not None
+
+    with_plant(test, ROSTER, state=state)
+
+
+def test_groups_are_judged_anew_and_the_roster_ends_the_remark() -> None:
+    async def test(plant: Plant) -> None:
+        await ready(plant)
+        assert plant.site.roster.groups["teens"].multicast_address == 10
+        await change(plant, 22)
+        await plant.online()
+        groups = {one.name: one.multicast_address for one in plant.site.operations.groups()}
+        assert groups["teens"] is None, "its decade's multicast would no longer reach it"
+        plant.apply(ROSTER.replace("address: 11", "address: 22"))
+        assert plant.state("a") is DriveState.ONLINE, "nothing changed for it"
+        assert remark(plant) == ""
+
+    with_plant(test, ROSTER)
+
+
+def test_after_a_reload_with_the_old_address_the_remark_says_where_it_is() -> None:
+    async def test(plant: Plant) -> None:
+        await ready(plant)
+        await change(plant, 22)
+        await plant.online()
+        plant.apply(ROSTER)
+        assert entry(plant).address == 11
+        await until(lambda: plant.state("a") is DriveState.OFFLINE)
+        assert "moved to address 22" in remark(plant)
+        plant.line["a"].model.preset(9, "11")  # at the keypad
+        await plant.online("a")
+        assert remark(plant) == "", "it is where the roster says"
+
+    with_plant(test, ROSTER)
+
+
+def test_after_a_restart_the_remark_is_still_there() -> None:
+    state = State()
+
+    async def before(plant: Plant) -> None:
+        await ready(plant)
+        await change(plant, 22)
+
+    async def after(plant: Plant) -> None:
+        plant.line["a"].model.preset(9, "22")
+        await until(lambda: plant.state("a") is DriveState.OFFLINE)
+        assert "moved to address 22" in remark(plant)
+
+    with_plant(before, ROSTER, state=state)
+    with_plant(after, ROSTER, state=State.parse(state.text().encode()))
+
+
+def test_what_can_be_seen_before_is_refused_before() -> None:
+    async def test(plant: Plant) -> None:
+        await ready(plant)
+        for address in (0, 10, 90, 100, -1):
+            assert (await refused(plant, address)).kind == "bad-value"
+        assert (await refused(plant, 12)).kind == "address-taken"
+        assert (await refused(plant, 11)).kind == "address-taken"
+        error = await refused(plant, 44)
+        assert error.kind == "address-taken", "a device that the roster does not know answers"
+        plant.apply(ROSTER.replace(ALLOW, ""))
+        await plant.online()
+        assert (await refused(plant, 35)).kind == "not-permitted"
+
+    with_plant(test, ROSTER, also=[("stranger", 44, "generic")])
+
+
+def test_a_damaged_answer_at_the_new_address_is_somebody_too() -> None:
+    async def test(plant: Plant) -> None:
+        await ready(plant)
+        plant.line.drive_faults[44] = Faults(noise=1.0)
+        assert (await refused(plant, 44)).kind == "address-taken"
+
+    with_plant(test, ROSTER, also=[("stranger", 44, "generic")])
+
+
+def test_a_drive_that_turns_is_left_where_it_is() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        write = plant.site.operations.write
+        await write("a", Code(135), "H0000")
+        await write("a", Code(40), 1)
+        await write("a", Code(46), 20)
+        assert (await refused(plant, 35)).kind == "not-stopped"
+        await plant.site.operations.stop(StopAction.INHIBIT, "a")
+        assert (await change(plant, 35)).outcome is Outcome.VERIFIED
+
+    with_plant(test, ROSTER)
+
+
+def test_a_drive_that_refuses_stays() -> None:
+    async def test(plant: Plant) -> None:
+        await ready(plant)
+        plant.line.drive_faults[11] = Faults(nak=1.0)
+        report = await change(plant, 35)
+        assert (report.outcome, report.kind) == (Outcome.REFUSED, "nak")
+        assert plant.line["a"].address == 11
+        assert remark(plant) == ""
+
+    with_plant(test, ROSTER)
+
+
+def test_a_write_that_was_not_heard_changes_nothing_and_that_is_found_out() -> None:
+    async def test(plant: Plant) -> None:
+        await ready(plant)
+        heard = plant.line["a"].model.writers.get(9)
+        assert heard is None
+
+        def deaf_to_writes(at_s: float, one: Heard) -> None:
+            plant.line.drive_faults[11] = Faults(unheard=1.0 if one.text is not None else 0.0)
+
+        plant.line.on_request = deaf_to_writes
+        report = await change(plant, 35)
+        assert report.outcome is Outcome.REFUSED
+        assert "nothing was changed" in report.reason
+        assert plant.state("a") is DriveState.ONLINE or plant.state("a") is DriveState.DEGRADED
+
+    with_plant(test, ROSTER)
+
+
+def test_a_drive_that_moves_only_at_its_next_start_is_put_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def test(plant: Plant) -> None:
+        await ready(plant)
+        drive = plant.line["a"]
+        monkeypatch.setattr(
+            SimDrive, "address", property(lambda self: 11 if self is drive else self._address)
+        )
+        report = await change(plant, 35)
+        assert report.outcome is Outcome.REFUSED
+        assert "11 was written back" in report.reason
+        assert drive.text(9) == "11"
+        assert remark(plant) == ""
+
+    with_plant(test, ROSTER)
+
+
+def test_a_drive_found_nowhere_is_said_with_what_to_do_and_remembered() -> None:
+    state = State()
+
+    async def test(plant: Plant) -> None:
+        await ready(plant)
+
+        def vanish_at_the_write(at_s: float, one: Heard) -> None:
+            if one.text is not None and one.address == 11:
+                plant.line["a"].present = False
+
+        plant.line.on_request = vanish_at_the_write
+        report = await change(plant, 35)
+        assert (report.outcome, report.kind) == (Outcome.UNKNOWN, "no-answer")
+        assert "neither there nor at 11" in report.reason
+        assert "keypad" in report.remedy
+        assert entry(plant).address == 11
+        assert "35 was written as its address" in remark(plant)
+        moved = state.drive("a").moved
+        assert moved is not None
+        assert not moved.confirmed
+        plant.line.on_request = None
+        plant.line["a"].present = True
+        plant.line["a"].model.preset(9, "11")
+        await until(lambda: plant.state("a") is DriveState.ONLINE, within_s=120)
+        assert remark(plant) == "", "it is where it was"
+
+    with_plant(test, ROSTER, state=state)
+
+
+@pytest.mark.parametrize(
+    ("drive", "code"),
+    [("a", 9), ("a", 125), ("a", 1410), ("v", 1410), ("v", 1411), ("v", 1403), ("v", 9),
+     ("g", 9), ("g", 125), ("g", 1410), ("g", 1411), ("a", 248), ("v", 249)],
+)  # fmt: skip
+def test_no_plain_write_moves_a_drive_whatever_the_roster_says(drive: str, code: int) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        with pytest.raises(OperationError, match="never written like other codes") as caught:
+            await plant.site.operations.write(drive, Code(code), 1)
+        assert caught.value.kind == "not-writable"
+        assert ("readdress" in caught.value.remedy) == (code not in (248, 249))
+
+    listed = ", writable: [C0009, C0125, C1410, C1411, C1403, C0248, C0249]"
+    drives = [*DRIVES, ("g", 31, "generic")]
+    with_plant(test, roster_of(drives, drive=ALLOW + listed))
+
+
+def test_a_code_bank_of_another_makers_device_is_a_code_like_any_other() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        assert (await plant.site.operations.write("g", Code(249), 1)).outcome is Outcome.DONE
+
+    with_plant(test, roster_of([("g", 31, "generic")], drive=", writable: [C0249]"))
