@@ -203,16 +203,52 @@ def test_a_quick_stop_with_an_unknown_word_reads_it_first_and_changes_only_its_b
     assert job.step.value == Value.parse("H020C"), "bit 3 set, the reset bit 11 cleared"
 
 
-@pytest.mark.parametrize("result", ["none", "garbled", "eot", "other"])
-def test_a_word_that_cannot_be_read_makes_an_inhibit_of_the_quick_stop(result: str) -> None:
+@pytest.mark.parametrize("results", ["none", "garbled", "eot eot", "other"])
+def test_a_word_that_cannot_be_read_makes_an_inhibit_of_the_quick_stop(results: str) -> None:
     job = StopJob(STATION, StopAction.QUICK_STOP, word=lambda: None, retries=2)
-    job.advance(RESULTS[result] if result != "other" else value(135, "SABC"))
+    for result in results.split():
+        assert (job.step.kind, job.step.code) == (StepKind.READ, Code(135))
+        job.advance(RESULTS[result] if result != "other" else value(135, "SABC"))
     assert (job.step.kind, job.step.code) == (StepKind.WRITE, Code(40))
     job.advance(RESULTS["ack"])
     outcome, reason = job.advance(value(150, "H0080")) or (None, "")
     assert outcome is VERIFIED
     assert reason.startswith("quick-stop needs C0135, which ")
     assert reason.endswith("; inhibit: C0150 reads H0080")
+
+
+def forms_of(job: StopJob, results: str) -> str:
+    """Play results; give the addressing form of each step, `s`tandard or `e`xtended."""
+    said = ""
+    for name in results.split():
+        assert job.step.kind is not StepKind.MULTICAST
+        said += job.station.forms[0].value[0]
+        job.advance(RESULTS[name])
+    return said
+
+
+@pytest.mark.parametrize(
+    ("results", "forms"),
+    [
+        ("nak nak nak", "ses"),
+        ("nak ack eot", "see"),
+        ("nak none none", "ses"),
+        ("none garbled none", "sss"),
+        ("ack eot other", "sse"),
+        ("ack none other", "sss"),
+    ],
+)
+def test_what_is_refused_is_said_in_the_other_form_and_silence_changes_back(
+    results: str, forms: str
+) -> None:
+    job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=5)
+    assert forms_of(job, results) == forms
+
+
+def test_a_drive_with_one_form_is_spoken_to_in_that_one() -> None:
+    station = Station("a", 1, VECTOR, VECTOR.forms[:1])
+    job = StopJob(station, StopAction.INHIBIT, word=lambda: None, retries=5)
+    assert forms_of(job, "nak nak nak") == "sss"
 
 
 def quick_stop(*, retries: int) -> StopJob:

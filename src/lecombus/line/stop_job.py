@@ -12,12 +12,17 @@ A quick stop that cannot be had becomes an inhibit, and says why: when the contr
 read, when the drive refuses the telegram again and again, when it takes it and does not show it.
 Only inhibit is possible whatever the drive's operating mode is (EDB2102EN 6.2.1).
 
+What a drive refuses, does not know or does not show is said in the other addressing form next,
+where it knows two: a code bank or an input selection that somebody left in C0249 or C0248 leads
+every standard telegram to another code, and none in extended addressing (EDB2102EN 8.3.1).
+
 What must not live here: who is stopped, and in what order (operations).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from ..drives import (
     StopAction,
@@ -77,6 +82,7 @@ class StopJob:
         "_naks",
         "_since_s",
         "_step",
+        "_turned",
         "_unheard",
         "_unshown",
         "_why",
@@ -116,6 +122,7 @@ class StopJob:
         self._naks = 0  # in a row
         self._unshown = 0  # proofs in a row that did not show the stop
         self._why = ""  # a quick stop became an inhibit
+        self._turned = False  # it is being said in the other addressing form
         self._step: Step | None = None
 
     @property
@@ -177,12 +184,20 @@ class StopJob:
             self.error, self._unheard, self._naks, self._checking = None, 0, 0, True
             return None
         self._unheard += 1
+        self._turn(refused=type(result.answer) is NakAnswer)
         self.error = error_of(self.station, step, result, self.attempts)
         self._checking = over or self._unheard > self.retries
         self._naks = self._naks + 1 if type(result.answer) is NakAnswer else 0
         if self._naks > max(1, self.retries) and self._can_inhibit:
             self._inhibit("was refused by the drive (NAK)", result.ended_s)
         return None
+
+    def _turn(self, *, refused: bool) -> None:
+        """Go on in the other addressing form after a refusal, and back when that failed too."""
+        forms = self.station.forms
+        if len(forms) > 1 and (refused or self._turned):
+            self.station = replace(self.station, forms=(*forms[1:], forms[0]))
+            self._turned = not self._turned
 
     def _made(self) -> Step:
         family = self.station.family
@@ -230,6 +245,10 @@ class StopJob:
             self._step = self._saying(word)
             return
         self._failed_reads += 1
+        unknown = type(answer) is UnknownCodeAnswer
+        self._turn(refused=unknown)
+        if unknown and self._turned:
+            return
         asked_enough = result.kind is ResultKind.ANSWERED or self._failed_reads > self.retries
         if not self.attempts or asked_enough or over:
             self._inhibit(self._unreadable(step, result, number), result.ended_s)
@@ -253,6 +272,7 @@ class StopJob:
             text = f"{self.action}: {step.code} reads {self.proof.raw}"
             return Outcome.VERIFIED, self._why + text
         self._unshown += 1
+        self._turn(refused=True)
         reads = f"was said, but {step.code} reads {self.proof.raw}"
         if self._is_without_effect(result, over):
             self._inhibit(reads, result.ended_s)
@@ -273,7 +293,9 @@ class StopJob:
         self._failed_reads += 1
         self.error = error_of(self.station, step, result, self._failed_reads)
         # One damaged character makes "no such code" of a value, so that is asked twice.
-        unknown = type(result.answer) is UnknownCodeAnswer and self._failed_reads > 1
+        no_code = type(result.answer) is UnknownCodeAnswer
+        self._turn(refused=no_code)
+        unknown = no_code and self._failed_reads > 1
         if self.attempts and (over or unknown):
             text = f"{self.action} was said but not read back: {self.error}"
             return Outcome.UNKNOWN, self._why + text
