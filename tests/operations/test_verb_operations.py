@@ -63,7 +63,8 @@ def test_a_tripped_drive_is_reset_enabled_and_brought_to_speed_with_verbs_only(k
         drive = plant.line["a"].model
         drive.trip(FAULT_NUMBER)
         reset = await do(plant, Verb.RESET_FAULT)
-        assert (reset.outcome, reset.states[0]) == (Outcome.VERIFIED, "inhibited")
+        assert reset.outcome is Outcome.VERIFIED
+        assert "inhibited" in reset.states
         assert f"fault {FAULT_NUMBER}" in reset.reason
         assert "lecombus enable a" in reset.reason
         speed = await do(plant, Verb.SET_SPEED, value=Decimal(50), unit="%", verify=True)
@@ -71,11 +72,12 @@ def test_a_tripped_drive_is_reset_enabled_and_brought_to_speed_with_verbs_only(k
         assert speed.reading is not None
         assert drive.motor.output == 0.0
         enable = await do(plant, Verb.ENABLE)
-        assert (enable.outcome, enable.states) == (Outcome.VERIFIED, ("enabled",))
+        assert enable.outcome is Outcome.VERIFIED
+        assert not {"inhibited", "quick_stop", "fault"} & set(enable.states)
         await anyio.sleep(60.0)
         assert drive.motor.output == FULL.get(kind, 50.0) / 2
         stop = await do(plant, Verb.QUICK_STOP)
-        assert (stop.outcome, stop.states) == (Outcome.VERIFIED, ("quick-stop",))
+        assert (stop.outcome, stop.states) == (Outcome.VERIFIED, ("quick_stop",))
         await anyio.sleep(60.0)
         assert drive.motor.output == 0.0
         assert (await do(plant, Verb.ENABLE)).outcome is Outcome.VERIFIED
@@ -155,7 +157,7 @@ def test_a_fault_whose_cause_lasts_is_told_as_not_reset(kind: str) -> None:
         report = await do(plant, Verb.RESET_FAULT)
         assert (report.outcome, report.kind) == (Outcome.REFUSED, "not-in-effect")
         assert "still there or has come again" in report.reason
-        assert report.states[0] == "fault"
+        assert "fault" in report.states
         assert plant.line["a"].model.inhibited()
 
     with_drive(test, kind)

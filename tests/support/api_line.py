@@ -11,7 +11,7 @@ import anyio
 from fastapi import FastAPI
 
 from lecombus.api import create_app
-from lecombus.drives import StopAction, Verb, family
+from lecombus.drives import OperatingState, StopAction, Verb, family
 from lecombus.errors import LecombusError
 from lecombus.metrics import Metrics
 from lecombus.operations.address_reads import Heard, HeardKind
@@ -123,7 +123,7 @@ class FakeOperations:
         report = self.report(drive, Code(40))
         return VerbReport(
             drive, verb, report.outcome, report.reason, report.cause, report.kind, report.remedy,
-            ("enabled",), ((Code(40), "1"),),
+            (OperatingState.ENABLED,), ((Code(40), "1"),),
         )  # fmt: skip
 
     def restore_rights(self, drive: str) -> RestoreRights:

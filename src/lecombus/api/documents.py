@@ -292,8 +292,8 @@ class VerbDocument(Document):
     states: Annotated[
         list[str],
         Field(
-            description="What the drive shows afterwards: fault, inhibited, quick-stop or enabled; "
-            "empty where it was not read"
+            description="What the drive's words show afterwards, such as inhibited, quick_stop or "
+            "fault; empty where they were not read"
         ),
     ]
     written: Annotated[list[WrittenDocument], Field(description="What was written, in order")]

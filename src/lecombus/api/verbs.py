@@ -113,7 +113,7 @@ def verb_json(report: VerbReport) -> dict[str, Json]:
         "reason": report.reason or None,
         "cause": report.cause or None,
         "remedy": report.remedy or None,
-        "states": list(report.states),
+        "states": [state.value for state in report.states],
         "written": [
             {"code": f"C{code.number:04d}", "subcode": code.subcode, "raw": raw}
             for code, raw in report.written

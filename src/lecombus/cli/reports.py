@@ -134,7 +134,7 @@ def show_verb(report: Document) -> Exit:
     Returns:
         DONE for done and verified, FAILED for everything else.
     """
-    shown = ", ".join(map(str, report.get("states") or ()))
+    shown = ", ".join(str(state).replace("_", " ") for state in report.get("states") or ())
     cells = [table_text(report.get(key)) for key in ("drive", "verb", "outcome")]
     rows = [(*cells, shown, _reads(report), _why(report))]
     show_rows(("drive", "verb", "outcome", "shows", "reads", "why"), rows)

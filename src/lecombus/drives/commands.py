@@ -27,6 +27,13 @@ __all__ = ["ControlBit", "ControlField", "ControlWordInfo"]
 
 WORD_MAX = 0xFFFF
 
+QUICK_STOP = "quick_stop"
+INHIBIT = "controller_inhibit"
+TRIP_RESET = "trip_reset"
+DIRECTION = "direction_ccw"
+JOG = "jog"
+"""Names that have one meaning in every family, by which verbs find them."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ControlBit:

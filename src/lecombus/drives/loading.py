@@ -144,7 +144,7 @@ class _Builder:
             set_offsets=offsets,
             saved_by=self._saved_by(codes),
             restore=tuple(self._restore(codes)),
-            verbs=self._verbs(codes),
+            verbs=self._verbs(codes, book),
         )
         for table in self._tables:
             table.done()
@@ -262,9 +262,9 @@ class _Builder:
             stops[action] = rule
         return stops
 
-    def _verbs(self, codes: dict[Code, CodeInfo]) -> VerbRules | None:
+    def _verbs(self, codes: dict[Code, CodeInfo], book: WordBook) -> VerbRules | None:
         item = self._single("verbs")
-        return read_verbs(item, self._manual, codes) if item is not None else None
+        return read_verbs(item, self._manual, codes, book.control_words()) if item else None
 
     def _status(self, codes: dict[Code, CodeInfo]) -> Iterator[tuple[Code, float]]:
         seen: set[Code] = set()

@@ -18,7 +18,7 @@ from lecombus.errors import OperationError
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 
-from .verb_facts import Known, control_word, demand_met, holds, rules_of
+from .verb_facts import Known, control_bits, control_word, demand_met, holds, rules_of
 from .verb_rules import Access, SetpointRule, Verb, VerbRules
 from .verb_steps import WriteStep
 
@@ -82,8 +82,8 @@ def _setting(known: Known, code: Code | None) -> Decimal | None:
 
 def _refuse_jog(known: Known, rules: VerbRules) -> None:
     """A setpoint that the drive does not look at must not be called done."""
-    bits = rules.control
-    if not bits.jog or not holds(known, bits.jog_when):
+    bits = control_bits(known, rules)
+    if not bits.jog:
         return
     jog = control_word(known, rules) & bits.jog
     if jog:
@@ -125,7 +125,7 @@ def _bad_speed(
     remedy = f"it takes {' or '.join(ranges)}, in steps of {rule.step}"
     if len(in_force) == 1 and _setting(known, rule.full_scale) is not None:
         remedy += f", or {'%' if rule.unit == 'Hz' else 'Hz'} of that"
-    bits = rules_of(known.drive, known.family, Verb.SET_SPEED).control
+    bits = control_bits(known, rules_of(known.drive, known.family, Verb.SET_SPEED))
     if bits.direction and rule.low >= 0:
         place = bits.direction.bit_length() - 1
         remedy += f"; its direction of rotation is bit {place} of {bits.code}, not a sign"

@@ -16,11 +16,22 @@ from lecombus.errors import OperationError
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 
+from .commands import DIRECTION, INHIBIT, JOG, QUICK_STOP, TRIP_RESET
 from .family import Family
 from .stops import usable_word
 from .verb_rules import Access, Condition, Demand, Verb, VerbRules
 
-__all__ = ["Known", "control_word", "demand_met", "holds", "objected", "objections", "rules_of"]
+__all__ = [
+    "ControlBits",
+    "Known",
+    "control_bits",
+    "control_word",
+    "demand_met",
+    "holds",
+    "objected",
+    "objections",
+    "rules_of",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +53,51 @@ class Known:
         value = self.values.get(code)
         number = value.number if value is not None else None
         return None if isinstance(number, str | bytes) else number
+
+    @property
+    def configured(self) -> Family:
+        """The family as this drive's signal configuration makes it."""
+        code = self.family.configured_by
+        number = self.number(code) if code is not None else None
+        return self.family.configured(int(number) if number is not None else None)
+
+
+@dataclass(frozen=True, slots=True)
+class ControlBits:
+    """The bits of a drive's control word that verbs look at; 0 where there is none.
+
+    Args:
+        code: The control word.
+        quick_stop: Set: quick stop.
+        inhibit: Set: controller inhibit.
+        trip_reset: Going from 0 to 1 resets a fault.
+        direction: Set: counter-clockwise; without it the setpoint's sign says it.
+        jog: Not 0: a fixed setpoint is selected, and the line's has no effect.
+    """
+
+    code: Code
+    quick_stop: int
+    inhibit: int
+    trip_reset: int
+    direction: int
+    jog: int
+
+
+def control_bits(known: Known, rules: VerbRules) -> ControlBits:
+    """Give the bits of the control word, as the drive's signal configuration assigns them."""
+    word = known.configured.control_words[rules.control]
+
+    def mask(name: str) -> int:
+        return 1 << word.bits[name].bit if name in word.bits else 0
+
+    return ControlBits(
+        code=word.code,
+        quick_stop=mask(QUICK_STOP),
+        inhibit=mask(INHIBIT),
+        trip_reset=mask(TRIP_RESET),
+        direction=mask(DIRECTION),
+        jog=word.fields[JOG].mask if JOG in word.fields else 0,
+    )
 
 
 def rules_of(drive: str, family: Family, verb: Verb) -> VerbRules:
@@ -68,17 +124,17 @@ def control_word(known: Known, rules: VerbRules) -> int:
     Raises:
         OperationError: `no-control-word`: it was not, or what was read is none.
     """
-    number = known.number(rules.control.code)
+    number = known.number(rules.control)
     word = usable_word(number if isinstance(number, int) else None)
     if word is None:
-        value = known.values.get(rules.control.code)
+        value = known.values.get(rules.control)
         reads = f"reads {value.raw}" if value is not None else "is not there"
         raise OperationError(
-            f"the control word {rules.control.code} of {known.drive} {reads}: its bits are not "
+            f"the control word {rules.control} of {known.drive} {reads}: its bits are not "
             "guessed, nothing was sent",
             kind="no-control-word",
             drive=known.drive,
-            code=str(rules.control.code),
+            code=str(rules.control),
             remedy="write the codes by hand if you know what they must be",
         )
     return word

@@ -23,7 +23,6 @@ from .stops import StopProof
 __all__ = [
     "Access",
     "Condition",
-    "ControlBits",
     "Demand",
     "EnableRule",
     "ResetRule",
@@ -89,31 +88,6 @@ class Demand:
     access: frozenset[Access]
     condition: Condition
     remedy: str
-    source: str
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ControlBits:
-    """Bits of the control word.
-
-    Args:
-        code: The control word.
-        quick_stop: Set: quick stop.
-        inhibit: Set: controller inhibit.
-        reset_edge: Going from 0 to 1 resets a fault; 0 where no bit does.
-        direction: Set: counter-clockwise; 0 where the setpoint's sign says it.
-        jog: Not 0: a fixed setpoint is selected, and the line's has no effect.
-        jog_when: The settings in which they mean that; None: always.
-        source: Manual and section.
-    """
-
-    code: Code
-    quick_stop: int
-    inhibit: int
-    reset_edge: int
-    direction: int
-    jog: int
-    jog_when: Condition | None
     source: str
 
 
@@ -186,14 +160,14 @@ class VerbRules:
     """Everything that verbs are made of in one family.
 
     Args:
-        control: The control word.
+        control: Where the control word is written.
         demands: Settings that must be so.
         enable: How an inhibit is lifted.
         reset: How a fault is reset.
         setpoints: The ways to give a speed, the first that fits counts.
     """
 
-    control: ControlBits
+    control: Code
     demands: tuple[Demand, ...]
     enable: EnableRule
     reset: ResetRule

@@ -10,19 +10,18 @@ What must not live here: what the rules come to for one drive (`verbs`).
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from itertools import combinations
 
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 
 from .codes import CodeInfo
+from .commands import INHIBIT, QUICK_STOP, ControlWordInfo
 from .document import Item, Table
 from .readers import WORD_MAX, read_choice, read_code_number, read_decimal, read_source
 from .sections import read_proofs
 from .verb_rules import (
     Access,
     Condition,
-    ControlBits,
     Demand,
     EnableRule,
     ResetRule,
@@ -37,31 +36,40 @@ DIGITS = (1, 10, 100, 1000, 10_000)
 HIGHEST_SETTING = 99_999
 
 
-def read_verbs(item: Item, manual: str, codes: Mapping[Code, CodeInfo]) -> VerbRules:
+def read_verbs(
+    item: Item,
+    manual: str,
+    codes: Mapping[Code, CodeInfo],
+    words: Mapping[Code, ControlWordInfo],
+) -> VerbRules:
     """Read `verbs`.
 
     Args:
         item: The table.
         manual: The manual its sources stand in.
         codes: The family's described codes.
+        words: Its control words.
 
     Raises:
         DescriptionError: It says something that cannot be.
     """
-    return _Reader(manual, codes).verbs(item.table())
+    return _Reader(manual, codes, words).verbs(item.table())
 
 
 class _Reader:
     """Reads the parts of one table."""
 
-    def __init__(self, manual: str, codes: Mapping[Code, CodeInfo]) -> None:
+    def __init__(
+        self, manual: str, codes: Mapping[Code, CodeInfo], words: Mapping[Code, ControlWordInfo]
+    ) -> None:
         self._manual = manual
         self._codes = codes
+        self._words = words
 
     def verbs(self, table: Table) -> VerbRules:
         demands = table.get("demands")
         rules = VerbRules(
-            control=self._control(table.take("control").table()),
+            control=self._control(table.take("control")),
             demands=tuple(self._demand(one.table()) for one in demands.items()) if demands else (),
             enable=self._enable(table.take("enable").table()),
             reset=self._reset(table.take("reset").table()),
@@ -70,26 +78,12 @@ class _Reader:
         table.done()
         return rules
 
-    def _control(self, table: Table) -> ControlBits:
-        jog = table.get("jog")
-        when = table.get("jog_when")
-        if when is not None and jog is None:
-            when.fail("jog_when belongs to jog")
-        bits = ControlBits(
-            code=self._written(table.take("code")),
-            quick_stop=table.take("quick_stop").integer(1, WORD_MAX),
-            inhibit=table.take("inhibit").integer(1, WORD_MAX),
-            reset_edge=_mask(table.get("reset_edge")),
-            direction=_mask(table.get("direction")),
-            jog=_mask(jog),
-            jog_when=self._condition(when.table()) if when else None,
-            source=read_source(table, self._manual),
-        )
-        masks = (bits.quick_stop, bits.inhibit, bits.reset_edge, bits.direction, bits.jog)
-        if any(one & other for one, other in combinations(masks, 2)):
-            table.fail("a bit has two meanings")
-        table.done()
-        return bits
+    def _control(self, item: Item) -> Code:
+        code = self._written(item)
+        word = self._words.get(code)
+        if word is None or not {QUICK_STOP, INHIBIT} <= word.bits.keys():
+            item.fail(f"{code} is no control word with bits {QUICK_STOP} and {INHIBIT}")
+        return code
 
     def _demand(self, table: Table) -> Demand:
         return Demand(
@@ -184,7 +178,3 @@ class _Reader:
         if not self._codes[code].writable:
             item.fail(f"{code} cannot be written", code=str(code))
         return code
-
-
-def _mask(item: Item | None) -> int:
-    return item.integer(1, WORD_MAX) if item else 0

@@ -20,8 +20,16 @@ from lecombus.errors import OperationError
 from lecombus.protocol.addressing import Code
 
 from .family import Family
-from .stops import StopAction, confirm_codes, stop_confirmed
-from .verb_facts import Known, control_word, demand_met, objected, objections, rules_of
+from .operating import OperatingState, join_states
+from .verb_facts import (
+    Known,
+    control_bits,
+    control_word,
+    demand_met,
+    objected,
+    objections,
+    rules_of,
+)
 from .verb_rules import Access, Verb, VerbRules
 from .verb_steps import BitsStep, InhibitStep, RestartStep, VerbStep, WriteStep
 
@@ -44,11 +52,13 @@ def questions(drive: str, family: Family, verb: Verb) -> tuple[Code, ...]:
         OperationError: `no-verb`.
     """
     rules = rules_of(drive, family, verb)
-    return tuple(dict.fromkeys(_questions(rules, verb)))
+    return tuple(dict.fromkeys(_questions(family, rules, verb)))
 
 
-def _questions(rules: VerbRules, verb: Verb) -> Iterator[Code]:
-    yield rules.control.code
+def _questions(family: Family, rules: VerbRules, verb: Verb) -> Iterator[Code]:
+    yield rules.control
+    if family.configured_by is not None:
+        yield family.configured_by
     wanted = {Verb.ENABLE: {Access.ENABLE, Access.CONTROL_WORD}, Verb.SET_SPEED: {Access.SETPOINT}}
     for demand in rules.demands:
         if demand.access & wanted.get(verb, {Access.RESET, Access.CONTROL_WORD}):
@@ -62,9 +72,9 @@ def _questions(rules: VerbRules, verb: Verb) -> Iterator[Code]:
 
 
 def _speed_questions(rules: VerbRules) -> Iterator[Code]:
-    conditions = [rules.control.jog_when, *(rule.when for rule in rules.setpoints)]
-    yield from (one.code for one in conditions if one is not None)
     for rule in rules.setpoints:
+        if rule.when is not None:
+            yield rule.when.code
         yield from (code for code in (rule.full_scale, rule.least) if code is not None)
 
 
@@ -90,7 +100,7 @@ def enable_steps(known: Known) -> tuple[VerbStep, ...]:
             f"`lecombus why {known.drive}` says what it is",
         )
     steps: list[VerbStep] = []
-    bits = rules.control
+    bits = control_bits(known, rules)
     word = control_word(known, rules)
     stopping = word & (bits.quick_stop | bits.inhibit)
     inhibited = bool(word & bits.inhibit) or not enable_shown(known)
@@ -121,7 +131,7 @@ def is_enabled(known: Known) -> bool:
     Its control word counts only where its settings let the line write it.
     """
     rules = rules_of(known.drive, known.family, Verb.ENABLE)
-    bits = rules.control
+    bits = control_bits(known, rules)
     word = known.number(bits.code)
     ours = next(objections(known, rules, Access.CONTROL_WORD), None) is None
     stopped = ours and not (isinstance(word, int) and not word & bits.quick_stop)
@@ -160,7 +170,7 @@ def reset_steps(known: Known) -> tuple[VerbStep, ...]:
     if not has_fault(known):
         return ()
     demand_met(known, rules, Access.RESET)
-    bits, reset = rules.control, rules.reset
+    bits, reset = control_bits(known, rules), rules.reset
     if reset.code is None:
         control_word(known, rules)
         # The enable that resets it finds a quick stop, whether or not the drive starts anew.
@@ -170,36 +180,28 @@ def reset_steps(known: Known) -> tuple[VerbStep, ...]:
             RestartStep(bits.code, set_mask=bits.quick_stop, clear_mask=bits.inhibit),
             InhibitStep(),
         )
-    if reset.code in known.values or not bits.reset_edge:
+    if reset.code in known.values or not bits.trip_reset:
         assert reset.value is not None
         return (InhibitStep(), WriteStep(reset.code, reset.value))
     demand_met(known, rules, Access.CONTROL_WORD)
     control_word(known, rules)
-    down = BitsStep(bits.code, clear_mask=bits.reset_edge)
-    return (InhibitStep(), down, BitsStep(bits.code, set_mask=bits.reset_edge), down)
+    down = BitsStep(bits.code, clear_mask=bits.trip_reset)
+    return (InhibitStep(), down, BitsStep(bits.code, set_mask=bits.trip_reset), down)
 
 
 # ---- states ---------------------------------------------------------------------------------
 
 
-def states(known: Known) -> tuple[str, ...]:
-    """Name what the drive's words show that matters to whoever moves it; never that it turns."""
-    rules = known.family.verbs
-    if rules is None:
-        return ()
-    found: list[str] = []
-    if has_fault(known):
-        found.append("fault")
-    inhibit = StopAction.INHIBIT
-    first = confirm_codes(known.family, inhibit)[0]
-    value = known.values.get(first)
-    inhibited = value is not None and stop_confirmed(known.family, inhibit, first, value)
-    if inhibited:
-        found.append("inhibited")
-    word = known.number(rules.control.code)
-    stopped = isinstance(word, int) and bool(word & rules.control.quick_stop)
-    if stopped:
-        found.append("quick-stop")
-    if value is not None and not found:
-        found.append("enabled")
-    return tuple(found)
+def states(known: Known) -> tuple[OperatingState, ...]:
+    """Name what the drive's words show; a quick stop that no status word shows, by the command."""
+    family, rules = known.configured, known.family.verbs
+    shown = [
+        info.shown_states(number)
+        for code, info in family.words.items()
+        if isinstance(number := known.number(code), int)
+    ]
+    if rules is not None and shown:
+        word = known.number(rules.control)
+        if isinstance(word, int) and word & control_bits(known, rules).quick_stop:
+            shown.append((OperatingState.QUICK_STOP,))
+    return join_states(shown)

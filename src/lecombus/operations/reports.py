@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from lecombus.drives import Verb
+from lecombus.drives import OperatingState, Verb
 from lecombus.protocol.addressing import Code
 from lecombus.readings import Json, Reading
 from lecombus.schedule.request import Outcome
@@ -67,7 +67,7 @@ class VerbReport:
         cause: The likely cause where it was not done, in words; empty where none is known.
         kind: A stable word for programs when it was not done.
         remedy: What the user can do about it.
-        states: What the drive shows afterwards, such as `enabled`; empty where it was not read.
+        states: What the drive shows afterwards, of itself; empty where it was not read.
         written: What was written, in order: code and value as on the wire.
         reading: What was read back, where it was.
     """
@@ -79,7 +79,7 @@ class VerbReport:
     cause: str = ""
     kind: str = ""
     remedy: str = ""
-    states: tuple[str, ...] = ()
+    states: tuple[OperatingState, ...] = ()
     written: tuple[tuple[Code, str], ...] = ()
     reading: Reading | None = None
 

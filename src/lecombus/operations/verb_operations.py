@@ -27,7 +27,7 @@ from decimal import Decimal
 
 import anyio
 
-from lecombus.drives import StopAction, Verb
+from lecombus.drives import OperatingState, StopAction, Verb
 from lecombus.drives.speeds import speed_step
 from lecombus.drives.stops import usable_word
 from lecombus.drives.verb_facts import Known, rules_of
@@ -181,11 +181,11 @@ class VerbOperations(GroupOperations):
     async def _stop_verb(self, drive: str, verb: Verb) -> VerbReport:
         """Stop one drive; it may have become an inhibit, which its code tells."""
         report = (await self.stop(STOPS[verb], drive)).members[0]
-        shown: tuple[str, ...] = ()
+        shown: tuple[OperatingState, ...] = ()
         if report.outcome is Outcome.VERIFIED:
             rules = self._requests.station(drive).family.stops
             inhibited = report.code == rules[StopAction.INHIBIT].code
-            shown = ("inhibited",) if inhibited else ("quick-stop",)
+            shown = (OperatingState.INHIBITED if inhibited else OperatingState.QUICK_STOP,)
         return VerbReport(
             drive, verb, report.outcome, report.reason, report.cause, report.kind, report.remedy,
             shown, reading=report.reading,
@@ -203,17 +203,17 @@ class VerbOperations(GroupOperations):
         steps = enable_steps(known)
         if not steps:
             report = WriteReport(known.drive, None, Outcome.VERIFIED, "it was enabled already")
-            return told(run, report, states=states(known))
+            return told(run, report, states=await self._states(run.station))
         failed = await self._carry_out(run, steps)
         if failed is not None and not run.written:
             return told(run, failed)
         # Whatever became of the last step: what was written may have enabled it already.
         known = await self._watch(run, known, is_enabled)
         if self._stopped_meanwhile(run):
-            return told(run, superseded(run), states=states(known))
+            return told(run, superseded(run), states=await self._states(run.station))
         if is_enabled(known):
             report = WriteReport(known.drive, None, Outcome.VERIFIED)
-            return told(run, report, states=states(known))
+            return told(run, report, states=await self._states(run.station))
         return await self._take_back(run, known, failed or not_shown(known))
 
     async def _take_back(self, run: _Run, known: Known, report: WriteReport) -> VerbReport:
@@ -231,24 +231,21 @@ class VerbOperations(GroupOperations):
             report = WriteReport(
                 known.drive, None, Outcome.VERIFIED, "no fault is active: nothing was sent"
             )
-            return told(run, report, states=states(known))
-        name = self._fault_text(known)
+            return told(run, report, states=await self._states(run.station))
+        name = fault_text(known)
         failed = await self._carry_out(run, steps)
         if failed is not None and not may_have_happened(failed):
             return told(run, failed)
         known = await self._watch(run, known, lambda now: not has_fault(now))
         if has_fault(known):
-            return told(run, still_there(known, self._fault_text(known)), states=states(known))
+            return told(
+                run, still_there(known, fault_text(known)), states=await self._states(run.station)
+            )
         reason = (
             f"{name} was reset; the drive is inhibited: `lecombus enable {known.drive}` lets it run"
         )
         report = WriteReport(known.drive, None, Outcome.VERIFIED, reason)
-        return told(run, report, states=states(known))
-
-    @staticmethod
-    def _fault_text(known: Known) -> str:
-        number = fault_number(known)
-        return "the fault" if number is None else f"fault {number}"
+        return told(run, report, states=await self._states(run.station))
 
     # ---- steps ------------------------------------------------------------------------------
 
@@ -312,7 +309,7 @@ class VerbOperations(GroupOperations):
         report = self.report(name, code, ending, *await ending.wait())
         if ending.was_sent and report.kind != "nak":
             run.written.append((code, wire.raw))
-        return report
+        return await self._refusals.explain(report, run.station, wire)
 
     async def _back_again(self, run: _Run, step: RestartStep) -> WriteReport:
         """Wait for a drive that starts anew until it has been audited.
@@ -353,10 +350,10 @@ class VerbOperations(GroupOperations):
                 return known
             await anyio.sleep(LOOK_AGAIN_S)
 
-    async def _states(self, station: Station) -> tuple[str, ...]:
+    async def _states(self, station: Station) -> tuple[OperatingState, ...]:
         """Name what the drive shows now; nothing where it cannot be read."""
         with contextlib.suppress(*TROUBLE):
-            return states(await self._learn(station, words_of(station)))
+            return states(await self._learn(station, (*words_of(station), *station.family.words)))
         return ()
 
     def _stopped_meanwhile(self, run: _Run) -> bool:
@@ -388,7 +385,7 @@ def words_of(station: Station) -> tuple[Code, ...]:
     """The control word, and the status word that shows an inhibit and a fault."""
     rules = station.family.verbs
     assert rules is not None
-    return (rules.control.code, *rules.enable.proofs)
+    return (rules.control, *rules.enable.proofs)
 
 
 def may_have_happened(report: WriteReport) -> bool:
@@ -437,6 +434,17 @@ def not_shown(known: Known) -> WriteReport:
     )
 
 
+def fault_text(known: Known) -> str:
+    """Name a fault by its number, what the keypad shows and what it means."""
+    number = fault_number(known)
+    if number is None:
+        return "the fault"
+    fault = known.family.fault(number)
+    if fault is None:
+        return f"fault {number}"
+    return f"fault {number} ({', '.join(filter(None, (fault.keypad, str(fault.meaning))))})"
+
+
 def still_there(known: Known, fault: str) -> WriteReport:
     """What is told of a fault that a reset did not end."""
     return WriteReport(
@@ -452,7 +460,7 @@ def told(
     run: _Run,
     report: WriteReport,
     *,
-    states: tuple[str, ...] = (),
+    states: tuple[OperatingState, ...] = (),
     reading: Reading | None = None,
 ) -> VerbReport:
     """Tell of a verb what is known of its last step."""
