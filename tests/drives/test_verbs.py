@@ -107,6 +107,7 @@ def test_a_drive_with_a_fault_is_not_enabled(name: str) -> None:
         ("8200vector", {"c1": "2"}, "C0001", "C0001 = 3"),
         ("93xx", {"c5": "1000"}, "C0005", "1011"),
         ("smvector", {"c1420": "2"}, "C1420", "P420 = 3"),
+        ("smvector", {"c1100": "5"}, "C1100", "remote keypad"),
         ("smvector", {"c1420": "0"}, "C1420", "P420 = 3"),
     ],
 )
@@ -228,6 +229,12 @@ def test_a_speed_goes_to_the_familys_own_code(
     name: str, number: str, unit: str, written: tuple[int, str]
 ) -> None:
     assert speed(known(name), number, unit) == written
+
+
+def test_p102_is_the_least_an_smvector_takes() -> None:
+    limited = known("smvector", c1102="5")
+    assert speed(limited, "5", "Hz") == (1061, "5")
+    assert "5 to 60 Hz" in refused(limited, Verb.SET_SPEED, "4.9", "Hz").remedy
 
 
 def test_c0127_decides_between_hertz_and_percent() -> None:
