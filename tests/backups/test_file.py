@@ -121,6 +121,12 @@ def test_any_value_survives_the_file_and_other_readers_of_yaml_get_along_with_it
     assert seen == raw or float(seen) == float(raw)
 
 
+def test_a_long_value_keeps_its_distance_from_its_comment() -> None:
+    text = write_backup(backup_of(DRIVE, {"C1810": "Sa label that is far longer than most"}))
+    assert 'than most" # software\n' in text
+    assert yaml.safe_load(text)["identity"]["C1810"] == "Sa label that is far longer than most"
+
+
 GOOD = write_backup(backup_of("8200vector", {"C0001": "3", "C0011": "50"}))
 
 

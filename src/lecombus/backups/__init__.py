@@ -16,7 +16,7 @@ from .document import Backup, Entry, Head, Section, section_of, wanted_codes
 from .plan import Plan, Skip, Step, make_plan
 from .progress import Progress, done_line, head_line, read_progress
 from .reading import read_backup
-from .restoring import Restored, restore
+from .restoring import Restored, is_inhibited, restore
 from .taking import Taken, take
 from .writing import write_backup
 
@@ -40,6 +40,7 @@ __all__ = [
     "compare",
     "done_line",
     "head_line",
+    "is_inhibited",
     "is_passing",
     "make_plan",
     "read_backup",

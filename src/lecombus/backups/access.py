@@ -114,11 +114,11 @@ async def wait_until_usable(access: DriveAccess, patience_s: float, listener: Li
     """
     since_s, said = access.now_s(), ""
     while why := await access.why_not_usable():
-        if access.now_s() - since_s >= patience_s:
-            return why
         if why != said:
             listener.say(f"waiting: {why}")
             said = why
+        if access.now_s() - since_s >= patience_s:
+            return why
         await access.pause(LOOK_AGAIN_S)
     if said:
         listener.say("going on")

@@ -14,9 +14,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from lecombus.drives import CodeInfo, Family, Storage, WriteClass
+from lecombus.drives import CodeInfo, Family, Storage, WriteClass, must_be_same
 from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.protocol.values import Format, Value
 
 __all__ = ["Backup", "Entry", "Head", "Section", "is_own", "section_of", "wanted_codes"]
 
@@ -106,10 +106,12 @@ class Backup:
 def section_of(family: Family, code: Code) -> Section:
     """Say where a code stands."""
     info = family.info(code)
-    if code in family.identity:
+    if code in family.identity or code in must_be_same(family):
         return Section.IDENTITY
     if info is None:
         return Section.UNDESCRIBED
+    if info.format is Format.VS and not info.writable:
+        return Section.IDENTITY  # what a drive says of itself in words never changes by itself
     kept = {Storage.STORED: Section.PARAMETERS, Storage.MODULE: Section.MODULE}
     # A number that is kept and cannot be set, such as the hours run, is no setting either.
     return kept.get(info.storage, Section.PROCESS) if info.writable else Section.PROCESS

@@ -90,7 +90,7 @@ def entry_lines(family: Family, entries: Iterable[Entry]) -> Iterator[str]:
             yield f"  # parameter set {parameter_set}"
         text = f"  {entry.code}: {value_text(entry)}"
         comment = comment_of(family, info, entry)
-        yield f"{text:<{COMMENT_COLUMN}}# {comment}" if comment else text
+        yield f"{text:<{COMMENT_COLUMN - 1}} # {comment}" if comment else text
 
 
 def value_text(entry: Entry) -> str:

@@ -19,6 +19,7 @@ from lecombus.protocol import Code
 
 __all__ = [
     "CODE",
+    "CODES",
     "DURATION",
     "VALUE",
     "CommandWithNumbers",
@@ -32,6 +33,9 @@ Given = int | Decimal | str
 """A value as the user gave it: a number, or text such as H0008 for the daemon to judge."""
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+MOST_CODES = 2000
+"""A whole parameter set; reading it takes some minutes."""
 
 _NEGATIVE = re.compile(r"-\.?[0-9]")
 _HIDDEN = "\0"
@@ -63,6 +67,34 @@ class _CodeType(click.ParamType[Code]):
             return Code.parse(value.removeprefix(_HIDDEN))
         except CodeValueError as exc:
             self.fail(str(exc), param, ctx)
+
+
+class _CodesType(click.ParamType[tuple[Code, ...]]):
+    name = "codes"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[Code, ...]:
+        if isinstance(value, tuple):
+            return value
+        first, dash, last = str(value).partition("-")
+        begin = CODE.convert(first, param, ctx)
+        if not dash:
+            return (begin,)
+        of_subcodes = begin.subcode > 0 and last.isdecimal()
+        end = CODE.convert(f"{begin.number}/{last}" if of_subcodes else last, param, ctx)
+        if of_subcodes:
+            codes = [Code(begin.number, n) for n in range(begin.subcode, end.subcode + 1)]
+        else:
+            codes = [Code(n, begin.subcode) for n in range(begin.number, end.number + 1)]
+        if (
+            not codes
+            or len(codes) > MOST_CODES
+            or (begin.subcode != end.subcode and not of_subcodes)
+        ):
+            right = f"a code, or up to {MOST_CODES} of them such as C0010-C0050 or C0039/1-15"
+            self.fail(f"{value} is no range of codes: {right}", param, ctx)
+        return tuple(codes)
 
 
 class _ValueType(click.ParamType[Given]):
@@ -106,6 +138,7 @@ class _DurationType(click.ParamType[float]):
 
 
 CODE = _CodeType()
+CODES = _CodesType()
 VALUE = _ValueType()
 DURATION = _DurationType()
 

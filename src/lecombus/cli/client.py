@@ -11,8 +11,8 @@ from __future__ import annotations
 import json
 import os
 import socket as system_socket
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import AsyncIterator, Iterator, Mapping
+from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
@@ -23,10 +23,23 @@ from lecombus.cli.reports import kind_of
 from lecombus.cli.slim_httpx import httpx
 from lecombus.readings import Json
 
-__all__ = ["RUNTIME_DIR", "Answer", "Daemon", "connect", "find_daemon"]
+__all__ = [
+    "RUNTIME_DIR",
+    "Answer",
+    "Daemon",
+    "answer_of",
+    "body_text",
+    "connect",
+    "connect_async",
+    "find_daemon",
+    "unreachable",
+]
 
 RUNTIME_DIR = Path("/run/lecombus")
 """Where the daemons of a machine have their sockets, one a line."""
+
+LOCAL = "http://localhost"
+"""What a request over a socket calls the machine."""
 
 CONNECT_WITHIN_S = 10.0
 TIMEOUT = httpx.Timeout(CONNECT_WITHIN_S, read=60.0)
@@ -107,17 +120,14 @@ class Daemon:
         document: Mapping[str, Json] | None = None,
     ) -> Answer:
         headers = {"content-type": "application/json"} if document is not None else None
-        content = _body(document) if document is not None else None
+        content = body_text(document) if document is not None else None
         try:
             response = self._client.request(
                 method, path, params=params, content=content, headers=headers
             )
         except httpx.HTTPError as exc:
-            raise _unreachable(exc, self.where) from exc
-        data = _read_json(response, self.where)
-        if response.is_success or (isinstance(data, dict) and data.get("outcome")):
-            return Answer(response.text, data)
-        raise _refused(response.status_code, data)
+            raise unreachable(exc, self.where) from exc
+        return answer_of(response, self.where)
 
 
 @contextmanager
@@ -136,10 +146,49 @@ def connect(socket: str | None, url: str | None) -> Iterator[Daemon]:
         _knock(path)
     transport = httpx.HTTPTransport(uds=path) if path else None
     client = httpx.Client(
-        base_url=base or "http://localhost", transport=transport, timeout=TIMEOUT, trust_env=False
+        base_url=base or LOCAL, transport=transport, timeout=TIMEOUT, trust_env=False
     )
     with client:
         yield Daemon(client, path or base)
+
+
+@asynccontextmanager
+async def connect_async(
+    socket: str | None, url: str | None
+) -> AsyncIterator[tuple[httpx.AsyncClient, str]]:
+    """Connect for work that asks several things at once.
+
+    Args:
+        socket: What `--socket` says.
+        url: What `--url` says.
+
+    Returns:
+        The client, and where the daemon is, for messages.
+
+    Raises:
+        CommandError: It does not say which daemon, or contradicts itself.
+    """
+    path, base = find_daemon(socket, url)
+    if path:
+        _knock(path)
+    transport = httpx.AsyncHTTPTransport(uds=path) if path else None
+    client = httpx.AsyncClient(
+        base_url=base or LOCAL, transport=transport, timeout=TIMEOUT, trust_env=False
+    )
+    async with client:
+        yield client, path or base
+
+
+def answer_of(response: httpx.Response, where: str) -> Answer:
+    """Read an answer; a write's outcome is one, whatever its status.
+
+    Raises:
+        CommandError: The daemon says no, or it is no daemon.
+    """
+    data = _read_json(response, where)
+    if response.is_success or (isinstance(data, dict) and data.get("outcome")):
+        return Answer(response.text, data)
+    raise _refused(response.status_code, data)
 
 
 def _knock(path: str) -> None:
@@ -207,7 +256,8 @@ def _forbidden(where: str) -> CommandError:
     return CommandError(Exit.FORBIDDEN, Problem(f"{where} may not be opened", remedy))
 
 
-def _unreachable(exc: httpx.HTTPError, where: str) -> CommandError:
+def unreachable(exc: httpx.HTTPError, where: str) -> CommandError:
+    """Say why a daemon could not be spoken with."""
     if isinstance(exc, httpx.TimeoutException):
         problem = f"the daemon at {where} does not answer in time"
         return CommandError(Exit.UNREACHABLE, Problem(problem, "look at its log"))
@@ -249,7 +299,7 @@ def _refused(http_status: int, data: Any) -> CommandError:
     return CommandError(status, Problem(problem, text("remedy"), kind, text("drive"), text("code")))
 
 
-def _body(document: Mapping[str, Json]) -> str:
+def body_text(document: Mapping[str, Json]) -> str:
     """Write a flat document with its decimals exactly as they were given.
 
     The API's own encoder would do, but its room imports FastAPI, 0.4 s before `stop` says a word.

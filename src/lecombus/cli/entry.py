@@ -46,6 +46,9 @@ COMMANDS = {
     "wear": "Show how often a drive's memory was written.",
     "accept": "Take another drive in the place of the one that was there.",
     "describe": "Say what is known of the codes of a family of drives.",
+    "backup": "Read all parameters of a drive into a file.",
+    "diff": "Show what two backups, or drives, differ in.",
+    "restore": "Write a backup back into a drive, after showing what that changes.",
     "status": "Show the line and its drives, or one drive with its values.",
     "scan": "Find the drives on a line, and propose a roster.",
 }
@@ -86,9 +89,9 @@ class _Commands(click.Group):
 def lecombus() -> None:
     """Speak LECOM-A/B with a line of Lenze drives.
 
-    demo, run, check, plan and simulate work on a roster; read, write, group, stop, status and scan
-    talk to a running daemon, and read and scan open a port themselves if told to. lecombus is not a
-    safety function: have an emergency stop without software.
+    demo, run, check, plan and simulate work on a roster, describe on nothing, all others talk to a
+    running daemon; read and scan open a port themselves if told to. lecombus is not a safety
+    function: have an emergency stop without software.
     """
 
 

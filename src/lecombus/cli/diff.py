@@ -1,0 +1,163 @@
+"""`lecombus diff`: what two backups, or drives, differ in."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import anyio
+import click
+
+from lecombus.backups import Backup, Comparison, Difference, Entry, Listener, compare
+from lecombus.cli.arguments import DURATION, daemon_options
+from lecombus.cli.backup import PATIENCE_S, incomplete, read_drive
+from lecombus.cli.backup_files import load_backup
+from lecombus.cli.client import connect_async
+from lecombus.cli.drive_access import HttpDrive
+from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.cli.progress_bar import progress
+from lecombus.cli.screen import show_rows
+from lecombus.readings import Json
+
+__all__ = ["command"]
+
+SUFFIXES = (".yaml", ".yml")
+
+
+@click.command("diff")
+@click.argument("one", metavar="A")
+@click.argument("other", metavar="B")
+@click.option(
+    "--all",
+    "everything",
+    is_flag=True,
+    help="Also process values, addresses and what tells drives apart.",
+)
+@click.option(
+    "--wait",
+    "patience_s",
+    type=DURATION,
+    default=PATIENCE_S,
+    help="How long to wait for a line or a drive that is away; default: 1min.",
+)
+@daemon_options
+def command(
+    one: str,
+    other: str,
+    everything: bool,
+    patience_s: float,
+    socket: str | None,
+    url: str | None,
+    as_json: bool,
+) -> int:
+    """Show what A and B differ in; each is a backup's file, or a drive, which is read now.
+
+    What has a slash or ends in .yaml or .yml is a file, everything else a drive. Numbers are
+    compared as numbers: 35.0 is 35.
+
+    Exit status: 0 they are equal; 1 they differ (or a drive could not be read: nothing is shown
+    then). In a pipe: code, name, A, B, unit, separated by tabs. With --json: {"equal", "same",
+    "left_out", "remarks", "differences": [{"code", "name", "unit", "one", "other"}]}.
+    """
+    with progress("reading", quiet=as_json) as bar:
+        backups = anyio.run(gather, (one, other), socket, url, patience_s, bar)
+    found = compare(*backups, everything=everything)
+    if as_json:
+        click.echo(json.dumps(comparison_json(found), ensure_ascii=False))
+    else:
+        show(found, one, other)
+    return Exit.DONE if found.equal else Exit.FAILED
+
+
+async def gather(
+    names: tuple[str, str],
+    socket: str | None,
+    url: str | None,
+    patience_s: float,
+    listener: Listener,
+) -> tuple[Backup, Backup]:
+    """Load or read both."""
+    first, second = names
+    before = load_backup(Path(first)) if is_file(first) else None
+    after = load_backup(Path(second)) if is_file(second) else None
+    if before is not None and after is not None:
+        return before, after
+    async with connect_async(socket, url) as (client, where):
+        # What the file knows beyond the descriptions is asked of the drive as well.
+        also = [code for backup in (before, after) if backup for code in backup.entries]
+
+        async def read(name: str) -> Backup:
+            drive = HttpDrive(client, where, name)
+            backup, left = await read_drive(drive, also, patience_s=patience_s, listener=listener)
+            if left:
+                raise incomplete(name, left, None)
+            return backup
+
+        return before or await read(first), after or await read(second)
+
+
+def is_file(name: str) -> bool:
+    """Tell whether a file is meant.
+
+    Raises:
+        CommandError: It can be both.
+    """
+    if os.sep in name or name.endswith(SUFFIXES):
+        return True
+    if Path(name).is_file():
+        problem = Problem(f"{name} is a file here and may be a drive", f"write ./{name} for it")
+        raise CommandError(Exit.USAGE, problem)
+    return False
+
+
+def show(found: Comparison, one: str, other: str) -> None:
+    """Print the differences as a table or as lines of cells."""
+    for remark in found.remarks:
+        click.echo(remark, err=True)
+    rows = [
+        (
+            str(each.code), each.name, shown(each.one, each.meaning_one),
+            shown(each.other, each.meaning_other), each.unit or "",
+        )
+        for each in found.differences
+    ]  # fmt: skip
+    if rows:
+        show_rows(("code", "name", one, other, "unit"), rows)
+    elif not found.same:
+        click.echo("there is nothing to compare", err=True)
+
+
+def shown(entry: Entry | None, meaning: str) -> str:
+    """Return one side of a difference."""
+    if entry is None:
+        return "not there"
+    if entry.value is None:
+        return f"not read ({entry.missing})"
+    return f"{entry.value} ({meaning})" if meaning else entry.value.raw
+
+
+def comparison_json(found: Comparison) -> dict[str, Json]:
+    """Return the JSON form."""
+    return {
+        "equal": found.equal,
+        "same": found.same,
+        "left_out": found.left_out,
+        "remarks": list(found.remarks),
+        "differences": [difference_json(each) for each in found.differences],
+    }
+
+
+def difference_json(each: Difference) -> dict[str, Json]:
+    """Return the JSON form of one difference."""
+
+    def side(entry: Entry | None) -> Json:
+        return None if entry is None or entry.value is None else entry.value.raw
+
+    return {
+        "code": str(each.code),
+        "name": each.name,
+        "unit": each.unit,
+        "one": side(each.one),
+        "other": side(each.other),
+    }

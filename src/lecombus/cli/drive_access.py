@@ -1,0 +1,228 @@
+"""One drive behind a daemon's HTTP API, as backups and restores ask for it.
+
+Strategy: every refusal of the daemon becomes an answer with its stable word, so that `backups`
+decides what may be asked again. A daemon that cannot be reached is such an answer too: it may be
+restarting. A few reads are asked for at once, in the background class, so that the line finds the
+next one waiting whenever it is idle; writes go one by one.
+
+What must not live here: what is read or written, and in which order.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+from urllib.parse import quote
+
+import anyio
+
+from lecombus.backups import Answer, Written
+from lecombus.cli.client import answer_of, body_text, unreachable
+from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.cli.reports import kind_of
+from lecombus.cli.slim_httpx import httpx
+from lecombus.errors import CodeValueError
+from lecombus.protocol import Code, Value
+from lecombus.readings import Json
+
+__all__ = ["HttpDrive", "RestoreRights", "Whose"]
+
+AT_ONCE: Final = 4
+"""Enough that one is always waiting while another is on the line, and no crowd for others."""
+
+WRITE_WITHIN_S: Final = 45
+"""A write is not begun after so long, seconds: by then nobody here waits for its answer."""
+
+UNREACHABLE: Final = "unreachable"
+GOOD: Final = ("done", "verified")
+USABLE: Final = ("online", "degraded")
+
+
+@dataclass(frozen=True, slots=True)
+class Whose:
+    """Which drive this is.
+
+    Args:
+        drive: Its name.
+        line: Its line's name.
+        address: 1..99.
+        family: Its family's name.
+    """
+
+    drive: str
+    line: str
+    address: int
+    family: str
+
+
+@dataclass(frozen=True, slots=True)
+class RestoreRights:
+    """Whether the daemon lets it be restored.
+
+    Args:
+        reason: Why not; empty when it does.
+        remedy: What to do about it.
+        owned: Codes that lecombus sets from the roster.
+    """
+
+    reason: str
+    remedy: str
+    owned: tuple[Code, ...]
+
+
+class HttpDrive:
+    """A drive behind a daemon.
+
+    Args:
+        client: Speaks HTTP with the daemon.
+        where: How the daemon was found, for messages.
+        drive: The drive's name.
+        clock: Monotonic time, seconds.
+    """
+
+    def __init__(
+        self,
+        client: httpx.AsyncClient,
+        where: str,
+        drive: str,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._client = client
+        self._where = where
+        self._name = drive
+        self._clock = clock
+        self._path = f"/v1/drives/{quote(drive, safe='')}"
+
+    # ---- who it is --------------------------------------------------------------------------
+
+    async def whose(self) -> Whose:
+        """Ask which drive this is.
+
+        Raises:
+            CommandError: There is no such drive, or no daemon.
+        """
+        line = await self._ask("GET", "/v1/line")
+        drive = await self._ask("GET", self._path)
+        return Whose(self._name, str(line["line"]), int(drive["address"]), str(drive["family"]))
+
+    async def restore_rights(self) -> RestoreRights:
+        """Ask whether it may be restored.
+
+        Raises:
+            CommandError: There is no such drive, or no daemon.
+        """
+        said = await self._ask("GET", f"{self._path}/restore")
+        reason = "" if said["permitted"] else str(said["reason"])
+        owned = tuple(Code.parse(code) for code in said["owned"])
+        return RestoreRights(reason, str(said["remedy"] or ""), owned)
+
+    # ---- what backups ask -------------------------------------------------------------------
+
+    async def read(self, code: Code) -> Answer:
+        """Read a code when the line is idle."""
+        params = {"fresh": "true", "priority": "background"}
+        try:
+            said = await self._ask("GET", f"{self._path}/codes/{code}", params=params)
+            return Answer(code, Value.parse(str(said["raw"])))
+        except CommandError as exc:
+            kind, text = why(exc)
+            return Answer(code, None, kind, text)
+        except CodeValueError as exc:
+            return Answer(code, None, "garbled", str(exc))
+
+    async def read_many(self, codes: Sequence[Code], heard: Callable[[Answer], None]) -> None:
+        """Read codes, a few at a time."""
+        rest = iter(codes)
+
+        async def one_after_the_other() -> None:
+            for code in rest:
+                heard(await self.read(code))
+
+        async with anyio.create_task_group() as tasks:
+            for _ in range(AT_ONCE):
+                tasks.start_soon(one_after_the_other)
+
+    async def write(self, code: Code, value: Value, *, verify: bool) -> Written:
+        """Write a code as part of a restore."""
+        document: dict[str, Json] = {
+            "value": value.raw, "verify": verify, "priority": "background", "restore": True,
+            "expires": f"{WRITE_WITHIN_S}s",
+        }  # fmt: skip
+        return await self._act("PUT", f"{self._path}/codes/{code}", document)
+
+    async def inhibit(self) -> Written:
+        """Inhibit it: a stop, which waits for nothing."""
+        return await self._act("POST", "/v1/stop", {"action": "inhibit", "target": self._name})
+
+    async def enable(self) -> Written:
+        """Lift the inhibit; the roster must let C0040 be written."""
+        return await self._act("PUT", f"{self._path}/codes/C0040", {"value": 1, "verify": True})
+
+    async def why_not_usable(self) -> str:
+        """Say why it cannot be asked just now; empty when it can."""
+        try:
+            line = await self._ask("GET", "/v1/line")
+            drive = await self._ask("GET", self._path)
+        except CommandError as exc:
+            if exc.status is not Exit.UNREACHABLE:
+                raise
+            return why(exc)[1]
+        if line["state"] != "open":
+            return f"line {line['line']} is {line['state']}: {line['reason'] or 'no reason given'}"
+        if drive["state"] not in USABLE:
+            reason = f": {drive['reason']}" if drive["reason"] else ""
+            return f"{self._name} is {drive['state']}{reason}"
+        return ""
+
+    async def pause(self, for_s: float) -> None:
+        """Let time pass, seconds."""
+        await anyio.sleep(for_s)
+
+    def now_s(self) -> float:
+        """Give monotonic time, seconds."""
+        return self._clock()
+
+    # ---- HTTP -------------------------------------------------------------------------------
+
+    async def _act(self, method: str, path: str, document: Mapping[str, Json]) -> Written:
+        try:
+            said = await self._ask(method, path, document=document)
+        except CommandError as exc:
+            kind, text = why(exc)
+            return Written(False, kind, text)
+        if said.get("outcome") in GOOD:
+            return Written(True)
+        parts = [said.get(key) for key in ("reason", "detail", "cause", "remedy")]
+        text = "; ".join(dict.fromkeys(str(part) for part in parts if part))
+        return Written(False, kind_of(said) or str(said.get("outcome")), text)
+
+    async def _ask(
+        self,
+        method: str,
+        path: str,
+        *,
+        params: Mapping[str, str] | None = None,
+        document: Mapping[str, Json] | None = None,
+    ) -> Mapping[str, Any]:
+        headers = {"content-type": "application/json"} if document is not None else None
+        content = body_text(document) if document is not None else None
+        try:
+            response = await self._client.request(
+                method, path, params=params, content=content, headers=headers
+            )
+        except httpx.HTTPError as exc:
+            raise unreachable(exc, self._where) from exc
+        data = answer_of(response, self._where).data
+        if not isinstance(data, dict):
+            problem = Problem(f"what answers at {self._where} is not lecombus", "look at the path")
+            raise CommandError(Exit.UNREACHABLE, problem)
+        return data
+
+
+def why(exc: CommandError) -> tuple[str, str]:
+    """Give the stable word and the text of an error."""
+    problem = exc.problems[0]
+    kind = UNREACHABLE if exc.status is Exit.UNREACHABLE else problem.kind
+    return kind or "refused", str(problem)

@@ -1,0 +1,134 @@
+"""What a restore prints: its plan before, its result after; for people, pipes and programs."""
+
+from __future__ import annotations
+
+import click
+
+from lecombus.backups import Plan, Restored, Skip, Step
+from lecombus.cli.screen import on_terminal, show_rows
+from lecombus.protocol import Value
+from lecombus.readings import Json
+
+__all__ = ["plan_json", "result_json", "show_plan", "show_result"]
+
+
+def show_plan(plan: Plan, drive: str, *, enabled: bool | None) -> None:
+    """Print what would be written, what is left out, and what should be known before."""
+    if on_terminal():
+        click.echo(headline(plan, drive))
+    rows = [
+        (
+            "write", str(step.code), step.name, told(step.now, step.now_means),
+            told(step.value, step.value_means), step.unit or "", step.because,
+        )
+        for step in plan.steps
+    ]  # fmt: skip
+    rows += [
+        ("skip", str(skip.code), skip.name, "", "", "", skip.why) for skip in worth_telling(plan)
+    ]
+    if rows:
+        show_rows(("", "code", "name", "now", "then", "unit", "why"), rows)
+    for remark in plan.remarks:
+        click.echo(remark, err=True)
+    if plan.steps and enabled:
+        click.echo(f"{drive} is enabled: it will be inhibited, and stays so", err=True)
+    if plan.save is not None and plan.steps:
+        click.echo(f"at the end {plan.save[0]} = {plan.save[1]} saves it all", err=True)
+
+
+def headline(plan: Plan, drive: str) -> str:
+    """Return the plan in one line."""
+    expected = sum(skip.expected for skip in plan.skips)
+    parts = [f"{len(plan.steps)} to write", f"{len(plan.same)} right already"]
+    if others := len(plan.skips) - expected:
+        parts.append(f"{others} left out")
+    if expected:
+        parts.append(f"{expected} process values and the like")
+    return f"{drive}: " + ", ".join(parts)
+
+
+def worth_telling(plan: Plan) -> list[Skip]:
+    """Give what is left out and somebody might miss: not every process value."""
+    return [skip for skip in plan.skips if not skip.expected]
+
+
+def told(value: Value, meaning: str) -> str:
+    """Return a value with its meaning."""
+    return f"{value} ({meaning})" if meaning else value.raw
+
+
+def show_result(plan: Plan, result: Restored, drive: str, *, enabled: bool) -> None:
+    """Print how it ended."""
+    rows = [
+        (str(code), "refused", plan.wanted[code].raw, "", why)
+        for code, why in result.refused.items()
+    ]
+    rows += [
+        (
+            str(code), "changed", value.raw, answer.value.raw if answer.value else "",
+            answer.text or "somebody else wrote it, or the drive did not keep it",
+        )
+        for code, (value, answer) in result.changed.items()
+    ]  # fmt: skip
+    if rows:
+        show_rows(("code", "outcome", "wanted", "reads", "why"), rows)
+    if result.stopped:
+        click.echo(f"stopped: {result.stopped}", err=True)
+    written = len(result.written)
+    if result.complete:
+        saved = " and saved" if result.saved else ""
+        click.echo(f"{drive}: {written} codes written and read back{saved}, all as in the file")
+    else:
+        rest = "run it again: it goes on with what is missing"
+        click.echo(f"{drive}: {written} codes written, not complete; {rest}", err=True)
+        if result.saved is False:
+            click.echo("not saved: what was written is lost at power-off", err=True)
+    if enabled:
+        click.echo(f"{drive} is enabled again")
+    elif result.inhibited_here:
+        click.echo(f"{drive} is inhibited: enable it yourself, when it may move")
+
+
+def plan_json(plan: Plan, drive: str) -> dict[str, Json]:
+    """Return the plan's JSON form."""
+    return {
+        "drive": drive,
+        "blockers": list(plan.blockers),
+        "remarks": list(plan.remarks),
+        "write": [step_json(step) for step in plan.steps],
+        "same": [str(code) for code in plan.same],
+        "skip": [{"code": str(s.code), "name": s.name, "reason": s.why} for s in plan.skips],
+    }
+
+
+def step_json(step: Step) -> dict[str, Json]:
+    """Return the JSON form of one write."""
+    return {
+        "code": str(step.code),
+        "name": step.name,
+        "unit": step.unit,
+        "now": step.now.raw,
+        "then": step.value.raw,
+        "reason": step.because or None,
+    }
+
+
+def result_json(plan: Plan, result: Restored, drive: str) -> dict[str, Json]:
+    """Return the result's JSON form, with the plan it came from."""
+    return {
+        **plan_json(plan, drive),
+        "complete": result.complete,
+        "written": [str(code) for code in result.written],
+        "refused": [{"code": str(code), "reason": why} for code, why in result.refused.items()],
+        "changed": [
+            {
+                "code": str(code),
+                "wanted": value.raw,
+                "reads": None if answer.value is None else answer.value.raw,
+            }
+            for code, (value, answer) in result.changed.items()
+        ],
+        "stopped": result.stopped or None,
+        "inhibited": result.inhibited_here,
+        "saved": result.saved,
+    }

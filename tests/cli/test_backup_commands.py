@@ -1,0 +1,340 @@
+"""backup, diff and restore as their user types them, against a daemon reduced to its answers."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from cli.conftest import Run
+from cli.daemon_stub import DaemonStub
+from lecombus.drives import family
+from lecombus.protocol.addressing import Code
+
+DRIVE = "/v1/drives/feeder"
+READ = "?fresh=true&priority=background"
+
+
+def problem(kind: str, status: int, detail: str) -> tuple[int, str]:
+    told = {"type": f"urn:lecombus:problem:{kind}", "detail": detail, "remedy": "", "outcome": None}
+    return status, json.dumps(told)
+
+
+class Drive:
+    """Answers for one drive, whose codes a test sets."""
+
+    def __init__(self, stub: DaemonStub, kind: str = "8200vector") -> None:
+        self.stub = stub
+        self.kind = family(kind)
+        self.set_line("open")
+        self.state("online")
+        self.rights()
+        for info in self.kind.described():
+            self.code(str(info.code), "H0080" if info.code == Code(150) else "0")
+
+    def set_line(self, state: str) -> None:
+        document = {"line": "hall-3", "state": state, "reason": "unplugged"}
+        self.stub.answers["GET /v1/line"] = (200, json.dumps(document))
+
+    def state(self, state: str) -> None:
+        document = {"address": 11, "family": self.kind.name, "state": state, "reason": None}
+        self.stub.answers[f"GET {DRIVE}"] = (200, json.dumps(document))
+
+    def rights(self, reason: str | None = None) -> None:
+        document = {
+            "permitted": reason is None, "owned": [], "reason": reason, "remedy": "do something",
+        }  # fmt: skip
+        self.stub.answers[f"GET {DRIVE}/restore"] = (200, json.dumps(document))
+
+    def code(self, code: str, raw: str | None) -> None:
+        answer = (200, json.dumps({"raw": raw}))
+        if raw is None:
+            answer = problem("no-such-code", 404, f"there is no {code}")
+        self.stub.answers[f"GET {DRIVE}/codes/{code}{READ}"] = answer
+
+    def takes(self, code: str, outcome: str = "verified") -> None:
+        self.stub.answers[f"PUT {DRIVE}/codes/{code}"] = (200, json.dumps({"outcome": outcome}))
+
+
+@pytest.fixture
+def drive(daemon: DaemonStub) -> Drive:
+    return Drive(daemon)
+
+
+@pytest.fixture(autouse=True)
+def _own_state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    yield
+    left = tmp_path / "state" / "lecombus"
+    assert not left.exists() or list(left.iterdir()) == [] or (tmp_path / "expected").exists()
+
+
+def backed_up(run: Run, path: Path) -> Path:
+    ran = run("backup", "feeder", "-o", str(path))
+    assert ran.status == 0, ran.err
+    return path
+
+
+def test_a_backup_goes_to_its_file_and_says_how_much(
+    run: Run, drive: Drive, tmp_path: Path
+) -> None:
+    drive.code("C0011", "50.5")
+    drive.code("C2011", None)
+    path = tmp_path / "f.yaml"
+    ran = run("backup", "feeder", "-o", str(path))
+    count = len(list(drive.kind.described()))
+    assert (ran.status, ran.out) == (0, "")
+    assert ran.err == f"feeder: {count - 1} codes read, 1 not readable, written to {path}\n"
+    text = path.read_text()
+    assert "  C0011: 50.5 " in text
+    assert "  C2011: no-such-code" in text.partition("not-read:")[2]
+    assert list(tmp_path.glob(".*")) == []
+
+
+def test_without_a_file_the_backup_is_what_is_printed(run: Run, drive: Drive) -> None:
+    ran = run("backup", "feeder")
+    assert (ran.status, ran.err) == (0, "")
+    assert "lecombus-backup: 1\n" in ran.out
+
+
+def test_a_backup_as_json_has_every_code(run: Run, drive: Drive, tmp_path: Path) -> None:
+    drive.code("C0011", "50.50")
+    document = json.loads(run("backup", "feeder", "--json").out)
+    (entry,) = [one for one in document["codes"] if one["code"] == "C0011"]
+    assert (entry["raw"], entry["section"], entry["unit"]) == ("50.50", "parameters", "Hz")
+    assert (document["complete"], document["file"]) == (True, None)
+
+
+def test_further_codes_are_read_where_the_drive_knows_them(run: Run, drive: Drive) -> None:
+    for number in range(4710, 4713):
+        drive.code(f"C{number}", "7" if number == 4711 else None)
+    ran = run("backup", "feeder", "--also", "C4710-C4712")
+    assert "undescribed:\n  C4711: 7\n" in ran.out
+    assert "C4712" not in ran.out
+
+
+@pytest.mark.parametrize("written", ["C5-C4", "C0-C9999", "x", "C1-", "C0039/1-C40"])
+def test_ranges_that_are_none_are_refused(run: Run, written: str) -> None:
+    ran = run("backup", "feeder", "--also", written)
+    assert ran.status == 2
+    assert written.partition("-")[0] in ran.err
+
+
+def test_what_is_incomplete_is_not_written_and_the_old_backup_stays(
+    run: Run, drive: Drive, tmp_path: Path
+) -> None:
+    path = backed_up(run, tmp_path / "f.yaml")
+    before = path.read_text()
+    silent = problem("no-answer", 504, "feeder did not answer")
+    drive.stub.answers[f"GET {DRIVE}/codes/C0011{READ}"] = silent
+    ran = run("backup", "feeder", "-o", str(path))
+    assert (ran.status, path.read_text()) == (1, before)
+    assert "1 code of feeder could not be read, the first C0011" in ran.err
+    assert "is as it was" in ran.err
+    ran = run("backup", "feeder", "-o", str(path), "--partial")
+    assert (ran.status, "C0011: no-answer" in path.read_text()) == (1, True)
+
+
+def test_a_line_that_stays_away_is_waited_for_as_long_as_told(run: Run, drive: Drive) -> None:
+    drive.set_line("lost")
+    ran = run("backup", "feeder", "--wait", "10ms")
+    assert ran.status == 1
+    assert "waiting: line hall-3 is lost: unplugged" in ran.err
+    assert not any("/codes/" in asked for asked, _ in drive.stub.asked)
+
+
+def test_a_backup_never_replaces_something_else(run: Run, drive: Drive, tmp_path: Path) -> None:
+    path = tmp_path / "roster.yaml"
+    path.write_text("line: {name: hall-3}\n")
+    ran = run("backup", "feeder", "-o", str(path))
+    assert (ran.status, path.read_text()) == (2, "line: {name: hall-3}\n")
+    assert "is no backup; name another file" in ran.err
+    assert run("backup", "feeder", "-o", str(tmp_path / "no" / "f.yaml")).status == 2
+    assert drive.stub.asked == []
+
+
+def test_a_drive_that_is_not_there_is_said_before_anything_is_read(run: Run, drive: Drive) -> None:
+    drive.stub.answers[f"GET {DRIVE}"] = problem("no-such-drive", 404, "there is no drive feeder")
+    ran = run("backup", "feeder")
+    assert (ran.status, "there is no drive feeder" in ran.err) == (2, True)
+
+
+def test_diff_shows_what_differs_between_file_and_drive(
+    run: Run, drive: Drive, tmp_path: Path
+) -> None:
+    path = backed_up(run, tmp_path / "f.yaml")
+    assert (run("diff", str(path), "feeder").status, run("diff", "feeder", str(path)).out) == (
+        0,
+        "",
+    )
+    drive.code("C2011", "60.50")
+    drive.code("C0046", "10")
+    ran = run("diff", str(path), "feeder")
+    assert ran.status == 1
+    (line,) = ran.out.splitlines()
+    assert line.split("\t")[0] == "C2011"
+    assert line.split("\t")[2:] == ["0", "60.50", "Hz"]
+    assert len(run("diff", str(path), "feeder", "--all").out.splitlines()) == 2
+    document = json.loads(run("diff", str(path), "feeder", "--json").out)
+    assert document["equal"] is False
+    assert [(one["one"], one["other"]) for one in document["differences"]] == [("0", "60.50")]
+
+
+def test_two_files_are_compared_without_a_daemon(
+    run: Run, drive: Drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = backed_up(run, tmp_path / "one.yaml")
+    drive.code("C0011", "60")
+    other = backed_up(run, tmp_path / "other.yaml")
+    monkeypatch.setenv("LECOMBUS_SOCKET", str(tmp_path / "nobody"))
+    assert run("diff", str(one), str(one)).status == 0
+    assert run("diff", str(one), str(other)).status == 1
+
+
+def test_a_name_that_is_a_file_and_may_be_a_drive_is_not_guessed(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "feeder").write_text("")
+    monkeypatch.chdir(tmp_path)
+    ran = run("diff", "feeder", "x.yaml")
+    assert (ran.status, "write ./feeder for it" in ran.err) == (2, True)
+
+
+def test_a_damaged_file_is_refused_with_its_line(run: Run, drive: Drive, tmp_path: Path) -> None:
+    path = backed_up(run, tmp_path / "f.yaml")
+    path.write_text(re.sub("C0011: 0 ", "C0011: x ", path.read_text()))
+    line = 1 + path.read_text().splitlines().index(
+        next(one for one in path.read_text().splitlines() if "C0011: x" in one)
+    )
+    for words in (("diff", str(path), "feeder"), ("restore", str(path), "feeder")):
+        ran = run(*words)
+        assert (ran.status, f"{path}:{line}:" in ran.err) == (2, True)
+    path.write_bytes(b"\xff\xfe")
+    assert run("restore", str(path), "feeder").status == 2
+
+
+def to_restore(run: Run, drive: Drive, tmp_path: Path) -> Path:
+    """A file whose C0011 and C2011 differ from what the drive reads."""
+    drive.code("C0011", "60")
+    drive.code("C2011", "70")
+    path = backed_up(run, tmp_path / "f.yaml")
+    drive.code("C0011", "50")
+    drive.code("C2011", "50")
+    drive.stub.asked.clear()
+    return path
+
+
+def writes(drive: Drive) -> list[str]:
+    return [asked for asked, _ in drive.stub.asked if not asked.startswith("GET")]
+
+
+def test_a_dry_run_shows_the_plan_and_writes_nothing(
+    run: Run, drive: Drive, tmp_path: Path
+) -> None:
+    path = to_restore(run, drive, tmp_path)
+    ran = run("restore", str(path), "feeder", "--dry-run")
+    assert ran.status == 0
+    rows = [line.split("\t") for line in ran.out.splitlines()]
+    assert [(row[1], row[3], row[4]) for row in rows if row[0] == "write"] == [
+        ("C0011", "50", "60"), ("C2011", "50", "70"),
+    ]  # fmt: skip
+    assert [row[1] for row in rows if row[0] == "skip"] == ["C0009", "C0125"]
+    assert writes(drive) == []
+    document = json.loads(run("restore", str(path), "feeder", "--dry-run", "--json").out)
+    assert [one["then"] for one in document["write"]] == ["60", "70"]
+
+
+def test_nothing_is_written_where_nobody_can_say_yes(
+    run: Run, drive: Drive, tmp_path: Path
+) -> None:
+    path = to_restore(run, drive, tmp_path)
+    ran = run("restore", str(path), "feeder")
+    assert (ran.status, "repeat it with --yes" in ran.err, writes(drive)) == (2, True, [])
+
+
+def test_without_the_rosters_permission_nothing_is_written(
+    run: Run, drive: Drive, tmp_path: Path
+) -> None:
+    path = to_restore(run, drive, tmp_path)
+    drive.rights("the roster does not let feeder be restored")
+    ran = run("restore", str(path), "feeder", "--yes")
+    assert (ran.status, writes(drive)) == (4, [])
+    assert "does not let feeder be restored; do something" in ran.err
+
+
+def test_each_write_says_that_it_is_part_of_a_restore_and_has_time(
+    run: Run, drive: Drive, tmp_path: Path
+) -> None:
+    (tmp_path / "expected").touch()  # the stub reads as before: the restore is not complete
+    path = to_restore(run, drive, tmp_path)
+    drive.takes("C0011")
+    drive.takes("C2011")
+    ran = run("restore", str(path), "feeder", "--yes", "--json")
+    bodies = [json.loads(body) for asked, body in drive.stub.asked if asked.startswith("PUT")]
+    assert bodies[0] == {
+        "value": "60", "verify": True, "priority": "background", "restore": True,
+        "expires": "45s",
+    }  # fmt: skip
+    document = json.loads(ran.out)
+    assert (ran.status, document["complete"], document["written"]) == (1, False, ["C0011", "C2011"])
+    assert [(one["code"], one["wanted"], one["reads"]) for one in document["changed"]] == [
+        ("C0011", "60", "50"), ("C2011", "70", "50"),
+    ]  # fmt: skip
+
+
+def test_an_interrupted_restore_is_told_and_gone_on_with(
+    run: Run, drive: Drive, tmp_path: Path
+) -> None:
+    path = to_restore(run, drive, tmp_path)
+    drive.takes("C0011")
+    ran = run("restore", str(path), "feeder", "--yes")  # C2011 is not taken
+    assert ran.status == 1
+    assert "run it again" in ran.err
+    (notes,) = (tmp_path / "state" / "lecombus").iterdir()
+    assert notes.name == "restore-hall-3-feeder.jsonl"
+    drive.code("C0011", "60")
+    drive.code("C2011", "70")
+    ran = run("restore", str(path), "feeder", "--yes")
+    assert (ran.status, "1 codes were written" in ran.out) == (0, True)
+    assert not notes.exists()
+
+
+def test_another_files_unfinished_restore_is_told(run: Run, drive: Drive, tmp_path: Path) -> None:
+    (tmp_path / "expected").touch()
+    path = to_restore(run, drive, tmp_path)
+    run("restore", str(path), "feeder", "--yes")
+    other = tmp_path / "other.yaml"
+    other.write_text(path.read_text().replace("C0011: 60", "C0011: 61"))
+    ran = run("restore", str(other), "feeder", "--yes")
+    assert "may hold a part of it" in ran.out
+
+
+def test_a_drive_that_reads_as_the_file_is_left_alone(
+    run: Run, drive: Drive, tmp_path: Path
+) -> None:
+    path = backed_up(run, tmp_path / "f.yaml")
+    ran = run("restore", str(path), "feeder", "--yes")
+    assert (ran.status, writes(drive)) == (0, [])
+
+
+def test_another_drive_needs_its_own_word(run: Run, drive: Drive, tmp_path: Path) -> None:
+    path = to_restore(run, drive, tmp_path)
+    drive.code("C1810", "Sanother")
+    ran = run("restore", str(path), "feeder", "--yes")
+    assert (ran.status, writes(drive)) == (2, [])
+    assert "with --to-other-drive, if it is meant for it" in ran.err
+    ran = run("restore", str(path), "feeder", "--dry-run", "--to-other-drive")
+    assert (ran.status, "C1810" in ran.err) == (0, True)
+
+
+def test_another_family_is_refused_whatever_is_said(run: Run, drive: Drive, tmp_path: Path) -> None:
+    path = to_restore(run, drive, tmp_path)
+    drive.kind = family("821x")
+    drive.state("online")
+    ran = run("restore", str(path), "feeder", "--yes", "--to-other-drive")
+    assert (ran.status, writes(drive)) == (2, [])
+    assert "the backup is of a 8200vector, the drive is a 821x" in ran.err
+    assert "--to-other-drive" not in ran.err
