@@ -28,8 +28,8 @@ def test_50_ms_on_two_drives_at_9600_is_refused_with_the_arithmetic() -> None:
     assert second.startswith("4:")
     for text in (first, second):
         assert "a watchdog of 50ms cannot be held at 9600 baud: within 45ms the line would" in text
-        assert "the feeds of 2 drives (77ms) behind one exchange under way (39ms) and one" in text
-        assert "a time of 220ms or more" in text
+        assert "the feeds of 2 drives (77ms) behind one exchange that fails (167ms)" in text
+        assert "a time of 360ms or more" in text
 
 
 def test_50_ms_on_one_drive_alone_can_be_held() -> None:
@@ -80,9 +80,9 @@ def test_only_what_is_too_short_is_refused() -> None:
     assert [line.split(":")[0] for line in said(text)] == ["3", "4"]
 
 
-def test_one_lost_answer_is_worth_a_warning_with_the_time_that_outlasts_it() -> None:
-    feeding = feeding_of(parsed(line_of(2, "250ms")))
+def test_a_second_lost_answer_is_worth_a_warning_with_the_time_that_outlasts_it() -> None:
+    feeding = feeding_of(parsed(line_of(2, "400ms")))
     least = least_time_s(feeding, lost=1)
     assert feeding.overload() is None
     assert least is not None
-    assert least > 0.25
+    assert least > 0.4

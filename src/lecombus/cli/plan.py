@@ -88,7 +88,7 @@ def _show_watchdogs(plan: Plan) -> None:
         return
     click.echo()
     show_rows(
-        ("drive", "watchdog", "a feed", "least held", "least outlasting a lost answer", "verdict"),
+        ("drive", "watchdog", "a feed", "least held", "a drive may go", "verdict"),
         [
             (one.drive, format_duration(one.time_s), _time(one.feed_s), _time(one.least_s),
              _time(one.outlasts_s), one.verdict)

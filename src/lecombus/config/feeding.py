@@ -1,11 +1,11 @@
 """Whether a line can hold the watchdogs of a roster, and what would do where it cannot.
 
 Every watched drive must have been spoken to within nine tenths of its watchdog time, so its feed
-is a stream of work (`schedule.demand`). What can stand before the feeds once, whatever the
-schedule does, is the longest exchange of the roster's own that is under way, and one stop, which
-goes before everything and waits for nobody. If the feeds do not fit behind those even when every
-drive answers at once, no order of telegrams holds the watchdogs, and the roster is refused. A
-roster that fits, but in which one lost answer makes a watchdog act, is worth a warning.
+is a stream of work (`schedule.demand`). What stands before the feeds once is an exchange with
+another drive, and one stop, which goes before everything and waits for nobody. The exchange counts
+at its longest, unanswered: the schedule begins none that could make a feed late, so where that does
+not fit a drive could not even be asked whether it is there. If the feeds do not fit behind those,
+the roster is refused. One in which a further lost answer makes a watchdog act is worth a warning.
 
 What must not live here: costs (`exchanges`), the schedule's choices.
 """
@@ -47,8 +47,8 @@ class Feeding:
     Args:
         drives: The watched drives.
         streams: The feed of each, in the same order.
-        under_way_s: The longest exchange of the roster's own that may be under way with another
-            drive, seconds.
+        under_way_s: The longest that may be under way with another drive: one of the roster's
+            reads, or a feed that is not answered; seconds.
         stop_s: The longest stop of another drive with its proof, seconds.
         lost_s: What one feed that is not answered costs at most, seconds.
     """
@@ -109,7 +109,7 @@ def feeding_of(roster: Roster, timing: LineTiming | None = None) -> Feeding:
     asked = [
         read_times(drive, entry.code, timing).usual_s for drive in others for entry in drive.cyclic
     ]
-    asked.extend(feed_times(drive, timing).usual_s for drive in others)
+    asked.extend(feed_times(drive, timing).worst_s for drive in others)
     return Feeding(
         drives=tuple(drive for drive, _ in watched),
         streams=tuple(
@@ -203,7 +203,7 @@ def _arithmetic(drive: DriveEntry, feeding: Feeding, overload: Overload, baud: i
     behind = ""
     if feeding.blocking_s:
         behind = (
-            f" behind one exchange under way ({_ms(feeding.under_way_s)}) and one stop "
+            f" behind one exchange that fails ({_ms(feeding.under_way_s)}) and one stop "
             f"({_ms(feeding.stop_s)})"
         )
     return (
@@ -227,7 +227,7 @@ def _remedy(roster: Roster, feeding: Feeding, least_s: float | None, baud: int |
 def _fewer_reads(roster: Roster, feeding: Feeding) -> Iterator[str]:
     """Say if it is one long cyclic read that stands in the way."""
     timing = line_timing(roster.line)
-    feed_s = max((stream.cost_s for stream in feeding.streams), default=0.0)
+    feed_s = feeding.lost_s
     if _overload(feeding.streams, feed_s + feeding.stop_s) is not None:
         return
     long = [

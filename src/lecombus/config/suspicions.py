@@ -110,7 +110,7 @@ def _load(roster: Roster, timing: LineTiming) -> Iterator[str]:
 
 
 def _feeding(roster: Roster) -> Iterator[tuple[str, str]]:
-    """Warn of watchdogs that act when one answer is lost while the others wait to be fed."""
+    """Warn of watchdogs that act when two answers are lost while the others wait to be fed."""
     feeding = feeding_of(roster)
     if feeding.overload(lost=1) is None:
         return
@@ -119,10 +119,8 @@ def _feeding(roster: Roster) -> Iterator[tuple[str, str]]:
         time_s = watched_s(drive)
         if time_s is not None and (least_s is None or time_s < least_s):
             outlast = "" if least_s is None else f"; {written_up(least_s)} would outlast that"
-            yield (
-                drive.name,
-                f"a watchdog of {format_duration(time_s)} may act when one answer is lost{outlast}",
-            )
+            text = f"a watchdog of {format_duration(time_s)} may act when two answers are lost"
+            yield drive.name, text + outlast
 
 
 def _slow_codes(roster: Roster, timing: LineTiming) -> Iterator[str]:

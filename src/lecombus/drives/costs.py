@@ -46,8 +46,9 @@ GAP_CHARS: Final = 4
 USUAL_UNKNOWN_CHARS: Final = 9
 """Value length taken where no description tells: that of the manual's tables (EDB2102EN 3.5)."""
 
-LONGEST_CHARS: Final = {Format.VD: 12, Format.VH: 9}
-"""Longest value by format: `-214748.3648`, `H` and 8 digits; the others may have 240 characters."""
+LONGEST_CHARS: Final = {Format.VD: 12, Format.VH: 9, Format.VS: 40}
+"""Longest value of a described code by format: `-214748.3648`, `H` and 8 digits, and for strings
+twice the 20 characters that the manuals print at most; octets may have 240."""
 
 CACHE: Final = 8192
 

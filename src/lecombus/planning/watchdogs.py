@@ -1,13 +1,15 @@
 """How short each drive's watchdog could be, the others staying as they are.
 
 Method: the demand bound of `schedule.demand`, over the feeds of `config.feeding`, halved down to a
-millisecond. Two times are given: the least that can be held while every drive answers, and the
-least that also outlasts one answer that is lost just when the line is fullest.
+millisecond. Two times are given: the least that can be held, one exchange failing at the worst
+moment, and the least that also outlasts a drive that goes away: it is asked `AWAY_ATTEMPTS` times
+in vain before it is given up.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 from lecombus.config import Roster
 from lecombus.config.exchanges import watched_s
@@ -16,7 +18,10 @@ from lecombus.drives import LineTiming, family
 from lecombus.schedule.demand import FULL, Stream, find_overload, load_of
 from lecombus.schedule.feeds import HARD_PART
 
-__all__ = ["WatchdogPlan", "watchdog_plans"]
+__all__ = ["AWAY_ATTEMPTS", "WatchdogPlan", "watchdog_plans"]
+
+AWAY_ATTEMPTS: Final = 4
+"""Exchanges in a row that a drive fails before it counts as offline."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +33,7 @@ class WatchdogPlan:
         time_s: What the roster says, seconds.
         feed_s: What one feed costs, seconds.
         least_s: The least time that can be held; None: none.
-        outlasts_s: The least time that outlasts one lost answer; None: none.
+        outlasts_s: The least time that outlasts a drive that goes away; None: none.
     """
 
     drive: str
@@ -41,9 +46,9 @@ class WatchdogPlan:
     def verdict(self) -> str:
         """Say what the roster's time is good for."""
         if self.outlasts_s is not None and self.time_s >= self.outlasts_s:
-            return "held, also when an answer is lost"
+            return "held, also when a drive goes away"
         if self.least_s is not None and self.time_s >= self.least_s:
-            return "held while every answer comes"
+            return "held while no drive goes away"
         return "cannot be held"
 
 
@@ -58,7 +63,10 @@ def watchdog_plans(roster: Roster, timing: LineTiming) -> list[WatchdogPlan]:
         low_s = max(traits.low_s if traits else 0.0, 0.001)
         alike = (stream.cost_s, stream.every_s, low_s)
         if alike not in known:
-            known[alike] = (_least(feeding, number, low_s, 0), _least(feeding, number, low_s, 1))
+            known[alike] = (
+                _least(feeding, number, low_s, 0),
+                _least(feeding, number, low_s, AWAY_ATTEMPTS),
+            )
         least_s, outlasts_s = known[alike]
         time_s = watched_s(drive) or 0.0
         plans.append(WatchdogPlan(drive.name, time_s, stream.cost_s, least_s, outlasts_s))

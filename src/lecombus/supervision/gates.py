@@ -24,7 +24,7 @@ from collections.abc import Iterable
 
 from lecombus.config import DriveEntry
 from lecombus.drives import SoftwareGate
-from lecombus.errors import UnknownCodeError
+from lecombus.errors import OperationError, UnknownCodeError
 from lecombus.line.station import Station
 from lecombus.operations.control_words import ControlWords
 from lecombus.operations.identities import Identities, identity_codes
@@ -35,7 +35,7 @@ from lecombus.protocol.values import Value
 from lecombus.readings import ADDRESSING_LOCK, SOFTWARE_LOCK
 from lecombus.schedule import Priority
 from lecombus.store import Store
-from lecombus.supervision.watchdogs import PATIENCE_S
+from lecombus.supervision.watchdogs import DOES_NOT_FIT, PATIENCE_S
 
 __all__ = ["Gates"]
 
@@ -44,6 +44,8 @@ logger = logging.getLogger(__name__)
 INPUT_SELECTION = Code(248)
 CODE_BANK = Code(249)
 
+UNCHECKED = "identity-unchecked"
+"""The remark where the line has no time for the question who a drive is."""
 MOVED = "addressing-moved"
 """The remark where extended addressing is used instead: writes go."""
 
@@ -141,11 +143,29 @@ class Gates:
             LecombusError: The line was no help; a code that the drive does not know is none.
         """
         codes = identity_codes(entry, station.family.identity)
-        found = await self._read_all(station, codes)
+        found = await self._read_identity(station, codes)
         doubtful = self._identities.differing(entry.name, found)
         found |= await self._read_all(station, doubtful)
         if found:
             self._identities.judge(entry.name, found)
+        return found
+
+    async def _read_identity(self, station: Station, codes: Iterable[Code]) -> dict[Code, Value]:
+        """Read who it is; where the others' watchdogs leave no time for that, say so and go on.
+
+        A drive that never came online because of its label would be worse than one whose label is
+        not known.
+        """
+        found: dict[Code, Value] = {}
+        hindered = None
+        for code in codes:
+            try:
+                found |= await self._read_all(station, (code,))
+            except OperationError as exc:
+                if exc.kind != DOES_NOT_FIT:
+                    raise
+                hindered = f"who it is cannot be checked: {exc}"
+        self._store.note(station.name, UNCHECKED, hindered)
         return found
 
     async def check_software(

@@ -25,7 +25,7 @@ from lecombus.protocol.values import Value
 from lecombus.schedule import Outcome, Priority
 from lecombus.store import Store
 
-__all__ = ["PATIENCE_S", "AuditError", "WatchdogAudit", "WatchdogSetting"]
+__all__ = ["DOES_NOT_FIT", "PATIENCE_S", "AuditError", "WatchdogAudit", "WatchdogSetting"]
 
 logger = logging.getLogger(__name__)
 

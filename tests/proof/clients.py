@@ -1,0 +1,137 @@
+"""Who asks a random line for things, and what happens to its drives."""
+
+from __future__ import annotations
+
+import asyncio
+from random import Random
+
+import anyio
+
+from lecombus.drives import StopAction
+from lecombus.errors import LecombusError
+from lecombus.protocol.addressing import Code
+from lecombus.schedule import Priority
+from lecombus.simulator.line import SimLine
+from lecombus.site import Site
+from proof.invariants import Invariants
+from proof.lines import RandomLine
+
+READERS = 12
+"""Clients that read as fast as they are answered, on a loaded line."""
+
+
+class Clients:
+    """The clients of one line; `run` returns after `stop` when every request has ended.
+
+    Args:
+        site: The line.
+        line: What kind of load.
+        invariants: Told of every request.
+        sim: The drives, for taking some away.
+    """
+
+    def __init__(self, site: Site, line: RandomLine, invariants: Invariants, sim: SimLine) -> None:
+        self._site = site
+        self._line = line
+        self._seen = invariants
+        self._sim = sim
+        self._random = Random(line.seed + 1)
+        self._drives = line.roster.drives
+        self._over = asyncio.Event()
+
+    def stop(self) -> None:
+        """Ask for nothing more."""
+        self._over.set()
+
+    async def run(self) -> None:
+        """Ask until stopped."""
+        loaded = self._line.kind == "loaded"
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(self._one_thing_after_the_other)
+            if loaded:
+                for _ in range(READERS):
+                    tasks.start_soon(self._reads, Priority.INTERACTIVE)
+                    tasks.start_soon(self._reads, Priority.BACKGROUND)
+            if self._line.kind == "absent":
+                tasks.start_soon(self._come_and_go)
+
+    async def _pause(self, least_s: float, most_s: float) -> bool:
+        """Wait; say whether to go on."""
+        pause_s = self._random.uniform(least_s, most_s)
+        with anyio.move_on_after(pause_s):
+            await self._over.wait()
+        return not self._over.is_set()
+
+    async def _one_thing_after_the_other(self) -> None:
+        deeds = [self._read, self._read, self._write, self._write, self._stop_one]
+        if self._line.kind == "quiet":
+            deeds.append(self._read_idly)
+        while await self._pause(0.0, 3.0):
+            await self._random.choice(deeds)()
+
+    async def _reads(self, priority: Priority) -> None:
+        while await self._pause(0.0, 0.05):
+            await self._read(priority)
+
+    async def _read_idly(self) -> None:
+        await self._read(Priority.BACKGROUND)
+
+    async def _read(self, priority: Priority = Priority.INTERACTIVE) -> None:
+        """Ask a drive for its own address: nobody else's answer looks like it."""
+        drive = self._random.choice(self._drives)
+        code = Code(1410 if drive.family == "smvector" else 9)
+        self._seen.asked()
+        try:
+            station = self._site.requests.station(drive.name)
+            value = await self._site.requests.read(station, code, priority, timeout_s=60.0)
+        except LecombusError as exc:
+            self._seen.answered(type(exc).__name__)
+        else:
+            self._seen.answered("done")
+            self._seen.told_address(drive.name, drive.address, value.raw)
+
+    async def _write(self) -> None:
+        """Write a setpoint."""
+        drive = self._random.choice(self._drives)
+        code = Code({"smvector": 140, "93xx": 141}.get(drive.family, 46))
+        self._seen.asked()
+        try:
+            report = await self._site.operations.write(
+                drive.name, code, self._random.randrange(50), expires_s=60.0
+            )
+        except LecombusError as exc:
+            self._seen.answered(type(exc).__name__)
+        else:
+            self._seen.answered(report.outcome)
+
+    async def _stop_one(self) -> None:
+        """Stop a drive that is there: stopping a silent one takes line time from all others."""
+        absent = self._sim.faults.absent
+        there = [drive for drive in self._drives if drive.address not in absent]
+        if not there:
+            return
+        drive = self._random.choice(there)
+        action = self._random.choice(list(StopAction))
+        self._seen.asked()
+        self._seen.stop_asked(drive.name)
+        try:
+            report = await self._site.operations.stop(action, drive.name)
+        except LecombusError as exc:
+            self._seen.answered(type(exc).__name__)
+        else:
+            self._seen.answered(report.members[0].outcome)
+        finally:
+            self._seen.stop_ended(drive.name)
+
+    async def _come_and_go(self) -> None:
+        """Switch drives off and on, one after the other has been given up or found again."""
+        times = [drive.watchdog.time_s for drive in self._drives if drive.watchdog]
+        rest_s = 2.0 * max(times, default=1.0)
+        while await self._pause(rest_s, rest_s + 15.0):
+            drive = self._random.choice(self._drives)
+            absent = self._sim.faults.absent
+            if drive.address in absent:
+                absent.discard(drive.address)
+            else:
+                absent.add(drive.address)
+                self._seen.left(drive.name)

@@ -1,0 +1,121 @@
+"""Random lines: everything about a line and its trouble, drawn from one seed.
+
+A line has 1 to 90 drives of all families at any baud rate. Its watchdog times are drawn above what
+the plan says outlasts a drive that goes away. Four
+kinds of line show four sides of it: `quiet` (one client, one request at a time), `loaded` (clients
+that ask for more than the line can do), `absent` (drives go away and return) and `faulty` (noise,
+lost and late answers).
+
+Must not live here: what has to hold (`invariants`), running (`world`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from random import Random
+
+from lecombus.config import Roster, line_timing, parse_roster
+from lecombus.config.feeding import feeding_of, least_time_s
+from lecombus.drives import family
+from lecombus.planning.watchdogs import AWAY_ATTEMPTS
+
+FAMILIES = ("820x", "821x", "822x", "824x", "8200vector", "93xx", "smvector")
+BAUDS = (1200, 2400, 4800, 9600, 19200, 19200, 19200)
+KINDS = ("quiet", "loaded", "absent", "faulty")
+ADDRESSES = tuple(address for address in range(1, 100) if address % 10)
+LONGEST_WATCHDOG_S = 60.0
+SHORTEST_WATCHDOG_S = 0.05
+
+
+@dataclass(frozen=True)
+class RandomLine:
+    """One line and its trouble.
+
+    Args:
+        seed: What it was drawn from.
+        kind: One of `KINDS`.
+        roster: The line.
+        faults: Of the simulated line, as `parse_faults` reads them.
+        length_s: How long it is run after all drives are there, seconds of line time.
+    """
+
+    seed: int
+    kind: str
+    roster: Roster
+    faults: str
+    length_s: float
+
+    def __str__(self) -> str:
+        line = self.roster.line
+        return (
+            f"seed {self.seed}: {self.kind}, {len(self.roster.drives)} drives at {line.baud} baud"
+        )
+
+
+def line_of(seed: int, length_s: float) -> RandomLine:
+    """Draw the line of a seed."""
+    random = Random(seed)
+    kind = KINDS[seed % len(KINDS)]
+    count = random.choice((1, 2, 3, 5, 8, 12, 16, 24, 31, 31, 45, 60, 90))
+    drives = [(random.choice(ADDRESSES), random.choice(FAMILIES)) for _ in range(count)]
+    drives = sorted(dict(drives).items())
+    baud = random.choice(BAUDS)
+    head = (
+        f"line: {{name: l, port: 'sim:', baud: {baud}, repeaters: true, "
+        f"turnaround: {random.choice(('0ms', '2ms', '5ms'))}, "
+        f"retries: {random.randrange(4)}}}\n"
+    )
+    period_ms = random.choice((200, 500, 1000, 3000, 10000))
+    cyclic = random.choice(("", f", cyclic: [{{code: C0150, every: {period_ms}ms}}]"))
+    watched = [random.random() < 0.85 for _ in drives]
+    roster = _read(head, drives, watched, [LONGEST_WATCHDOG_S] * len(drives), cyclic)
+    feeding = feeding_of(roster, line_timing(roster.line))
+    shortest = replace(feeding, streams=feeding.with_times(lambda old_s: SHORTEST_WATCHDOG_S))
+    least_s = least_time_s(shortest, lost=AWAY_ATTEMPTS)
+    if least_s is None or least_s > LONGEST_WATCHDOG_S:
+        watched = [False] * len(drives)
+        least_s = 1.0
+    spread = random.choice((1.0, 1.2, 3.0, 10.0))
+    times = [
+        min(
+            LONGEST_WATCHDOG_S,
+            max(_shortest_s(kind_of), least_s * random.uniform(1.0, spread)),
+        )
+        for _, kind_of in drives
+    ]
+    roster = _read(head, drives, watched, times, cyclic)
+    return RandomLine(seed, kind, roster, _faults(random, kind), length_s)
+
+
+def _read(
+    head: str,
+    drives: list[tuple[int, str]],
+    watched: list[bool],
+    times: list[float],
+    cyclic: str,
+) -> Roster:
+    entries = []
+    for number, (address, kind) in enumerate(drives):
+        guard = ""
+        if watched[number]:
+            milliseconds = int(times[number] * 1000) + 1
+            guard = f", watchdog: {{time: {milliseconds}ms, action: quick-stop, configure: true}}"
+        entries.append(
+            f"  - {{name: d{address}, address: {address}, family: {kind}{guard}{cyclic}}}\n"
+        )
+    return parse_roster(f"{head}drives:\n{''.join(entries)}", "r.yaml")
+
+
+def _shortest_s(kind: str) -> float:
+    traits = family(kind).watchdog
+    return max(traits.low_s if traits else 0.0, SHORTEST_WATCHDOG_S)
+
+
+def _faults(random: Random, kind: str) -> str:
+    if kind != "faulty":
+        return ""
+    late = random.choice(("drive", "adapter"))
+    return (
+        f"lost={random.uniform(0, 0.03):.3f},noise={random.uniform(0, 0.05):.3f},"
+        f"late={random.uniform(0, 0.05):.3f}:0.5s:{late}"
+    )

@@ -1,0 +1,53 @@
+"""Schedulers that are wrong on purpose: the proof must find each of them out.
+
+Each breaks one thought of `schedule.feeds`. `SEEDS` names lines on which it shows; the tests run
+them with and without the mutant.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+
+from lecombus.schedule import feeds
+from lecombus.schedule.feeds import Feed, Feeds
+
+__all__ = ["MUTANTS", "SEEDS", "mutated"]
+
+_fits = Feeds.fits
+
+
+def _no_slack_check(self: Feeds, now_s: float, worst_s: float, drive: str) -> bool:
+    """Anything may start whenever it likes."""
+    return True
+
+
+def _fed_at(feed: Feed) -> float:
+    """Feeds go in the order in which their drives were fed last, whatever their deadlines."""
+    return feed.fed_at_s
+
+
+def _no_blocking(self: Feeds, now_s: float, worst_s: float, drive: str) -> bool:
+    """An exchange that is begun is reckoned to take no time."""
+    return _fits(self, now_s, 0.0, drive)
+
+
+MUTANTS = {
+    "no slack check": (Feeds, "fits", _no_slack_check),
+    "first come instead of deadlines": (feeds, "_hard", _fed_at),
+    "no blocking": (Feeds, "fits", _no_blocking),
+}
+
+SEEDS: dict[str, tuple[int, ...]] = {}
+
+
+@contextlib.contextmanager
+def mutated(name: str) -> Iterator[None]:
+    """Let every schedule be wrong in one way."""
+    where, what, wrong = MUTANTS[name]
+    right = getattr(where, what)
+    setattr(where, what, wrong)
+    try:
+        yield
+    finally:
+        setattr(where, what, right)

@@ -1,0 +1,101 @@
+"""`make proof`: many hours of many lines, resumable, and one seed again.
+
+    python -m proof.run --hours 1000        goes on where it stopped
+    python -m proof.run --seed 1234         one line again, with what broke
+
+Every line that was run stands in `.proof/done.jsonl`, with the digest of the program it was of.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from itertools import count, islice
+from pathlib import Path
+
+import lecombus
+from proof.lines import line_of
+from proof.world import Finding, run_line
+
+RECORD = Path(".proof/done.jsonl")
+LENGTH_S = 120.0
+
+
+def program() -> str:
+    """The digest of everything that is proven here."""
+    digest = hashlib.sha256()
+    home = Path(lecombus.__file__).parent
+    for file in sorted([*home.rglob("*.py"), *home.rglob("*.yaml")]):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def prove(seed: int, length_s: float = LENGTH_S) -> Finding:
+    """Run the line of a seed."""
+    return run_line(line_of(seed, length_s))
+
+
+def _hours() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m proof.run", description=__doc__)
+    parser.add_argument("--hours", type=float, default=10.0, help="hours of line time in all")
+    parser.add_argument("--seed", type=int, help="run this line alone")
+    parser.add_argument("--length", type=float, default=LENGTH_S, help="seconds a line is run")
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    return parser
+
+
+def _done(of: str) -> dict[int, float]:
+    """Read which seeds this very program has run, and for how long."""
+    if not RECORD.exists():
+        return {}
+    rows = [json.loads(row) for row in RECORD.read_text().splitlines() if row.strip()]
+    return {row["seed"]: row["line_s"] for row in rows if row["program"] == of}
+
+
+def _note(found: Finding, of: str) -> None:
+    RECORD.parent.mkdir(exist_ok=True)
+    row = {
+        "program": of, "seed": found.line.seed, "kind": found.line.kind,
+        "line_s": round(found.line_s, 1), "exchanges": found.exchanges,
+        "took_s": round(found.took_s, 2), "broken": list(found.broken),
+    }  # fmt: skip
+    with RECORD.open("a") as file:
+        file.write(json.dumps(row) + "\n")
+
+
+def main() -> int:
+    """Prove as asked; the exit status is 1 if anything broke."""
+    asked = _hours().parse_args()
+    if asked.seed is not None:
+        found = prove(asked.seed, asked.length)
+        print(f"{found.line}: {found.exchanges} exchanges in {found.line_s:.0f} s of line time")
+        for text in found.broken:
+            print(f"  {text}")
+        return 1 if found.broken else 0
+    return _many(asked.hours * 3600.0, asked.length, asked.jobs)
+
+
+def _many(wanted_s: float, length_s: float, jobs: int) -> int:
+    of = program()
+    done = _done(of)
+    line_s, broken, took_s = sum(done.values()), 0, 0.0
+    seeds = (seed for seed in count() if seed not in done)
+    with ProcessPoolExecutor(jobs) as pool:
+        while line_s < wanted_s:
+            batch = list(islice(seeds, 8 * jobs))
+            for found in pool.map(prove, batch, [length_s] * len(batch)):
+                _note(found, of)
+                line_s += found.line_s
+                took_s += found.took_s
+                broken += bool(found.broken)
+                for text in found.broken:
+                    print(f"{found.line}: {text}", flush=True)
+            print(f"{line_s / 3600:.2f} h, {broken} lines broken", file=sys.stderr, flush=True)
+    return 1 if broken else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
