@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import os
 import pty
+import select
 import subprocess
 import sys
 import threading
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from cli.conftest import Run
 from cli.daemon_stub import DaemonStub
 from cli.test_simulate import simulated
 from lecombus.config import load_roster
+from lecombus.protocol import bcc
 
 NINE = """\
 line: {name: hall-3, port: "sim:", baud: 19200}
@@ -141,26 +143,50 @@ def test_an_echo_is_told_from_silence(run: Run, tmp_path: Path) -> None:
         assert found.status == 0
 
 
-def test_another_masters_line_is_not_spoken_on(run: Run) -> None:
+@contextmanager
+def far_end(act: Callable[[int], None]) -> Iterator[str]:
+    """A port at whose other end something is done again and again; gives its path."""
     master, slave = pty.openpty()
     tty.setraw(slave)
     end = threading.Event()
 
-    def talk() -> None:
-        while not end.wait(0.05):
-            os.write(master, bytes.fromhex("84 b1 b2 b0 3f 05"))
+    def work() -> None:
+        while not end.wait(0.01):
+            act(master)
 
-    talker = threading.Thread(target=talk)
-    talker.start()
+    worker = threading.Thread(target=work)
+    worker.start()
     try:
-        ran = run("scan", "--port", os.ttyname(slave), "--addresses", "11")
+        yield os.ttyname(slave)
     finally:
         end.set()
-        talker.join()
+        worker.join()
         os.close(slave)
         os.close(master)
+
+
+def test_another_masters_line_is_not_spoken_on(run: Run) -> None:
+    def ask_for_12(master: int) -> None:
+        os.write(master, bytes.fromhex("84 b1 b2 b0 3f 05"))
+
+    with far_end(ask_for_12) as port:
+        ran = run("scan", "--port", port, "--addresses", "11")
     assert (ran.status, ran.out) == (1, "")
     assert "another master speaks on this line" in ran.err
+
+
+def test_a_device_server_that_frames_7e1_is_told_from_a_silent_line(run: Run) -> None:
+    def answer(master: int) -> None:
+        if select.select([master], [], [], 0)[0]:
+            field = bytes(byte & 0x7F for byte in os.read(master, 64))[3:5]
+            body = field + b"0\x03"
+            os.write(master, b"\x02" + body + bytes((bcc(body),)))
+
+    with far_end(answer) as port:
+        ran = run("scan", "--port", port, "--addresses", "11-12")
+        assert (ran.status, ran.out) == (1, "")
+        assert "no character has the parity expected: the port frames 7E1 itself; try" in ran.err
+        assert "--parity port" in ran.err
 
 
 @pytest.mark.parametrize(
@@ -175,6 +201,8 @@ def test_another_masters_line_is_not_spoken_on(run: Run) -> None:
         (["--port", "COM1"], 2, "is no port"),
         (["--port", "/dev/x", "--url", "http://127.0.0.1:1"], 2, "both given"),
         (["--port", "/dev/x", "-o", "/no/such/place.yaml"], 2, "is no directory"),
+        (["--all-bauds"], 2, "a daemon scans at its line's baud rate only"),
+        (["--port", "/dev/x", "--all-bauds", "--bauds", "9600"], 2, "are both given"),
         ([], 3, "no daemon has its socket"),
     ],
 )

@@ -31,13 +31,14 @@ def test_only_the_echo() -> None:
 
 
 def test_answers_without_parity_where_it_is_expected() -> None:
-    what, remedy = say([(11, ANSWER)])
+    what, remedy = say([(11, ANSWER[:1])])  # the rest is not kept
     assert what.startswith("address 11 answers, but no character has the parity expected")
     assert remedy.startswith("try --parity port")
 
 
 def test_answers_with_parity_where_none_is_expected() -> None:
     assert say([(11, with_parity(ANSWER))], parity="port")[1].startswith("try --parity line")
+    assert "leave out --parity port unless" in say(parity="port")[1]
 
 
 def test_rubbish() -> None:

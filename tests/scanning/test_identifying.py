@@ -48,7 +48,7 @@ def test_another_makers_device_is_generic_and_shows_its_label() -> None:
     found = identified("generic")
     assert (found.family, found.certain, found.watchdog) == ("generic", False, None)
     assert found.labels == ((Code(200), "COUNTER 1.0"),)
-    assert "extended addressing" in found.why
+    assert "standard addressing only" in found.why
 
 
 def test_module_and_drive_say_what_software_they_have() -> None:

@@ -68,8 +68,10 @@ def _addresses(ctx: click.Context, param: click.Parameter, text: str) -> tuple[i
 
 
 def _bauds(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[int, ...]:
-    """Read `19200,9600`."""
-    rates = tuple(part.strip() for part in (text or "9600").split(","))
+    """Read `19200,9600`; none if nothing is given."""
+    if text is None:
+        return ()
+    rates = tuple(part.strip() for part in text.split(","))
     wrong = [rate for rate in rates if not rate.isdecimal() or int(rate) not in BAUDS]
     if wrong:
         known = ", ".join(map(str, BAUDS))
@@ -117,15 +119,27 @@ def command(
     daemon asks those addresses that its roster does not have, at its own baud rate, while it does
     its work; the drives found are to be added to its roster.
 
+    Scan while the machine may stand still: a watchdog that is set in a drive may act when the scan
+    is over and nobody speaks to it any more.
+
     Nothing is ever written to a drive. A family that cannot be told for sure is proposed as
     generic, or with a comment. The roster goes to standard output, or with -o to a file.
 
     With --json: {"port", "baud", "drives": [{"drive", "address", "baud", "family", "certain",
     "why", "says", "watchdog", "remarks"}], "unclear", "roster"}. Exit status 1: no drive found.
     """
-    wish = Wish(addresses, ALL_BAUDS if all_bauds else bauds, thorough, output, force, as_json)
+    rates = ALL_BAUDS if all_bauds else bauds or (9600,)
+    wish = Wish(addresses, rates, thorough, output, force, as_json)
     _check_output(wish)
+    if all_bauds and bauds:
+        raise CommandError(
+            Exit.USAGE, Problem("--bauds and --all-bauds are both given", "leave one of them out")
+        )
     if port is None:
+        if all_bauds or bauds:
+            what = "a daemon scans at its line's baud rate only"
+            remedy = "leave the rates out, or stop the daemon and scan with --port"
+            raise CommandError(Exit.USAGE, Problem(what, remedy))
         return _through_daemon(wish, socket, url)
     if socket or url:
         raise CommandError(

@@ -18,6 +18,10 @@ if TYPE_CHECKING:
 __all__ = ["ScanProgress"]
 
 
+MEASURED = 5
+"""So many addresses tell how long one takes; before that it is computed."""
+
+
 class ScanProgress:
     """Shows how far a scan has come.
 
@@ -32,7 +36,8 @@ class ScanProgress:
         self._look_s = look_s
         self._told = 0
         self._bar: Progress | None = None
-        self._since_s = time.monotonic()
+        self._looks, self._spent_s, self._looked = 0, 0.0, 0
+        self._watched_s = time.monotonic()
         if sys.stderr.isatty() if shown is None else shown:
             self._bar = _bar()
             self._task = self._bar.add_task("listening", total=scan.looks_left)
@@ -53,11 +58,15 @@ class ScanProgress:
 
     def watch(self) -> None:
         """Show the scan as it stands now."""
+        scan, now_s = self._scan, time.monotonic()
+        if scan.looks > self._looks:
+            self._looks, self._looked = scan.looks, self._looked + 1
+            self._spent_s += now_s - self._watched_s
+        self._watched_s = now_s
         if self._bar is None:
             return
-        scan = self._scan
         for one in scan.found[self._told :]:
-            self._bar.console.print(told(one), markup=False, highlight=False)
+            self._bar.console.print(told(one), markup=False, highlight=False, soft_wrap=True)
         self._told = len(scan.found)
         self._bar.update(
             self._task,
@@ -74,11 +83,8 @@ class ScanProgress:
 
     def left(self) -> str:
         """Say how long it may still take: as long per address as up to now."""
-        scan = self._scan
-        per_look_s = self._look_s
-        if scan.looks >= len(scan.plan.addresses) // 10:
-            per_look_s = (time.monotonic() - self._since_s) / max(1, scan.looks)
-        return f"about {scan.looks_left * per_look_s:.0f} s left"
+        per_look_s = self._look_s if self._looked < MEASURED else self._spent_s / self._looked
+        return f"about {self._scan.looks_left * per_look_s:.0f} s left"
 
 
 def told(one: Finding) -> str:

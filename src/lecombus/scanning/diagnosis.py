@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from lecombus.protocol.parser import AnswerParser
-from lecombus.protocol.telegrams import BadAnswer
+from lecombus.protocol.controls import STX
 from lecombus.scanning.finding import Unclear
 
 __all__ = ["why_nothing"]
@@ -35,7 +34,7 @@ def why_nothing(
     """
     heard = list(samples)
     for address, received in heard:
-        if _is_whole_without_parity(received):
+        if _begins_with_the_other_parity(received, parity):
             other = "port" if parity == "line" else "line"
             who = "the port frames 7E1 itself" if parity == "line" else "the port frames 8N1"
             return (
@@ -50,10 +49,10 @@ def why_nothing(
             "look for two drives with one address, a missing terminating resistor or bias, or "
             "drives at another baud rate (--all-bauds)",
         )
-    return _silence(echo, bauds)
+    return _silence(echo, parity, bauds)
 
 
-def _silence(echo: bool | None, bauds: Sequence[int]) -> tuple[str, str]:
+def _silence(echo: bool | None, parity: str, bauds: Sequence[int]) -> tuple[str, str]:
     rates = ", ".join(map(str, bauds))
     if echo:
         what = (
@@ -63,15 +62,17 @@ def _silence(echo: bool | None, bauds: Sequence[int]) -> tuple[str, str]:
     else:
         what = f"no drive answers at {rates} baud: not one byte came back"
     more = "" if len(bauds) > 1 else "try --all-bauds; "
+    if parity == "port":
+        more = f"leave out --parity port unless a device server frames 7E1; {more}"
     return what, (
         f"{more}check the drives' supply, A and B (swap them once), and that each has an address "
         "of 1 to 99 that does not end in 0; an SMVector wants P400 = 7"
     )
 
 
-def _is_whole_without_parity(received: bytes) -> bool:
-    """Whether bytes are an answer once bit 7 is left out, and none as they are."""
-    parser = AnswerParser()
-    answer = parser.feed(bytes(byte & 0x7F for byte in received))
-    whole = answer is not None and not isinstance(answer, BadAnswer)
-    return whole and len(received) > 1
+def _begins_with_the_other_parity(received: bytes, parity: str) -> bool:
+    """Whether bytes begin as an answer does, but for bit 7: STX is 02, with even parity 82.
+
+    The first character is all there is to go by: what follows a wrong one is not kept.
+    """
+    return received[0] == (STX if parity == "line" else STX | 0x80)

@@ -141,9 +141,7 @@ def _without_extended_addressing(talk: Talk) -> Identification:
     heard = yield from talk.read(SOFTWARE, Form.STANDARD)
     if heard.value is not None and heard.value.format is Format.VS:
         talk.keep(SOFTWARE, heard)
-    return talk.generic(
-        "it does not answer extended addressing, as every drive described here does"
-    )
+    return talk.generic("it answers standard addressing only, as no drive does that is described")
 
 
 def _redirection(talk: Talk) -> Generator[Step, Heard, None]:

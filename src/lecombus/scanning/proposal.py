@@ -8,6 +8,7 @@ Must not live here: writing files.
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -21,6 +22,8 @@ __all__ = ["Place", "check_place", "entries", "propose"]
 LATE_ANSWER_TIME = "300ms"
 """Proposed for a drive that answered only when waited for."""
 MOST_WITHOUT_REPEATERS = 31
+WIDTH = 94
+"""Characters of a comment in a line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,11 +100,11 @@ def _lines(
 def entries(found: Sequence[Finding]) -> Iterator[str]:
     """Write drives as they stand under `drives:`."""
     for one in found:
-        yield f"  # {family(one.family).title}: {_said(one.why)}"
-        if one.labels:
-            yield f"  # {', '.join(f'{code} {_said(text)}' for code, text in one.labels)}"
+        title = "not known" if one.family == "generic" else family(one.family).title
+        yield from _comment(f"{title}: {one.why}")
+        yield from _comment(", ".join(f"{code} {text}" for code, text in one.labels))
         for remark in one.remarks:
-            yield f"  # note: {_said(remark)}"
+            yield from _comment(f"note: {remark}")
         yield f"  - name: {one.name}"
         yield f"    address: {one.address}"
         yield f"    family: {one.family}"
@@ -141,9 +144,11 @@ def _elsewhere(baud: int, found: Sequence[Finding], unclear: Sequence[Unclear]) 
         )
 
 
-def _said(text: str) -> str:
-    """Return a text as it may stand in a comment: one line, printable."""
-    return "".join(char if char.isprintable() else "." for char in text)
+def _comment(text: str) -> Iterator[str]:
+    """Write a text as comment lines, with nothing in it that could end a comment."""
+    printable = "".join(char if char.isprintable() else "." for char in text)
+    for line in textwrap.wrap(printable, WIDTH, break_on_hyphens=False):
+        yield f"  # {line}"
 
 
 def _quoted(text: str) -> str:

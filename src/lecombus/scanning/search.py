@@ -85,6 +85,7 @@ class Scan:
         baud: The baud rate of the moment, bit/s.
         address: The address asked last.
         looks: How many addresses have been asked.
+        looks_left: How many will be, should nothing more be found or heard.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -170,6 +171,8 @@ class Scan:
                 suspects.extend(self._recent)
             if heard.is_answer:
                 self.found.append((yield from identify(self.baud, address)))
+                if not self.plan.thorough:  # the line's rate is known: the others are left alone
+                    self.looks_left %= len(self.plan.addresses)
             else:
                 silent.append(address)
         return silent, suspects
