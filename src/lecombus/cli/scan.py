@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -237,6 +238,10 @@ def _check_output(wish: Wish) -> None:
     if not wish.output.parent.is_dir():
         raise CommandError(
             Exit.USAGE, Problem(f"{wish.output.parent} is no directory", "make it first")
+        )
+    if not os.access(wish.output.parent, os.W_OK):
+        raise CommandError(
+            Exit.FORBIDDEN, Problem(f"{wish.output.parent} may not be written to", "name another")
         )
 
 
