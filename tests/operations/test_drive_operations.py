@@ -155,7 +155,76 @@ def test_how_a_write_is_told(
         assert (report.outcome, report.kind) == (outcome, kind)
         assert bool(report.remedy) == bool(kind)
 
-    with_plant(test, ROSTER)
+    # Whether the manual allows a value is not asked here: the drive shall refuse it itself.
+    with_plant(test, ROSTER.replace(", cyclic: []", ", unchecked: [C0046], cyclic: []"))
+
+
+REFUSED = [
+    ("821x", 46, "480.1", "frequency setpoint is 0 to 480 Hz"),
+    ("821x", 46, "-1", "frequency setpoint is 0 to 480 Hz"),
+    ("821x", 141, "100.01", "is -100 to 100 %"),
+    ("821x", 1922, "3", r"monitoring action is 0 \(not active\), 1 \(controller inhibit\), 2 \("),
+    ("821x", 1922, "0.5", "monitoring action is 0 "),
+    ("821x", 1923, "60.5", "monitoring time is 50 to 65535 ms in steps of 1"),
+    ("821x", 2001, "4", "operating mode is 0 "),
+    ("8200vector", 1923, "49", "monitoring time is 50 to 65535 ms"),
+]
+
+
+@pytest.mark.parametrize(("kind", "code", "value", "message"), REFUSED)
+def test_a_value_that_the_manual_does_not_allow_is_refused_before_anything_is_sent(
+    kind: str, code: int, value: str, message: str
+) -> None:
+    drives = [("a", 11, kind)]
+    more = f", cyclic: [], writable: [{code}]"
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        since_s = plant.now_s
+        with pytest.raises(OperationError, match=message) as refused:
+            await plant.site.operations.write("a", Code(code), value)
+        assert (refused.value.kind, refused.value.code) == ("bad-value", str(Code(code)))
+        assert f"list {Code(code)} under `unchecked`" in refused.value.remedy
+        await anyio.sleep(0.5)
+        assert not any(b"\x02" in one.data for one in plant.sent_to(11, since_s))
+
+    with_plant(test, roster_of(drives, drive=more))
+
+
+def test_a_value_at_the_ends_of_the_range_is_written_and_an_undescribed_code_takes_any() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        for code, value in ((46, "480"), (46, "0"), (46, "35.37"), (2011, "60.5"), (14, "4")):
+            report = await plant.site.operations.write("a", Code(code), value)
+            assert report.outcome is Outcome.DONE, code
+
+    writable = ", cyclic: [], writable: [C0046, C2011, C0014]"
+    with_plant(test, roster_of([("a", 11, "821x")], drive=writable))
+
+
+def test_another_parameter_set_is_written_only_when_it_is_named() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        with pytest.raises(OperationError) as refused:
+            await plant.site.operations.write("a", Code(2011), 60)
+        assert refused.value.kind == "not-writable"
+
+    with_plant(test, roster_of([("a", 11, "821x")], drive=", writable: [C0011]"))
+
+
+def test_a_group_write_that_one_member_cannot_take_goes_to_none() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        since_s = plant.now_s
+        with pytest.raises(OperationError, match="C0046 of b cannot take 500"):
+            await plant.site.operations.write_group("both", SETPOINT, 500)
+        await anyio.sleep(0.5)
+        for address in (10, 11, 12):
+            assert not any(b"\x02" in one.data for one in plant.sent_to(address, since_s))
+
+    groups = "groups:\n  both: {members: [a, b]}\n"
+    roster = roster_of(AB, drive=WRITABLE, rest=groups)
+    with_plant(test, roster.replace(", cyclic: []", ", unchecked: [C0046], cyclic: []", 1))
 
 
 def test_a_write_the_drive_acknowledges_and_ignores_is_told_as_without_effect() -> None:

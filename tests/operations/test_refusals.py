@@ -42,6 +42,7 @@ def tried(
     *,
     before: Callable[[Plant], None] = lambda plant: None,
     verify: bool = False,
+    more: str = "",
 ) -> WriteReport:
     """Write a code of a drive that was made ready for it, and give the report."""
     reports: list[WriteReport] = []
@@ -52,7 +53,7 @@ def tried(
         before(plant)
         reports.append(await plant.site.operations.write(name, Code(code), value, verify=verify))
 
-    with_plant(test, roster(name))
+    with_plant(test, roster(name).replace(", family:", f"{more}, family:"))
     return reports[0]
 
 
@@ -97,7 +98,7 @@ def test_a_code_that_is_read_only_is_told_without_asking_the_drive() -> None:
 
 
 def test_a_value_out_of_range_is_told_with_what_is_allowed() -> None:
-    report = tried("vector", 46, 999)
+    report = tried("vector", 46, 999, more=", unchecked: [C0046]")
     assert report.cause == "the value is out of the code's range"
     assert report.remedy == "write what is allowed: 0 to 480 Hz"
 

@@ -37,7 +37,7 @@ def test_a_setting_that_is_not_writable_is_restored_where_the_roster_permits_it(
         ("a", 46, "20", "process value"),
         ("a", 40, "1", "process value"),
         ("a", 9, "12", "address"),
-        ("a", 12, "1", "no description"),
+        ("a", 14, "1", "no description"),
         ("a", 1923, "60", "the roster sets it"),
         ("b", 3, "2", "saves"),
     ],

@@ -87,6 +87,7 @@ def _drive(entry: Entry, lease: LeaseEntry) -> DriveEntry:
         cyclic=tuple(status if cyclic is None
                      else [CyclicEntry(**_fields(item.value)) for item in cyclic]),
         writable=of.writable if writable is None else frozenset(item.value for item in writable),
+        unchecked=frozenset(item.value for item in entry.get("unchecked", ())),
         restore=entry.get("restore", False),
         answer_time_s=entry.get("answer_time"),
         accept_software=tuple(item.value for item in entry.get("accept_software", ())),

@@ -121,7 +121,7 @@ def _codes(drive: Entry, key: str) -> list[Item]:
         return [Item(at, code) for at, code in known if code is not None]
     if not isinstance(items, Items):
         return []
-    if key == "writable":
+    if key in ("writable", "unchecked"):
         return list(items)
     entries = [item.value for item in items if "code" in item.value.values]
     return [Item(entry.place("code"), entry.get("code")) for entry in entries]
@@ -135,7 +135,12 @@ def _code_of(text: str) -> Code | None:
 
 
 def _check_doubles(drive: Entry, mistakes: Mistakes) -> None:
-    ways = (("cyclic", "read cyclically"), ("writable", "writable"), ("identity", "given"))
+    ways = (
+        ("cyclic", "read cyclically"),
+        ("writable", "writable"),
+        ("unchecked", "unchecked"),
+        ("identity", "given"),
+    )
     for key, doing in ways:
         first: dict[Code, Item] = {}
         for item in _codes(drive, key):

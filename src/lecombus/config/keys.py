@@ -119,6 +119,8 @@ _DRIVE: Final = Table("drive", (
         "What is read all the time. Absent: the family's status set; [] for nothing."),
     Key("writable", ListOf(_CODE, "the code"),
         "What may be written. Absent: the family's set; [] for nothing."),
+    Key("unchecked", ListOf(_CODE, "the code"),
+        "Codes that take any value, because this drive's range is not its manual's."),
     Key("allow_address_change", YesNo(),
         "Let `lecombus readdress` change the drive's address; plain writes never do.",
         default=False),

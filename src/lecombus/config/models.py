@@ -137,6 +137,7 @@ class DriveEntry(_Model):
         watchdog: What its watchdog shall be; None: not looked after.
         cyclic: What is read all the time; the family's status set unless the roster says.
         writable: What may be written; the family's set unless the roster says.
+        unchecked: What is written without asking whether its manual allows the value.
         restore: Whether a backup may be restored into it, beyond what `writable` lists.
         answer_time_s: Its processing time where it differs from its family's; None: the family's.
         accept_software: Software identifications accepted besides those of the manual.
@@ -153,6 +154,7 @@ class DriveEntry(_Model):
     watchdog: WatchdogEntry | None = None
     cyclic: tuple[CyclicEntry, ...]
     writable: frozenset[Code]
+    unchecked: frozenset[Code] = frozenset()
     restore: bool = False
     answer_time_s: float | None = None
     accept_software: tuple[str, ...] = ()

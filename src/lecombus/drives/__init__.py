@@ -14,7 +14,7 @@ from __future__ import annotations
 from .codes import CodeInfo, PlainWhen, Storage, WriteClass
 from .commands import ControlBit, ControlField, ControlWordInfo
 from .costs import Cost, LineTiming, multicast_cost, read_cost, write_cost
-from .encoding import encode_for
+from .encoding import check_allowed, encode_for
 from .family import (
     AnswerTime,
     Family,
@@ -81,6 +81,7 @@ __all__ = [
     "WordInfo",
     "WriteClass",
     "address_code",
+    "check_allowed",
     "confirm_codes",
     "encode_for",
     "family",

@@ -2,8 +2,9 @@
 
 Strategy: the code's description decides the format; without one the value itself does (a number
 is a decimal, `H0008` a word, `O..` octets). Values are exact all the way: a binary float is
-refused, because what it stands for has been lost already. Whether the value lies in the code's
-range is not asked here: the drive answers that, and a later description may.
+refused, because what it stands for has been lost already. Whether the manual allows the value is
+asked apart from that (`check_allowed`): a setting of the drive may change the range, and what was
+read from a drive can be written back whatever the manual says.
 
 Source: EDB2102EN 8.3.1, CMVLC401A 5.4 (formats; drives accept no strings).
 """
@@ -19,7 +20,7 @@ from lecombus.protocol.values import Format, Value
 from .codes import CodeInfo
 from .family import Family
 
-__all__ = ["encode_for"]
+__all__ = ["check_allowed", "encode_for"]
 
 
 def encode_for(family: Family, code: Code, given: Decimal | int | str) -> Value:
@@ -52,6 +53,26 @@ def encode_for(family: Family, code: Code, given: Decimal | int | str) -> Value:
     if value.format is Format.VS:
         raise _refused(code, given, "drives send strings and accept none")
     return value
+
+
+def check_allowed(family: Family, code: Code, value: Value) -> None:
+    """Refuse a value that the manual does not allow: range, step or selection.
+
+    Args:
+        family: The drive's family.
+        code: The code to be written.
+        value: What `encode_for` made. Where nothing is described, anything is allowed.
+
+    Raises:
+        CodeValueError: It is not one of the values there are; the message says which are.
+    """
+    info, number = family.info(code), value.number
+    if info is None or isinstance(number, str | bytes) or info.may_be(number):
+        return
+    raise CodeValueError(
+        f"{info.name} is {info.allowed}",
+        code=str(code), value=number, low=info.low, high=info.high,
+    )  # fmt: skip
 
 
 def _by_format(info: CodeInfo, given: Decimal | int | str) -> Value:

@@ -13,7 +13,14 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from decimal import Decimal
 
 from lecombus.config import DriveEntry, GroupEntry
-from lecombus.drives import Family, WriteClass, encode_for, moves_drive, shifts_addressing
+from lecombus.drives import (
+    Family,
+    WriteClass,
+    check_allowed,
+    encode_for,
+    moves_drive,
+    shifts_addressing,
+)
 from lecombus.errors import (
     CodeValueError,
     CutReplyError,
@@ -281,16 +288,24 @@ class Operations:
         else:
             self.check_writable(drive, code)
         self.check_ready(drive, code)
+        remedy = "give a number, or the text as on the wire such as H0008"
         try:
-            return encode_for(station.family, code, value)
+            wire = encode_for(station.family, code, value)
+            if not restoring and code not in self._entries[drive].unchecked:
+                remedy = (
+                    f"give such a value; if this drive takes more, list {code} under `unchecked` "
+                    "of the drive in the roster"
+                )
+                check_allowed(station.family, code, wire)
         except CodeValueError as exc:
             raise OperationError(
                 f"{code} of {drive} cannot take {value!s}: {exc}",
                 kind="bad-value",
                 drive=drive,
                 code=str(code),
-                remedy="give a number, or the text as on the wire such as H0008",
+                remedy=remedy,
             ) from exc
+        return wire
 
     def restore_rights(self, drive: str) -> RestoreRights:
         """Say whether a backup may be restored into a drive.
