@@ -11,7 +11,8 @@ from cli.daemon_stub import DaemonStub
 
 ENABLED = (
     '{"drive": "feeder", "verb": "enable", "outcome": "verified", "reason": null, "cause": null, '
-    '"remedy": null, "states": ["ready", "quick_stop"], "written": [], "reading": null}'
+    '"remedy": null, "states": ["ready", "quick_stop", "ramp_done"], "written": [], '
+    '"reading": null}'
 )
 PATH = "POST /v1/drives/feeder/verbs/"
 

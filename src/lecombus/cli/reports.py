@@ -36,6 +36,11 @@ Document = Mapping[str, Any]
 _DONE = ("done", "verified")
 
 
+_DETAILS = frozenset(
+    ("operation_inhibited", "pulses_inhibited", "ramp_done", "below_threshold", "above_threshold")
+)
+"""States that say nothing more to whoever has just told a drive something; `status` has them."""
+
 _FORBIDDEN = ("not-writable", "locked", "not-permitted", "read-only")
 
 
@@ -134,7 +139,8 @@ def show_verb(report: Document) -> Exit:
     Returns:
         DONE for done and verified, FAILED for everything else.
     """
-    shown = ", ".join(str(state).replace("_", " ") for state in report.get("states") or ())
+    states = [str(state) for state in report.get("states") or () if state not in _DETAILS]
+    shown = ", ".join(state.replace("_", " ") for state in states)
     cells = [table_text(report.get(key)) for key in ("drive", "verb", "outcome")]
     rows = [(*cells, shown, _reads(report), _why(report))]
     show_rows(("drive", "verb", "outcome", "shows", "reads", "why"), rows)

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from decimal import Decimal
 
 import anyio
@@ -40,7 +40,6 @@ from lecombus.drives.verb_steps import (
 )
 from lecombus.drives.verbs import (
     enable_steps,
-    fault_number,
     has_fault,
     is_enabled,
     questions,
@@ -59,10 +58,21 @@ from lecombus.operations.control_words import ControlWords
 from lecombus.operations.group_operations import STOP_REMEDY, GroupOperations
 from lecombus.operations.reports import VerbReport, WriteReport
 from lecombus.operations.requests import Requests
+from lecombus.operations.verb_reports import (
+    GOOD,
+    Run,
+    cut_off,
+    fault_text,
+    may_have_happened,
+    not_shown,
+    still_there,
+    superseded,
+    told,
+)
 from lecombus.operations.wear import Wear
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
-from lecombus.readings import DriveState, Reading
+from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority
 from lecombus.store import Store
 
@@ -82,29 +92,7 @@ WORD_TRIES = 5
 """How often a control word is read again that others keep writing."""
 
 STOPS = {Verb.INHIBIT: StopAction.INHIBIT, Verb.QUICK_STOP: StopAction.QUICK_STOP}
-GOOD = (Outcome.DONE, Outcome.VERIFIED)
 TROUBLE = (ExchangeError, LineError, OperationError, ScheduleError)
-
-
-@dataclass(slots=True)
-class _Run:
-    """One verb under way.
-
-    Args:
-        station: The drive.
-        verb: What it is told to do.
-        stops: How many stops of the drive had been said when it began, its own included.
-        expires_at_s: No write of it is begun after this.
-        verify: Read back what is written.
-        written: What went out.
-    """
-
-    station: Station
-    verb: Verb
-    stops: int
-    expires_at_s: float | None = None
-    verify: bool = False
-    written: list[tuple[Code, str]] = field(default_factory=list)
 
 
 class VerbOperations(GroupOperations):
@@ -161,7 +149,7 @@ class VerbOperations(GroupOperations):
         rules_of(drive, station.family, verb)
         self.check_ready(drive)
         expires_at_s = None if expires_s is None else self._clock() + expires_s
-        run = _Run(station, verb, self._stops_said[drive], expires_at_s, verify)
+        run = Run(station, verb, self._stops_said[drive], expires_at_s, verify)
         try:
             if verb is Verb.SET_SPEED:
                 assert value is not None
@@ -191,7 +179,7 @@ class VerbOperations(GroupOperations):
             shown, reading=report.reading,
         )  # fmt: skip
 
-    async def _set_speed(self, run: _Run, value: Decimal, unit: str) -> VerbReport:
+    async def _set_speed(self, run: Run, value: Decimal, unit: str) -> VerbReport:
         station = run.station
         known = await self._learn(station, questions(station.name, station.family, run.verb))
         step = speed_step(known, value, unit)
@@ -199,7 +187,7 @@ class VerbOperations(GroupOperations):
         shown = await self._states(station) if report.outcome in GOOD else ()
         return told(run, report, states=shown, reading=report.reading if run.verify else None)
 
-    async def _enable(self, run: _Run, known: Known) -> VerbReport:
+    async def _enable(self, run: Run, known: Known) -> VerbReport:
         steps = enable_steps(known)
         if not steps:
             report = WriteReport(known.drive, None, Outcome.VERIFIED, "it was enabled already")
@@ -216,7 +204,7 @@ class VerbOperations(GroupOperations):
             return told(run, report, states=await self._states(run.station))
         return await self._take_back(run, known, failed or not_shown(known))
 
-    async def _take_back(self, run: _Run, known: Known, report: WriteReport) -> VerbReport:
+    async def _take_back(self, run: Run, known: Known, report: WriteReport) -> VerbReport:
         """Inhibit a drive that did not show its enable, so that it does not start by itself."""
         undone = (await self.stop(StopAction.INHIBIT, known.drive)).members[0]
         remedy = f"{report.remedy}; it was inhibited again, so that it does not start by itself"
@@ -225,7 +213,7 @@ class VerbOperations(GroupOperations):
         shown = await self._states(run.station)
         return told(run, replace(report, remedy=remedy), states=shown)
 
-    async def _reset_fault(self, run: _Run, known: Known) -> VerbReport:
+    async def _reset_fault(self, run: Run, known: Known) -> VerbReport:
         steps = reset_steps(known)
         if not steps:
             report = WriteReport(
@@ -249,7 +237,7 @@ class VerbOperations(GroupOperations):
 
     # ---- steps ------------------------------------------------------------------------------
 
-    async def _carry_out(self, run: _Run, steps: Sequence[VerbStep]) -> WriteReport | None:
+    async def _carry_out(self, run: Run, steps: Sequence[VerbStep]) -> WriteReport | None:
         """Take steps one after the other; give the report of the one that was not done."""
         for step in steps:
             report = await self._take(run, step)
@@ -257,7 +245,7 @@ class VerbOperations(GroupOperations):
                 return report
         return None
 
-    async def _take(self, run: _Run, step: VerbStep) -> WriteReport:
+    async def _take(self, run: Run, step: VerbStep) -> WriteReport:
         if self._stopped_meanwhile(run):
             return superseded(run)
         if isinstance(step, InhibitStep):
@@ -269,7 +257,7 @@ class VerbOperations(GroupOperations):
             return await self._back_again(run, step)
         return report
 
-    async def _inhibit(self, run: _Run) -> WriteReport:
+    async def _inhibit(self, run: Run) -> WriteReport:
         """Inhibit the drive as part of a verb; without proof the verb goes no further."""
         name = run.station.name
         run.stops += 1
@@ -279,7 +267,7 @@ class VerbOperations(GroupOperations):
         reason = f"{name} could not be inhibited: {report.reason}"
         return replace(report, outcome=Outcome.REFUSED, kind="not-in-effect", reason=reason)
 
-    async def _change_bits(self, run: _Run, step: BitsStep) -> WriteReport:
+    async def _change_bits(self, run: Run, step: BitsStep) -> WriteReport:
         """Write the control word as it is now with bits changed; nothing where they are so."""
         name = run.station.name
         word = usable_word(self._words.get(name))
@@ -302,7 +290,7 @@ class VerbOperations(GroupOperations):
             return superseded(run)
         return await self._write(run, step.code, Value.hexadecimal(step.applied(word), 4).raw)
 
-    async def _write(self, run: _Run, code: Code, raw: str) -> WriteReport:
+    async def _write(self, run: Run, code: Code, raw: str) -> WriteReport:
         name = run.station.name
         wire = self.permitted(name, run.station, code, raw)
         ending = self.submit_write(run.station, code, wire, run.expires_at_s, verify=run.verify)
@@ -311,7 +299,7 @@ class VerbOperations(GroupOperations):
             run.written.append((code, wire.raw))
         return await self._refusals.explain(report, run.station, wire)
 
-    async def _back_again(self, run: _Run, step: RestartStep) -> WriteReport:
+    async def _back_again(self, run: Run, step: RestartStep) -> WriteReport:
         """Wait for a drive that starts anew until it has been audited.
 
         Its answer is never given, so a missing one says nothing (EDB2102EN 6.4).
@@ -340,7 +328,7 @@ class VerbOperations(GroupOperations):
                 values[code] = await self._requests.read(station, code, Priority.INTERACTIVE)
         return Known(station.name, station.family, values)
 
-    async def _watch(self, run: _Run, before: Known, shown: Callable[[Known], bool]) -> Known:
+    async def _watch(self, run: Run, before: Known, shown: Callable[[Known], bool]) -> Known:
         """Look at the words until they show something, or for as long as they may take."""
         until_s = self._clock() + EFFECT_WITHIN_S
         while True:
@@ -356,7 +344,7 @@ class VerbOperations(GroupOperations):
             return states(await self._learn(station, (*words_of(station), *station.family.words)))
         return ()
 
-    def _stopped_meanwhile(self, run: _Run) -> bool:
+    def _stopped_meanwhile(self, run: Run) -> bool:
         return self._stops_said[run.station.name] != run.stops
 
     @contextlib.contextmanager
@@ -386,85 +374,3 @@ def words_of(station: Station) -> tuple[Code, ...]:
     rules = station.family.verbs
     assert rules is not None
     return (rules.control, *rules.enable.proofs)
-
-
-def may_have_happened(report: WriteReport) -> bool:
-    """Whether a step was done as far as anybody can tell: its acknowledgement may be lost."""
-    unheard = report.outcome is Outcome.UNKNOWN and report.kind == "no-answer"
-    return report.outcome in GOOD or unheard
-
-
-def cut_off(run: _Run, exc: Exception) -> WriteReport:
-    """What is told of a verb that had begun to write when something went wrong."""
-    name = run.station.name
-    return WriteReport(
-        name, None, Outcome.UNKNOWN,
-        f"{run.verb} was begun and not brought to its end: {exc}",
-        kind="line-lost" if isinstance(exc, LineError) else "no-answer",
-        remedy=f"what was written stands; `lecombus status {name}` says what the drive shows. Take "
-        "it for one that may start",
-    )  # fmt: skip
-
-
-def superseded(run: _Run) -> WriteReport:
-    """What is told of a verb in whose way a stop came."""
-    return WriteReport(
-        run.station.name, None, Outcome.SUPERSEDED,
-        f"a stop came while {run.verb} was under way: nothing more was written",
-        kind="superseded",
-    )  # fmt: skip
-
-
-def not_shown(known: Known) -> WriteReport:
-    """What is told of a drive that was enabled and does not show it."""
-    rules = rules_of(known.drive, known.family, Verb.ENABLE)
-    proof = next(iter(rules.enable.proofs))
-    reads = known.values[proof].raw if proof in known.values else "nothing"
-    cause, remedy = f"probably {rules.enable.otherwise}", "put that in order, then enable it again"
-    if has_fault(known):
-        cause, remedy = "it has a fault now", f"`lecombus why {known.drive}` says which"
-    return WriteReport(
-        known.drive,
-        rules.enable.code,
-        Outcome.REFUSED,
-        f"{known.drive} took the enable and does not show it: {proof} reads {reads}",
-        cause=cause,
-        kind="not-in-effect",
-        remedy=remedy,
-    )
-
-
-def fault_text(known: Known) -> str:
-    """Name a fault by its number, what the keypad shows and what it means."""
-    number = fault_number(known)
-    if number is None:
-        return "the fault"
-    fault = known.family.fault(number)
-    if fault is None:
-        return f"fault {number}"
-    return f"fault {number} ({', '.join(filter(None, (fault.keypad, str(fault.meaning))))})"
-
-
-def still_there(known: Known, fault: str) -> WriteReport:
-    """What is told of a fault that a reset did not end."""
-    return WriteReport(
-        known.drive, None, Outcome.REFUSED,
-        f"the reset was taken, but {fault} is still there or has come again",
-        cause="its cause lasts",
-        kind="not-in-effect",
-        remedy=f"`lecombus why {known.drive}` says what to do about it; the drive is inhibited",
-    )  # fmt: skip
-
-
-def told(
-    run: _Run,
-    report: WriteReport,
-    *,
-    states: tuple[OperatingState, ...] = (),
-    reading: Reading | None = None,
-) -> VerbReport:
-    """Tell of a verb what is known of its last step."""
-    return VerbReport(
-        run.station.name, run.verb, report.outcome, report.reason, report.cause, report.kind,
-        report.remedy, states, tuple(run.written), reading,
-    )  # fmt: skip

@@ -1,0 +1,138 @@
+"""What is told of a verb: how far it came, what the drive shows, and what to do about it.
+
+`Run` is what is known of a verb while it is carried out; the functions make reports of it. They
+stand apart from `verb_operations` because none of them asks a drive anything.
+
+What must not live here: reading, writing, waiting.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from lecombus.drives import OperatingState, Verb
+from lecombus.drives.verb_facts import Known, rules_of
+from lecombus.drives.verbs import fault_number, has_fault
+from lecombus.errors import LineError
+from lecombus.line.station import Station
+from lecombus.operations.reports import VerbReport, WriteReport
+from lecombus.protocol.addressing import Code
+from lecombus.readings import Reading
+from lecombus.schedule import Outcome
+
+__all__ = [
+    "GOOD",
+    "Run",
+    "cut_off",
+    "fault_text",
+    "may_have_happened",
+    "not_shown",
+    "still_there",
+    "superseded",
+    "told",
+]
+
+GOOD = (Outcome.DONE, Outcome.VERIFIED)
+
+
+@dataclass(slots=True)
+class Run:
+    """One verb under way.
+
+    Args:
+        station: The drive.
+        verb: What it is told to do.
+        stops: How many stops of the drive had been said when it began, its own included.
+        expires_at_s: No write of it is begun after this.
+        verify: Read back what is written.
+        written: What went out.
+    """
+
+    station: Station
+    verb: Verb
+    stops: int
+    expires_at_s: float | None = None
+    verify: bool = False
+    written: list[tuple[Code, str]] = field(default_factory=list)
+
+
+def may_have_happened(report: WriteReport) -> bool:
+    """Whether a step was done as far as anybody can tell: its acknowledgement may be lost."""
+    unheard = report.outcome is Outcome.UNKNOWN and report.kind == "no-answer"
+    return report.outcome in GOOD or unheard
+
+
+def cut_off(run: Run, exc: Exception) -> WriteReport:
+    """What is told of a verb that had begun to write when something went wrong."""
+    name = run.station.name
+    return WriteReport(
+        name, None, Outcome.UNKNOWN,
+        f"{run.verb} was begun and not brought to its end: {exc}",
+        kind="line-lost" if isinstance(exc, LineError) else "no-answer",
+        remedy=f"what was written stands; `lecombus status {name}` says what the drive shows. Take "
+        "it for one that may start",
+    )  # fmt: skip
+
+
+def superseded(run: Run) -> WriteReport:
+    """What is told of a verb in whose way a stop came."""
+    return WriteReport(
+        run.station.name, None, Outcome.SUPERSEDED,
+        f"a stop came while {run.verb} was under way: nothing more was written",
+        kind="superseded",
+    )  # fmt: skip
+
+
+def not_shown(known: Known) -> WriteReport:
+    """What is told of a drive that was enabled and does not show it."""
+    rules = rules_of(known.drive, known.family, Verb.ENABLE)
+    proof = next(iter(rules.enable.proofs))
+    reads = known.values[proof].raw if proof in known.values else "nothing"
+    cause, remedy = f"probably {rules.enable.otherwise}", "put that in order, then enable it again"
+    if has_fault(known):
+        cause, remedy = "it has a fault now", f"`lecombus why {known.drive}` says which"
+    return WriteReport(
+        known.drive,
+        rules.enable.code,
+        Outcome.REFUSED,
+        f"{known.drive} took the enable and does not show it: {proof} reads {reads}",
+        cause=cause,
+        kind="not-in-effect",
+        remedy=remedy,
+    )
+
+
+def fault_text(known: Known) -> str:
+    """Name a fault by its number, what the keypad shows and what it means."""
+    number = fault_number(known)
+    if number is None:
+        return "the fault"
+    fault = known.family.fault(number)
+    if fault is None:
+        return f"fault {number}"
+    return f"fault {number} ({', '.join(filter(None, (fault.keypad, str(fault.meaning))))})"
+
+
+def still_there(known: Known, fault: str) -> WriteReport:
+    """What is told of a fault that a reset did not end."""
+    return WriteReport(
+        known.drive, None, Outcome.REFUSED,
+        f"the reset was taken, but {fault} is still there or has come again",
+        cause="its cause lasts",
+        kind="not-in-effect",
+        remedy=f"`lecombus why {known.drive}` says what to do about it; the drive is inhibited",
+    )  # fmt: skip
+
+
+def told(
+    run: Run,
+    report: WriteReport,
+    *,
+    states: tuple[OperatingState, ...] = (),
+    reading: Reading | None = None,
+) -> VerbReport:
+    """Tell of a verb what is known of its last step."""
+    return VerbReport(
+        run.station.name, run.verb, report.outcome, report.reason, report.cause, report.kind,
+        report.remedy, states, tuple(run.written), reading,
+    )  # fmt: skip
