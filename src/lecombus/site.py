@@ -186,8 +186,10 @@ class Site:
         return self.worker.is_open and self.keeper.tried >= set(self._entries)
 
     def note_cadence(self) -> None:
-        """Tell the store how far the cyclic cadence is stretched, and users if it is."""
-        stretch = self.schedule.stats(self._clock()).stretch
+        """Say how far the cadence is stretched, and which watchdogs ran out; once a second."""
+        stats = self.schedule.stats(self._clock())
+        self.keeper.note_lapses(stats.feeds)
+        stretch = stats.stretch
         self.store.set_stretch(stretch)
         text = None
         if stretch > SAID_FROM:

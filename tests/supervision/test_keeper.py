@@ -322,3 +322,30 @@ def test_absent_drives_take_no_more_than_their_share_however_many(count: int) ->
         assert 0 < spent_s <= 0.10 * 120.0
 
     with_plant(test, roster_of(drives))
+
+
+def test_a_watchdog_that_ran_out_unfed_is_logged_once_per_lapse(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    def missed() -> list[str]:
+        return [one for one in caplog.messages if "event=watchdog-missed" in one]
+
+    async def looked_at(plant: Plant, for_s: int) -> None:
+        for _ in range(for_s):
+            await anyio.sleep(1.0)
+            plant.site.note_cadence()
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await looked_at(plant, 10)
+        assert missed() == []
+        for count in (1, 2):
+            plant.line.faults.absent = {11}
+            await looked_at(plant, 15)
+            assert len(missed()) == count
+            assert missed()[-1] == "drive=a event=watchdog-missed time_s=2"
+            plant.line.faults.absent = set()
+            await plant.online(within_s=60)
+            await looked_at(plant, 5)
+
+    with_plant(test, roster_of(ONE, watchdog=GUARD))

@@ -203,6 +203,7 @@ class CodeWearDocument(Document):
 class WearDocument(Document):
     """How often a drive's memory was written, and how often it may be."""
 
+    drive: str
     burst: Annotated[int, Field(description="Writes of one code that may follow each other")]
     every_s: Annotated[Exact, Field(description="Until one more may follow; 0: no limit")]
     codes: list[CodeWearDocument]

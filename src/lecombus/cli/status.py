@@ -76,8 +76,8 @@ def _show_drive(drive: Document) -> None:
         why = _why(drive)
         state = table_text(drive.get("state")) + (f", {why}" if why else "")
         click.echo(f"{name} at address {drive.get('address')} ({drive.get('family')}): {state}")
-        _show_states(drive.get("states"))
         _show_identity(drive.get("identity") or {})
+        _show_states(drive.get("states"))
         _show_fault(drive.get("fault") or {})
     rows = [
         (
@@ -113,7 +113,7 @@ def _show_identity(identity: Document) -> None:
     """Say who a drive is, by its own word."""
     if identity:
         told = ", ".join(f"{code} {table_text(text)}" for code, text in identity.items())
-        click.echo(f"it says of itself: {told}")
+        click.echo(f"  it says of itself: {told}")
 
 
 def _why(one: Document) -> str:

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import anyio
 from anyio.abc import TaskGroup
@@ -29,7 +29,7 @@ from lecombus.errors import LecombusError
 from lecombus.line.station import Station
 from lecombus.operations.requests import Requests
 from lecombus.readings import DriveState
-from lecombus.schedule import Feeding, Schedule
+from lecombus.schedule import Feeding, FeedStats, Schedule
 from lecombus.store import Store
 from lecombus.supervision.audit import Audit
 from lecombus.supervision.gates import Gates
@@ -77,6 +77,8 @@ class Keeper:
         self._entries: dict[str, DriveEntry] = {}
         self._auditing: dict[str, anyio.CancelScope] = {}
         self._again: set[str] = set()
+        self._lapses: dict[str, int] = {}
+        self._run_out: set[str] = set()
         self._tasks: TaskGroup | None = None
         self._waiting: list[str] = []
         self._one_at_a_time = anyio.Lock()
@@ -166,6 +168,21 @@ class Keeper:
 
     async def _learn_the_rest(self, name: str) -> None:
         await self._audits.learn_the_rest(self._entries[name], self._requests.station(name))
+
+    def note_lapses(self, feeds: Mapping[str, FeedStats]) -> None:
+        """Log each watchdog whose time ran out unfed, once per lapse.
+
+        Args:
+            feeds: The schedule's figures, looked at every second or so.
+        """
+        run_out = {name for name, feed in feeds.items() if feed.age_s > feed.time_s}
+        for name, feed in feeds.items():
+            # The schedule does not count for drives that are offline; short lapses it does.
+            counted = feed.lapses > self._lapses.get(name, 0)
+            if name not in self._run_out and (counted or name in run_out):
+                logger.warning("drive=%s event=watchdog-missed time_s=%g", name, feed.time_s)
+        self._run_out = run_out
+        self._lapses = {name: feed.lapses for name, feed in feeds.items()}
 
     def _is_offline(self, name: str) -> bool:
         return self._health.state(name) is DriveState.OFFLINE
