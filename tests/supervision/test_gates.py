@@ -240,3 +240,26 @@ def test_a_drive_whose_identity_the_line_has_no_time_for_works_all_the_same() ->
         assert all(drive.watchdog_fired <= 1 for drive in plant.line.drives)
 
     with_plant(test, roster)
+
+
+def test_a_seldom_asked_drive_that_was_swapped_between_two_failures_is_locked() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await anyio.sleep(30.0)
+        plant.line.faults.absent = {11}
+        await until(lambda: plant.state("a").value == "degraded")
+        await anyio.sleep(21.0)
+        assert plant.state("a").value == "degraded"
+        make_another(plant)
+        plant.line.faults.absent = set()
+        since = len(written(plant))
+        reading = await plant.site.operations.read("a", Code(150))
+        assert reading.quality is Quality.GOOD
+        with pytest.raises(OperationError) as caught:
+            await write(plant)
+        assert caught.value.kind in ("starting", "locked")
+        await until(lambda: lock(plant) != "")
+        assert written(plant)[since:] == []
+
+    seldom = f"{WRITABLE}, cyclic: [{{code: C0150, every: 20s}}]"
+    with_plant(test, roster_of(ONE, drive=seldom))

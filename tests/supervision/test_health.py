@@ -162,3 +162,16 @@ def test_what_is_said_of_a_drive_taken_out_is_ignored(call: Callable[[Health], N
     ward.health.remove_drive("a")
     call(ward.health)
     assert ward.audits == 0
+
+
+@pytest.mark.parametrize(("silent_s", "state"), [(4.0, DEGRADED), (6.0, STARTING)])
+def test_a_drive_silent_long_enough_to_be_another_is_not_written_to_before_its_audit(
+    silent_s: float, state: DriveState
+) -> None:
+    ward = Ward().online()
+    ward.exchange(MISSED)
+    ward.now_s += silent_s
+    assert ward.exchange(MISSED, GOOD) is state
+    assert ward.audits == 1
+    ward.health.audited("a")
+    assert ward.exchange(MISSED, GOOD) is ONLINE, "one failure alone is none of this"

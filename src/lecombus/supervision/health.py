@@ -40,12 +40,17 @@ behind it; if it is, the probe that follows at once finds it."""
 AUDIT_AFTER = 2
 """Failures in a row after which a drive is audited again when it answers."""
 
+SWAP_S = 5.0
+"""Nobody puts another drive in a drive's place faster than this, seconds. One that was silent for
+longer and is not offline only because it is seldom asked is not written to before its audit."""
+
 
 @dataclass(slots=True)
 class _Record:
     state: DriveState
     make_probe: Callable[[], Request]
     misses: int = 0
+    silent_from_s: float = 0.0
     heard: bool = False
     audit_due: bool = False
 
@@ -151,12 +156,17 @@ class Health:
             if misses < AUDIT_AFTER and not record.audit_due:
                 self._set(name, record, DriveState.ONLINE, "")
                 return
-            self._set(name, record, DriveState.DEGRADED, "it answers again: being audited")
+            away_s = self._clock() - record.silent_from_s
+            # Whoever had the time to put another drive there may have done so.
+            state = DriveState.STARTING if away_s >= SWAP_S else DriveState.DEGRADED
+            self._set(name, record, state, "it answers again: being audited")
             if misses >= AUDIT_AFTER:
                 record.audit_due = True
                 self._wants_audit(name)
 
     def _missed(self, name: str, record: _Record, fault: str) -> None:
+        if not record.misses:
+            record.silent_from_s = self._clock()
         record.misses += 1
         if record.state is DriveState.OFFLINE:
             return
