@@ -81,6 +81,10 @@ WRITE_LOCKS = (IDENTITY_LOCK, SOFTWARE_LOCK, ADDRESSING_LOCK)
 """The remarks that let nothing but stops be written to a drive, for as long as one stands."""
 
 
+WRITTEN_SINCE = "written since it was last read"
+"""The reason of a value that may be another one by now."""
+
+
 NOT_CYCLIC = "not read cyclically"
 """In the reason of a value that is stale only because nobody asked for it again."""
 

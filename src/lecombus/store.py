@@ -35,6 +35,7 @@ from lecombus.errors import OperationError
 from lecombus.readings import (
     ADDRESSING_LOCK,
     NOT_CYCLIC,
+    WRITTEN_SINCE,
     ActiveFault,
     DriveInfo,
     DriveState,
@@ -214,7 +215,7 @@ class Store:
         """Take note that a code was written: what was read of it before is true no longer."""
         cell = self._drives[drive].cells.get(code)
         if cell is not None and cell.value is not None:
-            cell.failure = "written since it was last read"
+            cell.failure = WRITTEN_SINCE
             if self._subscribers:
                 self._publish(ValueChanged(drive, code))
 

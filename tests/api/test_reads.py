@@ -16,6 +16,7 @@ from lecombus.api.documents import (
     LineDocument,
     ReadingDocument,
     RestoreDocument,
+    WhyDocument,
 )
 from lecombus.drives import family
 from lecombus.errors import (
@@ -276,6 +277,7 @@ async def test_openapi_describes_every_path_and_refers_to_nothing_missing(
         "/v1/drives/{drive}/identity",
         "/v1/drives/{drive}/restore",
         "/v1/drives/{drive}/verbs/{verb}",
+        "/v1/drives/{drive}/why",
         "/v1/drives/{drive}/codes/{code}",
         "/v1/drives/{drive}/codes/{code}/{subcode}",
         "/v1/groups",
@@ -317,3 +319,17 @@ async def test_a_reading_says_what_its_value_means(client: httpx.AsyncClient, li
     assert (found["value"], found["text"]) == (2, "quick stop")
     line.store.value_read("feeder", Code(1922), Value.decimal(7), line.now_s)
     assert (await client.get("/v1/drives/feeder/codes/C1922")).json()["text"] is None
+
+
+async def test_why_a_drive_does_not_turn_is_told_in_the_language_asked_for(
+    client: httpx.AsyncClient, line: Line
+) -> None:
+    found = WhyDocument.model_validate((await client.get("/v1/drives/feeder/why")).json())
+    assert (found.answer, found.findings[0].remedy) == ("the controller is inhibited", None)
+    assert found.history[0].meaning == "heat sink too hot"
+    answer = await client.get("/v1/drives/feeder/why?fresh=true&lang=de")
+    found = WhyDocument.model_validate(answer.json())
+    assert found.findings[0].text == "der Regler ist gesperrt"
+    assert line.ops.asked == [("why", "feeder", False), ("why", "feeder", True)]
+    refused = await client.get("/v1/drives/feeder/why?lang=fr")
+    assert refused.status_code == 422

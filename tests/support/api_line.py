@@ -11,10 +11,12 @@ import anyio
 from fastapi import FastAPI
 
 from lecombus.api import create_app
-from lecombus.drives import OperatingState, StopAction, Verb, family
+from lecombus.drives import OperatingState, StopAction, Text, Verb, family
+from lecombus.drives.faults.reasons import Weight
 from lecombus.errors import LecombusError
 from lecombus.metrics import Metrics
 from lecombus.operations.address_reads import Heard, HeardKind
+from lecombus.operations.findings import Finding, MemoryEntry, WhyReport
 from lecombus.operations.identities import IdentityReport
 from lecombus.operations.reports import (
     GroupInfo,
@@ -129,6 +131,14 @@ class FakeOperations:
     def restore_rights(self, drive: str) -> RestoreRights:
         self.store.drive(drive)
         return RestoreRights(drive, permitted=True, owned=(Code(1922), Code(1923)))
+
+    async def why(self, drive: str, *, fresh: bool = False) -> WhyReport:
+        await self._ask("why", drive, fresh)
+        text = Text("the controller is inhibited", "der Regler ist gesperrt")
+        finding = Finding("inhibited", Weight.REASON, text, Text("", ""), "C0150 reads H0380", 0.5)
+        entry = MemoryEntry(Code(161), 50, family("8200vector").fault(50), 1.5, stale=False)
+        output = self.store.reading(drive, FREQUENCY)
+        return WhyReport(self.store.drive(drive), text, (finding,), (), output, (entry,), True)
 
     def groups(self) -> Sequence[GroupInfo]:
         return (GroupInfo("conveyors", ("feeder", "belt"), None), GroupInfo("all", ("feeder",), 0))

@@ -50,6 +50,7 @@ from lecombus.api.bodies import (
 )
 from lecombus.api.custody import add_custody
 from lecombus.api.description import add_description_of_drives
+from lecombus.api.diagnosis import add_diagnosis
 from lecombus.api.documents import (
     DriveDocument,
     DrivesDocument,
@@ -128,6 +129,7 @@ def create_app(
     add_group_writes(app, ops, keys)
     add_verbs(app, ops, keys)
     add_custody(app, custody, keys)
+    add_diagnosis(app, ops)
     add_service(app, metrics, ready, healthy)
     add_description(app)
     return app

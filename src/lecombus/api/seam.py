@@ -13,6 +13,7 @@ from typing import Protocol
 
 from lecombus.drives import StopAction, Verb
 from lecombus.operations.address_reads import Heard
+from lecombus.operations.findings import WhyReport
 from lecombus.operations.identities import IdentityReport
 from lecombus.operations.reports import (
     GroupInfo,
@@ -157,6 +158,13 @@ class OperationsPort(Protocol):
 
         Raises:
             LineError, ScheduleError, OperationError, ExchangeError: Nothing was written.
+        """
+
+    async def why(self, drive: str, *, fresh: bool = False) -> WhyReport:
+        """Say why a drive does not turn; `fresh`: read the few codes that matter first.
+
+        Raises:
+            OperationError: No such drive.
         """
 
     def groups(self) -> Sequence[GroupInfo]:

@@ -51,6 +51,7 @@ COMMANDS = {
     "restore": "Write a backup back into a drive, after showing what that changes.",
     "status": "Show the line and its drives, or one drive with its values.",
     "scan": "Find the drives on a line, and propose a roster.",
+    "why": "Say why a drive does not turn, and what to do next.",
 }
 
 

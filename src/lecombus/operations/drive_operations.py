@@ -34,11 +34,13 @@ from lecombus.errors import (
 from lecombus.line.station import Station
 from lecombus.operations.address_reads import Heard, check_address, read_address
 from lecombus.operations.control_words import ControlWords
+from lecombus.operations.findings import WhyReport
 from lecombus.operations.refusals import Refusals
 from lecombus.operations.reports import RestoreRights, WriteReport
 from lecombus.operations.requests import Ending, Requests, is_line_lost
 from lecombus.operations.restores import check_restored, rights_of
 from lecombus.operations.wear import Wear, wears
+from lecombus.operations.why import Why
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value
 from lecombus.readings import DriveState, LineState, Reading
@@ -77,6 +79,7 @@ class Operations:
         self._store = store
         self._words = words
         self._refusals = Refusals(requests, store, clock)
+        self._why = Why(requests, store, clock)
         self._closing = False
         self._clock = clock
         self._disturbances = disturbances
@@ -242,6 +245,14 @@ class Operations:
         reading = self._store.reading(station.name, code)
         reason = "already there, not written"
         return WriteReport(station.name, code, outcome, reason, reading=reading)
+
+    async def why(self, drive: str, *, fresh: bool = False) -> WhyReport:
+        """Say why a drive does not turn; `fresh`: after reading the few codes that matter.
+
+        Raises:
+            OperationError: No such drive.
+        """
+        return await self._why.why(drive, fresh=fresh)
 
     def submit_write(
         self,

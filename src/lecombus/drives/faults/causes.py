@@ -35,6 +35,8 @@ __all__ = [
     "cause_rules",
     "likely_causes",
     "load_causes",
+    "read_condition",
+    "read_each",
     "rules_for",
 ]
 
@@ -42,7 +44,7 @@ HIGHEST_C1962: Final = 255
 HIGHEST_ERROR: Final = 15
 T = TypeVar("T")
 
-TESTS: Final = ("not_in", "in", "below", "last_digit_not", "clear")
+TESTS: Final = ("not_in", "in", "below", "last_digit_not", "clear", "set")
 
 
 class Happened(StrEnum):
@@ -108,6 +110,8 @@ class Condition:
             return number % 10 != first
         if self.test == "clear":
             return not number & first
+        if self.test == "set":
+            return number & first == first
         return (number in self.numbers) == (self.test == "in")
 
 
@@ -303,12 +307,12 @@ def _rule(table: Table) -> CauseRule:
     rule = CauseRule(
         name=table.take("name").text(),
         families=frozenset(item.text() for item in table.take("families").items()),
-        codes=frozenset(_each(table.get("codes"), read_code_number)),
-        happened=frozenset(_each(table.take("happened"), lambda it: read_choice(it, Happened))),
-        when=frozenset(_each(table.get("when"), lambda it: read_choice(it, When))),
-        condition=_condition(value.table()) if value else None,
-        extended=frozenset(_each(table.get("extended"), _c1962)),
-        communication=frozenset(_each(table.get("communication"), _c0068)),
+        codes=frozenset(read_each(table.get("codes"), read_code_number)),
+        happened=frozenset(read_each(table.take("happened"), lambda it: read_choice(it, Happened))),
+        when=frozenset(read_each(table.get("when"), lambda it: read_choice(it, When))),
+        condition=read_condition(value.table()) if value else None,
+        extended=frozenset(read_each(table.get("extended"), _c1962)),
+        communication=frozenset(read_each(table.get("communication"), _c0068)),
         likely=read_flag(table, "likely"),
         cause=read_text(table.take("cause")),
         remedy=read_text(table.take("remedy")),
@@ -318,7 +322,8 @@ def _rule(table: Table) -> CauseRule:
     return rule
 
 
-def _condition(table: Table) -> Condition:
+def read_condition(table: Table) -> Condition:
+    """Read a code and what it must read."""
     code = read_code_number(table.take("code"))
     given = [(test, item) for test in TESTS if (item := table.get(test)) is not None]
     table.done()
@@ -331,7 +336,8 @@ def _condition(table: Table) -> Condition:
     return Condition(code, test, frozenset(one.integer(0, WORD_MAX) for one in items))
 
 
-def _each(item: Item | None, read: Callable[[Item], T]) -> list[T]:
+def read_each(item: Item | None, read: Callable[[Item], T]) -> list[T]:
+    """Read the entries of a list that may be missing."""
     return [read(one) for one in item.items()] if item is not None else []
 
 

@@ -1,0 +1,158 @@
+"""Reasons why a drive does not turn, from `reasons.yaml`, and which of them hold.
+
+Strategy: a reason is a few states that the words must show and a few values that codes must have.
+What is not known holds nothing up and proves nothing: a reason holds only when all it asks for is
+known to be so. Nothing here reads anything; `operations.why` brings what is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cache
+
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+
+from ..document import Item, Table
+from ..operating import OperatingState
+from ..readers import read_choice, read_text
+from ..texts import Text
+from .causes import Condition, read_condition, read_each
+from .loading import ReadFile, open_document, packaged
+
+__all__ = ["Reason", "Weight", "asked_codes", "holding", "load_reasons", "reasons"]
+
+
+class Weight(StrEnum):
+    """What a reason is worth as an answer."""
+
+    REASON = "reason"
+    """It keeps the drive from turning."""
+    HINT = "hint"
+    """It may."""
+    NOTE = "note"
+    """It is good to know."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reason:
+    """One reason.
+
+    Args:
+        name: A stable word for it.
+        families: Whose drives it is for.
+        states: What the words must show.
+        not_states: What they must not show.
+        values: What codes must read.
+        not_values: What codes must be known not to read.
+        weight: What it is worth.
+        text: What it is.
+        remedy: What to do next.
+        source: Manual and section.
+    """
+
+    name: str
+    families: frozenset[str]
+    states: frozenset[OperatingState]
+    not_states: frozenset[OperatingState]
+    values: tuple[Condition, ...]
+    not_values: tuple[Condition, ...]
+    weight: Weight
+    text: Text
+    remedy: Text
+    source: str
+
+    def holds(self, shown: frozenset[OperatingState], values: Mapping[Code, Value]) -> bool:
+        """Say whether everything it asks for is known to be so."""
+        return (
+            self.states <= shown
+            and not self.not_states & shown
+            and all(one.holds(values.get(one.code)) is True for one in self.values)
+            and all(one.holds(values.get(one.code)) is False for one in self.not_values)
+        )
+
+
+def holding(
+    family: str, shown: frozenset[OperatingState], values: Mapping[Code, Value]
+) -> list[Reason]:
+    """Give the reasons that hold for a drive, the most important first.
+
+    Where one of several reasons for the same state holds, only the first is told.
+
+    Args:
+        family: The drive's family.
+        shown: What its words show.
+        values: The values known of its codes.
+    """
+    found: list[Reason] = []
+    told: set[frozenset[OperatingState]] = set()
+    for reason in reasons():
+        if family in reason.families and reason.holds(shown, values):
+            if reason.states and reason.states in told:
+                continue
+            told.add(reason.states)
+            found.append(reason)
+    return found
+
+
+def asked_codes(family: str) -> tuple[Code, ...]:
+    """Name the codes whose values a family's reasons look at."""
+    mine = [one for one in reasons() if family in one.families]
+    conditions = [one for reason in mine for one in (*reason.values, *reason.not_values)]
+    return tuple(dict.fromkeys(one.code for one in conditions))
+
+
+@cache
+def reasons() -> tuple[Reason, ...]:
+    """Give all reasons, in the order of the file.
+
+    Raises:
+        DescriptionError: The data file is wrong.
+    """
+    return load_reasons(packaged)
+
+
+def load_reasons(read_file: ReadFile) -> tuple[Reason, ...]:
+    """Build the reasons from `reasons.yaml`.
+
+    Raises:
+        DescriptionError: The file is missing, or says something that cannot be.
+    """
+    document = open_document("reasons", read_file)
+    for _, families in document.take("families").table().pairs():
+        families.items()
+    found: dict[str, Reason] = {}
+    for item in document.take("reasons").items():
+        reason = _reason(item.table())
+        if reason.name in found:
+            item.fail(f"{reason.name} stands here twice")
+        found[reason.name] = reason
+    document.done()
+    return tuple(found.values())
+
+
+def _reason(table: Table) -> Reason:
+    reason = Reason(
+        name=table.take("name").text(),
+        families=frozenset(item.text() for item in table.take("families").items()),
+        states=_states(table.get("states")),
+        not_states=_states(table.get("not_states")),
+        values=tuple(read_each(table.get("values"), _condition)),
+        not_values=tuple(read_each(table.get("not_values"), _condition)),
+        weight=read_choice(table.take("weight"), Weight),
+        text=read_text(table.take("text")),
+        remedy=read_text(table.take("remedy")),
+        source=table.take("source").text(),
+    )
+    table.done()
+    return reason
+
+
+def _states(item: Item | None) -> frozenset[OperatingState]:
+    return frozenset(read_each(item, lambda one: read_choice(one, OperatingState)))
+
+
+def _condition(item: Item) -> Condition:
+    return read_condition(item.table())

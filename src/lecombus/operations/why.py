@@ -1,0 +1,214 @@
+"""Why a drive does not turn: everything known of it, put in the order of importance.
+
+Strategy: nothing is concluded that is not known. What the line and the drive's own state say
+comes first (a drive that is silent says nothing more), then the fault it shows, then what its
+words and values say by the reasons of the data files (`drives.faults.reasons`), then what lecombus
+itself knows (locks, a watchdog fed too late), then the fault memories. A value that is not fresh
+is used and called stale; one that is not known proves nothing. With `fresh` the few codes that
+matter are read first, in the interactive class.
+
+What must not live here: HTTP, terminals, what a fault number or a bit means.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Final
+
+from lecombus.drives import Family
+from lecombus.drives.faults import NO_FAULT
+from lecombus.drives.faults.reasons import Weight, asked_codes, holding
+from lecombus.drives.operating import OperatingState, join_states
+from lecombus.errors import LecombusError, LineError, UnknownCodeError
+from lecombus.operations.findings import (
+    Finding,
+    MemoryEntry,
+    WhyReport,
+    answer_of,
+    fault_finding,
+    finding_of,
+    lapse_finding,
+    line_finding,
+    lock_finding,
+    state_finding,
+)
+from lecombus.operations.requests import Requests
+from lecombus.protocol.addressing import Code
+from lecombus.readings import (
+    WRITE_LOCKS,
+    WRITTEN_SINCE,
+    DriveInfo,
+    DriveState,
+    Quality,
+    Reading,
+)
+from lecombus.schedule import Priority
+from lecombus.store import Store
+
+__all__ = ["Why"]
+
+FRESH_S: Final = 8.0
+"""Reading what matters is given up after this; what was read by then is told."""
+
+OUTPUT: Final = Code(50)
+CONTROL_WORD: Final = Code(135)
+
+SLOW_S: Final = 0.2
+"""A code that takes the drive longer is not read for this: the module's own take 500 ms."""
+
+
+class Why:
+    """Answers why drives do not turn.
+
+    Args:
+        requests: Sends requests.
+        store: What is known.
+        clock: Monotonic time, seconds.
+    """
+
+    def __init__(self, requests: Requests, store: Store, clock: Callable[[], float]) -> None:
+        self._requests = requests
+        self._store = store
+        self._clock = clock
+
+    async def why(self, drive: str, *, fresh: bool = False) -> WhyReport:
+        """Say why a drive does not turn.
+
+        Args:
+            drive: The drive's name.
+            fresh: Read the few codes that matter first.
+
+        Raises:
+            OperationError: No such drive.
+        """
+        self._requests.station(drive)  # before anything is read: there is no such drive
+        if fresh:
+            await self._read_now(drive)
+        return self.told(drive)
+
+    def told(self, drive: str) -> WhyReport:
+        """Say it from what is known, without sending anything."""
+        info = self._store.drive(drive)
+        family = self._family(drive)
+        values = self._values(drive, self._codes(family))
+        states = shown_states(family, values)
+        findings = self._own(info)
+        known = {code: one.value for code, one in values.items() if one.value is not None}
+        findings += [
+            finding_of(reason, family, values)
+            for reason in holding(family.name, frozenset(states), known)
+        ]
+        findings += self._more(info)
+        order = {weight: place for place, weight in enumerate(Weight)}
+        findings.sort(key=lambda one: order[one.weight])  # stable: keeps the order of importance
+        history, is_known = self._history(drive, family)
+        output = self._store.reading(drive, OUTPUT) if family.words else None
+        return WhyReport(
+            info, answer_of(findings, output), tuple(findings), states, output, history, is_known
+        )
+
+    # -- what is asked -----------------------------------------------------------------------------
+
+    def _family(self, drive: str) -> Family:
+        """Give the family as the drive's signal configuration makes it, where that is known."""
+        family = self._store.family(drive)
+        if family.configured_by is None:
+            return family
+        reading = self._store.reading(drive, family.configured_by)
+        number = None if reading is None or reading.value is None else reading.value.number
+        return family.configured(None if isinstance(number, (str, bytes)) or number is None
+                                 else int(number))  # fmt: skip
+
+    def _codes(self, family: Family) -> tuple[Code, ...]:
+        return tuple(dict.fromkeys((*family.words, *asked_codes(family.name))))
+
+    async def _read_now(self, drive: str) -> None:
+        """Read what matters; what cannot be read stays as it was known."""
+        until_s = self._clock() + FRESH_S
+        family = self._store.family(drive)
+        table = family.fault_table
+        memories = table.memories if table is not None else ()
+        quick = [
+            code
+            for code in (*self._codes(family), OUTPUT, *memories)
+            if family.info(code) is not None
+            and family.longest_answer_time_s(code, write=False) < SLOW_S
+        ]
+        for code in quick:
+            left_s = until_s - self._clock()
+            if left_s <= 0.0:
+                return
+            try:
+                station = self._requests.station(drive)
+                await self._requests.read(
+                    station, code, Priority.INTERACTIVE, timeout_s=left_s, retries=1
+                )
+            except UnknownCodeError:
+                continue  # an older drive may lack it
+            except LineError:
+                return
+            except LecombusError:
+                if self._store.drive(drive).state is DriveState.OFFLINE:
+                    return
+
+    def _values(self, drive: str, codes: tuple[Code, ...]) -> dict[Code, Reading]:
+        """Give what is known of codes, fresh or not.
+
+        What was written since, or could not be read though the drive answers, is not known.
+        """
+        silent = self._store.drive(drive).state is DriveState.OFFLINE
+        found = {}
+        for code in codes:
+            reading = self._store.reading(drive, code)
+            if reading is None or reading.value is None or reading.reason == WRITTEN_SINCE:
+                continue
+            if silent or reading.quality is not Quality.BAD:
+                found[code] = reading
+        return found
+
+    # -- what is found -----------------------------------------------------------------------------
+
+    def _own(self, info: DriveInfo) -> list[Finding]:
+        """What the line, the drive's own state and its fault say."""
+        found = [line_finding(self._store.line()) or state_finding(info), fault_finding(info)]
+        return [one for one in found if one is not None]
+
+    def _more(self, info: DriveInfo) -> list[Finding]:
+        """What lecombus knows besides: what locks it, and a watchdog that was fed too late."""
+        found = [lock_finding(info.remarks[lock]) for lock in WRITE_LOCKS if lock in info.remarks]
+        feeds = self._requests.worker.schedule.stats(self._clock()).feeds
+        feed = feeds.get(info.name)
+        if feed is not None and feed.lapses:
+            found.append(lapse_finding(feed.lapses))
+        return found
+
+    def _history(self, drive: str, family: Family) -> tuple[tuple[MemoryEntry, ...], bool]:
+        table = family.fault_table
+        entries: list[MemoryEntry] = []
+        known = False
+        for code in table.memories if table is not None else ():
+            reading = self._store.reading(drive, code)
+            if reading is None or reading.value is None:
+                continue
+            number = reading.value.number
+            if isinstance(number, (str, bytes)):
+                continue
+            known = True
+            if int(number) != NO_FAULT:
+                stale = reading.quality is not Quality.GOOD
+                entries.append(
+                    MemoryEntry(code, int(number), family.fault(int(number)), reading.age_s, stale)
+                )
+        return tuple(entries), known
+
+
+def shown_states(family: Family, values: Mapping[Code, Reading]) -> tuple[OperatingState, ...]:
+    """Name what a drive's words show, the word read last first."""
+    words = []
+    for code, word in family.words.items():
+        reading = values.get(code)
+        number = None if reading is None or reading.value is None else reading.value.number
+        if reading is not None and isinstance(number, int):
+            words.append((reading.age_s or 0.0, word.shown_states(number)))
+    words.sort(key=lambda one: one[0])
+    return join_states(states for _, states in words)

@@ -1,0 +1,78 @@
+"""`lecombus why` against a daemon reduced to its answers."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from cli.conftest import Run
+from cli.daemon_stub import DaemonStub
+from lecombus.cli import why
+
+DOCUMENT = {
+    "drive": "feeder", "family": "8200vector", "state": "online", "reason": None,
+    "since": "2026-11-21T10:15:02.113Z", "answer": "trip OH (50): heat sink too hot",
+    "findings": [
+        {"name": "trip", "weight": "reason", "text": "trip OH (50): heat sink too hot",
+         "remedy": "let it cool", "shown_by": "C0150 reads H0870", "age_s": None, "stale": False},
+        {"name": "quick-stop-by-line", "weight": "reason", "text": "quick stop",
+         "remedy": "release it", "shown_by": "C0135 reads H0008", "age_s": 75.2, "stale": True},
+        {"name": "note", "weight": "note", "text": "good", "remedy": None, "shown_by": None,
+         "age_s": None, "stale": False},
+    ],
+    "states": ["fault"], "output": None,
+    "history": [{"code": "C0161", "number": 50, "keypad": "OH", "kind": "trip",
+                 "meaning": "heat sink too hot", "age_s": 1.0, "stale": False}],
+    "history_known": True,
+}  # fmt: skip
+
+
+def test_in_a_pipe_answer_findings_and_history_are_rows(run: Run, daemon: DaemonStub) -> None:
+    path = "GET /v1/drives/feeder/why?lang=en&fresh=true"
+    daemon.answers[path] = (200, json.dumps(DOCUMENT))
+    ran = run("why", "feeder")
+    assert (ran.status, ran.err) == (0, "")
+    lines = ran.out.splitlines()
+    assert lines[0] == "answer\tfeeder\tonline\ttrip OH (50): heat sink too hot"
+    assert lines[2] == (
+        "reason\tquick-stop-by-line\tquick stop\trelease it\tC0135 reads H0008\tstale"
+    )
+    assert lines[-1] == "history\tC0161\t50\tOH\theat sink too hot"
+
+
+def test_stored_reads_nothing_and_json_is_the_daemons_own(run: Run, daemon: DaemonStub) -> None:
+    daemon.answers["GET /v1/drives/feeder/why?lang=de"] = (200, json.dumps(DOCUMENT))
+    ran = run("why", "feeder", "--stored", "--lang", "de", "--json")
+    assert json.loads(ran.out) == DOCUMENT
+
+
+def test_a_person_gets_sentences(
+    run: Run, daemon: DaemonStub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(why, "on_terminal", lambda: True)
+    daemon.answers["GET /v1/drives/feeder/why?lang=de&fresh=true"] = (200, json.dumps(DOCUMENT))
+    ran = run("why", "feeder", "--lang", "de")
+    assert ran.out.splitlines() == [
+        "feeder (8200vector, online): trip OH (50): heat sink too hot",
+        "  [C0150 reads H0870]",
+        "  tun: let it cool",
+        "außerdem:",
+        "  - quick stop [C0135 reads H0008; Stand vor 75.2 s]",
+        "    tun: release it",
+        "zur Kenntnis:",
+        "  - good",
+        "Fehlerspeicher, Neuestes zuerst (was war, nicht was ist):",
+        "  C0161  50 OH: heat sink too hot",
+    ]
+
+
+def test_an_empty_and_an_unread_memory_are_told_apart(
+    run: Run, daemon: DaemonStub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(why, "on_terminal", lambda: True)
+    for known, text in ((True, "is empty"), (False, "has not been read")):
+        document = {**DOCUMENT, "findings": [], "history": [], "history_known": known}
+        path = "GET /v1/drives/feeder/why?lang=en&fresh=true"
+        daemon.answers[path] = (200, json.dumps(document))
+        assert text in run("why", "feeder").out

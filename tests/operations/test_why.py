@@ -1,0 +1,287 @@
+"""Why a drive does not turn is answered from what is known, and never from more than that."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from itertools import pairwise
+
+import anyio
+import pytest
+
+from lecombus.drives import FAMILY_NAMES, Language, family
+from lecombus.drives.faults.reasons import Weight, asked_codes, load_reasons, reasons
+from lecombus.errors import DescriptionError, OperationError
+from lecombus.operations.findings import WhyReport
+from lecombus.protocol.addressing import Code
+from lecombus.readings import DriveState
+from support.site_host import Plant, roster_of, until, with_plant
+
+FAMILIES = [
+    ("vector", 11, "8200vector"), ("belt", 12, "821x"), ("pump", 13, "820x"),
+    ("servo", 21, "93xx"), ("fan", 22, "smvector"),
+]  # fmt: skip
+SETPOINTS = {"vector": (46, 35), "belt": (46, 35), "pump": (46, 35), "servo": (141, 50),
+             "fan": (1061, 35)}  # fmt: skip
+TRIPS = {"vector": 50, "belt": 11, "pump": 15, "servo": 50, "fan": 36}
+
+
+def names(report: WhyReport) -> list[str]:
+    return [one.name for one in report.findings]
+
+
+def at(drive: str, test: Callable[[Plant], Awaitable[None]]) -> None:
+    """Run a test with a drive that is online and whose slow codes have been read."""
+
+    async def main(plant: Plant) -> None:
+        await plant.online()
+        await anyio.sleep(3.0)
+        await test(plant)
+
+    chosen = [one for one in FAMILIES if one[0] == drive]
+    with_plant(main, roster_of(chosen))
+
+
+def named(plant: Plant, drive: str) -> bool:
+    fault = plant.site.store.drive(drive).fault
+    return fault is not None and fault.number is not None
+
+
+async def run_motor(plant: Plant, drive: str) -> None:
+    """Let a drive turn as its user would."""
+    ops = plant.site.operations
+    number, value = SETPOINTS[drive]
+    await ops.write(drive, Code(135), "H0000")
+    await ops.write(drive, Code(40), 1)
+    await ops.write(drive, Code(number), value)
+    await anyio.sleep(3.0)
+
+
+@pytest.mark.parametrize("drive", list(TRIPS))
+def test_a_tripped_drive_is_diagnosed_with_cause_and_remedy(drive: str) -> None:
+    async def test(plant: Plant) -> None:
+        await run_motor(plant, drive)
+        plant.line[drive].trip(TRIPS[drive])
+        await until(lambda: named(plant, drive), within_s=5.0)
+        report = await plant.site.operations.why(drive, fresh=True)
+        fault = family(plant.site.store.family(drive).name).fault(TRIPS[drive])
+        assert fault is not None
+        assert fault.meaning.en in report.answer.en
+        assert report.findings[0].name == "trip"
+        assert (
+            report.findings[0].remedy.en
+            == f"{fault.remedy.en}; then reset it (lecombus reset-fault)"
+        )
+        assert report.history[0].number == TRIPS[drive]
+        german = report.as_json(Language.DE)
+        assert fault.meaning.de in str(german["answer"])
+
+    at(drive, test)
+
+
+@pytest.mark.parametrize("drive", list(TRIPS))
+def test_a_drive_that_turns_is_not_given_a_reason(drive: str) -> None:
+    async def test(plant: Plant) -> None:
+        await run_motor(plant, drive)
+        report = await plant.site.operations.why(drive, fresh=True)
+        assert [one.name for one in report.findings if one.weight is Weight.REASON] == []
+        assert report.answer.en.startswith(
+            "nothing that is known keeps it from turning; its output"
+        )
+        assert report.history == ()
+        assert report.history_known
+
+    at(drive, test)
+
+
+@pytest.mark.parametrize("drive", list(TRIPS))
+def test_after_power_on_it_is_the_quick_stop(drive: str) -> None:
+    async def test(plant: Plant) -> None:
+        report = await plant.site.operations.why(drive, fresh=True)
+        assert report.findings[0].name == "quick-stop-by-line"
+        assert "C0135 reads H0008" in report.findings[0].shown_by
+
+    at(drive, test)
+
+
+@pytest.mark.parametrize("drive", list(TRIPS))
+def test_an_inhibit_is_told_before_the_setpoint_that_is_missing_too(drive: str) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.site.operations.write(drive, Code(135), "H0000")
+        await plant.site.operations.write(drive, Code(40), 0)
+        report = await plant.site.operations.why(drive, fresh=True)
+        assert report.findings[0].name == "inhibited-by-line"
+        assert any(name.startswith("setpoint-zero") for name in names(report))
+        assert not report.findings[0].stale
+
+    at(drive, test)
+
+
+@pytest.mark.parametrize(
+    ("drive", "code", "text", "name"),
+    [("vector", 1, "0", "operating-mode"), ("pump", 1, "2", "operating-mode"),
+     ("servo", 5, "1000", "signal-configuration"), ("fan", 1420, "2", "control-level")],
+)  # fmt: skip
+def test_a_drive_that_does_not_listen_to_the_line_says_so(
+    drive: str, code: int, text: str, name: str
+) -> None:
+    async def test(plant: Plant) -> None:
+        await run_motor(plant, drive)
+        plant.line[drive].model.preset(code, text)
+        report = await plant.site.operations.why(drive, fresh=True)
+        found = next(one for one in report.findings if one.name == name)
+        assert found.weight is Weight.REASON
+        assert f"reads {text}" in found.shown_by
+
+    at(drive, test)
+
+
+@pytest.mark.parametrize(("drive", "name"), [("servo", "terminal-28"),
+                                             ("vector", "inhibited-elsewhere")])  # fmt: skip
+def test_an_open_terminal_is_told_from_an_inhibit_by_the_line(drive: str, name: str) -> None:
+    async def test(plant: Plant) -> None:
+        await run_motor(plant, drive)
+        plant.line[drive].set_terminal(high=False)
+        report = await plant.site.operations.why(drive, fresh=True)
+        assert report.findings[0].name == name
+
+    at(drive, test)
+
+
+def test_the_relative_setpoint_counts_where_c0127_says_so() -> None:
+    async def test(plant: Plant) -> None:
+        await run_motor(plant, "belt")
+        plant.line["belt"].model.preset(127, "1")
+        report = await plant.site.operations.why("belt", fresh=True)
+        assert "setpoint-zero-relative" in names(report)
+        assert "setpoint-zero-absolute" not in names(report)
+
+    at("belt", test)
+
+
+def test_a_silent_drive_says_since_when_and_what_is_old_is_called_so() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.site.operations.write("vector", Code(40), 0)
+        await plant.site.operations.why("vector", fresh=True)
+        plant.line.faults.absent = {11}
+        await until(lambda: plant.state("vector") is DriveState.OFFLINE, within_s=30.0)
+        started_s = plant.now_s
+        report = await plant.site.operations.why("vector", fresh=True)
+        assert plant.now_s - started_s < 1.0
+        assert report.findings[0].name == "offline"
+        assert "does not answer since 2026" in report.answer.en
+        inhibited = next(one for one in report.findings if one.name == "inhibited-by-line")
+        assert inhibited.stale
+
+    at("vector", test)
+
+
+def test_a_line_that_is_lost_comes_before_everything() -> None:
+    async def test(plant: Plant) -> None:
+        plant.end.unplug()
+        await until(lambda: not plant.site.worker.is_open)
+        report = await plant.site.operations.why("vector", fresh=True)
+        assert report.findings[0].name == "line"
+        assert report.as_json(Language.EN)["state"] == "offline"
+
+    at("vector", test)
+
+
+def test_what_was_never_read_proves_nothing() -> None:
+    async def main(plant: Plant) -> None:
+        await plant.online()
+        report = await plant.site.operations.why("vector")
+        assert "setpoint-zero" not in names(report)
+        assert "operating-mode" not in names(report)
+        assert not report.history_known
+
+    with_plant(main, roster_of(FAMILIES[:1], drive=", cyclic: []"))
+
+
+def test_the_old_fault_in_the_memory_is_history_and_no_answer() -> None:
+    async def test(plant: Plant) -> None:
+        plant.line["vector"].trip(91)
+        await until(lambda: plant.site.store.drive("vector").fault is not None)
+        plant.line["vector"].model.reset_fault()
+        await until(lambda: plant.site.store.drive("vector").fault is None, within_s=5.0)
+        await run_motor(plant, "vector")
+        report = await plant.site.operations.why("vector", fresh=True)
+        assert "trip" not in names(report)
+        assert [(one.number, str(one.code)) for one in report.history] == [(91, "C0161")]
+
+    at("vector", test)
+
+
+def test_reading_what_matters_takes_little_line_time_and_leaves_the_slow_codes_alone() -> None:
+    async def test(plant: Plant) -> None:
+        started_s = plant.now_s
+        await plant.site.operations.why("servo", fresh=True)
+        asked = [
+            one.step.code for one in plant.reports
+            if one.result.started_s >= started_s and one.priority.name == "INTERACTIVE"
+        ]  # fmt: skip
+        assert len(asked) <= 20
+        assert not {code for code in asked if 1920 <= code.number <= 1923}
+
+    at("servo", test)
+
+
+def test_no_drive_and_no_such_drive() -> None:
+    async def main(plant: Plant) -> None:
+        with pytest.raises(OperationError, match="nobody"):
+            await plant.site.operations.why("nobody", fresh=True)
+        report = await plant.site.operations.why("counter")
+        assert report.as_json(Language.EN)["output"] is None
+
+    with_plant(main, roster_of([("counter", 31, "generic")]))
+
+
+def test_every_reason_is_of_families_that_have_its_codes_and_states() -> None:
+    for reason in reasons():
+        for name in reason.families:
+            assert name in FAMILY_NAMES
+            for one in (*reason.values, *reason.not_values):
+                assert family(name).info(one.code) is not None, (reason.name, name)
+        for text in (reason.text, reason.remedy):
+            assert text.en
+            assert text.de
+        assert reason.source.startswith(("EDB2102EN", "CMVLC401A"))
+        shown = {
+            rule.state
+            for name in reason.families
+            for one in (family(name), *family(name).variants.values())
+            for word in one.words.values() for rule in word.states
+        }  # fmt: skip
+        assert reason.states <= shown, reason.name
+    assert asked_codes("generic") == ()
+
+
+def test_the_weights_come_in_their_order() -> None:
+    async def test(plant: Plant) -> None:
+        report = await plant.site.operations.why("servo", fresh=True)
+        order = [list(Weight).index(one.weight) for one in report.findings]
+        assert all(one <= two for one, two in pairwise(order))
+
+    at("servo", test)
+
+
+RULE = """\
+families: {all: [generic]}
+reasons:
+  - {name: one, families: [generic], states: [inhibited], weight: reason, text: [a, b],
+     remedy: [c, d], source: "M 1"}
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "why"),
+    [
+        ("[inhibited]", "[inhibted]", "reasons.yaml:3:47: inhibted is not known here"),
+        ("weight: reason", "weight: heavy", "heavy is not known here; reason, hint, note are"),
+        (', source: "M 1"', "", "source is missing"),
+        ("states: [inhibited]", "values: [{code: C0135}]", "one of not_in"),
+    ],
+)
+def test_a_wrong_reason_is_refused_with_its_place(old: str, new: str, why: str) -> None:
+    assert len(load_reasons({"reasons.yaml": RULE}.__getitem__)) == 1
+    with pytest.raises(DescriptionError, match=why):
+        load_reasons({"reasons.yaml": RULE.replace(old, new, 1)}.__getitem__)
