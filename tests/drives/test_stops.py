@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from lecombus.drives import (
     FAMILY_NAMES,
+    Family,
     StopAction,
     confirm_codes,
     family,
@@ -107,13 +108,19 @@ def test_quick_stop_is_proven_by_the_operating_status(name: str) -> None:
     assert not stop_confirmed(drive, QUICK_STOP, Code(68), word(0xEFFF))
 
 
-@pytest.mark.parametrize("name", ["8200vector", "93xx"])
-def test_where_bit_12_is_reserved_only_the_control_word_proves_quick_stop(name: str) -> None:
-    drive = family(name)
+@pytest.mark.parametrize("drive", [family("8200vector"), family("93xx").configured(1001)])
+def test_where_bit_12_is_reserved_only_the_control_word_proves_quick_stop(drive: Family) -> None:
     assert confirm_codes(drive, QUICK_STOP) == (Code(135),)
     assert not stop_confirmed(drive, QUICK_STOP, Code(68), word(0x1000))
     assert stop_confirmed(drive, QUICK_STOP, Code(135), word(0x0208))
     assert not stop_confirmed(drive, QUICK_STOP, Code(135), word(0xFFF7))
+
+
+@pytest.mark.parametrize("number", [None, 1000, 2001, 1012])
+def test_a_control_word_that_a_93xx_may_not_follow_proves_no_quick_stop(number: int | None) -> None:
+    drive = family("93xx").configured(number)
+    assert not stop_confirmed(drive, QUICK_STOP, Code(135), word(0x0008))
+    assert stop_confirmed(drive, INHIBIT, Code(150), word(0x0080)), "an inhibit acts in all of them"
 
 
 @pytest.mark.parametrize("name", DESCRIBED)

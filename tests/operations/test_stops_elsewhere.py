@@ -67,3 +67,20 @@ def test_a_drive_that_the_line_may_not_control_is_stopped_all_the_same(
     family: str, codes: dict[int, str], action: StopAction
 ) -> None:
     stopped(family, codes, action)
+
+
+@pytest.mark.parametrize("configuration", ["1000", "2001"])
+def test_a_93xx_that_does_not_follow_its_control_word_is_inhibited(configuration: str) -> None:
+    async def test(plant: Plant) -> None:
+        drive = plant.line["a"]
+        drive.model.params.set(5, configuration)
+        await plant.online()
+        drive.model.terminal_rpm = 900.0  # type: ignore[attr-defined]
+        drive.model.control = 0
+        drive.model.steer()
+        report = await plant.site.operations.stop(StopAction.QUICK_STOP, "a")
+        assert drive.model.inhibited(), report.reason
+        assert report.outcome is Outcome.VERIFIED
+        assert "C0135 reads H0008; inhibit" in report.reason
+
+    with_plant(test, roster_of([("a", 11, "93xx")]))

@@ -149,11 +149,21 @@ def confirm_codes(family: Family, action: StopAction) -> tuple[Code, ...]:
 def stop_confirmed(family: Family, action: StopAction, code: Code, value: Value) -> bool:
     """Say whether a value read after a stop shows that the drive took it.
 
-    False also stands for "this code says nothing of it": see `confirm_codes`.
+    False also stands for "this code says nothing of it": see `confirm_codes`. A control word that
+    reads as written shows nothing while the drive is not known to follow it: a 93XX does so only
+    in signal configurations xxx1 (EDB2102EN 5).
     """
     rule = family.stops.get(action)
+    if rule is not None and code == rule.code and _may_ignore(family, rule):
+        return False
     proof = rule.proofs.get(code) if rule is not None else None
     return proof is not None and proof.holds(value)
+
+
+def _may_ignore(family: Family, rule: StopRule) -> bool:
+    """Whether a stop is a bit of a control word that this drive is not known to follow."""
+    known = family.configuration or family.configured_by is None
+    return rule.value is None and not known
 
 
 def _rule(family: Family, action: StopAction) -> StopRule:
