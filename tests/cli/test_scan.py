@@ -53,6 +53,7 @@ def drives(tmp_path: Path, roster: str, *words: str) -> Iterator[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.real
 def test_nine_drives_of_five_families_at_an_unknown_rate_become_a_roster(
     run: Run, tmp_path: Path
 ) -> None:
@@ -78,6 +79,7 @@ def test_nine_drives_of_five_families_at_an_unknown_rate_become_a_roster(
     assert run("check", "-c", str(wanted)).status == 0
 
 
+@pytest.mark.real
 def test_the_roster_runs(run: Run, tmp_path: Path, short_dir: Path) -> None:
     wanted = short_dir / "scanned.yaml"
     with drives(tmp_path, FEW) as port:
