@@ -36,7 +36,7 @@ def test_what_reads_the_wanted_value_already_is_not_written() -> None:
 def test_everything_left_out_says_why() -> None:
     why = {str(skip.code): skip.why for skip in plan().skips}
     assert why == {
-        "C0009": "the address and the baud rate belong to the drive's place on the line",
+        "C0009": "it belongs to this drive's place on the line",
         "C0046": "it is a process value, not a setting",
         "C0094": "it is a password",
         "C0502": "it is read only",

@@ -22,7 +22,7 @@ def process(short_dir: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[subpro
 line: {{name: hall-3, port: "sim:", baud: 19200}}
 drives:
   - {{name: feeder, address: 11, family: 8200vector}}
-  - {{name: belt, address: 12, family: 93xx}}
+  - {{name: belt, address: 12, family: 93xx, restore: true}}
 groups:
   conveyors: {{members: [feeder, belt]}}
 api: {{socket: {socket}}}
@@ -106,3 +106,24 @@ def test_a_daemon_that_was_ended_is_not_reachable(run: Run, process: subprocess.
     process.communicate(timeout=20)
     assert process.returncode == 0
     assert run("status").status == 3
+
+
+@pytest.mark.timeout(60)  # some 170 reads over a line that takes its time
+@pytest.mark.usefixtures("process")
+def test_a_drive_is_backed_up_changed_and_restored(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    backup, other = tmp_path / "belt.yaml", tmp_path / "other.yaml"
+    assert run("backup", "belt", "-o", str(backup)).status == 0
+    changed = backup.read_text().replace("C0039/2: 10 ", "C0039/2: 20.5 ")
+    assert changed != backup.read_text()
+    other.write_text(changed)
+
+    assert run("write", "belt", "C0040", "1").status == 0
+    ran = run("restore", str(other), "belt", "--yes")
+    assert (ran.status, "1 codes written and read back and saved" in ran.out) == (0, True), ran.err
+    assert "belt is inhibited" in ran.out
+    assert run("read", "belt", "C0040").out.split("\t")[2] == "0"
+    ran = run("diff", str(backup), "belt")
+    assert [line.split("\t")[0] for line in ran.out.splitlines()] == ["C0039/2"]

@@ -23,14 +23,14 @@ from lecombus.protocol.addressing import Code
 @pytest.mark.parametrize(
     ("name", "code", "why"),
     [
-        ("8200vector", "C0009", "the address"),
+        ("8200vector", "C0009", "place on the line"),
         ("8200vector", "C0046", "a process value"),
         ("8200vector", "C0043", "a command"),
         ("8200vector", "C0150", "read only"),
         ("8200vector", "C4711", "no description"),
         ("93xx", "C0003", "saves"),
         ("820x", "C0040", "restarts the drive"),
-        ("smvector", "P410", "the address"),
+        ("smvector", "P410", "place on the line"),
         ("generic", "C0011", "no description"),
     ],
 )
@@ -61,8 +61,8 @@ def test_codes_that_others_follow_from_come_first_in_every_parameter_set() -> No
 
 
 def test_what_shuts_the_door_comes_last() -> None:
-    assert in_order("smvector", "P420", "P426", "P103", "P425") == [
-        "C1103", "C1425", "C1426", "C1420",
+    assert in_order("smvector", "P420", "P100", "P426", "P103", "P425") == [
+        "C1103", "C1425", "C1426", "C1100", "C1420",
     ]  # fmt: skip
     assert is_last(family("smvector"), Code.parse("P420"))
     assert not is_last(family("smvector"), Code.parse("P103"))

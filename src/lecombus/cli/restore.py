@@ -135,7 +135,7 @@ def command(
         if as_json:
             click.echo(json.dumps(plan_json(seen.plan, drive)))
         else:
-            show_plan(seen.plan, drive, enabled=seen.enabled)
+            show_plan(seen.plan, drive, enabled=seen.enabled, enable=enable)
         check(wish, seen)
         return Exit.DONE
     with Notes.opened(seen.whose.line, drive) as notes:
@@ -185,7 +185,7 @@ def carry_out(wish: Wish, seen: Seen, notes: Notes, socket: str | None, url: str
     plan = seen.plan
     unsaved = plan.save is not None and before is not None and bool(before.done)
     if not wish.as_json:
-        show_plan(plan, wish.drive, enabled=seen.enabled)
+        show_plan(plan, wish.drive, enabled=seen.enabled, enable=wish.enable)
         tell_before(before, notes, wish)
     check(wish, seen)
     if not plan.steps and not unsaved:

@@ -12,8 +12,15 @@ from lecombus.readings import Json
 __all__ = ["plan_json", "result_json", "show_plan", "show_result"]
 
 
-def show_plan(plan: Plan, drive: str, *, enabled: bool | None) -> None:
-    """Print what would be written, what is left out, and what should be known before."""
+def show_plan(plan: Plan, drive: str, *, enabled: bool | None, enable: bool) -> None:
+    """Print what would be written, what is left out, and what should be known before.
+
+    Args:
+        plan: The plan.
+        drive: The drive's name.
+        enabled: It is enabled now; None where it does not say.
+        enable: It shall be enabled again at the end.
+    """
     if on_terminal():
         click.echo(headline(plan, drive))
     rows = [
@@ -31,7 +38,8 @@ def show_plan(plan: Plan, drive: str, *, enabled: bool | None) -> None:
     for remark in plan.remarks:
         click.echo(remark, err=True)
     if plan.steps and enabled:
-        click.echo(f"{drive} is enabled: it will be inhibited, and stays so", err=True)
+        after = "enabled again at the end: the motor may turn" if enable else "stays so"
+        click.echo(f"{drive} is enabled: it will be inhibited, and {after}", err=True)
     if plan.save is not None and plan.steps:
         click.echo(f"at the end {plan.save[0]} = {plan.save[1]} saves it all", err=True)
 

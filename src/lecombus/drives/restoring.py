@@ -75,7 +75,7 @@ DELICATE: Final = {
     WriteClass.EDGE: "writing it is a command, not a setting",
     WriteClass.STEP: "writing it is a command, not a setting",
     WriteClass.SAVE: "writing it saves parameters",
-    WriteClass.ADDRESS: "the address and the baud rate belong to the drive's place on the line",
+    WriteClass.ADDRESS: "it belongs to this drive's place on the line",
     WriteClass.RESET: "writing it restarts the drive or sets it back",
 }
 
