@@ -124,6 +124,18 @@ def test_820x_has_its_watchdog_again_before_a_reset_is_called_done() -> None:
     with_drive(test, "820x")
 
 
+def test_820x_that_restarts_too_fast_to_be_missed_has_its_watchdog_again_all_the_same() -> None:
+    async def test(plant: Plant) -> None:
+        drive = plant.line["a"].model
+        drive.boot_s = 0.05  # type: ignore[misc]
+        drive.trip(FAULT_NUMBER)
+        report = await do(plant, Verb.RESET_FAULT)
+        assert report.outcome is Outcome.VERIFIED
+        assert (drive.params.text(1922), drive.params.text(1923)) == ("2", "2000")
+
+    with_drive(test, "820x", drive=", cyclic: []")
+
+
 def test_820x_that_does_not_come_back_is_unknown_in_time_for_whoever_asked() -> None:
     async def test(plant: Plant) -> None:
         plant.line["a"].model.trip(FAULT_NUMBER)
@@ -159,6 +171,21 @@ def test_a_fault_whose_cause_lasts_is_told_as_not_reset(kind: str) -> None:
         assert "still there or has come again" in report.reason
         assert "fault" in report.states
         assert plant.line["a"].model.inhibited()
+
+    with_drive(test, kind)
+
+
+@pytest.mark.parametrize("kind", ["824x", "93xx"])
+def test_where_c0043_is_not_there_the_edge_of_the_control_word_resets(kind: str) -> None:
+    async def test(plant: Plant) -> None:
+        drive = plant.line["a"].model
+        drive.params._specs.pop((43, 0))
+        drive.params._numbers.discard(43)
+        drive.trip(FAULT_NUMBER)
+        report = await do(plant, Verb.RESET_FAULT)
+        assert report.outcome is Outcome.VERIFIED
+        assert [raw for _, raw in report.written] == ["H0A08", "H0208"]
+        assert drive.fault == 0
 
     with_drive(test, kind)
 
