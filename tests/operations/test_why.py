@@ -211,6 +211,19 @@ def test_the_old_fault_in_the_memory_is_history_and_no_answer() -> None:
     at("vector", test)
 
 
+def test_an_smvector_tells_its_older_faults_too() -> None:
+    async def test(plant: Plant) -> None:
+        for number in (13, 36):
+            plant.line["fan"].trip(number)
+            await until(lambda: plant.site.store.drive("fan").fault is not None, within_s=5.0)
+            plant.line["fan"].model.reset_fault()
+            await until(lambda: plant.site.store.drive("fan").fault is None, within_s=5.0)
+        report = await plant.site.operations.why("fan", fresh=True)
+        assert [one.number for one in report.history] == [36, 13]
+
+    at("fan", test)
+
+
 def test_reading_what_matters_takes_little_line_time_and_leaves_the_slow_codes_alone() -> None:
     async def test(plant: Plant) -> None:
         started_s = plant.now_s
