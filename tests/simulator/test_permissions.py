@@ -245,3 +245,7 @@ def test_an_smvector_set_to_another_protocol_is_silent() -> None:
     assert host.write(11, 1400, "2") == "ACK"
     assert host.read(11, 150) == ""
     assert host.write(0, 40, "0") == ""
+
+
+def test_an_smvector_whose_module_talks_shows_it_online() -> None:
+    assert single("smvector").read(11, 1402) == "3"

@@ -30,6 +30,8 @@ _OVERHEATED, _OVERVOLTAGE = 4, 6
 """F.AF and F.HF, which have bits of their own in C0150. Source: CMVLC401A 9.1, table 9."""
 
 _LECOM: Final = "7"
+_ONLINE: Final = "3"
+"""P402 while module and drive talk. Source: CMVLC401A 4.1."""
 _NET_ENABLE: Final = "9"
 _INPUTS: Final = range(1121, 1125)
 """P121..P124: what the terminals TB-13A..D do."""
@@ -64,6 +66,7 @@ class SMVector(Model):
             68: lambda _: word_text(self.operating_status()),
             135: lambda _: word_text(self.control),
             150: lambda _: word_text(self.status_word()),
+            1402: lambda _: _ONLINE,
             1405: lambda _: "1" if self.fault == F_NF1 else "0",
             1427: lambda _: str(self.messages),
             1500: lambda subcode: str(self.troubles.newest(subcode)),
