@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import resource
 import socket
+from collections import deque
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
@@ -17,6 +18,7 @@ import pytest
 from anyio.abc import SocketStream
 
 from lecombus.api import crowd, serve
+from lecombus.api.connection import Connection
 from support.api_line import Line
 
 pytestmark = [pytest.mark.anyio, pytest.mark.real]
@@ -123,11 +125,12 @@ class Wire(asyncio.Transport):
         self.cut += 1
 
 
-def taken(places: crowd.Places, wire: Wire, *, busy: bool = False) -> crowd.Connection:
-    one = crowd.Connection.__new__(crowd.Connection)
+def taken(places: crowd.Places, wire: Wire, *, busy: bool = False) -> Connection:
+    one = Connection.__new__(Connection)
     one.transport = wire
+    one.pipeline = deque()
     one.may_write = wire.get_extra_info("socket") == SimpleNamespace(family=socket.AF_UNIX)
-    one.cycle = SimpleNamespace(response_complete=not busy, more_body=False)  # type: ignore[assignment]
+    one._running = SimpleNamespace(response_complete=not busy, more_body=False)
     places.take(one)
     return one
 

@@ -235,7 +235,7 @@ async def test_unknown_paths_and_methods_are_problems(client: httpx.AsyncClient)
         assert (answer.status_code, answer.json()["status"]) == (404, 404)
         assert answer.headers["content-type"] == "application/problem+json"
     answer = await client.delete("/v1/drives")
-    assert (answer.status_code, answer.headers["allow"]) == (405, "GET")
+    assert (answer.status_code, answer.headers["allow"]) == (405, "GET, HEAD")
     assert answer.json()["type"] == "urn:lecombus:problem:wrong-method"
 
 

@@ -23,6 +23,7 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
+from starlette.routing import Match, Route
 
 from lecombus.api.addresses import add_addresses
 from lecombus.api.answers import (
@@ -67,6 +68,7 @@ from lecombus.api.exact import encode, short
 from lecombus.api.idempotency import Idempotency, SharedStops
 from lecombus.api.problems import Problem, problem_of, report_problem
 from lecombus.api.seam import CustodyPort, OperationsPort
+from lecombus.api.stops import PlainStops
 from lecombus.api.verbs import add_verbs
 from lecombus.errors import LecombusError
 from lecombus.metrics import OPENMETRICS_TYPE, TEXT_TYPE, Metrics, wants_openmetrics
@@ -132,6 +134,7 @@ def create_app(
     add_diagnosis(app, ops)
     add_service(app, metrics, ready, healthy)
     add_description(app)
+    app.add_middleware(PlainStops, ops=ops)
     return app
 
 
@@ -318,8 +321,7 @@ def answer_errors_with_problems(app: FastAPI) -> None:
         detail = problem.detail
         for sent in place.values():  # messages quote what was asked for, however long it is
             detail = detail.replace(str(sent), short(str(sent)))
-        drive, code = short(problem.drive), short(problem.code)
-        return replace(problem, detail=detail, drive=drive, code=code).response()
+        return replace(problem, detail=detail).shortened().response()
 
     @app.exception_handler(RequestValidationError)
     async def not_understood(request: Request, exc: RequestValidationError) -> Response:
@@ -330,8 +332,13 @@ def answer_errors_with_problems(app: FastAPI) -> None:
     async def not_routed(request: Request, exc: HTTPException) -> Response:
         path = short(request.url.path)
         if exc.status_code == 405:
-            detail = f"{request.method} is not possible on {path}"
-            return Problem("wrong-method", detail, headers=exc.headers or {}).response()
+            allowed = ", ".join(allowed_methods(app, request))
+            return Problem(
+                "wrong-method",
+                f"{short(request.method)} is not possible on {path}",
+                remedy=f"{allowed} {'are' if ', ' in allowed else 'is'} possible there",
+                headers={"Allow": allowed},
+            ).response()
         return Problem(
             "no-such-path", f"there is nothing at {path}", remedy="paths stand in /openapi.json"
         ).response()
@@ -343,6 +350,15 @@ def answer_errors_with_problems(app: FastAPI) -> None:
             f"{type(exc).__name__} while answering {short(request.url.path)}",
             remedy="this is a mistake in lecombus: please report it with the daemon's log",
         ).response()
+
+
+def allowed_methods(app: FastAPI, request: Request) -> list[str]:
+    """Return what may be asked of a path; HEAD is answered wherever GET is (`doors`)."""
+    found: set[str] = set()
+    for route in app.routes:
+        if isinstance(route, Route) and route.matches(request.scope)[0] is not Match.NONE:
+            found |= route.methods or set()
+    return sorted(found | {"HEAD"} if "GET" in found else found)
 
 
 async def drive_text(store: Store, info: DriveInfo) -> str:

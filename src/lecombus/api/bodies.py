@@ -27,6 +27,7 @@ from lecombus.schedule.request import Priority
 __all__ = [
     "BODY_LIMIT",
     "RIGHT",
+    "TARGET_LIMIT",
     "AcceptBody",
     "AddressBody",
     "Body",
@@ -44,6 +45,8 @@ BODY_LIMIT: Final = 64 * 1024
 
 TEXT_LIMIT: Final = 250
 """A little more than the longest value (241 characters), so that its own error can speak."""
+
+TARGET_LIMIT: Final = 200
 
 MISTAKES_LIMIT: Final = 10
 
@@ -174,7 +177,9 @@ class StopBody(Body):
         Field(strict=False, description=RIGHT["action"]),
         WithJsonSchema({"type": "string", "enum": [one.value for one in StopAction]}),
     ]
-    target: Annotated[str, Field(min_length=1, max_length=200, description=RIGHT["target"])]
+    target: Annotated[
+        str, Field(min_length=1, max_length=TARGET_LIMIT, description=RIGHT["target"])
+    ]
 
 
 class VerbBody(Body):

@@ -14,22 +14,21 @@ from __future__ import annotations
 
 import asyncio
 import resource
-import socket
-from typing import Any, Final
+from typing import Final, Protocol
 
 from starlette.types import ASGIApp, Receive, Scope, Send
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from lecombus.api.problems import Problem
+from lecombus.api.stops import is_stop
 
 __all__ = [
     "ACCEPT_AT_ONCE",
     "CONNECTION_LIMIT",
     "REQUEST_LIMIT",
-    "Connection",
     "Crowd",
+    "Placed",
+    "Places",
     "connection_limit",
-    "connections",
 ]
 
 REQUEST_LIMIT: Final = 256
@@ -47,9 +46,6 @@ taken but not counted yet, or cut but not closed yet: about four rounds of the l
 
 FEWEST_CONNECTIONS: Final = 8
 
-STOP_PATHS: Final = ("/v1/stop", "/verbs/inhibit", "/verbs/quick-stop")
-"""How the path of a stop ends."""
-
 
 class Crowd:
     """Lets so many requests of each kind through at a time, and every stop.
@@ -66,7 +62,7 @@ class Crowd:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
-        if scope["type"] != "http" or scope["path"].endswith(STOP_PATHS):
+        if scope["type"] != "http" or is_stop(scope["path"]):
             await self._app(scope, receive, send)
             return
         waits = needs_line(scope)
@@ -80,28 +76,15 @@ class Crowd:
             self._inside[waits] -= 1
 
 
-class Connection(H11Protocol):
-    """A connection that holds one of a bounded number of places; see `connections`."""
+class Placed(Protocol):
+    """What is counted: a connection as `Places` sees it."""
 
-    places: Places
-
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Take the connection; called by the loop."""
-        super().connection_made(transport)
-        made_by = transport.get_extra_info("socket")
-        self.may_write = made_by is not None and made_by.family == socket.AF_UNIX
-        self.places.take(self)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """Give the place back; called by the loop."""
-        self.places.give_back(self)
-        super().connection_lost(exc)
+    transport: asyncio.Transport
+    may_write: bool
 
     @property
     def is_idle(self) -> bool:
         """Whether no request is under way that came whole."""
-        cycle: Any = self.cycle
-        return cycle is None or cycle.response_complete or cycle.more_body
 
 
 class Places:
@@ -113,9 +96,9 @@ class Places:
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
-        self._held: dict[Connection, None] = {}
+        self._held: dict[Placed, None] = {}
 
-    def take(self, new: Connection) -> None:
+    def take(self, new: Placed) -> None:
         """Count a connection, and cut one when there are too many, if need be itself."""
         self._held[new] = None
         if len(self._held) > self._limit:
@@ -123,11 +106,11 @@ class Places:
             del self._held[victim]  # at once: it must not be chosen again while it closes
             victim.transport.abort()  # close() would wait for a client that does not read
 
-    def give_back(self, lost: Connection) -> None:
+    def give_back(self, lost: Placed) -> None:
         """Forget a connection that was closed."""
         self._held.pop(lost, None)
 
-    def _victim(self, new: Connection) -> Connection:
+    def _victim(self, new: Placed) -> Placed:
         others = [one for one in self._held if one is not new]
         looking = [one for one in others if not one.may_write]
         ranks = [
@@ -136,15 +119,6 @@ class Places:
             (one for one in looking if new.may_write),
         ]
         return next((one for rank in ranks for one in rank), new)
-
-
-def connections() -> type[Connection]:
-    """Return the class of connections that share the places of one server."""
-
-    class Placed(Connection):
-        places = Places(connection_limit())
-
-    return Placed
 
 
 def connection_limit() -> int:

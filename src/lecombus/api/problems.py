@@ -6,6 +6,7 @@ error of lecombus' tree, `report_problem` from a write that ended in anything bu
 shows the same table.
 
 ==== ==================================================================================
+400  not HTTP
 403  not writable, or a write over TCP
 404  no such drive, group, code or path
 405  wrong method
@@ -14,6 +15,7 @@ shows the same table.
 421  the request names a host that is not this machine
 422  the request cannot be understood, or the value cannot be sent
 429  a stored parameter was written too often (`Retry-After` says when it may be again)
+431  the request's path and headers are too long
 500  a mistake in lecombus
 502  the answer was garbled or belonged to something else
 503  the line is lost or closed, or it was never sent: queue full, expired while waiting
@@ -33,7 +35,7 @@ from typing import Final
 
 from starlette.responses import Response
 
-from lecombus.api.exact import encode
+from lecombus.api.exact import encode, short
 from lecombus.errors import (
     CodeValueError,
     CutReplyError,
@@ -67,6 +69,7 @@ __all__ = [
 PROBLEM_TYPE: Final = "application/problem+json"
 
 STATUS_BY_KIND: Final[Mapping[str, tuple[int, str]]] = {
+    "bad-http": (400, "Not HTTP"),
     "read-only": (403, "Only reads are answered here"),
     "not-writable": (403, "Not writable"),
     "not-permitted": (403, "Not permitted"),
@@ -96,6 +99,7 @@ STATUS_BY_KIND: Final[Mapping[str, tuple[int, str]]] = {
     "too-big": (413, "Body too big"),
     "foreign-host": (421, "Wrong host"),
     "too-many-writes": (429, "Stored parameter written too often"),
+    "head-too-big": (431, "Request head too big"),
     "bad-request": (422, "Request not understood"),
     "bad-value": (422, "Value cannot be sent"),
     "key-reused": (422, "Idempotency-Key used for another request"),
@@ -169,6 +173,10 @@ class Problem:
             "outcome": self.outcome or None,
             **self.more,
         }
+
+    def shortened(self) -> Problem:
+        """Return the same with its names cut short, for they may be whatever a client sent."""
+        return replace(self, drive=short(self.drive), code=short(self.code))
 
     def response(self) -> Response:
         """Return the HTTP response."""

@@ -3,9 +3,8 @@
 Strategy: both are uvicorn servers inside the caller's task, without signal handlers and access
 log. The sockets are made here, because their rules matter more than uvicorn's defaults: the Unix
 socket is 0660 from its first moment, a stale file is removed only if nobody listens on it, and it
-goes at the end; TCP binds to loopback only. `ReadOnlyDoor` stands before the TCP server: until
-there is access control it lets reads through and nothing else, and refuses hosts that are not
-this machine, so that no web page can reach the drives through a browser (DNS rebinding).
+goes at the end; TCP binds to loopback only. What is let through to the application is decided by
+`doors` and `crowd`, what a connection may do by `connection`.
 
 What must not live here: paths and answers.
 """
@@ -13,9 +12,7 @@ What must not live here: paths and answers.
 from __future__ import annotations
 
 import errno
-import ipaddress
 import os
-import re
 import socket
 import stat
 from collections.abc import Iterator
@@ -27,22 +24,19 @@ from typing import Final
 import anyio
 import uvicorn
 from anyio.abc import TaskStatus
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import ASGIApp
 
-from lecombus.api.addresses import ADDRESSES_PATH
-from lecombus.api.crowd import ACCEPT_AT_ONCE, Connection, Crowd, connections
-from lecombus.api.exact import short
-from lecombus.api.problems import Problem
+from lecombus.api.connection import Connection, connections
+from lecombus.api.crowd import ACCEPT_AT_ONCE, Crowd
+from lecombus.api.doors import HeadIsGet, ReadOnlyDoor, is_loopback
 from lecombus.errors import OperationError
 
-__all__ = ["ReadOnlyDoor", "Served", "serve"]
+__all__ = ["Served", "serve"]
 
 SOCKET_MODE: Final = 0o660
 BACKLOG: Final = 128
 CLOSE_S: Final = 3
 """How long requests under way may take to end when the server closes."""
-
-HOST: Final = re.compile(r"(?:\[([0-9a-f:.]+)\]|([^\[\]:]+))(?::[0-9]{0,5})?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,53 +66,6 @@ class Listener(uvicorn.Server):
         for one in sockets or ():
             # asyncio has one number for how many it takes in a row and how many may wait.
             one.listen(BACKLOG)
-
-
-class ReadOnlyDoor:
-    """Lets reads through that name this machine as their host.
-
-    Args:
-        app: The application behind the door.
-        host: The host the server is bound to, allowed besides the names of loopback.
-    """
-
-    def __init__(self, app: ASGIApp, host: str) -> None:
-        self._app = app
-        self._host = host.strip("[]").lower()
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, or answer with what is wrong with it."""
-        problem = self._objection(scope) if scope["type"] == "http" else None
-        if problem is None:
-            await self._app(scope, receive, send)
-        else:
-            await problem.response()(scope, receive, send)
-
-    def _objection(self, scope: Scope) -> Problem | None:
-        hosts = [value.decode("latin-1") for name, value in scope["headers"] if name == b"host"]
-        if len(hosts) != 1 or not self._is_here(hosts[0]):
-            return Problem(
-                "foreign-host",
-                f"host {short(', '.join(hosts)) or '(none)'} is not this machine",
-                remedy="ask for localhost or 127.0.0.1",
-            )
-        if scope["method"] not in ("GET", "HEAD"):
-            return Problem(
-                "read-only",
-                f"{scope['method']} is not answered over TCP",
-                remedy="use the Unix socket: only who may open it may write and stop",
-            )
-        if scope["path"].startswith(ADDRESSES_PATH):
-            return Problem(
-                "not-permitted",
-                "addresses of unknown drives are not asked over TCP",
-                remedy="use the Unix socket",
-            )
-        return None
-
-    def _is_here(self, host: str) -> bool:
-        name = host_name(host.strip().lower())
-        return name in ("localhost", self._host) or is_loopback(name)
 
 
 async def serve(
@@ -180,7 +127,7 @@ async def close_when_cancelled(listeners: list[Listener]) -> None:
 def configuration(app: ASGIApp, kind: type[Connection]) -> uvicorn.Config:
     """Return what uvicorn is told; everything that could surprise is switched off."""
     return uvicorn.Config(
-        Crowd(app),
+        HeadIsGet(Crowd(app)),
         log_config=None,
         log_level="error",  # a warning per request not understood: anybody could fill the log
         access_log=False,
@@ -290,20 +237,6 @@ def tcp_socket(host: str, port: int) -> Iterator[socket.socket]:
             remedy = "free the port, or give the API another one in the roster"
             raise cannot_listen(f"{host}:{port}", exc, remedy) from exc
         yield listening
-
-
-def host_name(host: str) -> str:
-    """Return the host of a `Host` header without its port; empty if it is not one host."""
-    match = HOST.fullmatch(host)
-    return "" if match is None else match[1] or match[2]
-
-
-def is_loopback(host: str) -> bool:
-    """Tell whether a text is an address of this machine only."""
-    try:
-        return ipaddress.ip_address(host.strip("[]")).is_loopback
-    except ValueError:
-        return False
 
 
 def cannot_listen(where: str, exc: OSError, remedy: str) -> OperationError:

@@ -1,0 +1,102 @@
+"""What stands between a listener and the application: who may come in, and HEAD.
+
+`ReadOnlyDoor` stands before the TCP server: until there is access control it lets reads through and
+nothing else, and refuses hosts that are not this machine, so that no web page can reach the drives
+through a browser (DNS rebinding). `HeadIsGet` stands before both.
+
+What must not live here: sockets (`server`), how many may come in (`crowd`).
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+from typing import Final
+
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from lecombus.api.addresses import ADDRESSES_PATH
+from lecombus.api.exact import short
+from lecombus.api.problems import Problem
+
+__all__ = ["HeadIsGet", "ReadOnlyDoor", "is_loopback"]
+
+HOST: Final = re.compile(r"(?:\[([0-9a-f:.]+)\]|([^\[\]:]+))(?::[0-9]{0,5})?")
+
+
+class HeadIsGet:
+    """Lets the application answer HEAD as it answers GET; the connection leaves the body out.
+
+    Args:
+        app: The application behind.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on."""
+        if scope["type"] == "http" and scope["method"] == "HEAD":
+            scope = {**scope, "method": "GET"}
+        await self._app(scope, receive, send)
+
+
+class ReadOnlyDoor:
+    """Lets reads through that name this machine as their host.
+
+    Args:
+        app: The application behind the door.
+        host: The host the server is bound to, allowed besides the names of loopback.
+    """
+
+    def __init__(self, app: ASGIApp, host: str) -> None:
+        self._app = app
+        self._host = host.strip("[]").lower()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, or answer with what is wrong with it."""
+        problem = self._objection(scope) if scope["type"] == "http" else None
+        if problem is None:
+            await self._app(scope, receive, send)
+        else:
+            await problem.response()(scope, receive, send)
+
+    def _objection(self, scope: Scope) -> Problem | None:
+        hosts = [value.decode("latin-1") for name, value in scope["headers"] if name == b"host"]
+        if len(hosts) != 1 or not self._is_here(hosts[0]):
+            return Problem(
+                "foreign-host",
+                f"host {short(', '.join(hosts)) or '(none)'} is not this machine",
+                remedy="ask for localhost or 127.0.0.1",
+            )
+        if scope["method"] not in ("GET", "HEAD"):
+            return Problem(
+                "read-only",
+                f"{scope['method']} is not answered over TCP",
+                remedy="use the Unix socket: only who may open it may write and stop",
+            )
+        if scope["path"].startswith(ADDRESSES_PATH):
+            return Problem(
+                "not-permitted",
+                "addresses of unknown drives are not asked over TCP",
+                remedy="use the Unix socket",
+            )
+        return None
+
+    def _is_here(self, host: str) -> bool:
+        name = host_name(host.strip().lower())
+        return name in ("localhost", self._host) or is_loopback(name)
+
+
+def host_name(host: str) -> str:
+    """Return the host of a `Host` header without its port; empty if it is not one host."""
+    match = HOST.fullmatch(host)
+    return "" if match is None else match[1] or match[2]
+
+
+def is_loopback(host: str) -> bool:
+    """Tell whether a text is an address of this machine only."""
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False

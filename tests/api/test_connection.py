@@ -1,0 +1,268 @@
+"""What a connection may send: whole requests are answered, everything else is bounded and told."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+import json
+import socket
+import struct
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import anyio
+import pytest
+
+from lecombus.api import serve
+from lecombus.api.connection import HEAD_LIMIT, PENDING_LIMIT, Connection
+from support.api_line import Line
+
+pytestmark = [pytest.mark.anyio, pytest.mark.real]
+
+GET = b"GET /readyz HTTP/1.1\r\nHost: localhost\r\n\r\n"
+SETPOINT = "/v1/drives/feeder/codes/C0046"
+
+
+def put(value: int, more: str = "") -> bytes:
+    body = b'{"value": %d}' % value
+    head = (
+        f"PUT {SETPOINT} HTTP/1.1\r\nHost: localhost\r\nContent-Length: {len(body)}\r\n{more}\r\n"
+    )
+    return head.encode() + body
+
+
+class Client:
+    """A client that says bytes."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.reader = reader
+        self.writer = writer
+
+    async def say(self, data: bytes, *, end: bool = False) -> None:
+        self.writer.write(data)
+        if end:
+            self.writer.write_eof()
+        await self.writer.drain()
+
+    async def answer(self) -> tuple[int, bytes]:
+        """Read one answer; raises `IncompleteReadError` at the end."""
+        head = (await self.reader.readuntil(b"\r\n\r\n")).lower()
+        length = int(head.partition(b"content-length: ")[2].partition(b"\r\n")[0])
+        return int(head.split()[1]), await self.reader.readexactly(length)
+
+    async def rest(self) -> list[tuple[int, bytes]]:
+        """Read every answer until the connection ends."""
+        answers = []
+        with contextlib.suppress(asyncio.IncompleteReadError):
+            while True:
+                answers.append(await self.answer())
+        return answers
+
+
+@asynccontextmanager
+async def connected(line: Line, tmp_path: Path, *, tcp: bool = False) -> AsyncIterator[Client]:
+    async with anyio.create_task_group() as tasks:
+        served = await tasks.start(serve, line.app, tmp_path / "s", ("127.0.0.1", 0))
+        if tcp:
+            reader, writer = await asyncio.open_connection(*served.http)
+        else:
+            reader, writer = await asyncio.open_unix_connection(served.socket_path)
+        with anyio.fail_after(15):
+            yield Client(reader, writer)
+        writer.close()
+        tasks.cancel_scope.cancel()
+
+
+def kind(answer: tuple[int, bytes]) -> tuple[int, str]:
+    return answer[0], json.loads(answer[1])["type"].rpartition(":")[2]
+
+
+@pytest.mark.parametrize("tcp", [False, True])
+@pytest.mark.parametrize(
+    "rubbish",
+    [
+        b"\x00\xff\x80 rubbish\r\n\r\n",
+        b"BREW /pot HTTP/1.1\r\n\r\n",
+        b"GET / HTTP/9.9\r\n\r\n",
+        b"GET http://[/ HTTP/1.1\r\nHost: x\r\n\r\n",
+        b"GET / HTTP/1.1\r\nContent-Length: minus\r\n\r\n",
+        b"CONNECT localhost:80 HTTP/1.1\r\nHost: x\r\n\r\n",
+    ],
+)
+async def test_what_came_whole_is_answered_and_then_the_rubbish_is_told(
+    line: Line, tmp_path: Path, rubbish: bytes, tcp: bool
+) -> None:
+    async with connected(line, tmp_path, tcp=tcp) as client:
+        await client.say(3 * GET + rubbish + GET)
+        answers = await client.rest()
+    assert [status for status, _ in answers] == [200, 200, 200, 400]
+    assert kind(answers[-1]) == (400, "bad-http")
+
+
+async def test_rubbish_behind_a_write_that_is_under_way_does_not_cut_it(
+    line: Line, tmp_path: Path
+) -> None:
+    line.ops.gate = anyio.Event()
+    async with connected(line, tmp_path) as client:
+        await client.say(put(7))
+        await line.ops.begun.wait()
+        await client.say(b"\x00rubbish\r\n\r\n")
+        await anyio.sleep(0.02)
+        line.ops.gate.set()
+        answers = await client.rest()
+    assert [status for status, _ in answers] == [200, 400]
+    assert len(line.ops.asked) == 1
+
+
+async def test_a_request_that_breaks_off_in_rubbish_is_not_carried_out(
+    line: Line, tmp_path: Path
+) -> None:
+    head = f"PUT {SETPOINT} HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n\r\n".encode()
+    async with connected(line, tmp_path) as client:
+        await client.say(GET + head + b'c\r\n{"value": 7}\r\nrubbish\r\n')
+        answers = await client.rest()
+    assert [status for status, _ in answers] == [200, 400]
+    assert line.ops.asked == []
+
+
+@pytest.mark.parametrize(
+    "endless",
+    [
+        b"GET /" + b"x" * (HEAD_LIMIT + 1000),
+        b"GET / HTTP/1.1\r\nX: " + b"x" * (HEAD_LIMIT + 1000),
+        b"GET / HTTP/1.1\r\n" + b"X: y\r\n" * (HEAD_LIMIT // 6 + 200),
+        b"GET / HTTP/1.1\r\nX: " + b"x" * (HEAD_LIMIT + 1000) + b"\r\n\r\n",
+        b"PUT /v1/x HTTP/1.1\r\nTransfer-Encoding: chunked\r\n\r\n1\r\n{\r\n0\r\nX: "
+        + b"x" * (HEAD_LIMIT + 1000),
+    ],
+)
+async def test_a_head_without_end_ends_at_its_limit(
+    line: Line, tmp_path: Path, endless: bytes
+) -> None:
+    async with connected(line, tmp_path) as client:
+        await client.say(GET + endless)
+        answers = await client.rest()
+    assert answers[0][0] == 200
+    assert kind(answers[-1]) == (431, "head-too-big")
+
+
+async def test_a_head_just_below_the_limit_is_taken(line: Line, tmp_path: Path) -> None:
+    async with connected(line, tmp_path) as client:
+        long = b"GET /readyz HTTP/1.1\r\nHost: x\r\nX: " + b"x" * (HEAD_LIMIT - 100) + b"\r\n\r\n"
+        await client.say(2 * long)
+        assert [(await client.answer())[0] for _ in range(2)] == [200, 200]
+
+
+async def test_requests_beyond_the_limit_wait_unread_and_none_is_lost(
+    line: Line, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[Connection] = []
+    plain = Connection.connection_made
+
+    def connection_made(self: Connection, transport: asyncio.Transport) -> None:
+        made.append(self)
+        plain(self, transport)
+
+    monkeypatch.setattr(Connection, "connection_made", connection_made)
+    line.ops.gate = anyio.Event()
+    count = 300
+    async with connected(line, tmp_path) as client:
+        await client.say(b"".join(put(n) for n in range(count)))
+        await line.ops.begun.wait()
+        await anyio.sleep(0.05)
+        assert made[0]._pending == PENDING_LIMIT
+        held = len(made[0]._unread)
+        assert held > 0
+        line.ops.gate.set()
+        statuses = [(await client.answer())[0] for _ in range(count)]
+        assert statuses == [200] * count
+        assert [asked[3] for asked in line.ops.asked] == list(range(count))
+        await client.say(GET)
+        assert (await client.answer())[0] == 200
+
+
+@pytest.mark.parametrize("tcp", [False, True])
+@pytest.mark.parametrize("count", [1, 3, 40])
+async def test_a_client_that_says_no_more_gets_every_answer(
+    line: Line, tmp_path: Path, count: int, tcp: bool
+) -> None:
+    async with connected(line, tmp_path, tcp=tcp) as client:
+        await client.say(count * GET, end=True)
+        answers = await client.rest()
+    assert [status for status, _ in answers] == [200] * count
+
+
+async def test_a_client_that_says_no_more_gets_the_outcome_of_its_write(
+    line: Line, tmp_path: Path
+) -> None:
+    line.ops.gate = anyio.Event()
+    async with connected(line, tmp_path) as client:
+        await client.say(put(7) + b"PUT / HTTP/1.1\r\nContent-Length: 10\r\n\r\n{", end=True)
+        await line.ops.begun.wait()
+        await anyio.sleep(0.02)
+        line.ops.gate.set()
+        answers = await client.rest()
+    assert [status for status, _ in answers] == [200], "the second did not come whole"
+
+
+@pytest.mark.parametrize("what", ["h2c", "websocket"])
+async def test_an_offer_to_speak_another_protocol_is_ignored_and_its_body_kept(
+    line: Line, tmp_path: Path, what: str
+) -> None:
+    offer = (
+        f"Connection: Upgrade, HTTP2-Settings\r\nUpgrade: {what}\r\nHTTP2-Settings: AAMAAABk\r\n"
+    )
+    async with connected(line, tmp_path) as client:
+        look = GET.replace(b"\r\n\r\n", b"\r\n" + offer.encode() + b"\r\n")
+        await client.say(put(7, offer) + look + put(8, offer) + GET)
+        assert [(await client.answer())[0] for _ in range(4)] == [200] * 4
+    assert [asked[3] for asked in line.ops.asked] == [7, 8]
+
+
+@pytest.mark.parametrize(
+    ("target", "status"),
+    [
+        ("http://localhost/v1/line", 200),
+        ("http://127.0.0.1:9740/v1/line", 200),
+        ("http://[::1]/v1/line", 200),
+        ("http://evil.example/v1/line", 421),
+        ("http://evil.example:80/v1/line", 421),
+    ],
+)
+async def test_the_host_of_an_absolute_target_counts(
+    line: Line, tmp_path: Path, target: str, status: int
+) -> None:
+    async with connected(line, tmp_path, tcp=True) as client:
+        await client.say(f"GET {target} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
+        assert (await client.answer())[0] == status
+
+
+async def test_head_is_answered_wherever_get_is(line: Line, tmp_path: Path) -> None:
+    paths = ("/v1/line", "/v1/drives", "/v1/drives/feeder", SETPOINT, "/openapi.json", "/metrics")
+    async with connected(line, tmp_path) as client:
+        for path in paths:
+            await client.say(f"HEAD {path} HTTP/1.1\r\nHost: x\r\n\r\n".encode())
+            head = await client.reader.readuntil(b"\r\n\r\n")
+            assert head.startswith(b"HTTP/1.1 200"), path
+            await client.say(GET)  # no body is left in between
+            assert (await client.answer())[0] == 200
+
+
+async def test_a_connection_that_was_reset_leaves_nothing_behind(
+    line: Line, tmp_path: Path
+) -> None:
+    async with connected(line, tmp_path, tcp=True) as client:
+        await client.say(GET)
+        await client.answer()
+        raw = client.writer.get_extra_info("socket")
+        raw.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        client.writer.transport.abort()  # with a reset instead of an end
+        for _ in range(100):
+            await anyio.sleep(0.01)
+            gc.collect()
+            alive = [one for one in gc.get_objects() if isinstance(one, Connection)]
+            if not alive:
+                break
+        assert alive == [], "its timer would keep it for a minute"

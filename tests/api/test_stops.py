@@ -1,0 +1,154 @@
+"""Plain stops take a short way; what they are answered is the same as by the long one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import httpx
+import pytest
+from fastapi import FastAPI
+
+from lecombus.api import stops
+from lecombus.drives import StopAction
+from lecombus.errors import LecombusError, LineLostError, OperationError
+from lecombus.operations.reports import WriteReport
+from lecombus.protocol.addressing import Code
+from lecombus.schedule.request import Outcome
+from support.api_line import Line
+
+pytestmark = pytest.mark.anyio
+
+PLAIN = {"action": "inhibit", "target": "all"}
+
+
+def over(app: FastAPI) -> httpx.AsyncClient:
+    return httpx.AsyncClient(transport=httpx.ASGITransport(app=app), base_url="http://localhost")
+
+
+@pytest.fixture
+def routed(line: Line, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The paths of all requests that FastAPI's router saw."""
+    seen: list[str] = []
+    plain = line.app.router.app
+
+    async def watched(scope: dict, receive: object, send: object) -> None:  # type: ignore[type-arg]
+        seen.append(scope["path"])
+        await plain(scope, receive, send)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(line.app.router, "middleware_stack", watched)
+    return seen
+
+
+async def test_a_plain_stop_is_said_without_being_routed(line: Line, routed: list[str]) -> None:
+    async with over(line.app) as client:
+        answer = await client.post("/v1/stop", json=PLAIN)
+    assert (answer.status_code, answer.json()["outcome"]) == (200, "done")
+    assert answer.headers["content-type"] == "application/json"
+    assert line.ops.asked == [("stop", StopAction.INHIBIT, "all")]
+    assert routed == []
+
+
+@pytest.mark.parametrize(
+    ("body", "headers", "query", "status"),
+    [
+        (b'{"action": "inhibit", "target": "all"}', {"Idempotency-Key": "k"}, "", 200),
+        (b'{"action": "inhibit", "target": "all"}', {}, "?x=1", 422),
+        (b'{"action": "inhibit"}', {}, "", 422),
+        (b'{"action": "inhibit", "target": "all", "now": true}', {}, "", 422),
+        (b'{"action": "halt", "target": "all"}', {}, "", 422),
+        (b'{"action": ["inhibit"], "target": "all"}', {}, "", 422),
+        (b'{"action": "inhibit", "target": ""}', {}, "", 422),
+        (b'{"action": "inhibit", "target": "%s"}' % (b"x" * 201), {}, "", 422),
+        (b'{"action": "inhibit", "target": 7}', {}, "", 422),
+        (b'[{"action": "inhibit", "target": "all"}]', {}, "", 422),
+        (b"stop!", {}, "", 422),
+        (b"", {}, "", 422),
+    ],
+)
+async def test_whatever_is_not_plain_goes_the_long_way_with_its_body(
+    line: Line, routed: list[str], body: bytes, headers: dict[str, str], query: str, status: int
+) -> None:
+    async with over(line.app) as client:
+        answer = await client.post(f"/v1/stop{query}", content=body, headers=headers)
+    assert answer.status_code == status
+    assert routed == ["/v1/stop"]
+    assert len(line.ops.asked) == (status == 200)
+
+
+@pytest.mark.parametrize("size", [1, 5, 20])
+async def test_a_body_in_pieces_stops_by_either_way(
+    line: Line, routed: list[str], size: int
+) -> None:
+    body = b'{"action": "inhibit", "target": "all"}'
+    pieces = [body[at : at + size] for at in range(0, len(body), size)]
+    answers: list[dict] = []  # type: ignore[type-arg]
+
+    async def receive() -> dict:  # type: ignore[type-arg]
+        return {"type": "http.request", "body": pieces.pop(0), "more_body": bool(pieces)}
+
+    async def send(message: dict) -> None:  # type: ignore[type-arg]
+        answers.append(message)
+
+    scope = {
+        "type": "http", "method": "POST", "path": "/v1/stop", "raw_path": b"/v1/stop",
+        "query_string": b"", "headers": [(b"host", b"x")], "root_path": "", "scheme": "http",
+    }  # fmt: skip
+    await line.app(scope, receive, send)  # type: ignore[arg-type]
+    assert answers[0]["status"] == 200
+    assert line.ops.asked == [("stop", StopAction.INHIBIT, "all")]
+    assert bool(routed) == (size < 20)
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        None,
+        LineLostError("line hall-3: pulled"),
+        OperationError("no such thing", kind="no-such-drive", drive="x" * 300, remedy="look"),
+        OperationError("none known", kind="no-stop", drive="feeder"),
+    ],
+)
+@pytest.mark.parametrize("outcome", [Outcome.VERIFIED, Outcome.UNKNOWN, Outcome.REFUSED])
+async def test_both_ways_answer_alike(
+    line: Line, monkeypatch: pytest.MonkeyPatch, error: LecombusError | None, outcome: Outcome
+) -> None:
+    line.ops.error = error
+
+    def report(drive: str, code: Code) -> WriteReport:
+        return replace(WriteReport(drive, code, outcome), reason="so it is")
+
+    line.ops.report = report
+    async with over(line.app) as client:
+        short = await client.post("/v1/stop", json=PLAIN)
+        monkeypatch.setattr(stops, "is_plain", lambda scope: False)
+        long = await client.post("/v1/stop", json=PLAIN)
+    assert (short.status_code, short.content) == (long.status_code, long.content)
+    assert dict(short.headers) == dict(long.headers)
+
+
+async def test_a_mistake_of_ours_is_told_as_one(line: Line) -> None:
+    line.ops.error = RuntimeError("oh")
+    transport = httpx.ASGITransport(app=line.app, raise_app_exceptions=False)
+    async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
+        answer = await client.post("/v1/stop", json=PLAIN)
+    assert answer.status_code == 500
+    assert answer.json()["type"] == "urn:lecombus:problem:internal"
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "allowed"),
+    [
+        ("POST", "/v1/drives/feeder/codes/C0046", "GET, HEAD, PUT"),
+        ("GET", "/v1/stop", "POST"),
+        ("PUT", "/healthz", "GET, HEAD"),
+        ("DELETE", "/v1/line", "GET, HEAD"),
+    ],
+)
+async def test_a_wrong_method_is_told_the_right_ones(
+    line: Line, method: str, path: str, allowed: str
+) -> None:
+    async with over(line.app) as client:
+        answer = await client.request(method, path)
+    assert answer.status_code == 405
+    assert answer.headers["allow"] == allowed
+    assert allowed in answer.json()["remedy"]
