@@ -140,10 +140,14 @@ def test_a_93xx_is_saved_once_at_the_end() -> None:
 
 
 def test_nothing_half_right_is_saved() -> None:
-    one = drive({5: "1000"}, kind="93xx", refuses=lambda one, code, value: "NAK")
-    result = restored(one, {"C0005": "1011"})
-    assert one.writes == []
-    assert (result.saved, result.complete) == (False, False)
+    one = drive(
+        {5: "1000", 12: "1"},
+        kind="93xx",
+        refuses=lambda one, code, value: "NAK" if code.number == 5 else "",
+    )
+    result = restored(one, {"C0005": "1011", "C0012": "2"})
+    assert one.writes == [("C0012", "2")]
+    assert (result.saved, result.complete, result.stopped) == (False, False, "")
 
 
 def test_values_that_an_earlier_restore_left_unsaved_are_saved() -> None:

@@ -1,0 +1,40 @@
+"""What an interrupted restore leaves behind is read as far as it is whole."""
+
+from __future__ import annotations
+
+import pytest
+
+from lecombus.backups import Progress, done_line, head_line, read_progress
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+
+HEAD = Progress("feeder.yaml", "0123456789abcdef", "2026-11-22T01:54:43Z", enabled=True)
+TEXT = (
+    head_line(HEAD)
+    + done_line(Code(11), Value.parse("60.5"))
+    + done_line(Code(39, 2), Value.parse("H0008"))
+)
+
+
+def test_what_is_noted_is_read_back() -> None:
+    found = read_progress(TEXT)
+    assert found is not None
+    assert (found.file, found.digest, found.begun, found.enabled) == (
+        HEAD.file, HEAD.digest, HEAD.begun, True,
+    )  # fmt: skip
+    assert found.done == {Code(11): "60.5", Code(39, 2): "H0008"}
+
+
+@pytest.mark.parametrize("length", range(len(TEXT)))
+def test_a_line_that_was_torn_by_a_kill_is_left_out(length: int) -> None:
+    found = read_progress(TEXT[:length])
+    lines = TEXT[:length].count("\n")
+    if found is None:
+        assert lines == 0
+    else:  # a line that is whole but for its end counts
+        assert lines - 1 <= len(found.done) <= lines
+
+
+@pytest.mark.parametrize("text", ["", "\n", "{}\n", "[1]\n", "words\n", '{"code": "C0011"}\n'])
+def test_what_is_none_is_none(text: str) -> None:
+    assert read_progress(text) is None
