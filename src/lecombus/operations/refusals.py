@@ -56,6 +56,10 @@ LINE_SHARE: Final = 0.1
 QUESTIONS: Final = 4
 """The most that one look asks."""
 
+CREDIT_S: Final = 4.0
+"""So far ahead of that share a few looks in a row may be: two drives that refuse one after the
+other are both asked."""
+
 REMEMBERED_S: Final = 10.0
 REMEMBERED: Final = 64
 
@@ -86,7 +90,7 @@ class Refusals:
         self._store = store
         self._clock = clock
         self._looking = False
-        self._not_before_s = 0.0
+        self._paid_at_s = 0.0
         self._remembered: dict[Key, tuple[float, list[Cause]]] = {}
 
     async def explain(
@@ -177,7 +181,11 @@ class Refusals:
     # -- looking --------------------------------------------------------------------------------
 
     def _may_look(self, now_s: float) -> bool:
-        return not self._looking and now_s >= self._not_before_s and not self._stop_waits(now_s)
+        return (
+            not self._looking
+            and now_s >= self._paid_at_s - CREDIT_S
+            and not self._stop_waits(now_s)
+        )
 
     def _stop_waits(self, now_s: float) -> bool:
         return self._requests.worker.schedule.stats(now_s).depth.get(Priority.STOP, 0) > 0
@@ -203,7 +211,7 @@ class Refusals:
                     causes = likely_causes(station.family.name, known)
         finally:
             self._looking = False
-            self._not_before_s = self._clock() + took_s / LINE_SHARE
+            self._paid_at_s = max(self._paid_at_s, started_s) + took_s / LINE_SHARE
         return causes
 
     def _question(self, station: Station, known: Known, asked: list[Code]) -> Code | None:
