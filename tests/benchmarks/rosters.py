@@ -34,6 +34,7 @@ def write_roster(
             "drives:",
             *rows,
             f"api: {{socket: {folder / 'api.sock'}, http: '127.0.0.1:{http}'}}",
+            f"state: {folder / 'state.json'}",
             "",
         ]
     )

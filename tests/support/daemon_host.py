@@ -133,6 +133,7 @@ def roster_text(
             "drives:",
             *rows,
             f"api: {{socket: {folder / 'api.sock'}{serve}}}",
+            f"state: {folder / 'state.json'}",
             more,
             "",
         ]
