@@ -38,3 +38,10 @@ def test_a_line_that_was_torn_by_a_kill_is_left_out(length: int) -> None:
 @pytest.mark.parametrize("text", ["", "\n", "{}\n", "[1]\n", "words\n", '{"code": "C0011"}\n'])
 def test_what_is_none_is_none(text: str) -> None:
     assert read_progress(text) is None
+
+
+@pytest.mark.parametrize("line", ['{"code": "C0011"}', '{"code": "x", "value": "1"}', "7"])
+def test_a_line_that_somebody_damaged_is_left_out(line: str) -> None:
+    found = read_progress(TEXT + line + "\n")
+    assert found is not None
+    assert len(found.done) == 2

@@ -66,7 +66,7 @@ def read_progress(text: str) -> Progress | None:
     done: dict[Code, str] = {}
     for one in rest:
         try:
-            done[Code.parse(str(one.get("code")))] = str(one.get("value"))
+            done[Code.parse(str(one.get("code")))] = Value.parse(str(one.get("value"))).raw
         except CodeValueError:
             continue
     return Progress(
