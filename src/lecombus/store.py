@@ -130,6 +130,8 @@ class Store:
         self._line_since_s = wall()
         self._line_remarks: dict[str, str] = {}
         self._subscribers: tuple[Subscriber, ...] = ()
+        self.changes = 0
+        """Counts what makes a page wrong that was written before: all but a value read anew."""
 
     # -- what is on the line -------------------------------------------------------------------
 
@@ -208,6 +210,7 @@ class Store:
         if cell is None:
             cell = self._new_cell(record, code)
         cell.failure = reason
+        self.changes += 1
         if self._subscribers:
             self._publish(ValueChanged(drive, code))
 
@@ -216,6 +219,7 @@ class Store:
         cell = self._drives[drive].cells.get(code)
         if cell is not None and cell.value is not None:
             cell.failure = WRITTEN_SINCE
+            self.changes += 1
             if self._subscribers:
                 self._publish(ValueChanged(drive, code))
 
@@ -356,6 +360,8 @@ class Store:
     # -- inside ------------------------------------------------------------------------------------
 
     def _publish(self, event: Event) -> None:
+        if type(event) is not ValueChanged:
+            self.changes += 1
         for subscriber in self._subscribers:
             subscriber(event)
 

@@ -1,6 +1,6 @@
 """`make bench`: every figure that lecombus promises, measured beside its peers in one run.
 
-Takes about eight minutes. Nothing is promised of a machine that is busy with something else: the
+Takes about ten minutes. Nothing is promised of a machine that is busy with something else: the
 table says how busy it was. `--write` puts the table into docs/figures.md; `--only` measures some
 of the figures (cycles, exchanges, stops, starts), `--quick` all with two rounds, for a look.
 """

@@ -134,6 +134,6 @@ def json_response(document: Json) -> Response:
     return text_response(encode(document))
 
 
-def text_response(text: str) -> Response:
+def text_response(text: str | bytes) -> Response:
     """Return JSON text; no cache may keep it, its age counts from now."""
     return Response(text, headers={"Cache-Control": "no-store"}, media_type=JSON_TYPE)

@@ -66,6 +66,7 @@ from lecombus.api.documents import (
 )
 from lecombus.api.exact import encode, short
 from lecombus.api.idempotency import Idempotency, SharedStops
+from lecombus.api.pages import KeptPage
 from lecombus.api.problems import Problem, problem_of, report_problem
 from lecombus.api.seam import CustodyPort, OperationsPort
 from lecombus.api.stops import PlainStops
@@ -122,7 +123,7 @@ def create_app(
         redirect_slashes=False,
     )
     answer_errors_with_problems(app)
-    add_known(app, store, {"line": line_name, "port": port, "baud": baud}, ops)
+    add_known(app, store, {"line": line_name, "port": port, "baud": baud}, ops, clock)
     keys = Idempotency(clock)
     add_description_of_drives(app, store)
     add_reads(app, ops, store)
@@ -138,7 +139,13 @@ def create_app(
     return app
 
 
-def add_known(app: FastAPI, store: Store, facts: Mapping[str, Json], ops: OperationsPort) -> None:
+def add_known(
+    app: FastAPI,
+    store: Store,
+    facts: Mapping[str, Json],
+    ops: OperationsPort,
+    clock: Callable[[], float],
+) -> None:
     """Add what is known now: line, drives, drive, groups."""
 
     @app.get("/v1/line", **described(LineDocument, 422))
@@ -148,12 +155,20 @@ def add_known(app: FastAPI, store: Store, facts: Mapping[str, Json], ops: Operat
         states = Counter(info.state.value for info in store.drives())
         return json_response({**facts, **store.line().as_json(), "drives": {**states}})
 
+    async def every_drive() -> bytes:
+        texts = [await drive_text(store, info) for info in store.drives()]
+        return ('{"drives": [' + ", ".join(texts) + "]}").encode()
+
+    page = KeptPage(every_drive, lambda: store.changes, clock)
+
     @app.get("/v1/drives", **described(DrivesDocument, 422))
     async def drives(request: Request) -> Response:
-        """Every drive with its state and every value known, with age and quality."""
+        """Every drive with its state and every value known, with age and quality.
+
+        Values and ages may be 0.1 s behind; states, failures and writes never are.
+        """
         check_query(request)
-        texts = [await drive_text(store, info) for info in store.drives()]
-        return text_response('{"drives": [' + ", ".join(texts) + "]}")
+        return text_response(await page.get())
 
     @app.get("/v1/drives/{drive}", **described(DriveDocument, 404, 422))
     async def one_drive(request: Request, drive: str) -> Response:
