@@ -24,6 +24,9 @@ from lecombus.schedule import Outcome
 from support.site_host import Ended, Rig
 from support.virtual_loop import run
 
+pytestmark = pytest.mark.timeout(120)
+"""Ten thousand exchanges each: 4 s of a processor, and far more where others want it too."""
+
 logger = logging.getLogger(__name__)
 
 FAULTS = "late=0.05:0.5s:{kind},noise=0.05,lost=0.02"
