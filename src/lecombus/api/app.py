@@ -123,7 +123,8 @@ def create_app(
         redirect_slashes=False,
     )
     answer_errors_with_problems(app)
-    add_known(app, store, {"line": line_name, "port": port, "baud": baud}, ops, clock)
+    add_known(app, store, {"line": line_name, "port": port, "baud": baud}, ops)
+    add_drive_list(app, store, clock)
     keys = Idempotency(clock)
     add_description_of_drives(app, store)
     add_reads(app, ops, store)
@@ -144,7 +145,6 @@ def add_known(
     store: Store,
     facts: Mapping[str, Json],
     ops: OperationsPort,
-    clock: Callable[[], float],
 ) -> None:
     """Add what is known now: line, drives, drive, groups."""
 
@@ -154,21 +154,6 @@ def add_known(
         check_query(request)
         states = Counter(info.state.value for info in store.drives())
         return json_response({**facts, **store.line().as_json(), "drives": {**states}})
-
-    async def every_drive() -> bytes:
-        texts = [await drive_text(store, info) for info in store.drives()]
-        return ('{"drives": [' + ", ".join(texts) + "]}").encode()
-
-    page = KeptPage(every_drive, lambda: store.changes, clock)
-
-    @app.get("/v1/drives", **described(DrivesDocument, 422))
-    async def drives(request: Request) -> Response:
-        """Every drive with its state and every value known, with age and quality.
-
-        Values and ages may be 0.1 s behind; states, failures and writes never are.
-        """
-        check_query(request)
-        return text_response(await page.get())
 
     @app.get("/v1/drives/{drive}", **described(DriveDocument, 404, 422))
     async def one_drive(request: Request, drive: str) -> Response:
@@ -187,6 +172,25 @@ def add_known(
         """Every group, its members and whether it is spoken to by multicast."""
         check_query(request)
         return json_response({"groups": [group_json(one) for one in ops.groups()]})
+
+
+def add_drive_list(app: FastAPI, store: Store, clock: Callable[[], float]) -> None:
+    """Add the list of all drives, which is written once for all who ask at the same time."""
+
+    async def every_drive() -> bytes:
+        texts = [await drive_text(store, info) for info in store.drives()]
+        return ('{"drives": [' + ", ".join(texts) + "]}").encode()
+
+    page = KeptPage(every_drive, lambda: store.changes, clock)
+
+    @app.get("/v1/drives", **described(DrivesDocument, 422))
+    async def drives(request: Request) -> Response:
+        """Every drive with its state and every value known, with age and quality.
+
+        Values and ages may be 0.1 s behind; states, failures and writes never are.
+        """
+        check_query(request)
+        return text_response(await page.get())
 
 
 def add_reads(app: FastAPI, ops: OperationsPort, store: Store) -> None:
