@@ -50,8 +50,9 @@ WHY_NOT: Final[Mapping[str, str]] = {
     "no-answer": "the drive did not answer",
 }
 
-_PLAIN: Final = re.compile(r"-?(0|[1-9][0-9]*)(\.[0-9]+)?|[HO][0-9A-F]+", re.ASCII)
-"""What YAML takes for a number or a text without quotes, and gives back letter by letter."""
+_PLAIN: Final = re.compile(r"-?(0|[1-9][0-9]*)(\.[0-9]+)?|H[0-9A-F]+", re.ASCII)
+"""What YAML takes for a number or a text without quotes, and gives back letter by letter; octets
+such as OFF are none of it."""
 
 _WORD: Final = re.compile(r"[A-Za-z0-9-]+", re.ASCII)
 _PARAMETER_OFFSET: Final = 1000
