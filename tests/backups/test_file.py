@@ -66,7 +66,7 @@ process:
 
 # Codes that no description knows: compared, never restored.
 undescribed:
-  C4711: "O01FF"
+  C4711: O01FF
 
 # What could not be read.
 not-read:
