@@ -1,7 +1,8 @@
 """Random lines: everything about a line and its trouble, drawn from one seed.
 
 A line has 1 to 90 drives of all families at any baud rate. Its watchdog times are drawn above what
-the plan says outlasts a drive that goes away. Four
+the plan says outlasts lost answers: one more than it must, and where drives go away, all of those
+that such a drive costs. Four
 kinds of line show four sides of it: `quiet` (one client, one request at a time), `loaded` (clients
 that ask for more than the line can do), `absent` (drives go away and return) and `faulty` (noise,
 lost and late answers).
@@ -11,13 +12,15 @@ Must not live here: what has to hold (`invariants`), running (`world`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from random import Random
 
 from lecombus.config import Roster, line_timing, parse_roster
-from lecombus.config.feeding import feeding_of, least_time_s
+from lecombus.config.feeding import feeding_of, smallest
 from lecombus.drives import family
 from lecombus.planning.watchdogs import AWAY_ATTEMPTS
+from lecombus.schedule.demand import Stream, find_overload, load_of
+from lecombus.schedule.feeds import HARD_PART
 
 FAMILIES = ("820x", "821x", "822x", "824x", "8200vector", "93xx", "smvector")
 BAUDS = (1200, 2400, 4800, 9600, 19200, 19200, 19200)
@@ -66,25 +69,45 @@ def line_of(seed: int, length_s: float) -> RandomLine:
         f"retries: {random.randrange(4)}}}\n"
     )
     period_ms = random.choice((200, 500, 1000, 3000, 10000))
-    cyclic = random.choice(("", f", cyclic: [{{code: C0150, every: {period_ms}ms}}]"))
+    cyclic = random.choice(
+        ("", ", cyclic: []", f", cyclic: [{{code: C0150, every: {period_ms}ms}}]")
+    )
     watched = [random.random() < 0.85 for _ in drives]
     roster = _read(head, drives, watched, [LONGEST_WATCHDOG_S] * len(drives), cyclic)
-    feeding = feeding_of(roster, line_timing(roster.line))
-    shortest = replace(feeding, streams=feeding.with_times(lambda old_s: SHORTEST_WATCHDOG_S))
-    least_s = least_time_s(shortest, lost=AWAY_ATTEMPTS)
+    short = [random.random() < share for share in [random.choice((1.0, 1.0, 0.4))] for _ in drives]
+    tight = {f"d{address}" for at, (address, _) in enumerate(drives) if short[at]}
+    least_s = _least_s(roster, tight, AWAY_ATTEMPTS if kind == "absent" else 1)
     if least_s is None or least_s > LONGEST_WATCHDOG_S:
         watched = [False] * len(drives)
         least_s = 1.0
-    spread = random.choice((1.0, 1.2, 3.0, 10.0))
+    spread = random.choice((1.0, 1.2, 3.0))
     times = [
         min(
             LONGEST_WATCHDOG_S,
-            max(_shortest_s(kind_of), least_s * random.uniform(1.0, spread)),
+            max(
+                _shortest_s(kind_of),
+                least_s * random.uniform(1.0, spread) * (1.0 if short[at] else 4.0),
+            ),
         )
-        for _, kind_of in drives
+        for at, (_, kind_of) in enumerate(drives)
     ]
     roster = _read(head, drives, watched, times, cyclic)
     return RandomLine(seed, kind, roster, _faults(random, kind), length_s)
+
+
+def _least_s(roster: Roster, short: set[str], lost: int) -> float | None:
+    """Give the least time for some of the watchdogs, the others being four times as long."""
+    feeding = feeding_of(roster, line_timing(roster.line))
+    blocking_s = feeding.blocking_s + lost * feeding.lost_s
+
+    def holds(time_s: float) -> bool:
+        streams = [
+            Stream(one.name, one.cost_s, HARD_PART * time_s * (1.0 if one.name in short else 4.0))
+            for one in feeding.streams
+        ]
+        return find_overload(streams, blocking_s) is None and load_of(streams) <= 1.0
+
+    return smallest(holds, SHORTEST_WATCHDOG_S, LONGEST_WATCHDOG_S)
 
 
 def _read(
