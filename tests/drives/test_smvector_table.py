@@ -72,7 +72,7 @@ P530      | VD | r |  |
 P531      | VD | r |  |
 """
 
-# In the text, or known from other manuals of the drive: P194, P540, P541.
+# In the text, or known from other manuals of the drive: P540, P541.
 NAMED_ELSEWHERE = """
 C0037 | VD | rw |        |
 C0038 | VD | rw |        |
@@ -82,7 +82,6 @@ C0249 | VD | -w | 0..7   |
 P100  | VD | rw |        |
 P102  | VD | rw |        |
 P103  | VD | rw |        |
-P194  | VD | -w |        |
 P540  | VD | r  |        |
 P541  | VD | r  |        |
 """
@@ -265,7 +264,6 @@ def test_what_is_kept_and_what_is_delicate() -> None:
         "C1410": WriteClass.ADDRESS,
         "C1411": WriteClass.ADDRESS,
     }
-    assert [str(info.code) for info in SMVECTOR.described() if info.secret] == ["C1194"]
     moving = {str(info.code) for info in SMVECTOR.described() if info.motion and info.writable}
     assert moving == set(MOVING.split())
 

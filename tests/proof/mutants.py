@@ -38,7 +38,12 @@ MUTANTS = {
     "no blocking": (Feeds, "fits", _no_blocking),
 }
 
-SEEDS: dict[str, tuple[int, ...]] = {}
+SEEDS: dict[str, tuple[int, ...]] = {
+    "no slack check": (5, 17),
+    "first come instead of deadlines": (40,),
+    "no blocking": (5, 17),
+}
+"""Lines that show each mutant; without it they are clean."""
 
 
 @contextlib.contextmanager

@@ -1,0 +1,74 @@
+"""Ten hours of five hundred random lines, and the mutants that they find out.
+
+The same as `make proof` (docs/timing.md), which goes on where it stopped, for a thousand hours.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ProcessPoolExecutor
+from itertools import islice
+
+import pytest
+
+from proof.lines import KINDS, line_of
+from proof.mutants import MUTANTS, SEEDS, mutated
+from proof.world import Finding, run_line
+
+LINES = 500
+LENGTH_S = 60.0
+HOURS = 10.0
+CHUNKS = 10
+JOBS = 2
+
+
+def prove(seed: int) -> Finding:
+    return run_line(line_of(seed, LENGTH_S))
+
+
+@pytest.fixture(scope="module")
+def findings() -> list[Finding]:
+    """Run all lines once, on both cores."""
+    with ProcessPoolExecutor(JOBS) as pool:
+        return list(pool.map(prove, range(LINES), chunksize=LINES // CHUNKS // JOBS))
+
+
+@pytest.mark.timeout(900)
+def test_nothing_breaks_on_five_hundred_lines(findings: list[Finding]) -> None:
+    broken = [f"{found.line}: {text}" for found in findings for text in found.broken]
+    assert not broken, "\n".join(
+        [*broken[:20], "again: PYTHONPATH=src:tests python -m proof.run --seed N --length 60"]
+    )
+
+
+@pytest.mark.timeout(900)
+def test_the_lines_are_many_and_long_enough_and_of_every_kind(findings: list[Finding]) -> None:
+    assert sum(found.line_s for found in findings) >= HOURS * 3600.0
+    assert {found.line.kind for found in findings} == set(KINDS)
+    assert {len(found.line.roster.drives) for found in findings} >= {1, 2, 3}
+    assert max(len(found.line.roster.drives) for found in findings) > 50
+    assert all(found.exchanges for found in findings)
+
+
+@pytest.mark.parametrize("name", MUTANTS)
+@pytest.mark.timeout(300)
+def test_a_wrong_schedule_is_found_out(name: str) -> None:
+    for seed in SEEDS[name]:
+        with mutated(name):
+            found = prove(seed)
+        assert found.broken, f"{name} was not noticed on {found.line}"
+
+
+@pytest.mark.timeout(300)
+def test_the_lines_that_show_mutants_are_clean_without_them() -> None:
+    for seed in sorted({seed for seeds in SEEDS.values() for seed in seeds}):
+        assert prove(seed).broken == ()
+
+
+def test_a_seed_replays_the_same() -> None:
+    seed = next(
+        islice((seed for seed in range(100) if len(line_of(seed, 1.0).roster.drives) < 4), 1)
+    )
+    first, again = prove(seed), prove(seed)
+    assert (first.exchanges, first.line_s, first.broken) == (
+        again.exchanges, again.line_s, again.broken
+    )  # fmt: skip
