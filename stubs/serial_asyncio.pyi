@@ -1,6 +1,6 @@
 """What lecombus uses of pyserial-asyncio 0.6, which carries no types of its own."""
 
-from asyncio import AbstractEventLoop, BaseProtocol, Transport
+from asyncio import AbstractEventLoop, BaseProtocol, StreamReader, StreamWriter, Transport
 from collections.abc import Callable
 from typing import TypeVar
 
@@ -28,3 +28,6 @@ class SerialTransport(Transport):
 async def create_serial_connection(
     loop: AbstractEventLoop, protocol_factory: Callable[[], _P], *args: object, **kwargs: object
 ) -> tuple[SerialTransport, _P]: ...
+async def open_serial_connection(
+    *, url: str, baudrate: int
+) -> tuple[StreamReader, StreamWriter]: ...

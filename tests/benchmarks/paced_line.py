@@ -5,6 +5,7 @@ same in every process: when the host's bytes were read here, and when an answer'
 to the host. Questions:
 
 * `mark`: requests heard so far, and the time of the last one;
+* `useful`: the same of those to drives that answer; `absent`: let the last so many not answer;
 * `first`: when the first byte since the last asking came;
 * `gaps`: from the last byte of each answer to the first of the next telegram;
 * `stops`: for every write heard, when its first byte came, and when the answer before it ended.
@@ -41,7 +42,7 @@ class WatchedLine(SimLine):
 
     def watch(self) -> None:
         """Begin."""
-        self.mark = (0, 0.0)
+        self.mark = self.useful = (0, 0.0)
         self.first_s = 0.0
         self.stops: list[tuple[float, float]] = []
         self.gaps: deque[float] = deque(maxlen=1000)
@@ -50,6 +51,8 @@ class WatchedLine(SimLine):
 
     def _heard(self, at_s: float, heard: Heard) -> None:
         self.mark = (self.mark[0] + 1, at_s)
+        if heard.address not in self.faults.absent:
+            self.useful = (self.useful[0] + 1, at_s)
 
     def receive(self, data: bytes, now_s: float) -> None:
         """Note when a telegram began, and keep that of writes."""
@@ -67,10 +70,15 @@ class WatchedLine(SimLine):
         return out
 
 
-def answer(line: WatchedLine, what: str) -> Any:
+def answer(line: WatchedLine, what: str, count: int = 0) -> Any:
     """Answer one question."""
     if what == "mark":
         return line.mark
+    if what == "useful":
+        return line.useful
+    if what == "absent":
+        line.faults.absent = set(ADDRESSES[len(ADDRESSES) - count :])
+        return True
     if what == "first":
         first_s, line.first_s = line.first_s, 0.0
         return first_s
@@ -93,7 +101,7 @@ def main(link: str, baud: str, count: str) -> None:
     with PtyEnd(line, Path(link)) as end:
         for row in sys.stdin:
             with end.lock:
-                said = answer(line, json.loads(row)["what"])
+                said = answer(line, **json.loads(row))
             sys.stdout.write(json.dumps(said) + "\n")
             sys.stdout.flush()
 

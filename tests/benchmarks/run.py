@@ -1,8 +1,8 @@
 """`make bench`: every figure that lecombus promises, measured beside its peers in one run.
 
-Takes about ten minutes. Nothing is promised of a machine that is busy with something else: the
+Takes about twenty minutes. Nothing is promised of a machine that is busy with something else: the
 table says how busy it was. `--write` puts the table into docs/figures.md; `--only` measures some
-of the figures (cycles, exchanges, stops, starts), `--quick` all with two rounds, for a look.
+of the figures (cycles, stops, worlds ..), `--quick` all with two rounds, for a look.
 """
 
 from __future__ import annotations
@@ -17,11 +17,14 @@ from pathlib import Path
 
 from .children import OTHER_CORE, ROOT, pin
 from .cycles import measure as cycles
+from .efficiency import measure as efficiency
 from .exchanges import measure as exchanges
 from .machine import Noise, describe
+from .queues import measure as queues
 from .starts import measure as starts
 from .stops import measure as stops
 from .table import Row, render
+from .worlds import measure as worlds
 
 __all__ = ["main"]
 
@@ -31,6 +34,9 @@ PARTS: dict[str, Callable[[Path, int], list[Row]]] = {
     "cycles": cycles,
     "stops": stops,
     "starts": starts,
+    "queues": queues,
+    "worlds": worlds,
+    "efficiency": efficiency,
 }
 FIGURES = ROOT / "docs" / "figures.md"
 

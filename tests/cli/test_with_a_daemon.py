@@ -16,7 +16,7 @@ from cli.conftest import Run
 
 @pytest.fixture
 def process(short_dir: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[subprocess.Popen[str]]:
-    """A daemon on simulated drives; LECOMBUS_SOCKET points at it once it is ready."""
+    """A daemon on simulated drives; LECOMBUS_SOCKET points at it once all are online."""
     roster, socket = short_dir / "hall-3.yaml", short_dir / "hall-3.sock"
     roster.write_text(f"""\
 line: {{name: hall-3, port: "sim:", baud: 19200}}
@@ -35,8 +35,12 @@ api: {{socket: {socket}}}
     ) as running:
         assert running.stderr is not None
         try:
+            missing = {"feeder", "belt"}
             for line in running.stderr:
-                if json.loads(line).get("event") == "ready":
+                event = json.loads(line)
+                if event.get("event") == "state" and event.get("to") == "online":
+                    missing.discard(event["drive"])
+                if not missing:
                     break
             yield running
         finally:

@@ -86,3 +86,15 @@ def test_a_second_lost_answer_is_worth_a_warning_with_the_time_that_outlasts_it(
     assert feeding.overload() is None
     assert least is not None
     assert least > 0.4
+
+
+def test_a_watchdog_shorter_than_a_drives_own_stop_is_refused() -> None:
+    """An 820X takes 230 ms for most writes, its inhibit among them."""
+    drive = "  - {name: a, address: 11, family: 820x, watchdog: {time: TIME, action: inhibit}}\n"
+    text = f"line: {{name: l, port: /dev/ttyS0, baud: 19200}}\ndrives:\n{drive}"
+    refused = said(text.replace("TIME", "230ms"))
+    assert len(refused) == 1
+    assert "one exchange with this drive, such as its stop, takes 237ms" in refused[0]
+    proposed = re.search(r"a time of (\S+) or more", refused[0])
+    assert proposed is not None
+    assert find_unheld(parsed(text.replace("TIME", proposed[1]))) == []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import pytest
@@ -59,10 +60,7 @@ def feeding_with(roster, drive: str, time_s: float, lost: int) -> bool:  # type:
         type(one)(one.name, one.cost_s, 0.9 * time_s) if one.name == drive else one
         for one in feeding.streams
     ]
-    changed = type(feeding)(
-        feeding.drives, tuple(streams), feeding.under_way_s, feeding.stop_s, feeding.lost_s
-    )
-    return changed.overload(lost=lost) is None
+    return replace(feeding, streams=tuple(streams)).overload(lost=lost) is None
 
 
 def test_the_verdict_follows_from_the_times() -> None:

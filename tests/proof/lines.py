@@ -15,7 +15,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from random import Random
 
-from lecombus.config import Roster, line_timing, parse_roster
+from lecombus.config import DriveEntry, Roster, line_timing, parse_roster
+from lecombus.config.exchanges import own_longest_s
 from lecombus.config.feeding import feeding_of, smallest
 from lecombus.drives import family
 from lecombus.planning.watchdogs import AWAY_ATTEMPTS
@@ -81,15 +82,16 @@ def line_of(seed: int, length_s: float) -> RandomLine:
         watched = [False] * len(drives)
         least_s = 1.0
     spread = random.choice((1.0, 1.2, 3.0))
+    shortest_s = [_shortest_s(drive, roster) for drive in roster.drives]
     times = [
         min(
             LONGEST_WATCHDOG_S,
             max(
-                _shortest_s(kind_of),
+                shortest_s[at],
                 least_s * random.uniform(1.0, spread) * (1.0 if short[at] else 4.0),
             ),
         )
-        for at, (_, kind_of) in enumerate(drives)
+        for at in range(len(drives))
     ]
     roster = _read(head, drives, watched, times, cyclic)
     return RandomLine(seed, kind, roster, _faults(random, kind), length_s)
@@ -129,9 +131,11 @@ def _read(
     return parse_roster(f"{head}drives:\n{''.join(entries)}", "r.yaml")
 
 
-def _shortest_s(kind: str) -> float:
-    traits = family(kind).watchdog
-    return max(traits.low_s if traits else 0.0, SHORTEST_WATCHDOG_S)
+def _shortest_s(drive: DriveEntry, roster: Roster) -> float:
+    """Give the shortest watchdog time that a drive's own exchanges allow."""
+    traits = family(drive.family).watchdog
+    own_s = own_longest_s(drive, line_timing(roster.line)) / HARD_PART
+    return max(traits.low_s if traits else 0.0, own_s, SHORTEST_WATCHDOG_S)
 
 
 def _faults(random: Random, kind: str) -> str:

@@ -27,7 +27,7 @@ from proof.invariants import Invariants
 from proof.lines import RandomLine
 from support.virtual_loop import VirtualLoop
 
-ADAPTER_S = 0.004
+ADAPTER_S = 0.008
 """Bytes are handed over in pieces of so much time, as by an adapter's latency timer."""
 START_S = 1500.0
 """Longest time granted for all drives to come online, seconds of line time."""

@@ -23,7 +23,16 @@ from lecombus.drives import (
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value
 
-__all__ = ["Times", "feed_times", "form_for", "read_times", "stop_s", "watched_s", "write_times"]
+__all__ = [
+    "Times",
+    "feed_times",
+    "form_for",
+    "own_longest_s",
+    "read_times",
+    "stop_s",
+    "watched_s",
+    "write_times",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +82,18 @@ def watched_s(drive: DriveEntry) -> float | None:
     if watchdog is None or watchdog.action == "none" or watchdog.time_s <= 0.0:
         return None
     return watchdog.time_s
+
+
+def own_longest_s(drive: DriveEntry, timing: LineTiming) -> float:
+    """Give the longest line time of one exchange that this drive is asked for anyhow, seconds.
+
+    Its reads, its feed, and the write that stops it: meanwhile nothing else can feed it.
+    """
+    of = family(drive.family)
+    codes = [of.feed_code, *(entry.code for entry in drive.cyclic)]
+    reads = [read_times(drive, code, timing).usual_s for code in codes]
+    stops = [write_times(drive, *stop_value(of, one, 0), timing).usual_s for one in of.stops]
+    return max(*reads, *stops)
 
 
 def stop_s(drive: DriveEntry, timing: LineTiming) -> float:

@@ -17,7 +17,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from lecombus.config.exchanges import feed_times, read_times, stop_s, watched_s
+from lecombus.config.exchanges import (
+    feed_times,
+    own_longest_s,
+    read_times,
+    stop_s,
+    watched_s,
+)
 from lecombus.config.models import DriveEntry, Roster
 from lecombus.config.timing import line_timing
 from lecombus.drives import LineTiming
@@ -51,6 +57,7 @@ class Feeding:
             reads, or a feed that is not answered; seconds.
         stop_s: The longest stop of another drive with its proof, seconds.
         lost_s: What one feed that is not answered costs at most, seconds.
+        own_s: For each drive, its own longest exchange: meanwhile nothing feeds it, seconds.
     """
 
     drives: tuple[DriveEntry, ...]
@@ -58,6 +65,7 @@ class Feeding:
     under_way_s: float
     stop_s: float
     lost_s: float
+    own_s: tuple[float, ...]
 
     @property
     def blocking_s(self) -> float:
@@ -119,6 +127,7 @@ def feeding_of(roster: Roster, timing: LineTiming | None = None) -> Feeding:
         under_way_s=max(asked, default=0.0),
         stop_s=max((stop_s(drive, timing) for drive in others), default=0.0),
         lost_s=max((one.worst_s for one in times), default=0.0),
+        own_s=tuple(own_longest_s(drive, timing) for drive, _ in watched),
     )
 
 
@@ -136,7 +145,7 @@ def find_unheld(roster: Roster) -> list[Unheld]:
     feeding = feeding_of(roster)
     overload = feeding.overload()
     if overload is None:
-        return []
+        return list(_too_slow(feeding, roster.line.baud))
     least_s = least_time_s(feeding)
     baud = next((baud for baud in BAUDS if baud > roster.line.baud and _holds(roster, baud)), None)
     return [
@@ -145,6 +154,19 @@ def find_unheld(roster: Roster) -> list[Unheld]:
         for drive in feeding.drives
         if least_s is None or (watched_s(drive) or math.inf) < least_s
     ]  # fmt: skip
+
+
+def _too_slow(feeding: Feeding, baud: int) -> Iterator[Unheld]:
+    """Find the drives that one exchange of their own keeps from being fed."""
+    for drive, stream, own_s in zip(feeding.drives, feeding.streams, feeding.own_s, strict=True):
+        if own_s > stream.every_s:
+            time_s = format_duration(watched_s(drive) or 0.0)
+            yield Unheld(
+                drive.name,
+                f"a watchdog of {time_s} cannot be held at {baud} baud: one exchange with this "
+                f"drive, such as its stop, takes {_ms(own_s)}, and nothing feeds it meanwhile",
+                f"a time of {written_up(own_s / HARD_PART)} or more would do",
+            )
 
 
 def least_time_s(feeding: Feeding, *, lost: int = 0) -> float | None:

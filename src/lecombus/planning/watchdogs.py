@@ -60,7 +60,7 @@ def watchdog_plans(roster: Roster, timing: LineTiming) -> list[WatchdogPlan]:
     for number, drive in enumerate(feeding.drives):
         stream = feeding.streams[number]
         traits = family(drive.family).watchdog
-        low_s = max(traits.low_s if traits else 0.0, 0.001)
+        low_s = max(traits.low_s if traits else 0.0, feeding.own_s[number] / HARD_PART)
         alike = (stream.cost_s, stream.every_s, low_s)
         if alike not in known:
             known[alike] = (
