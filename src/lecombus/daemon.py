@@ -183,6 +183,7 @@ class Daemon:
             site.store,
             site.metrics,
             custody=site.custody,
+            plan_facts=site.plan_facts,
             line_name=self._roster.line.name,
             port=self._roster.line.port,
             baud=self._roster.line.baud,

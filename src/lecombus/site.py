@@ -10,6 +10,7 @@ What must not live here: signals, sockets, HTTP (`daemon`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -21,6 +22,7 @@ from lecombus.line.port import PortOpener, PortSettings
 from lecombus.line.station import Station
 from lecombus.line.worker import LineWorker, WorkerOptions
 from lecombus.metrics import Figures, Metrics
+from lecombus.metrics.minutes import LATELY_S
 from lecombus.operations.control_words import ControlWords
 from lecombus.operations.custody import Custody
 from lecombus.operations.identities import Identities
@@ -29,8 +31,11 @@ from lecombus.operations.request_maker import RequestMaker
 from lecombus.operations.requests import Requests
 from lecombus.operations.verb_operations import VerbOperations
 from lecombus.operations.wear import Wear
+from lecombus.planning.facts import facts_of
 from lecombus.protocol.addressing import Code
+from lecombus.readings import Json
 from lecombus.schedule import Cyclic, Priority, Schedule, Settle
+from lecombus.schedule.stats import ScheduleStats
 from lecombus.state import State
 from lecombus.store import Store
 from lecombus.supervision.books import Books
@@ -187,7 +192,7 @@ class Site:
 
     def note_cadence(self) -> None:
         """Say how far the cadence is stretched, and which watchdogs ran out; once a second."""
-        stats = self.schedule.stats(self._clock())
+        stats = self._gather(self._clock())
         self.keeper.note_lapses(stats.feeds)
         stretch = stats.stretch
         self.store.set_stretch(stretch)
@@ -233,6 +238,7 @@ class Site:
             if rule.value is None:
                 others = (one.code for one in kind.stops.values() if one is not rule)
                 self.words.watch(entry.name, rule.code, moved_by=others)
+        self.metrics.minutes.expect(entry.name, tuple(one.code for one in entry.cyclic))
         self._cyclic[entry.name] = []
         for one in entry.cyclic:
             self.store.expect(entry.name, one.code, one.every_s)
@@ -259,6 +265,7 @@ class Site:
         if not kept:
             self.store.remove_drive(name)
             self.metrics.meters.remove(name)
+            self.metrics.minutes.forget(name)
 
     def _follow(self, name: str, address: int) -> None:
         """Speak to a drive at another address, until a roster says otherwise."""
@@ -290,19 +297,44 @@ class Site:
 
     def _figures(self) -> Figures:
         now = self._clock()
-        stats = self.schedule.stats(now)
+        stats = self._gather(now)
         self.store.set_stretch(stats.stretch)
+        minutes = self.metrics.minutes
         feeds = {name: feed for name, feed in stats.feeds.items() if not feed.paused}
         return Figures(
             stats.depth,
             stats.stretch,
-            stats.cyclic_late_most_s,
+            minutes.cyclic_late.most(now, LATELY_S) or 0.0,
             {name: feed.time_s - feed.age_s for name, feed in feeds.items()},
             {name: feed.lapses for name, feed in stats.feeds.items()},
             stats.refused,
             stats.cyclic_skipped + stats.cyclic_dropped,
             self.wear.figures(),
+            None if math.isinf(stats.slack_s) else stats.slack_s,
+            minutes.woken_late.most(now, LATELY_S) or 0.0,
         )
+
+    def _gather(self, now_s: float) -> ScheduleStats:
+        """Take a snapshot of the schedule into the last minutes; the only place that may."""
+        stats = self.schedule.stats(now_s)
+        minutes = self.metrics.minutes
+        minutes.cyclic_late.note(stats.cyclic_late_most_s, now_s)
+        minutes.woken_late.note(self.worker.lateness.take_s(), now_s)
+        if not math.isinf(stats.slack_s):
+            minutes.slack(stats.slack_s, now_s)
+        for name, feed in stats.feeds.items():
+            if not math.isinf(feed.margin_since_s):
+                minutes.margin(name, feed.margin_since_s, now_s)
+        return stats
+
+    def plan_facts(self) -> dict[str, Json]:
+        """Give what a plan of this line is made from, and what its last minutes showed."""
+        now_s = self._clock()
+        self._gather(now_s)
+        return {
+            "roster": facts_of(self.roster),
+            "measured": self.metrics.minutes.as_json(now_s),
+        }
 
 
 def options_of(roster: Roster) -> WorkerOptions:

@@ -48,6 +48,7 @@ async def behind_http(plant: Plant, name: str = "a") -> AsyncIterator[HttpDrive]
     """The drive as the command line sees it."""
     app = create_app(
         plant.site.operations, plant.site.store, plant.site.metrics, custody=plant.site.custody,
+        plan_facts=plant.site.plan_facts,
         line_name="t", ready=lambda: (True, ""), healthy=lambda: (True, ""),
         clock=anyio.current_time,
     )  # fmt: skip

@@ -351,3 +351,24 @@ def test_openmetrics_is_served_to_those_who_like_it(accept: str, wanted: bool) -
 @pytest.fixture
 def anyio_backend() -> str:
     return "asyncio"
+
+
+def test_slack_is_absent_while_nothing_is_fed() -> None:
+    hall = Hall()
+    assert hall.samples("schedule_slack_seconds") == {}
+    hall.now_s += 2.0
+    hall.figures = Figures(slack_s=-0.25, woken_late_s=0.004)
+    assert hall.samples("schedule_slack_seconds") == {(): -0.25}
+    hall.now_s += 2.0
+    assert hall.samples("scheduler_lateness_seconds") == {(): 0.004}
+
+
+def test_line_time_is_told_by_class() -> None:
+    hall = Hall()
+    exchange(hall)
+    found = hall.samples("line_seconds_total")
+    assert len(found) == len(Priority)
+    assert sum(found.values()) == pytest.approx(
+        sum(hall.samples("line_busy_seconds_total").values())
+    )
+    assert sum(found.values()) > 0.0

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from itertools import pairwise
 from random import Random
 
 import pytest
 
-from lecombus.schedule import Outcome, Priority
-from lecombus.schedule.feeds import HARD_PART, Feeds
+from lecombus.schedule import Outcome, Priority, Request
+from lecombus.schedule.feeds import HARD_PART, Feed, Feeding, Feeds
 from schedule.world import World
 
 P = Priority
@@ -393,3 +394,23 @@ def test_mixed_watchdogs_and_long_exchanges_all_progress() -> None:
     feeds = world.schedule.stats(60.0).feeds.values()
     assert sum(feed.misses for feed in feeds) == 0
     assert world.busy_s(P.BACKGROUND) > 20.0
+
+
+def test_the_slack_is_the_time_until_the_line_must_be_free() -> None:
+    feeds = Feeds()
+    assert math.isinf(feeds.slack_s(0.0))
+    for name, time_s in (("a", 1.0), ("b", 2.0)):
+        feeds.by_drive[name] = Feed(name, Feeding(time_s, partial(slack_feed, name)), 0.0)
+    feeds.changed()
+    assert feeds.slack_s(0.0) == pytest.approx(0.9 - 0.03)
+    assert feeds.fits(0.0, 0.86, "")
+    assert not feeds.fits(0.0, 0.88, "")
+    feeds.by_drive["a"].reached(0.5)
+    assert feeds.slack_s(0.5) == pytest.approx(1.4 - 0.03 - 0.5)
+    assert feeds.slack_s(1.395) == pytest.approx(1.8 - 0.03 - 1.395)
+    feeds.by_drive["b"].active = False
+    assert math.isinf(feeds.slack_s(1.395))
+
+
+def slack_feed(name: str) -> Request:
+    return Request(name, Priority.WATCHDOG, 0.03, 0.1, lambda outcome, reason: None)

@@ -67,6 +67,7 @@ from lecombus.api.documents import (
 from lecombus.api.exact import encode, short
 from lecombus.api.idempotency import Idempotency, SharedStops
 from lecombus.api.pages import KeptPage
+from lecombus.api.planned import add_plan
 from lecombus.api.problems import Problem, problem_of, report_problem
 from lecombus.api.seam import CustodyPort, OperationsPort
 from lecombus.api.stops import PlainStops
@@ -91,6 +92,7 @@ def create_app(
     metrics: Metrics,
     *,
     custody: CustodyPort,
+    plan_facts: Callable[[], dict[str, Json]],
     line_name: str,
     ready: Check,
     healthy: Check,
@@ -106,6 +108,7 @@ def create_app(
         store: What is known.
         metrics: The metrics page.
         custody: What looking after drives takes besides reading and writing.
+        plan_facts: What a plan is made from, and what the last minutes showed.
         line_name: The line's name.
         ready: Whether the line is open and every drive was tried once.
         healthy: Whether the line task makes progress.
@@ -134,6 +137,7 @@ def create_app(
     add_verbs(app, ops, keys)
     add_custody(app, custody, keys)
     add_diagnosis(app, ops)
+    add_plan(app, plan_facts)
     add_service(app, metrics, ready, healthy)
     add_description(app)
     app.add_middleware(PlainStops, ops=ops)

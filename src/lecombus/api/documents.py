@@ -26,6 +26,7 @@ __all__ = [
     "IdentityDocument",
     "LineDocument",
     "OutcomeDocument",
+    "PlanDocument",
     "ProblemDocument",
     "ReadingDocument",
     "RestoreDocument",
@@ -208,6 +209,18 @@ class WearDocument(Document):
     burst: Annotated[int, Field(description="Writes of one code that may follow each other")]
     every_s: Annotated[Exact, Field(description="Until one more may follow; 0: no limit")]
     codes: list[CodeWearDocument]
+
+
+class PlanDocument(Document):
+    """What a plan of the running line is made from, and what its last five minutes showed."""
+
+    roster: Annotated[
+        dict[str, Any], Field(description="The line and the drives, as far as a plan needs them")
+    ]
+    measured: Annotated[
+        dict[str, Any],
+        Field(description="Waits and line time by class, margins by drive, gaps by cyclic code"),
+    ]
 
 
 class FindingDocument(Document):

@@ -8,8 +8,10 @@ from pathlib import Path
 
 import click
 
-from lecombus.cli.arguments import json_option, roster_option
+from lecombus.cli.arguments import daemon_options
+from lecombus.cli.client import connect
 from lecombus.cli.exits import Exit
+from lecombus.cli.plan_live import live_of, show_live
 from lecombus.cli.screen import show_rows
 from lecombus.config import Roster, line_timing, load_roster
 from lecombus.durations import format_duration
@@ -21,21 +23,45 @@ __all__ = ["command"]
 
 
 @click.command("plan")
-@roster_option
-@json_option
+@click.option(
+    "-c",
+    "--config",
+    "roster",
+    metavar="ROSTER",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="The roster: a YAML file that describes the line.",
+)
+@click.option("--live", is_flag=True, help="Compare the running daemon's line with its promise.")
+@daemon_options
 @click.option(
     "--svg",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
     help="Draw the line over one hyperperiod into FILE.",
 )
-def command(roster: Path, as_json: bool, svg: Path | None) -> int:
+def command(
+    roster: Path | None,
+    live: bool,
+    socket: str | None,
+    url: str | None,
+    as_json: bool,
+    svg: Path | None,
+) -> int:
     """Say what a line can hold and how long everything waits at most, before it runs.
 
     No port is opened. A roster whose watchdogs cannot be held is refused with the arithmetic, as
     by check. The promises hold while every drive answers and at most one exchange is lost; they are
     reckoned with the same costs that the schedule and the time-outs use.
+
+    With --live the running daemon is asked instead of a roster (--socket, --url): its promises
+    stand beside what the last five minutes of its line showed, and what is beyond them is said.
     """
+    if live:
+        return _live(roster, svg, socket, url, as_json=as_json)
+    if roster is None:
+        raise click.UsageError("-c ROSTER is missing; or --live for the line that is running")
+    if socket or url:
+        raise click.UsageError("--socket and --url say which line is running: give --live as well")
     loaded = load_roster(roster)
     plan = make_plan(loaded)
     if svg is not None:
@@ -44,6 +70,20 @@ def command(roster: Path, as_json: bool, svg: Path | None) -> int:
         click.echo(json.dumps(plan.as_json(), ensure_ascii=False))
     else:
         _show(plan)
+    return Exit.DONE
+
+
+def _live(
+    roster: Path | None, svg: Path | None, socket: str | None, url: str | None, *, as_json: bool
+) -> int:
+    if roster is not None or svg is not None:
+        raise click.UsageError("--live takes the running daemon's roster: leave out -c and --svg")
+    with connect(socket, url) as daemon:
+        found = live_of(daemon.get("/v1/plan"))
+    if as_json:
+        click.echo(json.dumps(found.as_json(), ensure_ascii=False))
+    else:
+        show_live(found)
     return Exit.DONE
 
 

@@ -70,5 +70,6 @@ class Aftermath:
                 quarantined_s,
                 request.members,
                 job.station.address,
+                request.attempts,
             )
         )

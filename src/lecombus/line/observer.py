@@ -28,6 +28,7 @@ class ExchangeReport:
         quarantined_s: How long the line is left alone because of it.
         members: For a multicast: the drives it reached.
         address: Who was spoken to; by now the name may be another device's.
+        attempt: Which exchange of its request it was, 1 for the first.
     """
 
     drive: str
@@ -38,6 +39,7 @@ class ExchangeReport:
     quarantined_s: float
     members: tuple[str, ...] = ()
     address: int = 0
+    attempt: int = 1
 
 
 class Observer(Protocol):

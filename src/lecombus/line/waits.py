@@ -13,15 +13,39 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
-__all__ = ["Deadline", "Nap"]
+__all__ = ["Deadline", "Lateness", "Nap"]
+
+
+class Lateness:
+    """How late what waits for a time was woken at most: the machine's part in every delay."""
+
+    __slots__ = ("_most_s",)
+
+    def __init__(self) -> None:
+        self._most_s = 0.0
+
+    def note(self, late_s: float) -> None:
+        """Take one; who was nudged before the time was not late."""
+        if late_s > self._most_s:
+            self._most_s = late_s
+
+    def take_s(self) -> float:
+        """Give the most since the last call."""
+        most_s, self._most_s = self._most_s, 0.0
+        return most_s
 
 
 class Nap:
-    """Lets one task sleep until a time, or until nudged."""
+    """Lets one task sleep until a time, or until nudged.
 
-    __slots__ = ("_future",)
+    Args:
+        lateness: Told how late it was woken.
+    """
 
-    def __init__(self) -> None:
+    __slots__ = ("_future", "_lateness")
+
+    def __init__(self, lateness: Lateness) -> None:
+        self._lateness = lateness
         self._future: asyncio.Future[None] | None = None
 
     def nudge(self) -> None:
@@ -38,6 +62,7 @@ class Nap:
             self._future = nap
         try:
             await nap
+            self._lateness.note(loop.time() - at_s)
         finally:
             self._future = None
             timer.cancel()

@@ -48,7 +48,7 @@ from .stall import StallWatch
 from .station import Job
 from .stop_job import StopJob
 from .strays import Strays
-from .waits import Deadline, Nap
+from .waits import Deadline, Lateness, Nap
 
 __all__ = ["ExchangeReport", "LineWorker", "Observer", "WorkerOptions"]
 
@@ -97,7 +97,8 @@ class LineWorker:
         self._run: asyncio.Future[None] | None = None
         self._pause: asyncio.TimerHandle | None = None
         self._deadline = Deadline(self._on_deadline)
-        self._nap = Nap()
+        self.lateness = Lateness()
+        self._nap = Nap(self.lateness)
         self._silence = Silence(options.turnaround_s)
         self._stall = StallWatch(options.stall_s)
         self._stop_waiting = False
@@ -381,8 +382,10 @@ class LineWorker:
     def _go_on(self) -> None:
         """Say the next thing at once where the line is free; else leave it to the worker's task."""
         loop = asyncio.get_running_loop()
-        self._pause = None
         now = loop.time()
+        if self._pause is not None:
+            self.lateness.note(now - self._pause.when())
+        self._pause = None
         if not self._closing and not self._connection.is_lost and self._silence.is_over(now):
             if now < self._silence.free_at_s:
                 self._publish()

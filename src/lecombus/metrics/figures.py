@@ -31,12 +31,14 @@ class Figures:
     Args:
         queue_depth: Requests waiting, by class.
         stretch: How far the cyclic cadence is stretched, 1 or more.
-        lateness_s: How late the latest cyclic read is, seconds.
+        lateness_s: How late the latest cyclic read of late was, seconds.
         watchdog_margin_s: By drive, time left until its watchdog would fire, seconds.
         watchdog_misses: By drive, how often a feed came too late.
         refused: By class, requests the schedule refused so far.
         cyclic_skipped: Cyclic reads passed over so far.
         writes: By drive and code, writes that may have reached the drive's memory, for ever.
+        slack_s: Time left until the line must be free for feeding; None: nothing is fed.
+        woken_late_s: How late the line's task was woken at most of late, seconds.
     """
 
     queue_depth: Mapping[Priority, int] = field(default_factory=dict)
@@ -47,6 +49,8 @@ class Figures:
     refused: Mapping[Priority, int] = field(default_factory=dict)
     cyclic_skipped: int = 0
     writes: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    slack_s: float | None = None
+    woken_late_s: float = 0.0
 
 
 class LineFigures:
@@ -63,7 +67,18 @@ class LineFigures:
         self._stretch = gauge(
             "cyclic_stretch_ratio", "1 when every cyclic read keeps its period, 2 at half the rate."
         )
-        self._late = gauge("cyclic_lateness_seconds", "How late the latest cyclic read is.")
+        self._late = gauge(
+            "cyclic_lateness_seconds",
+            "How late the latest cyclic read of the last half minute was.",
+        )
+        self._woken = gauge(
+            "scheduler_lateness_seconds",
+            "How late the line's task was woken at most in the last half minute.",
+        )
+        self._slack = gauge(
+            "schedule_slack_seconds",
+            "Time left until the line must be free for feeding; absent while nothing is fed.",
+        )
         self._margin = gauge(
             "watchdog_margin_seconds", "Time left until the drive's watchdog would fire."
         )
@@ -86,7 +101,7 @@ class LineFigures:
         """The families, in the order of the page."""
         return (
             *(self._up, self._depth, self._refused, self._stretch, self._late, self._skipped),
-            *(self._margin, self._misses, self._writes),
+            *(self._woken, self._slack, self._margin, self._misses, self._writes),
         )
 
     def render(self, store: Store, figures: Figures) -> None:
@@ -96,6 +111,9 @@ class LineFigures:
         self._up.lines.append(f"{self._up.name}{{{line}}} {int(up)}")
         self._stretch.lines.append(f"{self._stretch.name}{{{line}}} {figures.stretch!r}")
         self._late.lines.append(f"{self._late.name}{{{line}}} {figures.lateness_s!r}")
+        self._woken.lines.append(f"{self._woken.name}{{{line}}} {figures.woken_late_s!r}")
+        if figures.slack_s is not None:
+            self._slack.lines.append(f"{self._slack.name}{{{line}}} {figures.slack_s!r}")
         self._skipped.lines.append(f"{self._skipped.name}_total{{{line}}} {figures.cyclic_skipped}")
         for priority in Priority:
             depth = figures.queue_depth.get(priority, 0)

@@ -79,6 +79,7 @@ class Meters:
             )
             for priority in Priority
         }
+        self._taken = {priority: self._line_seconds(priority) for priority in Priority}
         self._ended = {priority: self._outcomes(priority) for priority in Priority}
         self._make_plain()
 
@@ -126,6 +127,7 @@ class Meters:
         self._took[kind].observe(took_s)
         self._waited[priority].observe(waited_s)
         self._busy.inc(busy_s)
+        self._taken[priority].inc(busy_s)
         if outcome == "echo":
             self.echo_mismatches.inc()
 
@@ -176,6 +178,16 @@ class Meters:
         parent = Counter(f"lecombus_{name}_total", text, ("line",), registry=None)
         self._parents[name] = [parent]
         return parent.labels(self.line)
+
+    def _line_seconds(self, priority: Priority) -> Counter:
+        parent = Counter(
+            "lecombus_line_seconds_total",
+            "Time the line was taken, by the class of what took it; quarantine included.",
+            ("line", "priority"),
+            registry=None,
+        )
+        self._parents.setdefault("line_seconds", []).append(parent)
+        return parent.labels(self.line, label_of(priority))
 
     def _outcomes(self, priority: Priority) -> dict[Outcome, Counter]:
         parent = Counter(

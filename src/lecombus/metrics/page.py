@@ -23,6 +23,7 @@ from prometheus_client.metrics import MetricWrapperBase
 
 from lecombus.metrics.figures import DriveFigures, Figures, LineFigures
 from lecombus.metrics.meters import Meters
+from lecombus.metrics.minutes import Minutes
 from lecombus.metrics.text import Block, escape, join_blocks, sample_lines
 from lecombus.store import Store
 
@@ -62,6 +63,7 @@ class Metrics:
         figures: Callable[[], Figures] = Figures,
     ) -> None:
         self.meters = Meters(line)
+        self.minutes = Minutes(clock())
         self.figures = figures
         self.wanted = False
         self._line = line

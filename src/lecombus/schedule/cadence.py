@@ -195,6 +195,7 @@ class Cadence:
     def take(self, entry: Entry, now_s: float) -> Request:
         """Run the slot of an entry now, whether due or early, and set its next one."""
         request = entry.made()
+        request.submitted_at_s = min(now_s, entry.due_v + self.offset_s)
         entry.request = None
         entry.served += 1
         self._pass_slot(entry, now_s)

@@ -77,6 +77,7 @@ class Feed:
         "left_out",
         "margin_last_s",
         "margin_least_s",
+        "margin_since_s",
         "missed",
         "misses",
         "request",
@@ -98,7 +99,7 @@ class Feed:
         self.held_until_s = self.retry_at_s = -math.inf
         self.left_out = False  # of the slack check: too late to be in time
         self.fed = self.failures = self.misses = self.lapses = 0
-        self.margin_last_s = self.margin_least_s = math.inf
+        self.margin_last_s = self.margin_least_s = self.margin_since_s = math.inf
         self._count_from(now_s)
 
     def _count_from(self, at_s: float) -> None:
@@ -134,6 +135,8 @@ class Feed:
         self.margin_last_s = margin_s
         if margin_s < self.margin_least_s:
             self.margin_least_s = margin_s
+        if margin_s < self.margin_since_s:
+            self.margin_since_s = margin_s
         self.judge(started_s)
         self.fed += 1
         self._count_from(started_s)
@@ -337,6 +340,19 @@ class Feeds:
         else:  # it presses, and whoever could be fed may not be spoken to yet
             times += [at_s for feed in feeds if (at_s := feed.free_s()) > now_s]
         return min(times)
+
+    def slack_s(self, now_s: float) -> float:
+        """Tell how long it is until the line must be free for feeding; changes nothing.
+
+        Infinite while nothing is fed. Feeds that can no longer be in time do not count.
+        """
+        latest_s, total_s = math.inf, 0.0
+        for feed in sorted(self.by_drive.values(), key=_hard):
+            late = max(now_s, feed.free_s()) + feed.cost_s > feed.hard_s + ROUNDING_S
+            if feed.active and not late:
+                total_s += feed.cost_s
+                latest_s = min(latest_s, feed.hard_s - total_s)
+        return latest_s - now_s
 
     def room(self, now_s: float, worst_s: float, drive: str) -> Feed | None:
         """Choose the feed to run first so that an exchange that does not fit may follow.

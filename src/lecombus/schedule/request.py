@@ -69,7 +69,7 @@ class Request:
         motion: A stop for the drive ends it while it waits.
         stops: For a stop: the drives whose waiting motion writes it ends.
         members: For a multicast: the drives it reaches.
-        submitted_at_s: When the schedule took it.
+        submitted_at_s: When the schedule took it; for a cyclic slot, when it was due.
         cut_outcome: How it ends when a stop, a later request, a parked drive or a lost line cuts
             it off between two of its steps. The line sets it as soon as something went out that
             may have changed the drive (`UNKNOWN`), and again once that was acknowledged (`DONE`).

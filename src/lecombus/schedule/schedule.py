@@ -357,6 +357,7 @@ class Schedule:
             self._waiting.leave(request)
         else:
             self._waiting.number(request)
+            request.submitted_at_s = now_s
             source = request.source
             if type(source) is Entry:
                 self._cadence.take(source, now_s)
@@ -489,7 +490,7 @@ class Schedule:
         self._waiting.end_all(self._waiting.listed(stops=True), Outcome.REFUSED, reason)
 
     def stats(self, now_s: float) -> ScheduleStats:
-        """Take a snapshot; it begins a new measure of the latest cyclic start."""
+        """Take a snapshot; it begins new measures (see `stats`)."""
         return snapshot(
             self._waiting, self._feeds, self._cadence, self._probes, self._speaking_to, now_s
         )

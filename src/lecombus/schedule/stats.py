@@ -1,11 +1,12 @@
 """A snapshot of a schedule for metrics and status; plain numbers, taken on request.
 
 The counting is done where things happen; here it is only gathered. Taking a snapshot changes
-nothing except that it begins a new measure of the latest cyclic start.
+nothing except that it begins new measures of the latest cyclic start and of the least margins.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -27,6 +28,7 @@ class FeedStats:
         age_s: Time since the drive was last fed.
         margin_last_s: What was left of the watchdog time at the last feed; infinite before it.
         margin_least_s: The least ever left.
+        margin_since_s: The least left since the last snapshot; infinite: not fed since.
         fed: Exchanges that fed it.
         failures: Exchanges in a row that it did not answer.
         misses: Times the hard deadline passed unfed.
@@ -38,6 +40,7 @@ class FeedStats:
     age_s: float
     margin_last_s: float
     margin_least_s: float
+    margin_since_s: float
     fed: int
     failures: int
     misses: int
@@ -61,6 +64,7 @@ class ScheduleStats:
         expired: Requests expired by class.
         superseded: Requests superseded by class, those ended by a stop included.
         probes_refused: Probes that could not be run without making a feed late.
+        slack_s: Time left until the line must be free for feeding; infinite: nothing is fed.
     """
 
     depth: Mapping[Priority, int]
@@ -74,6 +78,7 @@ class ScheduleStats:
     expired: Mapping[Priority, int]
     superseded: Mapping[Priority, int]
     probes_refused: int
+    slack_s: float
 
 
 def snapshot(
@@ -115,15 +120,18 @@ def snapshot(
         expired=by_class[Outcome.EXPIRED],
         superseded=by_class[Outcome.SUPERSEDED],
         probes_refused=sum(probe.refused for probe in probes.by_drive.values()),
+        slack_s=feeds.slack_s(now_s),
     )
 
 
 def _feed_stats(feed: Feed, now_s: float) -> FeedStats:
+    since_s, feed.margin_since_s = feed.margin_since_s, math.inf
     return FeedStats(
         time_s=feed.time_s,
         age_s=now_s - feed.fed_at_s,
         margin_last_s=feed.margin_last_s,
         margin_least_s=feed.margin_least_s,
+        margin_since_s=since_s,
         fed=feed.fed,
         failures=feed.failures,
         misses=feed.misses,

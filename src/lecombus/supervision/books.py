@@ -87,6 +87,7 @@ class Books:
             if type(answer) is ValueAnswer:
                 code = report.step.code
                 self._store.value_read(report.drive, code, answer.value, result.ended_s)
+                self._metrics.minutes.value(report.drive, code, result.ended_s)
                 self._words.seen(report.drive, code, answer.value)
                 self._faults.seen(report.drive, code, answer.value)
                 self._configurations.seen(report.drive, code, answer.value)
@@ -136,6 +137,14 @@ class Books:
             busy_s=took_s + report.quarantined_s,
             priority=report.priority,
             waited_s=report.waited_s,
+        )
+        first_wait_s = max(report.waited_s, 0.0) if report.attempt == 1 else None
+        self._metrics.minutes.exchange(
+            report.priority,
+            took_s + report.quarantined_s,
+            first_wait_s,
+            result.ended_s,
+            good=result.kind is ResultKind.ANSWERED or result.kind is ResultKind.SENT,
         )
         if result.late:
             meters.late_answers.inc(result.late)

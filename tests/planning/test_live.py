@@ -1,0 +1,128 @@
+"""A promise beside what a running line showed: simulated lines on the virtual clock."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import anyio
+import pytest
+
+from lecombus.api.exact import encode
+from lecombus.planning import make_plan
+from lecombus.planning.facts import facts_of, roster_of
+from lecombus.planning.live import LivePlan, compare
+from lecombus.protocol.addressing import Code
+from support.site_host import Plant, with_plant
+from support.site_host import roster_of as written
+
+WATCHED = ", watchdog: {time: 2s, action: inhibit, configure: true}"
+DRIVES = [("a", 1, "8200vector"), ("b", 2, "smvector"), ("c", 3, "821x")]
+
+
+def carried(plant: Plant) -> Any:
+    """The facts as they come out of JSON."""
+    return json.loads(encode(plant.site.plan_facts()))
+
+
+def live_of(plant: Plant) -> LivePlan:
+    found = carried(plant)
+    return compare(roster_of(found["roster"]), found["measured"])
+
+
+async def work(plant: Plant, seconds: int) -> None:
+    """Let a line run, looked at once a second as the daemon does."""
+    for _ in range(seconds):
+        plant.site.note_cadence()
+        await anyio.sleep(1.0)
+
+
+def test_what_is_carried_plans_the_same() -> None:
+    async def test(plant: Plant) -> None:
+        found = roster_of(carried(plant)["roster"])
+        assert make_plan(found) == make_plan(plant.roster)
+        assert facts_of(found) == facts_of(plant.roster)
+
+    drive = WATCHED + ", answer_time: 90ms, addressing: standard"
+    with_plant(test, written([("a", 1, "8200vector"), ("b", 2, "821x")], drive=drive))
+
+
+def test_a_line_that_works_keeps_what_was_promised() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await work(plant, 330)
+        for _ in range(20):
+            await plant.site.operations.read("a", Code(61))
+            await anyio.sleep(0.3)
+        live = live_of(plant)
+        assert live.beyond == ()
+        assert live.window_s == 300.0
+        classes = {one.name: one for one in live.classes}
+        asked = classes["interactive"]
+        assert asked.waits == 20
+        assert asked.median_s is not None
+        assert asked.most_s is not None
+        assert 0.0 < asked.median_s <= 1.2 * asked.most_s <= 1.2 * asked.quiet_s
+        read = classes["cyclic"]
+        assert read.load is not None
+        assert read.used == pytest.approx(read.load, rel=0.35)
+        assert {one.drive for one in live.drives} == {"a", "b", "c"}
+        assert all(one.least_s and one.promised_s <= one.least_s < 2.0 for one in live.drives)
+        assert all(one.longest_s and one.longest_s >= 0.9 * one.asked_s for one in live.codes)
+        assert live.slack_s is not None
+        assert 0.0 < live.slack_s < 1.8
+
+    with_plant(test, written(DRIVES, drive=WATCHED))
+
+
+def test_what_is_beyond_the_promise_is_said() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await work(plant, 20)
+        plant.power_cycle("b", 60.0)
+        await work(plant, 30)
+        live = live_of(plant)
+        said = "\n".join(live.beyond)
+        assert "watchdog" not in said
+        assert " of b: seldomer than promised" in said
+        assert " of a: " not in said
+        assert live.failed > 0
+        assert live.as_json()["beyond"] == list(live.beyond)
+
+    with_plant(test, written(DRIVES))
+
+
+def test_old_measures_are_forgotten() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await work(plant, 330)  # coming online asks for much
+        await plant.site.operations.read("a", Code(61))
+        assert class_of(live_of(plant), "interactive").waits == 1
+        await work(plant, 280)
+        assert class_of(live_of(plant), "interactive").waits == 1
+        await work(plant, 80)
+        found = class_of(live_of(plant), "interactive")
+        assert (found.waits, found.most_s, found.median_s) == (0, None, None)
+        assert found.verdict == "nothing measured"
+
+    with_plant(test, written(DRIVES))
+
+
+def test_an_unwatched_line_names_no_watchdog() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await work(plant, 15)
+        live = live_of(plant)
+        assert live.drives == ()
+        assert live.slack_s is None
+        watchdog = class_of(live, "watchdog")
+        assert math.isinf(watchdog.quiet_s)
+        assert live.as_json()["classes"][2]["quiet_s"] is None
+        json.dumps(live.as_json(), allow_nan=False)
+
+    with_plant(test, written(DRIVES))
+
+
+def class_of(live: LivePlan, name: str) -> Any:
+    return next(one for one in live.classes if one.name == name)
