@@ -25,7 +25,7 @@ ABSENT = (0, 3, 10)
 TURN_S = 4.0
 FOUND_OUT_S = 20.0
 LONGEST_ROUND_S = 60.0
-MOST_ROUNDS = 3
+MOST_ROUNDS = 2
 KEPT = 0.85
 """Of the cycles with none absent, what is kept with ten of 31 absent."""
 

@@ -17,12 +17,12 @@ What must not live here: telegrams, time-outs, who goes first.
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import logging
 from collections.abc import Callable, Mapping
 
 import anyio
-from anyio.abc import TaskGroup
 
 from lecombus.config import DriveEntry
 from lecombus.errors import LecombusError
@@ -45,6 +45,22 @@ LONGEST_RETRY_S = 30.0
 
 SLOW_S = 0.1
 """Audits of modules whose own codes take longer than this to read are made one after the other."""
+
+
+class _Running:
+    """An audit that runs or is about to."""
+
+    __slots__ = ("cancelled", "scope")
+
+    def __init__(self) -> None:
+        self.cancelled = False
+        self.scope: anyio.CancelScope | None = None
+
+    def cancel(self) -> None:
+        """End it, whether it has begun or not."""
+        self.cancelled = True
+        if self.scope is not None:
+            self.scope.cancel()
 
 
 class Keeper:
@@ -75,27 +91,28 @@ class Keeper:
         self._gates = gates
         self._clock = clock
         self._entries: dict[str, DriveEntry] = {}
-        self._auditing: dict[str, anyio.CancelScope] = {}
+        self._auditing: dict[str, _Running] = {}
         self._again: set[str] = set()
         self._lapses: dict[str, int] = {}
         self._run_out: set[str] = set()
-        self._tasks: TaskGroup | None = None
-        self._waiting: list[str] = []
+        self._waiting: list[tuple[str, _Running]] = []
+        self._wanted = asyncio.Event()
         self._one_at_a_time = anyio.Lock()
         self._health = health
         self.tried: set[str] = set()
 
     async def run(self) -> None:
-        """Audit whatever asks for it, for as long as the daemon lives."""
+        """Audit whatever asks for it, for as long as the daemon lives.
+
+        Audits are asked for by the line's callbacks too, which are no tasks and cannot start one.
+        """
         async with anyio.create_task_group() as tasks:
-            self._tasks = tasks
-            for name in self._waiting:
-                self.audit_soon(name)
-            self._waiting.clear()
-            try:
-                await anyio.sleep_forever()
-            finally:
-                self._tasks = None
+            while True:
+                await self._wanted.wait()
+                self._wanted.clear()
+                waiting, self._waiting = self._waiting, []
+                for name, audit in waiting:
+                    tasks.start_soon(self._audit_within, name, audit)
 
     def add_drive(self, entry: DriveEntry) -> None:
         """Keep a drive from now on: feed it by the roster's word until the audit knows more."""
@@ -113,17 +130,18 @@ class Keeper:
 
     def audit_soon(self, name: str) -> None:
         """Audit a drive; a drive under audit is audited once more when that has ended."""
-        if self._tasks is None:
-            self._waiting.append(name)
-        elif name in self._auditing:
+        if name in self._auditing:
             self._again.add(name)
-        else:
-            audit = self._auditing[name] = anyio.CancelScope()
-            self._tasks.start_soon(self._audit_within, name, audit)
+            return
+        audit = self._auditing[name] = _Running()
+        self._waiting.append((name, audit))
+        self._wanted.set()
 
-    async def _audit_within(self, name: str, audit: anyio.CancelScope) -> None:
+    async def _audit_within(self, name: str, audit: _Running) -> None:
         """Audit a drive for as long as it is the drive it was: a reload cancels its audit."""
-        with audit:
+        with anyio.CancelScope() as audit.scope:
+            if audit.cancelled:
+                return
             await self._audit_until_done(name)
         if self._auditing.get(name) is audit:
             del self._auditing[name]
