@@ -43,6 +43,7 @@ COMMANDS = {
     "inhibit": "Inhibit drives at once, before everything else.",
     "stop": "Stop drives at once, before everything else; all of them if none is named.",
     "readdress": "Give a drive another address, and follow it there.",
+    "rebaud": "Give all drives of a line another baud rate, with the daemon stopped.",
     "wear": "Show how often a drive's memory was written.",
     "accept": "Take another drive in the place of the one that was there.",
     "describe": "Say what is known of the codes of a family of drives.",
@@ -90,9 +91,9 @@ class _Commands(click.Group):
 def lecombus() -> None:
     """Speak LECOM-A/B with a line of Lenze drives.
 
-    demo, run, check, plan and simulate work on a roster, describe on nothing, all others talk to a
-    running daemon; read and scan open a port themselves if told to. lecombus is not a safety
-    function: have an emergency stop without software.
+    demo, run, check, plan, simulate and rebaud work on a roster, describe on nothing, all others
+    talk to a running daemon; read and scan open a port themselves if told to. lecombus is not a
+    safety function: have an emergency stop without software.
     """
 
 

@@ -1,4 +1,4 @@
-"""A port of our own, for the commands that need no daemon: `read --port` and `scan --port`.
+"""A port of our own, for what needs no daemon: `read --port`, `scan --port` and `rebaud`.
 
 The same worker as in the daemon speaks on it, so time-outs, parity, echo, quarantine and doubts
 are those that a line has. A port that is in use is refused by `line` when it is opened.
@@ -27,6 +27,9 @@ __all__ = ["OwnLine", "own_line"]
 STRAYS_KEPT = 256
 """Bytes nobody asked for that are kept; the rest is only more of the same."""
 
+OPTIONS = WorkerOptions(stall_s=0.0)
+"""A line may be silent for as long as it likes here: nobody is on it, perhaps."""
+
 
 class OwnLine:
     """An open port with a worker on it, and the ears of whoever has it.
@@ -35,6 +38,7 @@ class OwnLine:
         settings: The port.
         timing: Its times.
         retries: How often a failed read is repeated.
+        options: How the line is worked.
 
     Attributes:
         requests: What is asked goes through here.
@@ -43,12 +47,12 @@ class OwnLine:
         disturbances: How often something came that was no answer to its question.
     """
 
-    def __init__(self, settings: PortSettings, timing: LineTiming, retries: int) -> None:
+    def __init__(
+        self, settings: PortSettings, timing: LineTiming, retries: int, options: WorkerOptions
+    ) -> None:
         self.known = anyio.Event()
         self.error: LineLostError | None = None
         self.schedule = Schedule()
-        # A line may be silent for as long as it likes here: nobody is on it, perhaps.
-        options = WorkerOptions(stall_s=0.0)
         self.worker = LineWorker(settings, self._open, self.schedule, timing, options, self)
         self.requests = Requests(self.worker, RequestMaker(timing, retries, _count), time.monotonic)
         self.bytes_heard = 0
@@ -110,7 +114,11 @@ def _count(priority: Priority, outcome: Outcome) -> None:
 
 @asynccontextmanager
 async def own_line(
-    settings: PortSettings, timing: LineTiming, *, retries: int
+    settings: PortSettings,
+    timing: LineTiming,
+    *,
+    retries: int,
+    options: WorkerOptions = OPTIONS,
 ) -> AsyncIterator[OwnLine]:
     """Open a port for the length of a block.
 
@@ -118,11 +126,12 @@ async def own_line(
         settings: The port.
         timing: Its times.
         retries: How often a failed read is repeated.
+        options: How the line is worked.
 
     Raises:
         LecombusError: The port cannot be opened, or what the block raises.
     """
-    line = OwnLine(settings, timing, retries)
+    line = OwnLine(settings, timing, retries, options)
     failure: LecombusError | None = None
     async with anyio.create_task_group() as tasks:
         tasks.start_soon(line.worker.run)

@@ -23,7 +23,7 @@ from .family import (
 )
 from .faults import Fault, FaultKind
 from .loading import FAMILY_NAMES, family, load_family
-from .moves import address_code, moves_drive, shifts_addressing
+from .moves import address_code, baud_code, baud_numbers, moves_drive, shifts_addressing
 from .operating import OperatingState, StateRule, join_states
 from .restoring import (
     RestoreRule,
@@ -81,6 +81,8 @@ __all__ = [
     "WordInfo",
     "WriteClass",
     "address_code",
+    "baud_code",
+    "baud_numbers",
     "check_allowed",
     "confirm_codes",
     "encode_for",

@@ -6,24 +6,29 @@ in P410 and P411 (C1410, C1411), and its P403 puts both back to their defaults. 
 what every later standard-addressed telegram reaches; they are named where a family describes them,
 for in another device they are codes like any other.
 
-What must not live here: doing it (`operations.readdress`).
+What must not live here: doing it (`operations.readdress`, `rebaud`).
 Source: EDB2102EN 5, 8.2 (C0009, C0125, C0248, C0249); CMVLC401A 4.1 (P403), 4.2 (P410, P411).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final
 
 from lecombus.protocol.addressing import Code
 
 from .family import Family
 
-__all__ = ["address_code", "moves_drive", "shifts_addressing"]
+__all__ = ["address_code", "baud_code", "baud_numbers", "moves_drive", "shifts_addressing"]
 
 LECOM_ADDRESS: Final = Code(9)
 SMV_ADDRESS: Final = Code(1410)
 ADDRESSES: Final = frozenset({LECOM_ADDRESS, SMV_ADDRESS})
-BAUDS: Final = frozenset({Code(125), Code(1411)})
+LECOM_BAUD: Final = Code(125)
+SMV_BAUD: Final = Code(1411)
+BAUDS: Final = frozenset({LECOM_BAUD, SMV_BAUD})
+GUESSED_NUMBERS: Final = {9600: 0, 4800: 1, 2400: 2, 1200: 3, 19200: 4}
+"""What C0125 means in a 2102 module, and the best guess for a device of which nothing is known."""
 MODULE_RESET: Final = Code(1403)
 SHIFTING: Final = frozenset({Code(248), Code(249)})
 
@@ -55,3 +60,21 @@ def shifts_addressing(family: Family, code: Code) -> bool:
 def address_code(family: Family) -> Code:
     """Give the code that holds a drive's own address."""
     return SMV_ADDRESS if family.info(SMV_ADDRESS) is not None else LECOM_ADDRESS
+
+
+def baud_code(family: Family) -> Code:
+    """Give the code that holds a drive's baud rate."""
+    return SMV_BAUD if family.info(SMV_BAUD) is not None else LECOM_BAUD
+
+
+def baud_numbers(family: Family) -> Mapping[int, int]:
+    """Give the number of each baud rate that a drive knows, by bit/s.
+
+    Of a device that is not described a 2102 module's numbers are guessed.
+
+    Source: EDB2102EN 8.2 (C0125); CMVLC401A 4.2 (P411).
+    """
+    info = family.info(baud_code(family))
+    if info is None:
+        return GUESSED_NUMBERS
+    return {int(text.en.split()[0]): number for number, text in info.selection.items()}

@@ -391,7 +391,10 @@ def refuse_moving(drive: str, family: Family, code: Code) -> None:
         OperationError: `not-writable`.
     """
     moved = moves_drive(family, code)
-    remedy = f"change an address by `lecombus readdress {drive} NEW`; a baud rate at the keypad"
+    remedy = (
+        f"change an address by `lecombus readdress {drive} NEW`, a baud rate by `lecombus rebaud` "
+        "with the daemon stopped"
+    )
     if moved is None and shifts_addressing(family, code):
         moved = "moves what every later telegram in standard addressing reaches"
         remedy = "name a subcode after the code instead, as in C0039/1"

@@ -19,19 +19,17 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from lecombus.config import DriveEntry
-from lecombus.errors import CodeValueError, OperationError
+from lecombus.drives.identity import is_identity, is_same_text, text_of
+from lecombus.errors import OperationError
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 from lecombus.readings import IDENTITY_LOCK, Json, rfc3339
 from lecombus.state import State
 from lecombus.store import Store
 
-__all__ = ["Identities", "IdentityReport", "identity_codes", "text_of"]
+__all__ = ["Identities", "IdentityReport"]
 
 logger = logging.getLogger(__name__)
-
-SOFTWARE_CODES = (Code(200), Code(201))
-"""Software and its date: not in the 2102 module's manual, but behind it most drives have them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +103,7 @@ class Identities:
         entry, record = self._entries[name], self._state.drive(name).identity
         return [
             code for code, value in found.items()
-            if not _is(value, entry.identity.get(code, record.get(str(code))))
+            if not is_identity(value, entry.identity.get(code, record.get(str(code))))
         ]  # fmt: skip
 
     def judge(self, name: str, found: Mapping[Code, Value]) -> None:
@@ -169,7 +167,7 @@ class Identities:
             )
         against = [
             code for code, text in self._entries[name].identity.items()
-            if str(code) in report.found and not _same(report.found[str(code)], text)
+            if str(code) in report.found and not is_same_text(report.found[str(code)], text)
         ]  # fmt: skip
         if against:
             raise OperationError(
@@ -232,38 +230,6 @@ class Identities:
         if text is not None and text != before:
             logger.warning("drive=%s event=drive-swapped reason=%s", name, text)
         self._store.note(name, IDENTITY_LOCK, text)
-
-
-def identity_codes(entry: DriveEntry, of_family: tuple[Code, ...]) -> tuple[Code, ...]:
-    """Return what a drive is asked to know who it is.
-
-    Args:
-        entry: The drive; its roster may name more.
-        of_family: What its family has; empty for a device nothing is known of.
-    """
-    usual = (*of_family, *SOFTWARE_CODES) if of_family else ()
-    return tuple(dict.fromkeys((*usual, *entry.identity)))
-
-
-def text_of(value: Value) -> str:
-    """Return an identity code's value as people know it, strings without their letter."""
-    number = value.number
-    return number if isinstance(number, str) else value.raw
-
-
-def _is(value: Value, text: str | None) -> bool:
-    """Whether a value is what is said of it; what is not said cannot differ."""
-    return text is None or _same(text_of(value), text) or value.raw == text
-
-
-def _same(found: str, text: str) -> bool:
-    """Whether two texts are one identity; `1.2` and `1.20` are."""
-    if found == text:
-        return True
-    try:
-        return Value.parse(found).means_same(Value.parse(text))
-    except CodeValueError:
-        return False
 
 
 def _listed(identity: Mapping[str, str]) -> str:

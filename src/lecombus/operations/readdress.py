@@ -13,8 +13,8 @@ can still end well:
    happened. There with the new value (it would move at its next start): the old is written back.
    Found at neither: that is said, with what to do, and stands as a remark that outlives the daemon.
 
-A baud rate is not changed here: all drives of a line share it, and one that is lost in between can
-only be found at its keypad.
+A baud rate is not changed here: all drives of a line share it, and no daemon can feed those that
+are at another. `lecombus rebaud` changes it, without a daemon (`lecombus.rebaud`).
 
 What must not live here: HTTP, the roster's file.
 Source: EDB2102EN 5 (C0009, C0125 over LECOM), 6.2.2, 8.3.4; CMVLC401A 4.2 (P410).
@@ -31,9 +31,10 @@ import anyio
 
 from lecombus.config import DriveEntry
 from lecombus.drives import StopAction, address_code
+from lecombus.drives.identity import text_of
 from lecombus.errors import ExchangeError, NoReplyError, OperationError
 from lecombus.line.station import Station
-from lecombus.operations.identities import Identities, text_of
+from lecombus.operations.identities import Identities
 from lecombus.operations.reports import WriteReport
 from lecombus.operations.requests import Requests
 from lecombus.protocol.addressing import Code

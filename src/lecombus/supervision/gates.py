@@ -24,10 +24,11 @@ from collections.abc import Iterable
 
 from lecombus.config import DriveEntry
 from lecombus.drives import SoftwareGate
+from lecombus.drives.identity import identity_codes
 from lecombus.errors import OperationError, UnknownCodeError
 from lecombus.line.station import Station
 from lecombus.operations.control_words import ControlWords
-from lecombus.operations.identities import Identities, identity_codes
+from lecombus.operations.identities import Identities
 from lecombus.operations.readdress import Readdress
 from lecombus.operations.requests import Requests
 from lecombus.protocol.addressing import Code, Form
@@ -142,7 +143,7 @@ class Gates:
         Raises:
             LecombusError: The line was no help; a code that the drive does not know is none.
         """
-        codes = identity_codes(entry, station.family.identity)
+        codes = identity_codes(entry.identity, station.family.identity)
         found = await self._read_identity(station, codes)
         doubtful = self._identities.differing(entry.name, found)
         found |= await self._read_all(station, doubtful)

@@ -1,0 +1,265 @@
+"""`lecombus rebaud`: another baud rate for all drives of a line, with the daemon stopped."""
+
+from __future__ import annotations
+
+import socket
+import sys
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+
+from lecombus.cli.arguments import json_option, roster_option
+from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.cli.rebaud_line import carry_out, form_of
+from lecombus.cli.rebaud_reports import show_end, show_plan
+from lecombus.cli.screen import on_terminal
+from lecombus.config import DriveEntry, Roster, load_roster
+from lecombus.drives import family
+from lecombus.drives.identity import identity_codes
+from lecombus.errors import LecombusError
+from lecombus.line.loop import run
+from lecombus.protocol import BAUDS, Code
+from lecombus.rebaud import Ending, Rebaud, Steps, Subject, ending_of
+from lecombus.state import State
+
+__all__ = ["command"]
+
+RATES = [str(baud) for baud in BAUDS]
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What the command line asks for.
+
+    Args:
+        roster: The line and its drives.
+        yes: Nobody need be asked.
+        back: Bring back what was moved if not every drive can be.
+        as_json: Print one JSON document.
+    """
+
+    roster: Roster
+    yes: bool
+    back: bool
+    as_json: bool
+
+
+@click.command("rebaud")
+@click.argument("rate", type=click.Choice(RATES), metavar="NEW")
+@roster_option
+@click.option("--from", "origin", type=click.Choice(RATES), metavar="RATE",
+              help="The rate that is to be left, where it is not the roster's.")  # fmt: skip
+@click.option("--dry-run", is_flag=True, help="Ask the drives and show the plan, write nothing.")
+@click.option("--yes", is_flag=True, help="Do not ask; needed where nobody can be asked.")
+@click.option("--back", is_flag=True,
+              help="If a drive does not come over, bring the others back unasked.")  # fmt: skip
+@click.option("--generic-c0125", "generic", is_flag=True,
+              help="Generic drives stand still, and their C0125 is like a 2102's.")  # fmt: skip
+@json_option
+def command(
+    rate: str,
+    roster: Path,
+    origin: str | None,
+    dry_run: bool,
+    yes: bool,
+    back: bool,
+    generic: bool,
+    as_json: bool,
+) -> int:
+    """Give every drive of ROSTER the baud rate NEW: 1200, 2400, 4800, 9600 or 19200.
+
+    The daemon must be stopped: all drives share one rate, and nobody feeds watchdogs meanwhile.
+    First every drive is asked: it must answer, be the one it should be, and stand still, not
+    enabled. Nothing is written before all have passed. Then drive by drive is written to, found
+    again at NEW and confirmed. If one does not come over, those that did can be brought back.
+
+    An attempt that was interrupted is run again: drives that are at NEW already are left there. The
+    roster is not changed; the line to write is shown.
+
+    With --json: {"line", "from", "to", "ending": "planned" | "moved" | "unchanged" | "mixed",
+    "interrupted", "trouble", "drives": [{"drive", "address", "family", "place", "baud", "shows",
+    "why", "watchdog"}], "remedies"}. Exit status 0: every drive is at NEW, and keeps it.
+    """
+    read = load_roster(roster)
+    new, old = int(rate), int(origin) if origin else read.line.baud
+    _check_words(read, old, new, generic=generic)
+    _see_no_daemon(read)
+    subjects = _subjects(read)
+    _check_rates(subjects, old, new)
+    work = Rebaud(subjects, old, new)
+    _carry(work, work.check(), read)
+    if work.talk.interrupted:
+        raise CommandError(Exit.INTERRUPTED, Problem("interrupted; nothing was written"))
+    wish = Wish(read, yes or dry_run, back, as_json)
+    if _shows_plan(work, wish, dry_run=dry_run):
+        show_plan(work, read, as_json=as_json)
+    if work.obstacles:
+        raise CommandError(Exit.FAILED, *_problems(work))
+    return Exit.DONE if dry_run else _do(work, wish)
+
+
+def _shows_plan(work: Rebaud, wish: Wish, *, dry_run: bool) -> bool:
+    """Whether the plan is told: not beside the one JSON document, or the one list of a pipe."""
+    if wish.as_json:
+        return dry_run and not work.obstacles
+    return dry_run or not wish.yes or on_terminal()
+
+
+def _problems(work: Rebaud) -> list[Problem]:
+    return [Problem(one.problem, one.remedy, one.kind, one.drive) for one in work.obstacles]
+
+
+# ---- beforehand ---------------------------------------------------------------------------------
+
+
+def _check_words(roster: Roster, old: int, new: int, *, generic: bool) -> None:
+    """Refuse what can be refused without a telegram.
+
+    Raises:
+        CommandError: It cannot be done like this.
+    """
+    if new == old:
+        named = f"from {old} to {new} baud" if old != roster.line.baud else f"{new} baud already"
+        problem = f"{roster.file} has {named}"
+        remedy = "name another rate, or by --from the one at which some drives are"
+        raise CommandError(Exit.USAGE, Problem(problem, remedy))
+    port = roster.line.port
+    if not port.startswith("/"):
+        problem = f"the baud rate of {port} is not set from here"
+        remedy = "connect the drives to a serial adapter of this machine, and name it as the port"
+        raise CommandError(Exit.USAGE, Problem(problem, remedy))
+    unknown = [one.name for one in roster.drives if one.family == "generic"]
+    if unknown and not generic:
+        problem = f"of {', '.join(unknown)} (generic) nobody knows how the baud rate is set"
+        remedy = "with --generic-c0125, if C0125 has a 2102's numbers there (0: 9600 .. 4: 19200)"
+        raise CommandError(Exit.USAGE, Problem(f"{problem}, or whether it stands", remedy))
+
+
+def _see_no_daemon(roster: Roster) -> None:
+    """Refuse while a daemon of this roster answers; a port that it has open is refused besides.
+
+    Raises:
+        CommandError: It runs.
+    """
+    path = roster.api.socket
+    with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asked:
+        asked.settimeout(2.0)
+        asked.connect(path)
+        problem = f"a daemon of line {roster.line.name} runs: it answers at {path}"
+        raise CommandError(Exit.FAILED, Problem(problem, "stop it first", "daemon-runs"))
+
+
+def _check_rates(subjects: tuple[Subject, ...], old: int, new: int) -> None:
+    for subject in subjects:
+        for baud in (old, new):
+            if subject.number(baud) is None:
+                problem = f"{subject.name} ({subject.family.title}) knows no {baud} baud"
+                raise CommandError(Exit.USAGE, Problem(problem))
+
+
+def _subjects(roster: Roster) -> tuple[Subject, ...]:
+    state = _recorded(roster)
+    return tuple(_subject(entry, state) for entry in roster.drives)
+
+
+def _subject(entry: DriveEntry, state: State) -> Subject:
+    kind = family(entry.family)
+    recorded = {Code.parse(code): text for code, text in state.drive(entry.name).identity.items()}
+    return Subject(
+        entry.name,
+        entry.address,
+        kind,
+        form_of(entry.forms),
+        identity_codes(entry.identity, kind.identity),
+        {**recorded, **entry.identity},
+        entry.accept_software,
+    )
+
+
+def _recorded(roster: Roster) -> State:
+    """Read what the daemon has recorded of its drives, and leave it as it is.
+
+    Raises:
+        CommandError: It is there and cannot be read: who the drives should be is not known.
+    """
+    if roster.state is None or not Path(roster.state).exists():
+        return State()
+    try:
+        return State.parse(Path(roster.state).read_bytes())
+    except ValueError as exc:
+        remedy = "start the daemon once, which sets a damaged file aside"
+        raise CommandError(Exit.FAILED, Problem(f"{roster.state}: {exc}", remedy)) from exc
+
+
+# ---- doing it -----------------------------------------------------------------------------------
+
+
+def _do(work: Rebaud, wish: Wish) -> int:
+    """Ask, move, offer the way back, and say how it came out."""
+    _make_sure(work, wish)
+    trouble = _try(work, work.move(), wish.roster)
+    went_back = False
+    if ending_of(work) is Ending.MIXED and not work.talk.interrupted and _wants_back(work, wish):
+        went_back = True
+        trouble = _try(work, work.back(), wish.roster)
+    show_end(work, wish.roster, trouble, as_json=wish.as_json)
+    if work.talk.interrupted:
+        return Exit.INTERRUPTED
+    unsaved = any(drive.saved is False for drive in work.drives)
+    moved = ending_of(work) is Ending.MOVED and not went_back
+    return Exit.DONE if moved and not unsaved else Exit.FAILED
+
+
+def _carry(work: Rebaud, steps: Steps[None], roster: Roster) -> None:
+    def interrupt() -> None:
+        work.talk.interrupted = True
+
+    subjects = tuple(drive.subject for drive in work.drives)
+    run(carry_out, steps, roster, subjects, interrupt)
+
+
+def _try(work: Rebaud, steps: Steps[None], roster: Roster) -> str:
+    """Carry out steps; gives what ended them early, empty where nothing did.
+
+    Whatever happens now, the user must be told where the drives are.
+    """
+    try:
+        _carry(work, steps, roster)
+    except LecombusError as exc:
+        return str(exc)
+    return ""
+
+
+def _can_be_asked(wish: Wish) -> bool:
+    return not wish.as_json and sys.stdin.isatty() and sys.stdout.isatty()
+
+
+def _make_sure(work: Rebaud, wish: Wish) -> None:
+    """Ask, unless the command line has answered already.
+
+    Raises:
+        CommandError: Nobody can be asked, or the answer was no.
+    """
+    if wish.yes:
+        return
+    if not _can_be_asked(wish):
+        problem = Problem("nobody can be asked here; nothing was written", "repeat it with --yes")
+        raise CommandError(Exit.USAGE, problem)
+    if not click.confirm(f"Change the line from {work.old} to {work.new} baud?"):
+        raise CommandError(Exit.FAILED, Problem("nothing was written"))
+
+
+def _wants_back(work: Rebaud, wish: Wish) -> bool:
+    """Ask whether drives are to be brought back; who says nothing wants them to stay."""
+    if wish.back:
+        return True
+    if wish.yes or not _can_be_asked(wish):
+        return False
+    for drive in work.drives:
+        if drive.why:
+            click.echo(f"{drive.name}: {drive.why}")
+    with suppress(click.Abort):
+        return click.confirm(f"Not every drive came over. Bring all back to {work.old} baud?")
+    return False

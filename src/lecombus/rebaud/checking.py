@@ -1,0 +1,248 @@
+"""What must hold of every drive before the first of them is written to.
+
+Strategy: every drive is asked, and every obstacle is named, before anything is decided. A drive
+must answer at the old rate, or at the new one if an earlier attempt left it there; hold the rate it
+answers at; be the one that it should be; stand still, because nobody can stop it over the line
+while the rates differ; and let itself be written to. Its watchdog will act: what that does is said.
+
+Must not live here: writing anything.
+Source: EDB2102EN 6.1.3, 6.3, 6.4 (820X saves only while inhibited), 8.2; CMVLC401A preface, 4.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from decimal import Decimal
+
+from lecombus.drives import Family, StopAction, confirm_codes, knows_stop, stop_confirmed
+from lecombus.drives.identity import is_identity, text_of
+from lecombus.durations import format_duration
+from lecombus.protocol.addressing import Code, Form
+from lecombus.rebaud.drives import Drive, Place
+from lecombus.rebaud.talk import Came, Steps, Talk
+
+__all__ = ["Obstacle", "check", "is_same_drive", "stands"]
+
+OUTPUT_FREQUENCY = Code(50)
+NETWORK_LEVEL = Code(1420)
+REDIRECTING = (Code(248), Code(249))
+
+
+@dataclass(frozen=True, slots=True)
+class Obstacle:
+    """Why nothing is written.
+
+    Args:
+        drive: The drive's name.
+        problem: What is wrong.
+        remedy: What would be right.
+        kind: A stable word for programs.
+    """
+
+    drive: str
+    problem: str
+    remedy: str
+    kind: str
+
+
+def check(talk: Talk, drives: Iterable[Drive], old: int, new: int) -> Steps[list[Obstacle]]:
+    """Ask every drive whether its baud rate may be changed.
+
+    Args:
+        talk: Says it.
+        drives: All drives of the line; what is found is noted in them.
+        old: The present baud rate, bit/s.
+        new: The baud rate wanted, bit/s.
+
+    Returns:
+        Every obstacle; none: the change may begin.
+    """
+    obstacles: list[Obstacle] = []
+    silent: list[Drive] = []
+    for drive in drives:
+        number = yield from talk.look(drive, old, retries=2)
+        if number is None:
+            silent.append(drive)
+        else:
+            obstacles += yield from _check_one(talk, drive, old, number)
+    for drive in silent:
+        number = yield from talk.look(drive, new, retries=2)
+        if number is not None:
+            obstacles += yield from _check_one(talk, drive, new, number)
+        else:
+            obstacles.append(_silent(drive, old, new))
+    return obstacles
+
+
+def _silent(drive: Drive, old: int, new: int) -> Obstacle:
+    return Obstacle(
+        drive.name,
+        f"{drive.name} (address {drive.subject.address}) does not say its baud rate "
+        f"({drive.subject.code}), neither at {old} nor at {new} baud",
+        "every drive of the roster must answer first: check its supply, its address and the "
+        "wires, find it by `lecombus scan --port .. --all-bauds`, or take it out of the roster",
+        "no-answer",
+    )
+
+
+def _check_one(talk: Talk, drive: Drive, rate: int, number: int) -> Steps[list[Obstacle]]:
+    """Check a drive that answers at a rate."""
+    code, right = drive.subject.code, drive.subject.number(rate)
+    if number != right:
+        problem = f"{drive.name} answers at {rate} baud, but its {code} reads {number}, not {right}"
+        remedy = "switch it off and on, or set its baud rate at its keypad, then try again"
+        return [Obstacle(drive.name, problem, remedy, "wrong-rate")]
+    drive.be(Place.UNSEEN, rate)
+    found: list[Obstacle] = []
+    for step in (_identity, _addressing, _software, _permission, _standing):
+        found += yield from step(talk, drive, rate)
+    yield from _watchdog(talk, drive, rate)
+    return found
+
+
+# ---- who it is ----------------------------------------------------------------------------------
+
+
+def _identity(talk: Talk, drive: Drive, rate: int) -> Steps[list[Obstacle]]:
+    found, differing = {}, []
+    for code in drive.subject.asked:
+        said = yield from talk.read(drive, rate, code)
+        if said.came is Came.NOTHING:
+            problem = f"{drive.name} does not say who it is ({code}): {said.text}"
+            return [Obstacle(drive.name, problem, "check the line, then try again", "no-answer")]
+        if said.value is None:
+            continue
+        found[code] = said.value
+        if not is_identity(said.value, drive.subject.expected.get(code)):
+            differing.append(code)
+    drive.identity = found
+    if not differing:
+        return []
+    told = ", ".join(
+        f"{code} reads {text_of(found[code])}, not {drive.subject.expected[code]}"
+        for code in differing
+    )
+    remedy = f"`lecombus accept {drive.name}` or its `identity` in the roster, if it was replaced"
+    return [Obstacle(drive.name, f"{drive.name} is another drive: {told}", remedy, "swapped")]
+
+
+def is_same_drive(talk: Talk, drive: Drive, rate: int) -> Steps[str]:
+    """Ask a drive again who it is; gives what differs, empty when it is the same."""
+    for code, before in drive.identity.items():
+        said = yield from talk.read(drive, rate, code)
+        if said.value is None:
+            return f"it does not say who it is there ({code}: {said.text})"
+        if not is_identity(said.value, text_of(before)):
+            return f"{code} reads {text_of(said.value)} there, not {text_of(before)}"
+    return ""
+
+
+# ---- whether it can be written to ---------------------------------------------------------------
+
+
+def _addressing(talk: Talk, drive: Drive, rate: int) -> Steps[list[Obstacle]]:
+    """In standard addressing a code bank would make another code of C0125."""
+    subject = drive.subject
+    if subject.form is Form.EXTENDED or subject.family.info(REDIRECTING[1]) is None:
+        return []
+    for code in REDIRECTING:
+        said = yield from talk.read(drive, rate, code)
+        if said.value is None or said.value.number != 0:
+            shown = said.value.raw if said.value is not None else "nothing"
+            problem = f"{code} of {drive.name} reads {shown}: a write would reach another code"
+            remedy = "switch it off and on, or write `addressing: both` for it in the roster"
+            return [Obstacle(drive.name, problem, remedy, "locked")]
+    return []
+
+
+def _software(talk: Talk, drive: Drive, rate: int) -> Steps[list[Obstacle]]:
+    gate = drive.subject.family.software
+    if gate is None:
+        return []
+    said = yield from talk.read(drive, rate, gate.code)
+    accepted = (*gate.versions, *drive.subject.accept_software)
+    if said.value is not None and any(is_identity(said.value, one) for one in accepted):
+        return []
+    shown = text_of(said.value) if said.value is not None else "nothing"
+    problem = f"{gate.code} of {drive.name} reads software {shown}, not {' or '.join(accepted)}"
+    remedy = "nothing is written to it, unless the roster names that in `accept_software`"
+    return [Obstacle(drive.name, problem, remedy, "locked")]
+
+
+def _permission(talk: Talk, drive: Drive, rate: int) -> Steps[list[Obstacle]]:
+    """Ask an SMVector whether its network may set parameters."""
+    if drive.subject.family.info(NETWORK_LEVEL) is None:
+        return []
+    said = yield from talk.read(drive, rate, NETWORK_LEVEL)
+    if said.value is not None and said.value.number != 0:
+        return []
+    shown = said.value.raw if said.value is not None else "nothing"
+    problem = f"P420 of {drive.name} reads {shown}: it takes no parameters over the line"
+    return [Obstacle(drive.name, problem, "set P420 to 1 or more at its keypad", "locked")]
+
+
+# ---- whether it stands --------------------------------------------------------------------------
+
+
+def _standing(talk: Talk, drive: Drive, rate: int) -> Steps[list[Obstacle]]:
+    why = yield from stands(talk, drive, rate)
+    if not why:
+        return []
+    remedy = f"stop it first: `lecombus inhibit {drive.name}`, then end the daemon and try again"
+    return [Obstacle(drive.name, f"{drive.name} {why}", remedy, "not-stopped")]
+
+
+def stands(talk: Talk, drive: Drive, rate: int) -> Steps[str]:
+    """Ask whether a drive stands and is not enabled; gives why not, empty when it does.
+
+    Of a device that is not described nothing is known: whoever asks for this knows it.
+    """
+    family = drive.subject.family
+    if not family.stops or (yield from _shows(talk, drive, rate, StopAction.INHIBIT)):
+        return ""
+    info = family.info(drive.subject.code)
+    if info is not None and info.needs_inhibit:
+        return "is not inhibited, so it would not store its baud rate"
+    if not (yield from _shows(talk, drive, rate, StopAction.QUICK_STOP)):
+        return "is neither inhibited nor in quick stop"
+    if family.info(OUTPUT_FREQUENCY) is None:
+        return ""
+    said = yield from talk.read(drive, rate, OUTPUT_FREQUENCY)
+    if said.value is not None and said.value.number == 0:
+        return ""
+    return "is in quick stop, but does not stand yet"
+
+
+def _shows(talk: Talk, drive: Drive, rate: int, action: StopAction) -> Steps[bool]:
+    """Whether a drive's first proof of a stop holds now."""
+    family = drive.subject.family
+    if not knows_stop(family, action):
+        return False
+    code = confirm_codes(family, action)[0]
+    said = yield from talk.read(drive, rate, code)
+    return said.value is not None and stop_confirmed(family, action, code, said.value)
+
+
+def _watchdog(talk: Talk, drive: Drive, rate: int) -> Steps[None]:
+    """Say what the watchdog will do: nobody feeds it while the rates differ."""
+    traits = drive.subject.family.watchdog
+    if traits is None:
+        return
+    time = yield from talk.read(drive, rate, traits.time_code)
+    action = yield from talk.read(drive, rate, traits.action_code)
+    words = {number: word for word, number in traits.actions.items()}
+    number = action.value.number if action.value is not None else None
+    word = words.get(int(number)) if isinstance(number, (int, Decimal)) else None
+    if time.value is None or word is None:
+        drive.note = "its watchdog could not be read: if it is set, it will act; it stands anyway"
+    elif word != "none" and time.value.number:
+        drive.note = _acting(drive.subject.family, word, time.value.number)
+
+
+def _acting(family: Family, word: str, time_ms: object) -> str:
+    after = format_duration(int(str(time_ms)) / 1000.0)
+    told = f"its watchdog will act ({word} after {after})"
+    if word == "trip":
+        return f"{told}: it stands anyway, and shows a fault until `lecombus reset-fault`"
+    return f"{told}: it stands anyway"

@@ -1,0 +1,105 @@
+"""What is known of each drive while the baud rate of its line is changed.
+
+Strategy: `place` says where a drive is as far as anybody knows, `rate` only what it answered at
+last. What was not seen is never assumed: a drive whose write was not followed by a look is
+`written`, whatever it acknowledged.
+
+Must not live here: what is said to drives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from lecombus.drives import Family, baud_code, baud_numbers
+from lecombus.protocol.addressing import Code, Form
+from lecombus.protocol.values import Value
+
+__all__ = ["Drive", "Place", "Subject"]
+
+
+class Place(StrEnum):
+    """Where a drive is."""
+
+    UNSEEN = "unseen"
+    """It has not been asked yet."""
+    OLD = "old"
+    """It answers at the old baud rate and holds it."""
+    WRITTEN = "written"
+    """Another rate was written to it, and it has not been seen since."""
+    PENDING = "pending"
+    """It answers at one rate and holds the other: it changes when it is switched off and on."""
+    NEW = "new"
+    """It answers at the new baud rate and holds it, and is the same drive."""
+    LOST = "lost"
+    """Another rate was written to it, and it answers at neither."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Subject:
+    """A drive of the roster.
+
+    Args:
+        name: Its name.
+        address: 1..99, not ending in 0.
+        family: Its description.
+        form: The addressing form it is spoken to in: extended where it knows that, because C0248
+            and C0249 do not redirect it.
+        asked: Codes that tell who it is.
+        expected: What they must read, where that is known, by code.
+        accept_software: Software that may be written to besides that of its manual.
+    """
+
+    name: str
+    address: int
+    family: Family
+    form: Form
+    asked: tuple[Code, ...] = ()
+    expected: Mapping[Code, str] = field(default_factory=dict)
+    accept_software: tuple[str, ...] = ()
+
+    @property
+    def code(self) -> Code:
+        """The code of its baud rate."""
+        return baud_code(self.family)
+
+    def number(self, baud: int) -> int | None:
+        """What that code is at a baud rate, bit/s; None: it knows no such rate."""
+        return baud_numbers(self.family).get(baud)
+
+
+@dataclass(slots=True, eq=False)
+class Drive:
+    """What is known of one drive.
+
+    Args:
+        subject: The drive.
+        place: Where it is.
+        rate: The baud rate at which it was last seen, bit/s; None: nowhere.
+        why: What went wrong with it; empty where nothing did.
+        identity: What it said of itself when it was checked.
+        note: What its watchdog will do; empty: nothing.
+        writes: How often a rate was written to it on the present way.
+        saved: Whether the rate it has outlives switching off, for a drive that has to be told so;
+            None: it was never written here, or needs no telling.
+    """
+
+    subject: Subject
+    place: Place = Place.UNSEEN
+    rate: int | None = None
+    why: str = ""
+    identity: Mapping[Code, Value] = field(default_factory=dict)
+    note: str = ""
+    writes: int = 0
+    saved: bool | None = None
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return self.subject.name
+
+    def be(self, place: Place, rate: int | None, why: str = "") -> None:
+        """Take note of where it is."""
+        self.place, self.rate, self.why = place, rate, why

@@ -1,0 +1,202 @@
+"""The procedure: drive by drive to the new rate, and the way back.
+
+Theory of operation. A drive may send the very acknowledgement at its new rate, so one that is
+missing says nothing (EDB2102EN 5), and one that came does not prove anything either. So
+
+1. each drive is asked once more whether it stands, and is written to, once. If no acknowledgement
+   comes, it is looked for at both rates, the old one first, before anything else is said to it;
+   only a drive that still holds the old rate is written to again, and only once (`WRITES`);
+2. those that acknowledged are looked for at the new rate, and at the old one where they are not
+   there; one that still holds the old rate is written to again;
+3. found means: its baud code reads the rate, and it says the same of itself as before;
+4. the first drive that cannot be brought over ends the writing: no other one is sent after those
+   that are there already, and whoever asked decides whether they are brought back;
+5. when all are there, those whose family loses parameters at power-off are told to save (93XX).
+
+The way back is the same with the rates exchanged, for all drives that are not at the old rate, but
+one that fails does not end it: as many as possible come home.
+
+Must not live here: what must hold before (`checking`), what is said to people (`telling`).
+Source: EDB2102EN 5 (C0125 over LECOM), 6.1.3 (C0003), 8.2; CMVLC401A 4.2 (P411).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from lecombus.drives import saving_rule
+from lecombus.rebaud.checking import Obstacle, check, is_same_drive, stands
+from lecombus.rebaud.drives import Drive, Place, Subject
+from lecombus.rebaud.talk import Came, InterruptedTalkError, Steps, Talk
+
+__all__ = ["Rebaud"]
+
+WRITES = 2
+"""A rate is written to a drive so often at most: once, and once more when it did not take it."""
+
+PAUSES_S = (0.0, 0.3, 1.0)
+"""Before each round of looking for a drive at both rates: some take a moment."""
+
+
+class Rebaud:
+    """One change of a line's baud rate.
+
+    Args:
+        subjects: All drives of the line.
+        old: The present baud rate, bit/s.
+        new: The baud rate wanted, bit/s.
+
+    Attributes:
+        drives: What is known of each.
+        talk: To be interrupted.
+        obstacles: Why nothing may be written, after `check`.
+    """
+
+    def __init__(self, subjects: Sequence[Subject], old: int, new: int) -> None:
+        self.drives = [Drive(one) for one in subjects]
+        self.old = old
+        self.new = new
+        self.talk = Talk()
+        self.obstacles: list[Obstacle] = []
+        self._began_there: list[Drive] = []
+
+    def check(self) -> Steps[None]:
+        """Ask every drive whether the change may begin; changes nothing."""
+        try:
+            self.obstacles = yield from check(self.talk, self.drives, self.old, self.new)
+        except InterruptedTalkError:
+            return
+        for drive in self.drives:
+            if drive.rate is not None:
+                drive.be(Place.OLD if drive.rate == self.old else Place.NEW, drive.rate)
+        self._began_there = [one for one in self.drives if one.place is Place.NEW]
+
+    def move(self) -> Steps[None]:
+        """Bring every drive to the new rate; to be called after a `check` without obstacles."""
+        try:
+            yield from self._over()
+            yield from self._confirm_all(self.old, self.new)
+            if all(drive.place is Place.NEW for drive in self.drives):
+                yield from self._save(self.drives, self.new)
+        except InterruptedTalkError:
+            return
+
+    def back(self) -> Steps[None]:
+        """Bring every drive that is not at the old rate back to it, as far as possible."""
+        try:
+            astray = [one for one in self.drives if one.place not in (Place.OLD, Place.UNSEEN)]
+            for drive in astray:
+                yield from self._one_back(drive)
+            yield from self._confirm_all(self.new, self.old)
+            told = [one for one in self.drives if one in self._began_there or one.saved is not None]
+            home = [one for one in told if one.place is Place.OLD]
+            yield from self._save(home, self.old)
+        except InterruptedTalkError:
+            return
+
+    # ---- parts --------------------------------------------------------------------------------
+
+    def _over(self) -> Steps[None]:
+        """Write the new rate to one drive after the other, until one cannot be brought over."""
+        for drive in self.drives:
+            if drive.place is not Place.OLD:
+                continue
+            why = yield from stands(self.talk, drive, self.old)
+            if why:
+                drive.why = f"nothing was written to it: it {why}"
+                return
+            yield from self._carry(drive, self.old, self.new)
+            if drive.place not in (Place.WRITTEN, Place.NEW):
+                return
+
+    def _one_back(self, drive: Drive) -> Steps[None]:
+        """Write the old rate to a drive, wherever it is."""
+        drive.writes = 0
+        rate, number = self.new, drive.subject.number(self.new)
+        if drive.place is not Place.NEW:
+            found = yield from self._search(drive, self.old, self.new)
+            if found is None:
+                drive.be(Place.LOST, None, drive.why or "it answers at neither rate")
+                return
+            rate, number = found
+        if (rate, number) == (self.old, drive.subject.number(self.old)):
+            yield from self._settle(drive, self.old)
+            return
+        yield from self._carry(drive, rate, self.old)
+
+    def _confirm_all(self, here: int, there: int) -> Steps[None]:
+        """Look for those that were written to and not seen since; write once more where needed."""
+        for drive in self.drives:
+            if drive.place is not Place.WRITTEN:
+                continue
+            if (yield from self.talk.look(drive, there)) == drive.subject.number(there):
+                yield from self._settle(drive, there)
+            elif (yield from self._was_not_taken(drive, here, there, "it acknowledged the write")):
+                yield from self._carry(drive, here, there)
+                if drive.place is Place.WRITTEN:
+                    yield from self._was_not_taken(drive, here, there, "it acknowledged twice")
+
+    def _carry(self, drive: Drive, here: int, there: int) -> Steps[None]:
+        """Write a rate to a drive that answers at `here`; look for it if nothing comes back."""
+        number = drive.subject.number(there)
+        assert number is not None, "the rates were checked beforehand"
+        while True:
+            self.talk.go_on()
+            drive.be(Place.WRITTEN, drive.rate)
+            drive.writes += 1
+            said = yield from self.talk.write(drive, here, drive.subject.code, number)
+            if said.came is Came.DONE:
+                return
+            if not (yield from self._was_not_taken(drive, here, there, said.text)):
+                return
+
+    def _was_not_taken(self, drive: Drive, here: int, there: int, text: str) -> Steps[bool]:
+        """Find out where a drive is after a write, and whether it is to be written once more."""
+        found = yield from self._search(drive, here, there)
+        if found is None:
+            drive.be(Place.LOST, None, f"it answers at neither rate ({text})")
+            return False
+        rate, number = found
+        if number == drive.subject.number(rate) == drive.subject.number(there):
+            yield from self._settle(drive, rate)
+            return False
+        if number == drive.subject.number(there):
+            told = f"it took {there} baud, but still answers at {rate}"
+            drive.be(Place.PENDING, rate, told)
+            return False
+        if drive.writes < WRITES:
+            return True
+        place = Place.OLD if rate == self.old else Place.NEW
+        drive.be(place, rate, f"it does not take {there} baud: {text}")
+        return False
+
+    def _search(self, drive: Drive, first: int, second: int) -> Steps[tuple[int, int] | None]:
+        """Look for a drive at both rates; gives the rate and the number it holds."""
+        for pause_s in PAUSES_S:
+            if pause_s:
+                yield from self.talk.wait(second, pause_s)
+            for rate in (first, second):
+                number = yield from self.talk.look(drive, rate)
+                if number is not None:
+                    return rate, number
+        return None
+
+    def _settle(self, drive: Drive, rate: int) -> Steps[None]:
+        """A drive was found at a rate that it holds: it must also be the same."""
+        differs = yield from is_same_drive(self.talk, drive, rate)
+        if differs:
+            drive.be(Place.LOST, None, f"something answers at {rate} baud, but {differs}")
+        else:
+            drive.be(Place.OLD if rate == self.old else Place.NEW, rate)
+
+    def _save(self, drives: Sequence[Drive], rate: int) -> Steps[None]:
+        """Tell drives to keep what they were given, where their family must be told."""
+        for drive in drives:
+            rule = saving_rule(drive.subject.family)
+            if rule is None or rule.value is None:
+                continue
+            drive.saved = False
+            said = yield from self.talk.write(drive, rate, rule.codes[0], rule.value)
+            drive.saved = said.came is Came.DONE
+            if not drive.saved:
+                drive.why = f"it was told to save ({rule.codes[0]}) and did not say that it did"

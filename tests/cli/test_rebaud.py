@@ -1,0 +1,264 @@
+"""`lecombus rebaud` as it is called: refusals, endings, and once through a real pseudo terminal."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import signal
+import socket
+import tty
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cli.conftest import Run
+from cli.test_simulate import simulated
+from lecombus.cli import rebaud
+from lecombus.cli.rebaud_line import carry_out
+from lecombus.config import Roster, parse_roster
+from lecombus.line.loop import run as run_loop
+from lecombus.rebaud import Step, Steps, Subject, Wait, Write
+from support.rebauding import RebaudLine
+
+ROSTER = """\
+line: {{name: bench, port: {port}}}
+drives:
+  - {{name: feeder, address: 11, family: 8200vector}}
+  - {{name: belt, address: 12, family: smvector}}
+api: {{socket: {folder}/bench.sock}}
+state: {folder}/bench.json
+"""
+DRIVES = [("feeder", 11, "8200vector"), ("belt", 12, "smvector")]
+
+
+@pytest.fixture
+def roster(short_dir: Path) -> Path:
+    path = short_dir / "bench.yaml"
+    path.write_text(ROSTER.format(port=short_dir / "bus", folder=short_dir))
+    return path
+
+
+@pytest.fixture
+def line(monkeypatch: pytest.MonkeyPatch) -> RebaudLine:
+    """Simulated drives in computed time in the place of the port."""
+    drives = RebaudLine(DRIVES)
+
+    def instead(
+        _: object, steps: Steps[None], roster: Roster, subjects: tuple[Subject, ...],
+        interrupt: Callable[[], None],
+    ) -> None:  # fmt: skip
+        drives.subjects = {one.name: one for one in subjects}
+        drives.run(steps)
+
+    monkeypatch.setattr(rebaud, "run", instead)
+    return drives
+
+
+# ---- refused before a telegram ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "words", "says"),
+    [
+        (("", ""), ("9600",), "has 9600 baud already; name another rate, or by --from"),
+        (("", ""), ("19200", "--from", "19200"), "has from 19200 to 19200 baud"),
+        (("", ""), ("9601",), "'9601' is not one of"),
+        (("/", "socket://192.0.2.7:4001#"), ("19200",), "is not set from here; connect the drives"),
+        (("8200vector", "generic"), ("19200",), "of feeder (generic) nobody knows how"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_with_what_can(
+    run: Run, roster: Path, change: tuple[str, str], words: tuple[str, ...], says: str
+) -> None:
+    text = roster.read_text()
+    if change[0] == "/":
+        text = text.replace(str(roster.parent / "bus"), '"socket://192.0.2.7:4001"')
+    elif change[0]:
+        text = text.replace(*change)
+    roster.write_text(text)
+    ran = run("rebaud", *words, "-c", str(roster), "--yes")
+    assert ran.status == 2
+    assert says in ran.err
+
+
+def test_a_running_daemon_is_named_and_must_be_stopped(run: Run, roster: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as served:
+        served.bind(str(roster.parent / "bench.sock"))
+        served.listen()
+        ran = run("rebaud", "19200", "-c", str(roster), "--yes")
+    assert ran.status == 1
+    assert "a daemon of line bench runs" in ran.err
+    assert "stop it first" in ran.err
+
+
+def test_a_port_that_is_in_use_is_refused(run: Run, roster: Path) -> None:
+    bus = roster.parent / "bus"
+    with simulated("-c", str(roster), "--pty", str(bus)):
+        import fcntl
+        import termios
+
+        held = os.open(bus, os.O_RDWR | os.O_NOCTTY)
+        fcntl.ioctl(held, termios.TIOCEXCL)
+        fcntl.flock(held, fcntl.LOCK_EX)
+        try:
+            ran = run("rebaud", "19200", "-c", str(roster), "--yes")
+        finally:
+            os.close(held)
+    assert ran.status == 1
+    assert str(bus) in ran.err
+
+
+# ---- how it ends --------------------------------------------------------------------------------
+
+
+def test_a_dry_run_shows_the_plan_and_writes_nothing(
+    run: Run, roster: Path, line: RebaudLine
+) -> None:
+    ran = run("rebaud", "19200", "-c", str(roster), "--dry-run")
+    assert ran.status == 0
+    assert [one.split("\t") for one in ran.out.splitlines()] == [
+        ["feeder", "11", "8200vector", "9600 baud", "C0125 = 4", ""],
+        ["belt", "12", "smvector", "9600 baud", "C1411 = 4", ""],
+    ]
+    assert (
+        json.loads(run("rebaud", "19200", "-c", str(roster), "--dry-run", "--json").out)["ending"]
+        == "planned"
+    )
+    assert not [one for one in line.steps if isinstance(one, Write)]
+
+
+def test_nobody_is_written_to_unasked(run: Run, roster: Path, line: RebaudLine) -> None:
+    ran = run("rebaud", "19200", "-c", str(roster))
+    assert (ran.status, ran.err) == (
+        2,
+        "nobody can be asked here; nothing was written; repeat it with --yes\n",
+    )
+    assert not [one for one in line.steps if isinstance(one, Write)]
+
+
+def test_the_line_to_write_into_the_roster_is_shown(
+    run: Run, roster: Path, line: RebaudLine
+) -> None:
+    before = roster.read_text()
+    ran = run("rebaud", "19200", "-c", str(roster), "--yes")
+    assert (ran.status, ran.err) == (0, "")
+    assert ran.out.splitlines()[-1] == (
+        f"in {roster}, under `line:`, write `baud: 19200`, then start the daemon"
+    )
+    assert roster.read_text() == before
+    assert line.rates == {"feeder": 19200, "belt": 19200}
+
+
+def test_what_stands_against_it_is_named_for_people_and_programs(
+    run: Run, roster: Path, line: RebaudLine
+) -> None:
+    line["belt"].present = False
+    (roster.parent / "bench.json").write_text(
+        json.dumps({"version": 1, "drives": {"feeder": {"identity": {"C1810": "OTHER"}}}})
+    )
+    ran = run("rebaud", "19200", "-c", str(roster), "--yes", "--json")
+    assert (ran.status, ran.out) == (1, "")
+    problems: list[Any] = [json.loads(one) for one in ran.err.splitlines()]
+    assert [(one["drive"], one["kind"]) for one in problems] == [
+        ("feeder", "swapped"),
+        ("belt", "no-answer"),
+    ]
+
+
+def test_a_state_file_that_cannot_be_read_is_no_permission(
+    run: Run, roster: Path, line: RebaudLine
+) -> None:
+    (roster.parent / "bench.json").write_text("{")
+    ran = run("rebaud", "19200", "-c", str(roster), "--yes")
+    assert ran.status == 1
+    assert "bench.json" in ran.err
+    assert line.steps == []
+
+
+@pytest.mark.parametrize(("words", "ending"), [((), "mixed"), (("--back",), "unchanged")])
+def test_a_drive_that_refuses_splits_the_line_or_all_go_back(
+    run: Run, roster: Path, line: RebaudLine, words: tuple[str, ...], ending: str
+) -> None:
+    def before(step: Step) -> None:
+        refused = isinstance(step, Write) and step.drive == "belt"
+        line.line.faults.nak = 1.0 if refused else 0.0
+
+    line.before = before
+    ran = run("rebaud", "19200", "-c", str(roster), "--yes", "--json", *words)
+    document = json.loads(ran.out)
+    assert (ran.status, document["ending"]) == (1, ending)
+    rates = {one["drive"]: one["baud"] for one in document["drives"]}
+    assert rates == line.rates
+    assert rates["feeder"] == (9600 if words else 19200)
+    assert any("rebaud 9600 --from 19200" in one for one in document["remedies"]) is not bool(words)
+
+
+def test_drives_are_fetched_from_another_rate_than_the_rosters(
+    run: Run, roster: Path, line: RebaudLine
+) -> None:
+    line["feeder"].model.params.set(125, "4")
+    ran = run("rebaud", "9600", "--from", "19200", "-c", str(roster), "--yes")
+    assert ran.status == 0
+    assert line.rates == {"feeder": 9600, "belt": 9600}
+    assert ran.out.splitlines()[-1] == f"{roster} says so already: start the daemon"
+
+
+def test_a_lost_port_ends_it_with_where_everybody_is(
+    run: Run, roster: Path, line: RebaudLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from lecombus.errors import LineLostError
+
+    def before(step: Step) -> None:
+        if isinstance(step, Write) and step.drive == "belt":
+            raise LineLostError("the port is gone", line="bench")
+
+    line.before = before
+    ran = run("rebaud", "19200", "-c", str(roster), "--yes")
+    assert ran.status == 1
+    assert "ended early: " in ran.err
+    assert "feeder\t11\tat 19200 baud\t" in ran.out
+    assert "belt\t12\tat 9600 or 19200 baud: a write ended" in ran.out
+
+
+# ---- the port -----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def terminal() -> Iterator[str]:
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    name = os.ttyname(slave)
+    os.close(slave)
+    yield name
+    os.close(master)
+
+
+def test_a_signal_interrupts_and_lets_the_step_end(roster: Path, terminal: str) -> None:
+    read = parse_roster(roster.read_text().replace(str(roster.parent / "bus"), terminal), "r")
+    noted: list[str] = []
+
+    def steps() -> Steps[None]:
+        os.kill(os.getpid(), signal.SIGINT)
+        yield Wait(9600, 0.3)
+        noted.append("ended")
+
+    run_loop(carry_out, steps(), read, (), lambda: noted.append("interrupted"))
+    assert noted == ["interrupted", "ended"]
+
+
+@pytest.mark.real
+def test_on_a_pseudo_terminal_there_and_back(run: Run, roster: Path) -> None:
+    with simulated("-c", str(roster), "--pty", str(roster.parent / "bus")) as (_, port):
+        there = run("rebaud", "19200", "-c", str(roster), "--yes", "--json")
+        assert (there.status, there.err) == (0, "")
+        found = {one["drive"]: one["baud"] for one in json.loads(there.out)["drives"]}
+        assert found == {"feeder": 19200, "belt": 19200}
+        words = ("--port", port, "--baud", "19200", "--address", "12", "C1411", "--json")
+        assert json.loads(run("read", *words).out)["raw"] == "4"
+        assert run("rebaud", "19200", "-c", str(roster), "--yes").status == 0, "it goes on"
+        back = run("rebaud", "9600", "--from", "19200", "-c", str(roster), "--yes")
+        assert back.status == 0
+        assert run("read", "--port", port, "--address", "12", "C1411").status == 0

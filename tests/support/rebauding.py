@@ -1,0 +1,144 @@
+"""A change of baud rate carried out on a simulated line in computed time, without port and worker.
+
+What the worker makes of bytes is made here in the plainest way, as for a scan.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from lecombus.drives import family
+from lecombus.drives.identity import identity_codes
+from lecombus.protocol import with_parity
+from lecombus.protocol.addressing import Code, Form
+from lecombus.rebaud import Came, Read, Rebaud, Said, Step, Steps, Subject, Wait, Write
+from lecombus.scanning import Ask, HeardKind
+from lecombus.simulator import SimDrive, SimLine
+from support.scanning import ScannedLine
+from support.sim_host import write_telegram
+
+PATIENCE_S, PAUSE_S = 0.6, 0.06
+ANSWERS = {with_parity(b"\x06"): Came.DONE, with_parity(b"\x15"): Came.REFUSED}
+
+Standing = tuple[str, int, str]
+
+
+def subject_of(name: str, address: int, kind: str, **more: object) -> Subject:
+    described = family(kind)
+    form = Form.EXTENDED if Form.EXTENDED in described.forms else Form.STANDARD
+    asked = identity_codes((), described.identity)
+    return Subject(name, address, described, form, asked, **more)  # type: ignore[arg-type]
+
+
+class RebaudLine:
+    """Simulated drives, a change of their baud rate, and what was said.
+
+    Args:
+        drives: Name, address and family of each.
+        old: Their baud rate, bit/s.
+        new: The rate wanted.
+        subjects: The drives as they should be; else as they are.
+
+    Attributes:
+        before: Called before every step; may change the line.
+        lose_acks: No acknowledgement arrives.
+        steps: What was said.
+    """
+
+    def __init__(
+        self,
+        drives: Sequence[Standing],
+        *,
+        old: int = 9600,
+        new: int = 19200,
+        subjects: Sequence[Subject] | None = None,
+    ) -> None:
+        self.drives = {name: SimDrive(address, kind, name) for name, address, kind in drives}
+        self.line = SimLine(list(self.drives.values()), baud=old)
+        self.scanned = ScannedLine(self.line)
+        self.work = Rebaud(subjects or [subject_of(*one) for one in drives], old, new)
+        self.subjects = {one.subject.name: one.subject for one in self.work.drives}
+        self.steps: list[Step] = []
+        self.before: Callable[[Step], None] = lambda _: None
+        self.lose_acks = False
+
+    def __getitem__(self, name: str) -> SimDrive:
+        return self.drives[name]
+
+    @property
+    def rates(self) -> dict[str, int]:
+        """Which rate each drive really speaks."""
+        return {name: drive.baud for name, drive in self.drives.items()}
+
+    @property
+    def places(self) -> dict[str, str]:
+        """Where the procedure takes each drive to be."""
+        return {one.name: one.place.value for one in self.work.drives}
+
+    @property
+    def kinds(self) -> list[str]:
+        """The kinds of obstacle found."""
+        return [one.kind for one in self.work.obstacles]
+
+    def why(self, name: str) -> str:
+        return next(one.why for one in self.work.drives if one.name == name)
+
+    def writes(self, name: str) -> list[Write]:
+        return [one for one in self.steps if isinstance(one, Write) and one.drive == name]
+
+    def check(self) -> RebaudLine:
+        self.run(self.work.check())
+        return self
+
+    def move(self) -> RebaudLine:
+        self.run(self.work.move())
+        return self
+
+    def back(self) -> RebaudLine:
+        self.run(self.work.back())
+        return self
+
+    def run(self, steps: Steps[None]) -> None:
+        step = next(steps, None)
+        while step is not None:
+            self.steps.append(step)
+            self.before(step)
+            try:
+                step = steps.send(self.carry_out(step))
+            except StopIteration:
+                return
+
+    def carry_out(self, step: Step) -> Said:
+        host = self.scanned.host
+        self.line.host_baud = step.baud
+        if isinstance(step, Wait):
+            host.wait(step.for_s)
+            return Said(Came.NOTHING)
+        subject = self.subjects[step.drive]
+        if isinstance(step, Read):
+            for _ in range(step.retries + 1):
+                said = self._read(subject, step)
+                if said.came is Came.VALUE:
+                    break
+            return said
+        extended = subject.form is Form.EXTENDED
+        telegram = write_telegram(
+            subject.address, step.code.number, step.value.raw, extended=extended
+        )
+        host.say(telegram)
+        received = host.hear(until_s=host.now_s + PATIENCE_S)
+        host.wait(PAUSE_S)
+        came = Came.NOTHING if self.lose_acks else ANSWERS.get(received, Came.NOTHING)
+        return Said(came, None, "" if came is Came.DONE else f"write: {came}")
+
+    def _read(self, subject: Subject, step: Read) -> Said:
+        ask = Ask(step.baud, subject.address, step.code, subject.form, subject.family.name)
+        heard = self.scanned.hear(ask)
+        if heard.kind is HeardKind.VALUE:
+            return Said(Came.VALUE, heard.value)
+        refused = heard.kind is HeardKind.NO_SUCH_CODE
+        return Said(Came.REFUSED if refused else Came.NOTHING, None, str(heard.kind))
+
+
+def baud_of(name: str) -> Code:
+    return Code(1411) if name == "smvector" else Code(125)
