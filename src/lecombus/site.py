@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from lecombus import __version__
 from lecombus.config import DriveEntry, Roster, line_timing, with_address
 from lecombus.drives import Family, LineTiming, StopAction, family
+from lecombus.drives.measured import MeasuredTimes
 from lecombus.errors import ConfigError
 from lecombus.line.port import PortOpener, PortSettings
 from lecombus.line.station import Station
@@ -31,7 +32,7 @@ from lecombus.operations.request_maker import RequestMaker
 from lecombus.operations.requests import Requests
 from lecombus.operations.verb_operations import VerbOperations
 from lecombus.operations.wear import Wear
-from lecombus.planning.facts import facts_of
+from lecombus.planning.facts import answers_of, facts_of
 from lecombus.protocol.addressing import Code
 from lecombus.readings import Json
 from lecombus.schedule import Cyclic, Priority, Schedule, Settle
@@ -44,6 +45,7 @@ from lecombus.supervision.fault_watch import FaultWatch
 from lecombus.supervision.gates import Gates
 from lecombus.supervision.health import Health
 from lecombus.supervision.keeper import Keeper
+from lecombus.supervision.slow_drives import SlowDrives
 
 __all__ = ["Changes", "Site"]
 
@@ -119,9 +121,7 @@ class Site:
         self.health = Health(self.schedule, self.store, self._wants_audit, clock)
         self._configurations = Configurations(self._take_family, self._read_soon)
         self._books = books = self._make_books(wall)
-        settings = PortSettings(line.port, line.baud, line.direction, line.parity, line.name)
-        options = options or options_of(roster)
-        self.worker = LineWorker(settings, opener, self.schedule, timing, options, books)
+        self.worker = self._make_worker(opener, timing, options or options_of(roster), books)
         self.requests = Requests(self.worker, maker, clock)
         self.identities = Identities(self.state, self.store, wall, self._wants_audit)
         self.readdress = Readdress(
@@ -134,9 +134,17 @@ class Site:
             self.health.restarted,
         )  # fmt: skip
         self.custody = Custody(self.identities, self.wear, self.readdress)
+        self._slow = SlowDrives(self.store)
         self._cyclic: dict[str, list[object]] = {}
         self._entries: dict[str, DriveEntry] = {}
         self.apply(roster)
+
+    def _make_worker(
+        self, opener: PortOpener, timing: LineTiming, options: WorkerOptions, books: Books
+    ) -> LineWorker:
+        line = self.roster.line
+        settings = PortSettings(line.port, line.baud, line.direction, line.parity, line.name)
+        return LineWorker(settings, opener, self.schedule, timing, options, books)
 
     def _make_books(self, wall: Callable[[], float]) -> Books:
         watch = FaultWatch(self.store, self._read_soon, wall)
@@ -193,6 +201,7 @@ class Site:
     def note_cadence(self) -> None:
         """Say how far the cadence is stretched, and which watchdogs ran out; once a second."""
         stats = self._gather(self._clock())
+        self._slow.look(map(self.requests.station, self._entries))
         self.keeper.note_lapses(stats.feeds)
         stretch = stats.stretch
         self.store.set_stretch(stretch)
@@ -223,6 +232,7 @@ class Site:
             entry.forms,
             hold_s=kind.hold_after_write_s,
             answer_time_s=entry.answer_time_s,
+            measured=MeasuredTimes(self.requests.maker.timing.adapter_latency_s),
         )
         now = self._clock()
         self._entries[entry.name] = entry
@@ -260,6 +270,7 @@ class Site:
         self.words.forget(name)
         self.identities.remove_drive(name)
         self._books.forget(name)
+        self._slow.forget(name)
         for one in entry.cyclic:
             self.store.expect(name, one.code, None)
         if not kept:
@@ -312,7 +323,13 @@ class Site:
             self.wear.figures(),
             None if math.isinf(stats.slack_s) else stats.slack_s,
             minutes.woken_late.most(now, LATELY_S) or 0.0,
+            self._answer_ratios(),
         )
+
+    def _answer_ratios(self) -> dict[str, float]:
+        """By drive: the slowest answer measured, in its manual's time."""
+        rows = {name: self.requests.station(name).measured.rows() for name in self._entries}
+        return {name: of[0].measured_s / of[0].manual_s for name, of in rows.items() if of}
 
     def _gather(self, now_s: float) -> ScheduleStats:
         """Take a snapshot of the schedule into the last minutes; the only place that may."""
@@ -331,9 +348,11 @@ class Site:
         """Give what a plan of this line is made from, and what its last minutes showed."""
         now_s = self._clock()
         self._gather(now_s)
+        stations = [self.requests.station(name) for name in self._entries]
         return {
-            "roster": facts_of(self.roster),
+            "roster": facts_of(self.roster, {one.name: one.measured.slow for one in stations}),
             "measured": self.metrics.minutes.as_json(now_s),
+            "answers": answers_of({one.name: one.measured.rows() for one in stations}),
         }
 
 

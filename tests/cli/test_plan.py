@@ -4,10 +4,20 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from cli.conftest import Run
+from cli.daemon_stub import DaemonStub
+from lecombus.api.exact import encode
 from lecombus.cli import main
+from lecombus.config import load_roster
+from lecombus.drives.measured import AnswerRow, SlowAnswers
+from lecombus.metrics.minutes import Minutes
+from lecombus.planning.facts import answers_of, facts_of
+from lecombus.protocol.addressing import Code
+from lecombus.schedule.request import Priority
 
 ROSTER = """\
 line: {name: l, port: "sim:"}
@@ -61,3 +71,84 @@ def test_a_roster_that_cannot_be_held_is_refused_with_its_places(
     assert f"{roster}:3:" in err
     assert f"{roster}:4:" in err
     assert "cannot be held at 9600 baud" in err
+
+
+def test_live_says_what_is_beyond_the_promise(daemon: DaemonStub, run: Run, roster: Path) -> None:
+    daemon.answers["GET /v1/plan"] = (200, json.dumps(document(roster)))
+    ran = run("plan", "--live")
+    assert (ran.status, ran.err) == (0, "")
+    assert "the last 120 s" in ran.out
+    assert "beyond the promise: watchdog of b: fed too late: the drive has acted" in ran.out
+    assert "beyond the promise: class control: waited longer than promised" in ran.out
+    assert "watchdog of a" not in ran.out
+    told = json.loads(run("plan", "--live", "--json").out)
+    assert len(told["beyond"]) == 2
+    assert {one["name"] for one in told["classes"]} >= {"stop", "background"}
+
+
+def test_from_daemon_plans_with_what_was_measured(
+    daemon: DaemonStub, run: Run, roster: Path
+) -> None:
+    daemon.answers["GET /v1/plan"] = (200, json.dumps(document(roster)))
+    ran = run("plan", "--from-daemon")
+    assert ran.status == 0
+    assert "b\tC0150\t20 ms\t61 ms" in ran.out
+    assert "a\tC0150\t" not in ran.out.partition("b\tC0150\t20 ms")[2]
+    measured = json.loads(run("plan", "--from-daemon", "--json").out)
+    usual = json.loads(run("plan", "-c", str(roster), "--json").out)
+    assert read_s(measured, "b") == pytest.approx(read_s(usual, "b") + 0.08 - 0.02, abs=0.015)
+    assert read_s(measured, "a") == read_s(usual, "a")
+    assert json.loads(run("plan", "--from-daemon", "-c", str(roster), "--json").out) == measured
+    moved = roster.with_name("moved.yaml")
+    moved.write_text(roster.read_text().replace("address: 12", "address: 13"))
+    other = json.loads(run("plan", "--from-daemon", "-c", str(moved), "--json").out)
+    assert read_s(other, "b") == read_s(usual, "b")
+    assert list(other["answers"]) == ["a"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ((), "-c ROSTER is missing"),
+        (("--live", "--from-daemon"), "give one"),
+        (("--live", "-c", "r.yaml"), "leave out -c"),
+        (("-c", "r.yaml", "--socket", "/tmp/x.sock"), "need --live or --from-daemon"),
+    ],
+)
+def test_what_contradicts_itself_is_refused(run: Run, words: tuple[str, ...], said: str) -> None:
+    ran = run("plan", *words)
+    assert ran.status == 2
+    assert said in ran.err
+
+
+def test_another_version_s_document_is_no_traceback(daemon: DaemonStub, run: Run) -> None:
+    daemon.answers["GET /v1/plan"] = (200, '{"roster": {"line": 5}}')
+    for word in ("--live", "--from-daemon"):
+        ran = run("plan", word)
+        assert ran.status == 1
+        assert "does not know" in ran.err
+
+
+def read_s(plan: dict[str, Any], drive: str) -> float:
+    rows = {(one["drive"], one["what"]): one for one in plan["exchanges"]}
+    usual_s = rows[drive, "C0150" if drive == "b" else "feed"]["times"]["usual_s"]
+    assert isinstance(usual_s, float)
+    return usual_s
+
+
+def document(roster: Path) -> dict[str, Any]:
+    """What a daemon of the roster gives: b is slow, and was fed too late."""
+    minutes = Minutes(0.0)
+    minutes.exchange(Priority.CONTROL, 0.03, 9.0, 119.0, good=True)
+    minutes.margin("a", 0.9, 119.0)
+    minutes.margin("b", -0.1, 119.0)
+    slow = {"a": SlowAnswers(), "b": SlowAnswers({Code(150): 0.08})}
+    row = AnswerRow(Code(150), False, 0.02, 0.061, True)
+    facts: dict[str, Any] = {
+        "roster": facts_of(load_roster(roster), slow),
+        "measured": minutes.as_json(120.0),
+        "answers": answers_of({"a": [], "b": [row]}),
+    }
+    found = json.loads(encode(facts))
+    assert isinstance(found, dict)
+    return found

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lecombus.line.doubts import Doubts
+from lecombus.drives import family
+from lecombus.drives.measured import MeasuredTimes
+from lecombus.line.doubts import Asked, Doubts
+from lecombus.line.station import Station
 from lecombus.line.strays import Strays
 from lecombus.protocol.addressing import Code, Form, encode_code
 from lecombus.protocol.exchange import ACK_FIELD
@@ -28,7 +33,7 @@ def doubtful(*fields: bytes) -> tuple[Doubts, Strays]:
 
 def test_a_late_answer_ends_its_own_doubt_and_no_other() -> None:
     doubts, strays = doubtful(FIELD, OTHER, ACK_FIELD)
-    assert strays.feed(LATE)
+    assert strays.feed(LATE, 0.0)
     assert doubts.blocked_until_s(FIELD, 0.1) <= 0.1
     assert doubts.blocked_until_s(OTHER, 0.1) == 0.5
     assert doubts.blocked_until_s(ACK_FIELD, 0.1) == 0.5
@@ -37,36 +42,36 @@ def test_a_late_answer_ends_its_own_doubt_and_no_other() -> None:
 
 def test_so_does_a_late_no_such_code() -> None:
     doubts, strays = doubtful(FIELD)
-    assert strays.feed(with_parity(unknown_code_answer(FIELD)))
+    assert strays.feed(with_parity(unknown_code_answer(FIELD)), 0.0)
     assert not doubts.any(0.1)
 
 
 def test_an_acknowledgement_ends_no_doubt_because_noise_makes_one_too_easily() -> None:
     doubts, strays = doubtful(ACK_FIELD)
-    assert strays.feed(with_parity(ACK_ANSWER))
+    assert strays.feed(with_parity(ACK_ANSWER), 0.0)
     assert doubts.blocked_until_s(ACK_FIELD, 0.1) == 0.5
 
 
 @pytest.mark.parametrize("place", range(len(LATE)))
 def test_a_damaged_late_answer_ends_no_doubt(place: int) -> None:
     doubts, strays = doubtful(FIELD)
-    strays.feed(LATE[:place] + bytes((LATE[place] ^ 0x80,)) + LATE[place + 1 :])
+    strays.feed(LATE[:place] + bytes((LATE[place] ^ 0x80,)) + LATE[place + 1 :], 0.0)
     assert doubts.any(0.1)
 
 
 @given(st.integers(1, len(LATE) - 1))
 def test_it_may_come_in_pieces(cut: int) -> None:
     doubts, strays = doubtful(FIELD)
-    assert not strays.feed(LATE[:cut])
-    assert strays.feed(LATE[cut:])
+    assert not strays.feed(LATE[:cut], 0.0)
+    assert strays.feed(LATE[cut:], 0.0)
     assert not doubts.any(0.1)
 
 
 def test_listening_begins_anew_with_every_exchange_given_up() -> None:
     doubts, strays = doubtful(FIELD)
-    strays.feed(LATE[:4])
+    strays.feed(LATE[:4], 0.0)
     strays.begin()
-    assert strays.feed(LATE)
+    assert strays.feed(LATE, 0.0)
     assert not doubts.any(0.1)
 
 
@@ -74,7 +79,7 @@ def test_listening_begins_anew_with_every_exchange_given_up() -> None:
 def test_whatever_comes_is_only_counted(pieces: list[bytes]) -> None:
     _, strays = doubtful(FIELD)
     for piece in pieces:
-        strays.feed(piece)
+        strays.feed(piece, 0.0)
     assert strays.bytes_total == sum(map(len, pieces))
 
 
@@ -109,3 +114,61 @@ def test_a_code_only_the_extended_form_can_say_waits_for_that() -> None:
     doubts.add(encode_code(code, Form.EXTENDED), 0.0)
     forms = (Form.STANDARD, Form.EXTENDED)
     assert doubts.form_for(code, forms, 0.1) == (None, b"", 0.5)
+
+
+STATION = Station("a", 1, family("8200vector"), family("8200vector").forms)
+
+
+def asked(said_s: float) -> Asked:
+    station = replace(STATION, measured=MeasuredTimes())
+    return Asked(station, Code(150), said_s)
+
+
+def late_twice(doubts: Doubts, field: bytes, one: Asked, *others: bytes) -> None:
+    """Let an answer come 0.3 s after the request, two times, others being in doubt too."""
+    strays = Strays(doubts)
+    for _ in range(2):
+        for other in others:
+            doubts.add(other, one.said_s + 0.1)
+        doubts.add(field, one.said_s + 0.1, one)
+        strays.feed(LATE, one.said_s + 0.3)
+
+
+def test_a_late_answer_tells_how_slow_its_drive_is() -> None:
+    one = asked(5.0)
+    late_twice(Doubts(0.5), FIELD, one)
+    assert [(row.code, row.slow) for row in one.station.measured.rows()] == [(Code(150), True)]
+    assert one.station.measured.rows()[0].measured_s == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("other", [OTHER, ACK_FIELD, encode_code(Code(50), Form.STANDARD)])
+def test_it_tells_nothing_where_another_may_still_come(other: bytes) -> None:
+    one = asked(5.0)
+    late_twice(Doubts(0.5), FIELD, one, other)
+    assert one.station.measured.rows() == []
+
+
+def test_it_tells_nothing_when_it_answers_something_else() -> None:
+    one = asked(5.0)
+    late_twice(Doubts(0.5), OTHER, one)
+    assert one.station.measured.rows() == []
+
+
+def test_it_tells_nothing_when_two_were_asked_the_same() -> None:
+    doubts = Doubts(0.5)
+    strays = Strays(doubts)
+    one, two = asked(5.0), asked(5.2)
+    for _ in range(2):
+        doubts.add(FIELD, 5.1, one)
+        doubts.add(FIELD, 5.3, two)
+        assert strays.feed(LATE, 5.4)
+    assert one.station.measured.rows() == two.station.measured.rows() == []
+
+
+def test_it_tells_nothing_after_its_time() -> None:
+    doubts = Doubts(0.5)
+    strays, one = Strays(doubts), asked(5.0)
+    for _ in range(2):
+        doubts.add(FIELD, 5.1, one)
+        strays.feed(LATE, 5.7)
+    assert one.station.measured.rows() == []

@@ -197,7 +197,7 @@ def make_line() -> Line:
         store,
         metrics,
         custody=FakeCustody(),
-        plan_facts=lambda: {"roster": {}, "measured": {}},
+        plan_facts=lambda: {"roster": {}, "measured": {}, "answers": {}},
         line_name="hall-3",
         ready=lambda: line.ready,
         healthy=lambda: line.healthy,

@@ -221,6 +221,9 @@ class PlanDocument(Document):
         dict[str, Any],
         Field(description="Waits and line time by class, margins by drive, gaps by cyclic code"),
     ]
+    answers: Annotated[
+        dict[str, Any], Field(description="Answer times measured, by drive, the slowest first")
+    ]
 
 
 class FindingDocument(Document):

@@ -11,7 +11,7 @@ import click
 from lecombus.cli.arguments import daemon_options
 from lecombus.cli.client import connect
 from lecombus.cli.exits import Exit
-from lecombus.cli.plan_live import live_of, show_live
+from lecombus.cli.plan_live import live_of, measured_roster, show_answers, show_live
 from lecombus.cli.screen import show_rows
 from lecombus.config import Roster, line_timing, load_roster
 from lecombus.durations import format_duration
@@ -32,6 +32,11 @@ __all__ = ["command"]
     help="The roster: a YAML file that describes the line.",
 )
 @click.option("--live", is_flag=True, help="Compare the running daemon's line with its promise.")
+@click.option(
+    "--from-daemon",
+    is_flag=True,
+    help="Plan with the answer times that the running daemon has measured.",
+)
 @daemon_options
 @click.option(
     "--svg",
@@ -42,6 +47,7 @@ __all__ = ["command"]
 def command(
     roster: Path | None,
     live: bool,
+    from_daemon: bool,
     socket: str | None,
     url: str | None,
     as_json: bool,
@@ -55,21 +61,31 @@ def command(
 
     With --live the running daemon is asked instead of a roster (--socket, --url): its promises
     stand beside what the last five minutes of its line showed, and what is beyond them is said.
+    With --from-daemon the plan is that of the running roster, or of ROSTER, with the answer times
+    that the daemon has measured, and the drives that are slower than their manual are named.
     """
+    if live and from_daemon:
+        raise click.UsageError("--live and --from-daemon are two different tables: give one")
     if live:
         return _live(roster, svg, socket, url, as_json=as_json)
-    if roster is None:
+    if from_daemon:
+        loaded, answers = measured_roster(roster, socket, url)
+    elif roster is None:
         raise click.UsageError("-c ROSTER is missing; or --live for the line that is running")
-    if socket or url:
-        raise click.UsageError("--socket and --url say which line is running: give --live as well")
-    loaded = load_roster(roster)
+    elif socket or url:
+        raise click.UsageError("--socket and --url need --live or --from-daemon")
+    else:
+        loaded, answers = load_roster(roster), None
     plan = make_plan(loaded)
     if svg is not None:
         _draw(loaded, svg)
     if as_json:
-        click.echo(json.dumps(plan.as_json(), ensure_ascii=False))
+        more = {} if answers is None else {"answers": answers}
+        click.echo(json.dumps(plan.as_json() | more, ensure_ascii=False))
     else:
         _show(plan)
+        if answers is not None:
+            show_answers(answers)
     return Exit.DONE
 
 

@@ -1,20 +1,28 @@
-"""`lecombus plan --live`: what was promised beside what the running line showed lately."""
+"""`lecombus plan --live` and `--from-daemon`: a plan, and what the running line showed."""
 
 from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
 
 import click
 
-from lecombus.cli.client import Answer
+from lecombus.cli.client import Answer, connect
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.screen import show_rows
+from lecombus.config import DriveEntry, Roster, load_roster
 from lecombus.durations import format_duration
-from lecombus.planning.facts import roster_of
+from lecombus.planning.facts import roster_of, slow_of
 from lecombus.planning.live import LivePlan, compare
 
-__all__ = ["live_of", "show_live"]
+__all__ = ["live_of", "measured_roster", "show_answers", "show_live"]
+
+Answers = Mapping[str, Sequence[Mapping[str, Any]]]
+"""By drive: what was measured of each code, as `planning.facts.answers_of` gives it."""
 
 
 def live_of(answer: Answer) -> LivePlan:
@@ -23,13 +31,83 @@ def live_of(answer: Answer) -> LivePlan:
     Raises:
         CommandError: It speaks another version.
     """
-    document = json.loads(answer.text)
-    try:
+    with _understood():
+        document = json.loads(answer.text)
         return compare(roster_of(document["roster"]), document["measured"])
+
+
+def measured_roster(
+    file: Path | None, socket: str | None, url: str | None
+) -> tuple[Roster, Answers]:
+    """Give a roster with the answer times that a running daemon has measured.
+
+    Args:
+        file: The roster; None: the one that is running.
+        socket: What `--socket` says.
+        url: What `--url` says.
+
+    Returns:
+        The roster, and what was measured of its drives.
+
+    Raises:
+        CommandError: There is no daemon, or it speaks another version.
+    """
+    wanted = None if file is None else load_roster(file)
+    with connect(socket, url) as daemon:
+        answer = daemon.get("/v1/plan")
+    with _understood():
+        document = json.loads(answer.text)
+        roster, slow = roster_of(document["roster"]), slow_of(document["roster"])
+        answers: Answers = document["answers"]
+    if wanted is None:
+        return roster, answers
+    drives = tuple(
+        drive.model_copy(update={"slow": slow[drive.name]})
+        if _is_same(drive, roster.drive(drive.name))
+        else drive
+        for drive in wanted.drives
+    )
+    known = {drive.name for drive in drives if _is_same(drive, roster.drive(drive.name))}
+    return (
+        wanted.model_copy(update={"drives": drives}),
+        {name: rows for name, rows in answers.items() if name in known},
+    )
+
+
+def _is_same(drive: DriveEntry, running: DriveEntry | None) -> bool:
+    """Whether what was measured of a running drive was measured of this one."""
+    return running is not None and (drive.family, drive.address) == (
+        running.family,
+        running.address,
+    )
+
+
+@contextmanager
+def _understood() -> Iterator[None]:
+    try:
+        yield
     except (KeyError, TypeError, ValueError) as exc:
         problem = "the daemon describes its line in a way that this lecombus does not know"
         remedy = "use the command of the daemon's own version"
         raise CommandError(Exit.FAILED, Problem(problem, remedy)) from exc
+
+
+def show_answers(answers: Answers) -> None:
+    """Write which drives and codes differ from their manual."""
+    rows = [
+        (drive, f"{row['code']} written" if row["write"] else row["code"],
+         _time(row["manual_s"]), _time(row["measured_s"]))
+        for drive, of_drive in answers.items()
+        for row in of_drive
+        if row["slow"]
+    ]  # fmt: skip
+    click.echo()
+    if not rows:
+        click.echo("no drive answers later than its manual says")
+        return
+    show_rows(
+        ("drive", "code", "manual", "measured"), rows, title="answered later than the manual says"
+    )
 
 
 def show_live(live: LivePlan) -> None:

@@ -58,7 +58,9 @@ def form_for(drive: DriveEntry, code: Code) -> Form:
 def read_times(drive: DriveEntry, code: Code, timing: LineTiming) -> Times:
     """Give the times of reading a code."""
     form = form_for(drive, code)
-    cost = read_cost(timing, family(drive.family), code, form, drive.answer_time_s)
+    of = family(drive.family)
+    answer_s = drive.slow.time_s(of, code, write=False, answer_time_s=drive.answer_time_s)
+    cost = read_cost(timing, of, code, form, answer_s)
     pause_s = timing.turnaround_s
     return Times(cost.expected_s + pause_s, cost.whole_s + pause_s, cost.worst_s + pause_s)
 
@@ -66,7 +68,9 @@ def read_times(drive: DriveEntry, code: Code, timing: LineTiming) -> Times:
 def write_times(drive: DriveEntry, code: Code, value: Value, timing: LineTiming) -> Times:
     """Give the times of writing a code."""
     form = form_for(drive, code)
-    cost = write_cost(timing, family(drive.family), code, value, form, drive.answer_time_s)
+    of = family(drive.family)
+    answer_s = drive.slow.time_s(of, code, write=True, answer_time_s=drive.answer_time_s)
+    cost = write_cost(timing, of, code, value, form, answer_s)
     pause_s = timing.turnaround_s
     return Times(cost.expected_s + pause_s, cost.whole_s + pause_s, cost.worst_s + pause_s)
 

@@ -14,6 +14,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
+from lecombus.drives.measured import SlowAnswers
 from lecombus.protocol.addressing import Code, Form
 
 __all__ = [
@@ -145,6 +146,7 @@ class DriveEntry(_Model):
         identity: What identity codes must read, by code.
         stored_writes: How often stored codes may be written.
         lease: Whether its control needs a lease.
+        slow: What a running line measured of it; no roster says that.
     """
 
     name: str
@@ -162,6 +164,7 @@ class DriveEntry(_Model):
     identity: Mapping[Code, str] = {}
     stored_writes: StoredWrites = StoredWrites()
     lease: LeaseEntry = LeaseEntry()
+    slow: SlowAnswers = SlowAnswers()
 
 
 class GroupEntry(_Model):

@@ -16,7 +16,7 @@ from __future__ import annotations
 from ..protocol.exchange import Result
 from ..schedule import Request
 from .observer import ExchangeReport, Observer
-from .station import Job
+from .station import Job, StepKind
 
 __all__ = ["Aftermath"]
 
@@ -60,6 +60,12 @@ class Aftermath:
         request.end(*outcome)
 
     def _keep(self, request: Request, job: Job, result: Result, quarantined_s: float) -> None:
+        if result.thought_s is not None and result.clean:
+            station, code, write = job.station, job.step.code, job.step.kind is StepKind.WRITE
+            station.measured.note(
+                code, station.told_s(code, write=write), result.thought_s, result.ended_s,
+                write=write,
+            )  # fmt: skip
         self.reports.append(
             ExchangeReport(
                 request.drive,

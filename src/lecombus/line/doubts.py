@@ -17,11 +17,28 @@ Source: EDB2102EN 8.3 (telegrams without address in the answer), 8.3.5 (time mon
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from ..protocol.addressing import Code, Form, encode_code
 from ..protocol.exchange import ACK_FIELD
+from .station import Station
 
-__all__ = ["Doubts"]
+__all__ = ["Asked", "Doubts"]
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """A read whose answer did not come in time.
+
+    Args:
+        station: Who was asked.
+        code: For what.
+        said_s: When the request had been said.
+    """
+
+    station: Station
+    code: Code
+    said_s: float
 
 
 class Doubts:
@@ -35,11 +52,25 @@ class Doubts:
     def __init__(self, window_s: float) -> None:
         self.window_s = window_s
         self._until_s: dict[bytes, float] = {}
+        self._asked: dict[bytes, Asked] = {}
 
-    def add(self, field: bytes, now_s: float) -> None:
+    def add(self, field: bytes, now_s: float, asked: Asked | None = None) -> None:
         """Note that the answer with this code field (or `ACK_FIELD`) did not come in time."""
         if self.window_s > 0.0 and field:
+            again = self.blocked_until_s(field, now_s) > now_s
             self._until_s[field] = now_s + self.window_s
+            self._asked.pop(field, None)
+            if asked is not None and not again:
+                self._asked[field] = asked
+
+    def sole(self, field: bytes, now_s: float) -> Asked | None:
+        """Tell what an old answer answers, if only one may still come and it is that one.
+
+        For measuring how late it came, and for nothing else: its value is never used.
+        """
+        if not self.any(now_s) or len(self._until_s) != 1 or field not in self._until_s:
+            return None
+        return self._asked.get(field)
 
     def answered(self, field: bytes, now_s: float) -> None:
         """Note that an answer came: an acknowledgement may be the old one that was in doubt."""

@@ -57,7 +57,7 @@ class Questions:
     def __init__(self, timing: LineTiming, doubts: Doubts) -> None:
         self._timing = timing
         self._doubts = doubts
-        self._reads: dict[tuple[Station, Code, Form], Question] = {}
+        self._reads: dict[tuple[Station, Code, Form, float | None], Question] = {}
         self._parity = True
         self.gap_s = 5.0 * timing.char_s + timing.adapter_latency_s
 
@@ -107,12 +107,13 @@ class Questions:
         return free_at
 
     def _read_question(self, station: Station, code: Code, form: Form) -> Question:
-        key = (station, code, form)
+        answer_s = station.answer_s(code)
+        key = (station, code, form, answer_s)
         question = self._reads.get(key)
         if question is None:
             if len(self._reads) >= MAX_CACHED:
                 self._reads.clear()
-            cost = read_cost(self._timing, station.family, code, form, station.answer_time_s)
+            cost = read_cost(self._timing, station.family, code, form, answer_s)
             sent = self._on_the_wire(read_telegram(station.address, code, form))
             question = self._question(sent, encode_code(code, form), cost, 0.0)
             self._reads[key] = question
@@ -122,7 +123,12 @@ class Questions:
         assert step.value is not None
         form = next(form for form in station.forms if step.code.knows(form))
         cost = write_cost(
-            self._timing, station.family, step.code, step.value, form, station.answer_time_s
+            self._timing,
+            station.family,
+            step.code,
+            step.value,
+            form,
+            station.answer_s(step.code, write=True),
         )
         telegram = write_telegram(station.address, step.code, step.value, form)
         return self._question(self._on_the_wire(telegram), ACK_FIELD, cost, station.hold_s)

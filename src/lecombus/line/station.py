@@ -9,11 +9,12 @@ What must not live here: the jobs themselves (`jobs`, `stop_job`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol
 
 from ..drives import Family
+from ..drives.measured import MeasuredTimes, manual_s
 from ..errors import ExchangeError
 from ..protocol.addressing import Code, Form
 from ..protocol.exchange import Result
@@ -38,6 +39,7 @@ class Station:
         hold_s: How long it is left alone after a write, seconds: with shortened response time
             (C1921 = 1) the module acknowledges before it has passed the value on.
         answer_time_s: The roster's word on how long it thinks, seconds; None: the family's.
+        measured: How long it really thinks.
     """
 
     name: str
@@ -46,6 +48,17 @@ class Station:
     forms: tuple[Form, ...]
     hold_s: float = 0.0
     answer_time_s: float | None = None
+    measured: MeasuredTimes = field(default_factory=MeasuredTimes)
+
+    def answer_s(self, code: Code, *, write: bool = False) -> float | None:
+        """Give how long it thinks, to be reckoned with; None: what its family says."""
+        return self.measured.slow.time_s(
+            self.family, code, write=write, answer_time_s=self.answer_time_s
+        )
+
+    def told_s(self, code: Code, *, write: bool = False) -> float:
+        """Give the longest that manual and roster let it think, seconds."""
+        return manual_s(self.family, code, write=write, answer_time_s=self.answer_time_s)
 
 
 class StepKind(Enum):

@@ -1,7 +1,8 @@
 """Bytes that come when nobody was asked: old answers, noise, somebody else on the line.
 
 They are never used as values. A whole read answer that was in doubt tells that the doubt is over:
-the late one has come, and its like may be asked for again.
+the late one has come, and its like may be asked for again. When it was the only one in doubt it
+also tells how slow its drive is (`drives.measured`).
 """
 
 from __future__ import annotations
@@ -46,11 +47,12 @@ class Strays:
         """Listen anew: an exchange has just been given up."""
         self._parser.reset()
 
-    def feed(self, data: bytes) -> bool:
+    def feed(self, data: bytes, now_s: float) -> bool:
         """Take bytes nobody asked for.
 
         Args:
             data: The bytes, parity bits included.
+            now_s: When they came.
 
         Returns:
             Whether they completed a whole old answer.
@@ -64,5 +66,17 @@ class Strays:
             return False
         self.late_answers_total += 1
         if isinstance(answer, ValueAnswer | UnknownCodeAnswer | TransmissionErrorAnswer):
+            self._measure(answer.field, now_s)
             self._doubts.resolve(answer.field)
         return True
+
+    def _measure(self, field: bytes, now_s: float) -> None:
+        """Let a drive know its own slowness, where it is certain whose answer this is.
+
+        The end of the answer is taken for its beginning: a time-out may rather be too long.
+        """
+        asked = self._doubts.sole(field, now_s)
+        if asked is not None:
+            station, code = asked.station, asked.code
+            late_s = now_s - asked.said_s
+            station.measured.note_late(code, station.told_s(code), late_s, now_s)

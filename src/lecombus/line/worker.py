@@ -37,7 +37,7 @@ from ..protocol.telegrams import ValueAnswer
 from ..schedule import Outcome, Priority, Request, Schedule
 from .aftermath import Aftermath
 from .connection import Connection
-from .doubts import Doubts
+from .doubts import Asked, Doubts
 from .jobs import ReadJob
 from .observer import ExchangeReport, Observer
 from .options import WorkerOptions
@@ -166,7 +166,7 @@ class LineWorker:
             if result is not None:
                 self._end_exchange(result)
             return
-        late = self._strays.feed(data)
+        late = self._strays.feed(data, now)
         self._observer.stray_bytes(data, late)
         over = late and not self._doubts.any(now)
         self._silence.heard(now, self._questions.gap_s, nothing_in_doubt=over)
@@ -444,7 +444,7 @@ class LineWorker:
         self.exchanges += 1
         if type(result.answer) is not ValueAnswer:
             self._ready = None  # a doubt, an echo, a lost line: look at it anew
-        quarantined_s = self._after(question, result)
+        quarantined_s = self._after(job, question, result)
         self.schedule.finished(request, result.started_s, ended + quarantined_s, answered)
         if type(result.answer) is ValueAnswer and type(job) is ReadJob:
             self._aftermath.put_off(request, job, result)
@@ -465,7 +465,7 @@ class LineWorker:
         else:
             request.end(*verdict)
 
-    def _after(self, question: Question, result: Result) -> float:
+    def _after(self, job: Job, question: Question, result: Result) -> float:
         """Set from when the line is free again; returns the quarantine in seconds."""
         ended = result.ended_s
         self._silence.exchange_ended(ended)
@@ -475,7 +475,8 @@ class LineWorker:
             return 0.0
         if result.kind is ResultKind.SENT:
             return 0.0
-        self._doubts.add(question.ask.field, ended)
+        asked = Asked(job.station, job.step.code, result.started_s + question.ask.request_s)
+        self._doubts.add(question.ask.field, ended, asked)
         silent_s = self._stall.failed(result)
         if silent_s is not None:
             self._connection.note_loss(

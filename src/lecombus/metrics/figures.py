@@ -39,6 +39,7 @@ class Figures:
         writes: By drive and code, writes that may have reached the drive's memory, for ever.
         slack_s: Time left until the line must be free for feeding; None: nothing is fed.
         woken_late_s: How late the line's task was woken at most of late, seconds.
+        answer_ratio: By drive, the slowest answer measured over the manual's longest time.
     """
 
     queue_depth: Mapping[Priority, int] = field(default_factory=dict)
@@ -51,6 +52,7 @@ class Figures:
     writes: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     slack_s: float | None = None
     woken_late_s: float = 0.0
+    answer_ratio: Mapping[str, float] = field(default_factory=dict)
 
 
 class LineFigures:
@@ -82,6 +84,10 @@ class LineFigures:
         self._margin = gauge(
             "watchdog_margin_seconds", "Time left until the drive's watchdog would fire."
         )
+        self._answers = gauge(
+            "drive_answer_ratio",
+            "Slowest answer measured over the longest that the manual tells; adapter taken off.",
+        )
         self._misses = counter("watchdog_misses", "Feeds that came later than the watchdog time.")
         self._refused = counter(
             "schedule_refusals",
@@ -101,7 +107,7 @@ class LineFigures:
         """The families, in the order of the page."""
         return (
             *(self._up, self._depth, self._refused, self._stretch, self._late, self._skipped),
-            *(self._woken, self._slack, self._margin, self._misses, self._writes),
+            *(self._woken, self._slack, self._margin, self._misses, self._writes, self._answers),
         )
 
     def render(self, store: Store, figures: Figures) -> None:
@@ -124,6 +130,9 @@ class LineFigures:
         for drive, margin_s in figures.watchdog_margin_s.items():
             label = f'{line},drive="{escape(drive)}"'
             self._margin.lines.append(f"{self._margin.name}{{{label}}} {margin_s!r}")
+        for drive, ratio in figures.answer_ratio.items():
+            label = f'{line},drive="{escape(drive)}"'
+            self._answers.lines.append(f"{self._answers.name}{{{label}}} {ratio!r}")
         for drive, misses in figures.watchdog_misses.items():
             label = f'{line},drive="{escape(drive)}"'
             self._misses.lines.append(f"{self._misses.name}_total{{{label}}} {misses}")

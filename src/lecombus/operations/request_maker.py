@@ -65,7 +65,7 @@ class RequestMaker:
     ) -> Request:
         """Make a request that reads one code."""
         cost = read_cost(
-            self.timing, station.family, code, form_of(station, code), station.answer_time_s
+            self.timing, station.family, code, form_of(station, code), station.answer_s(code)
         )
         job = ReadJob(station, code, self.retries if retries is None else retries, instead)
         return Request(
@@ -81,7 +81,7 @@ class RequestMaker:
     def cost_of_read_s(self, station: Station, code: Code) -> float:
         """Give the line time of a read that is answered, seconds."""
         form = form_of(station, code)
-        return read_cost(self.timing, station.family, code, form, station.answer_time_s).expected_s
+        return read_cost(self.timing, station.family, code, form, station.answer_s(code)).expected_s
 
     def write(
         self,
@@ -100,7 +100,12 @@ class RequestMaker:
         for the same code takes the place of one that still waits.
         """
         cost = write_cost(
-            self.timing, station.family, code, value, form_of(station, code), station.answer_time_s
+            self.timing,
+            station.family,
+            code,
+            value,
+            form_of(station, code),
+            station.answer_s(code, write=True),
         )
         info = station.family.info(code)
         write_class = station.family.write_class(code, value)
@@ -138,7 +143,7 @@ class RequestMaker:
         )
         code = station.family.stops[action].code
         form = form_of(station, code)
-        cost = read_cost(self.timing, station.family, code, form, station.answer_time_s)
+        cost = read_cost(self.timing, station.family, code, form, station.answer_s(code))
         return Request(
             station.name,
             Priority.STOP,
@@ -163,7 +168,10 @@ class RequestMaker:
     ) -> Request:
         """Make a request that writes one code of all members with one telegram."""
         slowest_s = max(
-            max(one.family.longest_answer_time_s(code, write=True), one.answer_time_s or 0.0)
+            max(
+                one.family.longest_answer_time_s(code, write=True),
+                one.answer_s(code, write=True) or 0.0,
+            )
             for one in members
         )
         form = form_of(group, code)
@@ -196,7 +204,7 @@ class RequestMaker:
         code = rare[0] if rare else station.family.feed_code
 
         def make() -> Request:
-            cost = read_cost(self.timing, quiet.family, code, forms[0], quiet.answer_time_s)
+            cost = read_cost(self.timing, quiet.family, code, forms[0], quiet.answer_s(code))
             job = ReadJob(quiet, code, 0)
             settle = self._counted(Priority.CYCLIC, ignore_end)
             return Request(

@@ -7,23 +7,71 @@ what may be written, who a drive is, or where the daemon listens.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from typing import Any
 
 from lecombus.config import DriveEntry, Roster
 from lecombus.config.models import ApiEntry, CyclicEntry, LineEntry, WatchdogEntry
+from lecombus.drives.measured import AnswerRow, SlowAnswers
 from lecombus.protocol.addressing import Code, Form
 
-__all__ = ["facts_of", "roster_of"]
+__all__ = ["answers_of", "facts_of", "roster_of", "slow_of"]
 
 
-def facts_of(roster: Roster) -> dict[str, Any]:
-    """Give what a plan of a roster is made from."""
+def facts_of(roster: Roster, slow: Mapping[str, SlowAnswers] | None = None) -> dict[str, Any]:
+    """Give what a plan of a roster is made from.
+
+    Args:
+        roster: The roster.
+        slow: What was measured of its drives, by name; None: what stands in the roster.
+    """
+    found = {drive.name: drive.slow for drive in roster.drives} if slow is None else slow
     return {
         "line": _exact(roster.line.model_dump()),
-        "drives": [_facts_of_drive(drive) for drive in roster.drives],
+        "drives": [
+            _facts_of_drive(drive) | {"slow": _facts_of_slow(found[drive.name])}
+            for drive in roster.drives
+        ],
     }
+
+
+def answers_of(rows: Mapping[str, Sequence[AnswerRow]]) -> dict[str, Any]:
+    """Give the answer times that were measured, by drive and the slowest first."""
+    return {
+        drive: [
+            {
+                "code": str(row.code),
+                "write": row.write,
+                "manual_s": _decimal(row.manual_s),
+                "measured_s": _decimal(round(row.measured_s, 6)),
+                "slow": row.slow,
+            }
+            for row in of_drive
+        ]
+        for drive, of_drive in rows.items()
+    }
+
+
+def slow_of(facts: Mapping[str, Any]) -> dict[str, SlowAnswers]:
+    """Give what was measured of each drive, from the facts that a daemon gave."""
+    return {one["name"]: _slow_of(one["slow"]) for one in facts["drives"]}
+
+
+def _facts_of_slow(slow: SlowAnswers) -> dict[str, Any]:
+    return {
+        "reads": {str(code): _decimal(time_s) for code, time_s in slow.reads.items()},
+        "writes": {str(code): _decimal(time_s) for code, time_s in slow.writes.items()},
+        "ratio": _decimal(round(slow.ratio, 6)),
+    }
+
+
+def _slow_of(facts: Mapping[str, Any]) -> SlowAnswers:
+    reads, writes = (
+        {Code.parse(code): float(time_s) for code, time_s in facts[kind].items()}
+        for kind in ("reads", "writes")
+    )
+    return SlowAnswers(reads, writes, float(facts["ratio"]))
 
 
 def roster_of(facts: Mapping[str, Any]) -> Roster:
@@ -69,6 +117,7 @@ def _drive_of(facts: Mapping[str, Any]) -> DriveEntry:
         ),
         writable=frozenset(),
         answer_time_s=None if own_s is None else float(own_s),
+        slow=_slow_of(facts["slow"]),
     )
 
 

@@ -105,6 +105,8 @@ class Result:
         late: Whole answers to something else that came meanwhile.
         received: The first bytes that could not be used.
         clean: False when anything but echo and answer was heard.
+        thought_s: From the end of the request to the first byte of the answer, what the adapter
+            adds included; None: there was no answer.
     """
 
     kind: ResultKind
@@ -115,6 +117,7 @@ class Result:
     late: int = 0
     received: bytes = b""
     clean: bool = True
+    thought_s: float | None = None
 
 
 class _Phase(Enum):
@@ -141,7 +144,7 @@ class Exchange:
         self._ask = Ask(b"", b"", 0.0, 0.0, 0.0, 0.0, 0.0)
         self.started_s = 0.0
         self._earliest_s = 0.0
-        self._last_byte_s = 0.0
+        self._last_byte_s = self._answer_at_s = 0.0
         self._echo_at = 0
         self._echo_fault = ""
         self._fault = ""
@@ -193,6 +196,8 @@ class Exchange:
         if now_s < self._earliest_s or not self._ask.field:
             self._reject(data, "bytes came that nobody asked for")
             return None
+        if self._phase is _Phase.WAIT:
+            self._answer_at_s = now_s
         return self._parse(data, now_s)
 
     def deadline_s(self) -> float:
@@ -241,7 +246,12 @@ class Exchange:
     ) -> Result:
         clean = not (self._fault or self._echo_fault or self._late)
         kept = bytes(self._kept) if self._kept else b""
-        return Result(kind, self.started_s, now_s, answer, fault, self._late, kept, clean)
+        thought_s = None
+        if answer is not None:
+            thought_s = self._answer_at_s - self.started_s - self._ask.request_s
+        return Result(
+            kind, self.started_s, now_s, answer, fault, self._late, kept, clean, thought_s
+        )
 
     def _match_echo(self, data: bytes) -> bytes:
         sent = self._ask.sent

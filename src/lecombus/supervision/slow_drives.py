@@ -1,0 +1,73 @@
+"""Saying which drives answer slower than their manual: once in the log, and as a remark.
+
+Strategy: the line measures and widens its time-outs by itself; once a second somebody looks here
+whether that has changed for a drive, so that the path behind an exchange says nothing.
+
+What must not live here: when a drive is slow, and by how much (`drives.measured`).
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable
+
+from lecombus.drives.measured import AnswerRow, SlowAnswers
+from lecombus.line.station import Station
+from lecombus.store import Store
+
+__all__ = ["SlowDrives"]
+
+logger = logging.getLogger(__name__)
+
+KEY = "answer-time"
+SHOWN = 3
+"""Codes named in a remark; all stand in `lecombus plan --from-daemon`."""
+
+
+class SlowDrives:
+    """Keeps the remarks.
+
+    Args:
+        store: Where remarks stand.
+    """
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._seen: dict[str, SlowAnswers] = {}
+        self._logged: set[str] = set()
+
+    def look(self, stations: Iterable[Station]) -> None:
+        """Say what has changed."""
+        for station in stations:
+            slow = station.measured.slow
+            if self._seen.get(station.name) is not slow:
+                self._seen[station.name] = slow
+                self._say(station)
+
+    def forget(self, drive: str) -> None:
+        """The drive has left the roster."""
+        self._seen.pop(drive, None)
+        self._logged.discard(drive)
+
+    def _say(self, station: Station) -> None:
+        rows = [row for row in station.measured.rows() if row.slow]
+        if not rows:
+            self._store.note(station.name, KEY, None)
+            return
+        text = (
+            f"answers later than its manual says ({', '.join(map(_words, rows[:SHOWN]))}"
+            f"{', ..' if len(rows) > SHOWN else ''}); its time-outs are widened: give its "
+            "answer_time in the roster, or look at what delays it"
+        )
+        self._store.note(station.name, KEY, text)
+        if station.name not in self._logged:
+            self._logged.add(station.name)
+            logger.warning(
+                "drive=%s event=slow-drive code=%s measured_s=%.3f manual_s=%.3f",
+                station.name, rows[0].code, rows[0].measured_s, rows[0].manual_s,
+            )  # fmt: skip
+
+
+def _words(row: AnswerRow) -> str:
+    what = f"{row.code} written" if row.write else str(row.code)
+    return f"{what} after {row.measured_s * 1000:.0f} ms instead of {row.manual_s * 1000:.0f} ms"

@@ -1,0 +1,137 @@
+"""Answer times that were measured: what counts, its bounds, and what it makes of costs."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from lecombus.drives import LineTiming, family, read_cost
+from lecombus.drives.costs import LATENESS_S
+from lecombus.drives.measured import (
+    KEPT_S,
+    MOST_CODES,
+    MOST_S,
+    WINDOW_S,
+    MeasuredTimes,
+    SlowAnswers,
+    manual_s,
+)
+from lecombus.protocol.addressing import Code, Form
+
+FAMILY = family("8200vector")
+STATUS, OTHER, THIRD = Code(150), Code(50), Code(61)
+TOLD_S = manual_s(FAMILY, STATUS, write=False, answer_time_s=None)
+SLOW_S = 3.0 * TOLD_S
+
+
+def measured(*times_s: float, code: Code = STATUS, told_s: float = TOLD_S) -> MeasuredTimes:
+    found = MeasuredTimes()
+    for number, time_s in enumerate(times_s):
+        found.note(code, told_s, time_s, float(number), write=False)
+    return found
+
+
+def reckoned_s(found: MeasuredTimes, code: Code = STATUS, *, write: bool = False) -> float | None:
+    return found.slow.time_s(FAMILY, code, write=write, answer_time_s=None)
+
+
+def test_once_is_no_measure_and_twice_is() -> None:
+    assert reckoned_s(measured(SLOW_S, 0.01, 0.01)) is None
+    twice_s = reckoned_s(measured(SLOW_S, 0.01, SLOW_S))
+    assert twice_s is not None
+    assert SLOW_S <= twice_s <= 1.25 * SLOW_S
+
+
+def test_what_is_about_the_manual_s_time_changes_nothing() -> None:
+    found = measured(*[TOLD_S * 1.2 + LATENESS_S / 2] * 5)
+    assert reckoned_s(found) is None
+    assert found.slow == SlowAnswers()
+    assert [(row.code, row.slow) for row in found.rows()] == [(STATUS, False)]
+
+
+def test_never_below_the_manual_and_never_far_above() -> None:
+    rng = random.Random(7)
+    for _ in range(500):
+        told_s = rng.choice((0.003, 0.03, 0.1, 0.5, 3.0))
+        found = measured(*(rng.uniform(0.0, 20.0) for _ in range(4)), told_s=told_s)
+        used_s = found.slow.reads.get(STATUS, told_s)
+        assert told_s <= used_s <= max(told_s, min(10.0 * told_s, MOST_S))
+
+
+def test_slowness_that_ends_is_forgotten_after_two_windows_of_answers() -> None:
+    found = measured(SLOW_S, SLOW_S)
+    for at_s in (WINDOW_S + 1.0, WINDOW_S + 2.0):
+        found.note(STATUS, TOLD_S, 0.01, at_s, write=False)
+    assert reckoned_s(found) is not None
+    for at_s in (2 * WINDOW_S + 2.0, 2 * WINDOW_S + 3.0):
+        found.note(STATUS, TOLD_S, 0.01, at_s, write=False)
+    assert reckoned_s(found) is None
+    assert found.slow == SlowAnswers()
+
+
+def test_silence_forgets_nothing() -> None:
+    found = measured(SLOW_S, SLOW_S)
+    found.note(STATUS, TOLD_S, 0.01, 50 * WINDOW_S, write=False)
+    assert reckoned_s(found) is not None
+
+
+def test_a_code_no_longer_asked_for_is_forgotten_while_the_drive_answers_others() -> None:
+    found = measured(SLOW_S, SLOW_S)
+    for at_s in (10.0, KEPT_S / 2, KEPT_S - 1.0):
+        found.note(OTHER, TOLD_S, 0.01, at_s, write=False)
+    assert reckoned_s(found) is not None
+    for at_s in (KEPT_S + 2.0, KEPT_S + WINDOW_S):
+        found.note(OTHER, TOLD_S, 0.01, at_s, write=False)
+    assert reckoned_s(found) is None
+    assert [row.code for row in found.rows()] == [OTHER]
+
+
+def test_the_adapter_s_part_is_taken_off() -> None:
+    found = MeasuredTimes(latency_s=0.05)
+    for _ in range(2):
+        found.note(STATUS, TOLD_S, TOLD_S + 0.06, 1.0, write=False)
+    assert reckoned_s(found) is None
+    assert found.rows()[0].measured_s == pytest.approx(TOLD_S + 0.01)
+
+
+def test_only_a_drive_slow_in_all_is_slow_in_what_was_not_measured() -> None:
+    found = measured(SLOW_S, SLOW_S)
+    assert reckoned_s(found, THIRD) is None
+    for at_s in (3.0, 4.0):
+        found.note(OTHER, TOLD_S, 2.5 * TOLD_S, at_s, write=False)
+    third_s = reckoned_s(found, THIRD)
+    assert third_s is not None
+    assert third_s == pytest.approx(2.5 * TOLD_S, rel=0.25)
+    assert reckoned_s(found, STATUS, write=True) is not None
+    for at_s in (5.0, 6.0):
+        found.note(THIRD, TOLD_S, TOLD_S, at_s, write=False)
+    assert reckoned_s(found, Code(46)) is None
+    assert reckoned_s(found, STATUS) is not None
+
+
+def test_a_late_answer_counts_however_little_it_was_late() -> None:
+    found = MeasuredTimes()
+    for _ in range(2):
+        found.note_late(STATUS, TOLD_S, TOLD_S, 1.0)
+    assert reckoned_s(found) is not None
+
+
+def test_the_slowest_codes_are_remembered_and_no_more() -> None:
+    found = MeasuredTimes()
+    for number in range(100):
+        for _ in range(2):
+            found.note(Code(number), TOLD_S, TOLD_S * (1 + number), 1.0, write=False)
+    rows = found.rows()
+    assert len(rows) == MOST_CODES
+    assert rows[0].code == Code(99)
+    assert min(row.code.number for row in rows) == 100 - MOST_CODES
+
+
+def test_a_slow_drive_is_waited_for_twice_as_long_as_it_takes() -> None:
+    timing = LineTiming(9600)
+    usual = read_cost(timing, FAMILY, STATUS, Form.STANDARD)
+    slow = read_cost(timing, FAMILY, STATUS, Form.STANDARD, reckoned_s(measured(SLOW_S, SLOW_S)))
+    assert slow.first_byte_s - slow.request_s >= 2 * SLOW_S
+    assert slow.expected_s > usual.expected_s
+    assert slow.worst_s > usual.worst_s
