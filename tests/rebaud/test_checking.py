@@ -94,17 +94,24 @@ def test_software_that_no_manual_vouches_for_is_left_alone(
     assert line.check().kinds == kinds
 
 
-def test_a_code_bank_stands_against_standard_addressing_only() -> None:
+def test_a_code_bank_does_not_matter_in_extended_addressing() -> None:
     line = standing("8200vector")
     line["8200vector"].model.params.set(249, "1")
     assert line.check().kinds == []
-    one = subject_of("8200vector", 11, "8200vector")
-    plain = Subject(one.name, one.address, one.family, Form.STANDARD)
-    other = RebaudLine([("8200vector", 11, "8200vector")], subjects=[plain])
-    other.scanned.host.write(11, 40, "0")
-    other["8200vector"].model.params.set(248, "1")
-    assert "locked" in other.check().kinds or "no-answer" in other.kinds
-    assert other.work.obstacles
+
+
+def test_a_code_bank_stands_against_standard_addressing() -> None:
+    known = subject_of("8200vector", 11, "8200vector")
+    plain = Subject(known.name, known.address, known.family, Form.STANDARD)
+    line = RebaudLine([("8200vector", 11, "8200vector")], subjects=[plain])
+    params = line["8200vector"].model.params
+    specs = params.specs
+    assert isinstance(specs, dict)
+    specs[375, 0] = specs[125, 0]  # what a read of C0125 reaches reads like a baud rate
+    params.set(375, "0")
+    params.set(249, "1")
+    locked = [one for one in line.check().work.obstacles if one.kind == "locked"]
+    assert "C0249 of 8200vector reads 1" in locked[0].problem
 
 
 def test_a_rate_that_waits_for_a_power_cycle_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
