@@ -247,7 +247,9 @@ class Site:
         for rule in kind.stops.values():
             if rule.value is None:
                 others = (one.code for one in kind.stops.values() if one is not rule)
-                self.words.watch(entry.name, rule.code, moved_by=others)
+                inhibit = kind.stops.get(StopAction.INHIBIT)
+                shown_by = inhibit.proofs if inhibit is not None else {}
+                self.words.watch(entry.name, rule.code, moved_by=others, inhibited_by=shown_by)
         self.metrics.minutes.expect(entry.name, tuple(one.code for one in entry.cyclic))
         self._cyclic[entry.name] = []
         for one in entry.cyclic:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from lecombus.drives.stops import StopProof
 from lecombus.operations.control_words import ControlWords
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
@@ -73,3 +74,18 @@ def test_a_word_of_eight_digits_is_no_control_word() -> None:
     words.watch("a", WORD)
     words.seen("a", WORD, Value.parse("HFFFF0000"))
     assert words.get("a") is None
+
+
+def test_a_word_is_forgotten_when_a_status_word_begins_to_show_an_inhibit() -> None:
+    status = Code(150)
+    words = ControlWords()
+    words.watch("a", WORD, inhibited_by={status: StopProof(0x0080, 0x0080)})
+    words.seen("a", status, Value.parse("H0080"))
+    words.seen("a", WORD, Value.parse("H0200"))
+    words.seen("a", status, Value.parse("H0080"))
+    assert words.get("a") == 0x0200, "it lasts: the word is younger"
+    words.seen("a", status, Value.parse("H0000"))
+    words.seen("a", WORD, Value.parse("H0000"))
+    assert words.get("a") == 0
+    words.seen("a", status, Value.parse("H0080"))
+    assert words.get("a") is None, "something that is not the line has inhibited it"

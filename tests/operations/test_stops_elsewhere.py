@@ -6,12 +6,14 @@ what they do, not what the report says.
 
 from __future__ import annotations
 
+import anyio
 import pytest
 
-from lecombus.drives import StopAction
+from lecombus.drives import FAMILY_NAMES, StopAction
 from lecombus.schedule import Outcome
 from support.site_host import Plant, roster_of, with_plant
 
+DESCRIBED = [name for name in FAMILY_NAMES if name != "generic"]
 BANKED = ("820x", "822x", "8200vector", "93xx", "smvector")
 BITS = {StopAction.QUICK_STOP: 0x0008, StopAction.INHIBIT: 0x0200}
 
@@ -84,3 +86,22 @@ def test_a_93xx_that_does_not_follow_its_control_word_is_inhibited(configuration
         assert "C0135 reads H0008; inhibit" in report.reason
 
     with_plant(test, roster_of([("a", 11, "93xx")]))
+
+
+@pytest.mark.parametrize("family", DESCRIBED)
+def test_a_quick_stop_leaves_an_inhibit_that_somebody_set_at_the_drive(family: str) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        model = plant.line["a"].model
+        model.control = 0
+        model.steer()
+        await anyio.sleep(12.0)  # C0135 was read since, and is so every 10 s
+        plant.line.advance(plant.now_s)
+        model.control = 0x0200
+        model.steer()
+        await anyio.sleep(1.2)  # C0150 was read since
+        report = await plant.site.operations.stop(StopAction.QUICK_STOP, "a")
+        assert report.outcome is Outcome.VERIFIED
+        assert model.control & BITS[StopAction.INHIBIT]
+
+    with_plant(test, roster_of([("a", 11, family)]))

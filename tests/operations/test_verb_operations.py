@@ -338,6 +338,72 @@ def test_a_control_word_another_client_writes_meanwhile_is_not_undone(after_s: f
     with_drive(test, "8200vector", drive=", cyclic: []", watchdog="")
 
 
+@pytest.mark.parametrize("after_s", [0.0, 0.05, 0.1])
+@pytest.mark.parametrize(("code", "text"), [(40, "0"), (135, "H0008"), (135, "H0200")])
+@pytest.mark.parametrize("kind", DESCRIBED)
+def test_a_plain_write_that_means_stop_is_not_undone_by_an_enable(
+    kind: str, code: int, text: str, after_s: float
+) -> None:
+    async def test(plant: Plant) -> None:
+        drive = plant.line["a"].model
+        drive.control = 0x0208
+        enabling = asyncio.create_task(do(plant, Verb.ENABLE))
+        await anyio.sleep(after_s)
+        await plant.site.operations.write("a", Code(code), text)
+        assert (await enabling).outcome is Outcome.SUPERSEDED
+        assert drive.inhibited() or drive.stop_wanted()
+
+    with_drive(test, kind, drive=", cyclic: []", watchdog="")
+
+
+def test_a_group_write_that_means_stop_is_not_undone_by_an_enable() -> None:
+    async def test(plant: Plant) -> None:
+        drive = plant.line["a"].model
+        drive.control = 0x0208
+        enabling = asyncio.create_task(do(plant, Verb.ENABLE))
+        await anyio.sleep(0.05)
+        await plant.site.operations.write_group("all", Code(40), "0")
+        assert (await enabling).outcome is Outcome.SUPERSEDED
+        assert drive.inhibited()
+
+    with_drive(test, "8200vector", drive=", cyclic: []", watchdog="")
+
+
+@pytest.mark.parametrize("kind", [name for name in DESCRIBED if name != "820x"])
+def test_a_reset_ends_inhibited_though_somebody_lifts_the_inhibit_meanwhile(kind: str) -> None:
+    async def test(plant: Plant) -> None:
+        drive = plant.line["a"].model
+        await do(plant, Verb.SET_SPEED, value=Decimal(50), unit="%")
+        drive.trip(FAULT_NUMBER)
+        resetting = asyncio.create_task(do(plant, Verb.RESET_FAULT))
+        await until(lambda: plant.site.operations._stops_said["a"] > 0)
+        await plant.site.operations.write("a", Code(40), "1")
+        report = await resetting
+        assert report.outcome is Outcome.VERIFIED
+        assert "inhibited" in report.states
+        assert drive.inhibited()
+
+    with_drive(test, kind)
+
+
+@pytest.mark.parametrize("kind", [name for name in DESCRIBED if name != "smvector"])
+def test_an_enable_that_cannot_be_seen_is_taken_back(kind: str) -> None:
+    async def test(plant: Plant) -> None:
+        drive = plant.line["a"].model
+        await do(plant, Verb.INHIBIT)
+        enabling = asyncio.create_task(do(plant, Verb.ENABLE))
+        await until(lambda: not drive.control & 0x0200)
+        plant.line.faults = Faults(lost=1.0)
+        await anyio.sleep(1.5)
+        plant.line.faults = Faults()
+        report = await enabling
+        assert report.outcome is Outcome.UNKNOWN
+        assert "it was inhibited again" in report.remedy
+        assert drive.inhibited()
+
+    with_drive(test, kind, drive=", cyclic: []", watchdog="")
+
+
 def test_one_enable_or_reset_at_a_time() -> None:
     async def test(plant: Plant) -> None:
         plant.line["a"].model.trip(FAULT_NUMBER)

@@ -24,6 +24,8 @@ from lecombus.errors import OperationError
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 
+from .commands import INHIBIT
+
 if TYPE_CHECKING:
     from .family import Family
 
@@ -31,6 +33,7 @@ __all__ = [
     "StopAction",
     "StopProof",
     "StopRule",
+    "asks_to_stop",
     "confirm_codes",
     "knows_stop",
     "needs_control_word",
@@ -135,6 +138,28 @@ def stop_value(family: Family, action: StopAction, control_word: int | None) -> 
         )
     word = (control_word | rule.set_mask) & ~rule.clear_mask
     return rule.code, Value.hexadecimal(word, 4)
+
+
+def asks_to_stop(family: Family, code: Code, value: Value) -> bool:
+    """Say whether a plain write means that the drive shall not turn.
+
+    It does where it writes what a stop writes, or a control word with a quick stop or an inhibit
+    in it, whoever made that word.
+    """
+    number = value.number
+    for rule in family.stops.values():
+        if rule.code == code and rule.value is not None and value.means_same(rule.value):
+            return True
+        if rule.code == code and rule.value is None and isinstance(number, int):
+            return bool(number & (rule.set_mask | _inhibit_mask(family, code)))
+    return False
+
+
+def _inhibit_mask(family: Family, code: Code) -> int:
+    """Give the bit of the control word that inhibits, 0 where there is none."""
+    word = family.control_words.get(code)
+    bit = word.bits.get(INHIBIT) if word is not None else None
+    return 1 << bit.bit if bit is not None else 0
 
 
 def confirm_codes(family: Family, action: StopAction) -> tuple[Code, ...]:

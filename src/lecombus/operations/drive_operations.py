@@ -9,6 +9,7 @@ What must not live here: HTTP, telegrams, waiting lists.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from decimal import Decimal
 
@@ -21,6 +22,7 @@ from lecombus.drives import (
     moves_drive,
     shifts_addressing,
 )
+from lecombus.drives.stops import asks_to_stop
 from lecombus.errors import (
     CodeValueError,
     CutReplyError,
@@ -85,6 +87,7 @@ class Operations:
         self._disturbances = disturbances
         self._entries: dict[str, DriveEntry] = {}
         self._groups: Mapping[str, GroupEntry] = {}
+        self._stops_said: Counter[str] = Counter()
 
     def close(self) -> None:
         """Take no more writes: the daemon is ending; stops are still said."""
@@ -204,6 +207,7 @@ class Operations:
             station = self._requests.station(drive)
             wire = self.permitted(drive, station, code, value, restoring=restoring)
             self._wear.take(drive, code)
+        self.note_stop(station, code, wire)
         ending = self.submit_write(
             station, code, wire, expires_at_s, verify=verify, urgency=urgency
         )
@@ -245,6 +249,11 @@ class Operations:
         reading = self._store.reading(station.name, code)
         reason = "already there, not written"
         return WriteReport(station.name, code, outcome, reason, reading=reading)
+
+    def note_stop(self, station: Station, code: Code, wire: Value) -> None:
+        """Count a plain write that means to stop a drive: a verb under way must not undo it."""
+        if asks_to_stop(station.family, code, wire):
+            self._stops_said[station.name] += 1
 
     async def why(self, drive: str, *, fresh: bool = False) -> WhyReport:
         """Say why a drive does not turn; `fresh`: after reading the few codes that matter.

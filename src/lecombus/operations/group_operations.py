@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
@@ -94,7 +93,6 @@ class GroupOperations(Operations):
         super().__init__(requests, store, words, wear, clock, disturbances)
         self._stops: dict[tuple[str, StopAction], _OpenStop] = {}
         self._shared: dict[tuple[str, StopAction], Request] = {}
-        self._stops_said: Counter[str] = Counter()
 
     def groups(self) -> Sequence[GroupInfo]:
         """The groups of the roster and how each is spoken to."""
@@ -199,6 +197,7 @@ class GroupOperations(Operations):
             self._wear.check(one.name, code)
         for one in stations:
             self._wear.take(one.name, code)
+            self.note_stop(one, code, wire)
         outcome, reason, kind = await self._multicast(to, stations, code, wire, expires_at_s)
         if outcome is Outcome.DONE and verify is not False:
             proofs = await asyncio.gather(*(self._proof(one, code, wire) for one in stations))
@@ -231,6 +230,7 @@ class GroupOperations(Operations):
                 continue
             try:
                 self._wear.take(one.name, code)
+                self.note_stop(one, code, wire)
                 waits.append(self.submit_write(one, code, wire, expires_at_s, verify=verify))
             except QueueFullError as exc:
                 if not waits:

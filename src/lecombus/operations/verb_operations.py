@@ -10,9 +10,11 @@ Rules held here:
 * The control word is taken when it is written, from what was last read or written on this line;
   while a write that moves it is under way it is read again. What another client wrote is not
   undone.
-* A stop that is said while a verb is under way ends the verb before its next write.
-* An enable that the drive does not show is taken back: else the motor would start by itself when
-  somebody closes a terminal later.
+* A stop that is said while a verb is under way ends the verb before its next write; so does a plain
+  write that means the same.
+* An enable that the drive does not show, or that cannot be seen, is taken back: else the motor
+  would start by itself when somebody closes a terminal later.
+* A reset is over when the drive shows that it is inhibited, whoever lifted the inhibit meanwhile.
 * One enable or reset of a drive at a time; a second one is refused, not queued.
 
 What must not live here: what the steps are (`drives.verbs`), HTTP, telegrams.
@@ -39,6 +41,7 @@ from lecombus.drives.verb_steps import (
     WriteStep,
 )
 from lecombus.drives.verbs import (
+    enable_shown,
     enable_steps,
     has_fault,
     is_enabled,
@@ -162,7 +165,11 @@ class VerbOperations(GroupOperations):
         except TROUBLE as exc:
             if not run.written:
                 raise
-            return told(run, cut_off(run, exc))
+            report = cut_off(run, exc)
+            if verb is Verb.ENABLE and not self._stopped_meanwhile(run):
+                with contextlib.suppress(*TROUBLE):
+                    return await self._take_back(run, report)
+            return told(run, report)
 
     # ---- the verbs --------------------------------------------------------------------------
 
@@ -202,11 +209,11 @@ class VerbOperations(GroupOperations):
         if is_enabled(known):
             report = WriteReport(known.drive, None, Outcome.VERIFIED)
             return told(run, report, states=await self._states(run.station))
-        return await self._take_back(run, known, failed or not_shown(known))
+        return await self._take_back(run, failed or not_shown(known))
 
-    async def _take_back(self, run: Run, known: Known, report: WriteReport) -> VerbReport:
+    async def _take_back(self, run: Run, report: WriteReport) -> VerbReport:
         """Inhibit a drive that did not show its enable, so that it does not start by itself."""
-        undone = (await self.stop(StopAction.INHIBIT, known.drive)).members[0]
+        undone = (await self.stop(StopAction.INHIBIT, run.station.name)).members[0]
         remedy = f"{report.remedy}; it was inhibited again, so that it does not start by itself"
         if undone.outcome is not Outcome.VERIFIED:
             remedy = f"the enable could not be taken back ({undone.reason}): {STOP_REMEDY}"
@@ -229,6 +236,11 @@ class VerbOperations(GroupOperations):
             return told(
                 run, still_there(known, fault_text(known)), states=await self._states(run.station)
             )
+        if enable_shown(known) and not self._stopped_meanwhile(run):
+            # Somebody lifted the inhibit meanwhile, at the keypad or by a plain write.
+            again = await self._inhibit(run)
+            if again.outcome not in GOOD:
+                return told(run, again, states=await self._states(run.station))
         reason = (
             f"{name} was reset; the drive is inhibited: `lecombus enable {known.drive}` lets it run"
         )
