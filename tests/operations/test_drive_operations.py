@@ -93,6 +93,18 @@ def test_a_write_that_may_not_be_made_is_refused_before_anything_is_sent(
     with_plant(test, ROSTER)
 
 
+def test_of_a_code_that_nobody_can_write_no_roster_is_said_to_help() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        with pytest.raises(OperationError) as caught:
+            await write(plant, STATUS, "1")
+        assert str(caught.value).startswith("C0150 of a is read only: controller status word")
+        assert caught.value.kind == "not-writable"
+        assert "writable" not in caught.value.remedy
+
+    with_plant(test, ROSTER)
+
+
 @pytest.mark.parametrize(
     ("writable", "told"),
     [

@@ -109,6 +109,23 @@ def test_after_a_reload_with_the_old_address_the_remark_says_where_it_is() -> No
     with_plant(test, ROSTER)
 
 
+def test_moved_on_and_back_the_roster_still_says_what_its_file_says() -> None:
+    async def test(plant: Plant) -> None:
+        await ready(plant)
+        await change(plant, 22)
+        await plant.online("a", within_s=20)
+        report = await change(plant, 35)
+        assert "after a restart to 11 again" in report.remedy
+        await plant.online("a", within_s=20)
+        assert "the roster says 11" in remark(plant)
+        report = await change(plant, 11)
+        assert (report.outcome, report.remedy) == (Outcome.VERIFIED, "")
+        await plant.online("a", within_s=20)
+        assert remark(plant) == "", "it is home"
+
+    with_plant(test, ROSTER)
+
+
 def test_after_a_restart_the_remark_is_still_there() -> None:
     state = State()
 

@@ -238,6 +238,43 @@ def test_reading_what_matters_takes_little_line_time_and_leaves_the_slow_codes_a
     at("servo", test)
 
 
+@pytest.mark.parametrize(
+    ("drive", "word", "name"),
+    [
+        ("vector", "H0020", "ramp-held-at-zero"),
+        ("belt", "H0010", "ramp-stopped"),
+        ("vector", "H4000", "dc-braking-by-line"),
+        ("servo", "H0020", "ramp-held-at-zero"),
+        ("pump", "H4000", "dc-braking-by-line"),
+        ("fan", "H4000", "dc-braking-by-line"),
+    ],
+)
+def test_a_bit_of_the_control_word_that_holds_the_motor_is_named(
+    drive: str, word: str, name: str
+) -> None:
+    async def test(plant: Plant) -> None:
+        await run_motor(plant, drive)
+        before = await plant.site.operations.why(drive, fresh=True)
+        assert name not in names(before)
+        await plant.site.operations.write(drive, Code(135), word)
+        report = await plant.site.operations.why(drive, fresh=True)
+        assert name in names(report)
+
+    at(drive, test)
+
+
+@pytest.mark.parametrize("drive", ["servo", "pump"])
+def test_a_bit_that_means_something_else_there_is_not_blamed(drive: str) -> None:
+    async def test(plant: Plant) -> None:
+        await run_motor(plant, drive)
+        word = {"servo": "H4000", "pump": "H0020"}[drive]
+        await plant.site.operations.write(drive, Code(135), word)
+        report = await plant.site.operations.why(drive, fresh=True)
+        assert not {"dc-braking-by-line", "ramp-held-at-zero"} & set(names(report))
+
+    at(drive, test)
+
+
 def test_no_drive_and_no_such_drive() -> None:
     async def main(plant: Plant) -> None:
         with pytest.raises(OperationError, match="nobody"):

@@ -75,6 +75,9 @@ def test_a_swapped_drive_is_not_written_to_until_it_is_accepted(
         await leave_and_return(plant)
         assert "C1810 reads 33S2102I_20000, not 33S2102I_10000" in lock(plant)
         assert "lecombus accept a" in lock(plant)
+        remark = plant.site.store.drive("a").remarks["watchdog"]
+        assert remark.startswith("the drive's watchdog is off, the roster says quick-stop after 2")
+        assert remark.endswith(": it is set when the drive may be written to again")
         with pytest.raises(OperationError) as caught:
             await write(plant)
         assert caught.value.kind == "locked"

@@ -370,15 +370,19 @@ class Operations:
             OperationError: `not-writable`.
         """
         writable = self._entries[drive].writable
-        if code not in writable:
-            raise OperationError(
-                f"{code} of {drive} is not writable",
-                kind="not-writable",
-                drive=drive,
-                code=str(code),
-                remedy=f"add {code} to this drive's `writable` list in the roster, where now "
-                f"{listed(writable)}",
-            )
+        if code in writable:
+            return
+        family = self._requests.station(drive).family
+        info = family.info(code)
+        text = f"{code} of {drive} is not writable"
+        remedy = (
+            f"add {code} to this drive's `writable` list in the roster, where now "
+            f"{listed(writable)}"
+        )
+        if info is not None and not info.writable:
+            text = f"{code} of {drive} is read only: {info.name}"
+            remedy = f"`lecombus describe {family.name}` lists what can be written"
+        raise OperationError(text, kind="not-writable", drive=drive, code=str(code), remedy=remedy)
 
     def report(
         self, drive: str, code: Code, ending: Ending, outcome: Outcome, reason: str

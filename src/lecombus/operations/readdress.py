@@ -88,17 +88,25 @@ class Readdress:
         self._wall = wall
         self._follow = follow
         self._entries: Mapping[str, DriveEntry] = {}
+        self._homes: dict[str, int] = {}
+        self._following = False
         self._one_at_a_time = anyio.Lock()
 
     def set_roster(self, entries: Mapping[str, DriveEntry]) -> None:
-        """Take the roster's drives, and say which of them were moved elsewhere."""
+        """Take the roster's drives, and say which of them were moved elsewhere.
+
+        While a drive is followed, the entries have its new address: its home stays where the
+        roster's file has it.
+        """
         self._entries = entries
-        for name, entry in entries.items():
+        if not self._following:
+            self._homes = {name: entry.address for name, entry in entries.items()}
+        for name, home in self._homes.items():
             facts = self._state.drive(name)
-            if facts.moved is not None and facts.moved.address == entry.address:
+            if facts.moved is not None and facts.moved.address == home:
                 facts.moved = None
                 self._state.touch()
-            self._remark(name, entry.address, facts.moved)
+            self._remark(name, home, facts.moved)
 
     def seen_at_home(self, name: str) -> None:
         """Take note that a drive answers where the roster says, as the one it should be."""
@@ -239,17 +247,21 @@ class Readdress:
     def _moved(self, drive: str, station: Station, address: int) -> WriteReport:
         self._remember(drive, Moved(address, rfc3339(self._wall()), confirmed=True))
         logger.warning("drive=%s event=readdressed from=%d to=%d", drive, station.address, address)
-        moved = self._state.drive(drive).moved
-        self._follow(drive, address)
-        self._state.drive(drive).moved = moved
-        self._remark(drive, station.address, moved)
+        self._following = True
+        try:
+            self._follow(drive, address)
+        finally:
+            self._following = False
+        home = self._homes[drive]
+        text = f"it answers at address {address} now, and is the same drive"
+        remedy = (
+            f"write `address: {address}` for {drive} into the roster, then reload: until "
+            f"then lecombus speaks to {address}, after a restart to {home} again"
+        )
+        if address == home:
+            text, remedy = f"{text}; the roster says {home} too", ""
         return WriteReport(
-            drive,
-            address_code(station.family),
-            Outcome.VERIFIED,
-            f"it answers at address {address} now, and is the same drive",
-            remedy=f"write `address: {address}` for {drive} into the roster, then reload: until "
-            f"then lecombus speaks to {address}, after a restart to {station.address} again",
+            drive, address_code(station.family), Outcome.VERIFIED, text, remedy=remedy
         )
 
     async def _look_back(self, drive: str, station: Station, address: int) -> WriteReport:

@@ -137,7 +137,12 @@ class WatchdogAudit:
                 entry.name, describe(traits, found), describe(traits, target),
             )  # fmt: skip
             found = await self._configure(station, traits, found, target)
-        self._settle(entry.name, traits, found, target)
+        remedy = f"set configure: true, or {traits.time_code} and {traits.action_code} in the drive"
+        if wanted.configure and locked:
+            remedy = "it is set when the drive may be written to again"
+        elif wanted.configure:
+            remedy = f"look at {traits.time_code} and {traits.action_code}: it was written, in vain"
+        self._settle(entry.name, traits, found, target, remedy)
 
     async def _find_time(
         self,
@@ -173,7 +178,12 @@ class WatchdogAudit:
         return target if proven else await self._read_setting(station, traits)
 
     def _settle(
-        self, name: str, traits: WatchdogTraits, found: WatchdogSetting, target: WatchdogSetting
+        self,
+        name: str,
+        traits: WatchdogTraits,
+        found: WatchdogSetting,
+        target: WatchdogSetting,
+        remedy: str,
     ) -> None:
         """Feed by what the drive really has, and say where that differs from the roster."""
         self._known[name] = found
@@ -181,8 +191,7 @@ class WatchdogAudit:
         if found != target:
             text = (
                 f"the drive's watchdog is {describe(traits, found)}, the roster says "
-                f"{describe(traits, target)}: set configure: true, or {traits.time_code} and "
-                f"{traits.action_code} in the drive"
+                f"{describe(traits, target)}: {remedy}"
             )
             logger.warning("drive=%s event=watchdog-differs reason=%s", name, text)
         self._store.note(name, REMARK, text)
