@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import pty
 import signal
 import socket
+import termios
 import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,6 +21,7 @@ from cli.test_simulate import simulated
 from lecombus.cli import rebaud
 from lecombus.cli.rebaud_line import carry_out
 from lecombus.config import Roster, parse_roster
+from lecombus.errors import LineLostError
 from lecombus.line.loop import run as run_loop
 from lecombus.rebaud import Step, Steps, Subject, Wait, Write
 from support.rebauding import RebaudLine
@@ -48,10 +51,11 @@ def line(monkeypatch: pytest.MonkeyPatch) -> RebaudLine:
 
     def instead(
         _: object, steps: Steps[None], roster: Roster, subjects: tuple[Subject, ...],
-        interrupt: Callable[[], None],
+        interrupt: Callable[[], None], watch: Callable[[], None],
     ) -> None:  # fmt: skip
         drives.subjects = {one.name: one for one in subjects}
         drives.run(steps)
+        watch()
 
     monkeypatch.setattr(rebaud, "run", instead)
     return drives
@@ -97,9 +101,6 @@ def test_a_running_daemon_is_named_and_must_be_stopped(run: Run, roster: Path) -
 def test_a_port_that_is_in_use_is_refused(run: Run, roster: Path) -> None:
     bus = roster.parent / "bus"
     with simulated("-c", str(roster), "--pty", str(bus)):
-        import fcntl
-        import termios
-
         held = os.open(bus, os.O_RDWR | os.O_NOCTTY)
         fcntl.ioctl(held, termios.TIOCEXCL)
         fcntl.flock(held, fcntl.LOCK_EX)
@@ -207,10 +208,8 @@ def test_drives_are_fetched_from_another_rate_than_the_rosters(
 
 
 def test_a_lost_port_ends_it_with_where_everybody_is(
-    run: Run, roster: Path, line: RebaudLine, monkeypatch: pytest.MonkeyPatch
+    run: Run, roster: Path, line: RebaudLine
 ) -> None:
-    from lecombus.errors import LineLostError
-
     def before(step: Step) -> None:
         if isinstance(step, Write) and step.drive == "belt":
             raise LineLostError("the port is gone", line="bench")
@@ -245,8 +244,20 @@ def test_a_signal_interrupts_and_lets_the_step_end(roster: Path, terminal: str) 
         yield Wait(9600, 0.3)
         noted.append("ended")
 
-    run_loop(carry_out, steps(), read, (), lambda: noted.append("interrupted"))
+    run_loop(carry_out, steps(), read, (), lambda: noted.append("interrupted"), lambda: None)
     assert noted == ["interrupted", "ended"]
+
+
+def test_a_port_lost_before_the_first_write_says_that_nothing_was_written(
+    run: Run, roster: Path, line: RebaudLine
+) -> None:
+    def before(step: Step) -> None:
+        raise LineLostError("the port is gone", line="bench")
+
+    line.before = before
+    ran = run("rebaud", "19200", "-c", str(roster), "--yes")
+    assert ran.status == 1
+    assert "the port is gone; nothing was written" in ran.err
 
 
 @pytest.mark.real
@@ -258,7 +269,6 @@ def test_on_a_pseudo_terminal_there_and_back(run: Run, roster: Path) -> None:
         assert found == {"feeder": 19200, "belt": 19200}
         words = ("--port", port, "--baud", "19200", "--address", "12", "C1411", "--json")
         assert json.loads(run("read", *words).out)["raw"] == "4"
-        assert run("rebaud", "19200", "-c", str(roster), "--yes").status == 0, "it goes on"
         back = run("rebaud", "9600", "--from", "19200", "-c", str(roster), "--yes")
         assert back.status == 0
         assert run("read", "--port", port, "--address", "12", "C1411").status == 0

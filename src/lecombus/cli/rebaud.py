@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ import click
 
 from lecombus.cli.arguments import json_option, roster_option
 from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.cli.progress_bar import progress
 from lecombus.cli.rebaud_line import carry_out, form_of
 from lecombus.cli.rebaud_reports import show_end, show_plan
 from lecombus.cli.screen import on_terminal
@@ -21,7 +23,7 @@ from lecombus.drives.identity import identity_codes
 from lecombus.errors import LecombusError
 from lecombus.line.loop import run
 from lecombus.protocol import BAUDS, Code
-from lecombus.rebaud import Ending, Rebaud, Steps, Subject, ending_of
+from lecombus.rebaud import Drive, Ending, Place, Rebaud, Steps, Subject, ending_of
 from lecombus.state import State
 
 __all__ = ["command"]
@@ -89,9 +91,7 @@ def command(
     subjects = _subjects(read)
     _check_rates(subjects, old, new)
     work = Rebaud(subjects, old, new)
-    _carry(work, work.check(), read)
-    if work.talk.interrupted:
-        raise CommandError(Exit.INTERRUPTED, Problem("interrupted; nothing was written"))
+    _ask_drives(work, read, quiet=as_json)
     wish = Wish(read, yes or dry_run, back, as_json)
     if _shows_plan(work, wish, dry_run=dry_run):
         show_plan(work, read, as_json=as_json)
@@ -193,17 +193,31 @@ def _recorded(roster: Roster) -> State:
         raise CommandError(Exit.FAILED, Problem(f"{roster.state}: {exc}", remedy)) from exc
 
 
+def _ask_drives(work: Rebaud, roster: Roster, *, quiet: bool) -> None:
+    """Check every drive.
+
+    Raises:
+        CommandError: It came to no end.
+    """
+    try:
+        _carry(work, work.check(), roster, Shown("asking drives", Drive.is_seen, quiet=quiet))
+    except LecombusError as exc:
+        raise CommandError(Exit.FAILED, Problem(str(exc), "nothing was written")) from exc
+    if work.talk.interrupted:
+        raise CommandError(Exit.INTERRUPTED, Problem("interrupted", "nothing was written"))
+
+
 # ---- doing it -----------------------------------------------------------------------------------
 
 
 def _do(work: Rebaud, wish: Wish) -> int:
     """Ask, move, offer the way back, and say how it came out."""
     _make_sure(work, wish)
-    trouble = _try(work, work.move(), wish.roster)
+    trouble = _try(work, work.move(), wish, Place.NEW, work.new)
     went_back = False
     if ending_of(work) is Ending.MIXED and not work.talk.interrupted and _wants_back(work, wish):
         went_back = True
-        trouble = _try(work, work.back(), wish.roster)
+        trouble = _try(work, work.back(), wish, Place.OLD, work.old)
     show_end(work, wish.roster, trouble, as_json=wish.as_json)
     if work.talk.interrupted:
         return Exit.INTERRUPTED
@@ -212,21 +226,44 @@ def _do(work: Rebaud, wish: Wish) -> int:
     return Exit.DONE if moved and not unsaved else Exit.FAILED
 
 
-def _carry(work: Rebaud, steps: Steps[None], roster: Roster) -> None:
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """What a bar shows on a terminal.
+
+    Args:
+        title: What is going on.
+        counts: Which drives are done.
+        quiet: Show nothing.
+    """
+
+    title: str
+    counts: Callable[[Drive], bool]
+    quiet: bool
+
+
+def _carry(work: Rebaud, steps: Steps[None], roster: Roster, shown: Shown) -> None:
+    """Carry out steps, showing how far they are."""
+
     def interrupt() -> None:
         work.talk.interrupted = True
 
     subjects = tuple(drive.subject for drive in work.drives)
-    run(carry_out, steps, roster, subjects, interrupt)
+    with progress(shown.title, quiet=shown.quiet) as bar:
+
+        def watch() -> None:
+            bar.advance(sum(map(shown.counts, work.drives)), len(work.drives))
+
+        run(carry_out, steps, roster, subjects, interrupt, watch)
 
 
-def _try(work: Rebaud, steps: Steps[None], roster: Roster) -> str:
+def _try(work: Rebaud, steps: Steps[None], wish: Wish, aim: Place, baud: int) -> str:
     """Carry out steps; gives what ended them early, empty where nothing did.
 
     Whatever happens now, the user must be told where the drives are.
     """
+    shown = Shown(f"to {baud} baud", lambda drive: drive.place is aim, quiet=wish.as_json)
     try:
-        _carry(work, steps, roster)
+        _carry(work, steps, wish.roster, shown)
     except LecombusError as exc:
         return str(exc)
     return ""

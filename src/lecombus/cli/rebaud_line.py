@@ -41,7 +41,11 @@ def form_of(forms: tuple[Form, ...]) -> Form:
 
 
 async def carry_out(
-    steps: Steps[None], roster: Roster, subjects: tuple[Subject, ...], interrupt: Callable[[], None]
+    steps: Steps[None],
+    roster: Roster,
+    subjects: tuple[Subject, ...],
+    interrupt: Callable[[], None],
+    watch: Callable[[], None],
 ) -> None:
     """Carry out steps to their end.
 
@@ -50,6 +54,7 @@ async def carry_out(
         roster: The line, and how its drives are spoken to.
         subjects: The drives.
         interrupt: Called at a signal; the steps then end by themselves.
+        watch: Called after every step.
 
     Raises:
         LecombusError: The port cannot be opened, or was lost.
@@ -61,7 +66,7 @@ async def carry_out(
         try:
             step: Step | None = next(steps, None)
             while step is not None:
-                step = await _at_one_rate(steps, step, roster, stations)
+                step = await _at_one_rate(steps, step, roster, stations, watch)
         except LecombusError as exc:  # outside the task group, or it would come out wrapped
             failure = exc
         tasks.cancel_scope.cancel()
@@ -95,7 +100,11 @@ def _station(subject: Subject, roster: Roster) -> Station:
 
 
 async def _at_one_rate(
-    steps: Steps[None], step: Step, roster: Roster, stations: dict[str, Station]
+    steps: Steps[None],
+    step: Step,
+    roster: Roster,
+    stations: dict[str, Station],
+    watch: Callable[[], None],
 ) -> Step | None:
     """Carry out steps as long as they are for one baud rate; returns the first that is not."""
     baud = step.baud
@@ -112,6 +121,8 @@ async def _at_one_rate(
                 step = steps.send(said)
             except StopIteration:
                 return None
+            finally:
+                watch()
     return step
 
 

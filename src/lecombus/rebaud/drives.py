@@ -100,6 +100,10 @@ class Drive:
         """Its name."""
         return self.subject.name
 
+    def is_seen(self) -> bool:
+        """Whether it answers at a rate that is known."""
+        return self.rate is not None
+
     def be(self, place: Place, rate: int | None, why: str = "") -> None:
         """Take note of where it is."""
         self.place, self.rate, self.why = place, rate, why

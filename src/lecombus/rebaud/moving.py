@@ -154,7 +154,8 @@ class Rebaud:
         """Find out where a drive is after a write, and whether it is to be written once more."""
         found = yield from self._search(drive, here, there)
         if found is None:
-            drive.be(Place.LOST, None, f"it answers at neither rate ({text})")
+            told = f"{there} baud was written to it, and it answers at neither rate"
+            drive.be(Place.LOST, None, told)
             return False
         rate, number = found
         if number == drive.subject.number(rate) == drive.subject.number(there):
