@@ -23,6 +23,7 @@ FAMILY = family("8200vector")
 STATUS, OTHER, THIRD = Code(150), Code(50), Code(61)
 TOLD_S = manual_s(FAMILY, STATUS, write=False, answer_time_s=None)
 SLOW_S = 3.0 * TOLD_S
+LIMITED = Code(next(number for number, one in FAMILY.answer_times.items() if one.is_limit))
 
 
 def measured(*times_s: float, code: Code = STATUS, told_s: float = TOLD_S) -> MeasuredTimes:
@@ -104,6 +105,7 @@ def test_only_a_drive_slow_in_all_is_slow_in_what_was_not_measured() -> None:
     assert third_s is not None
     assert third_s == pytest.approx(2.5 * TOLD_S, rel=0.25)
     assert reckoned_s(found, STATUS, write=True) is not None
+    assert reckoned_s(found, LIMITED) is None
     for at_s in (5.0, 6.0):
         found.note(THIRD, TOLD_S, TOLD_S, at_s, write=False)
     assert reckoned_s(found, Code(46)) is None
@@ -126,6 +128,13 @@ def test_the_slowest_codes_are_remembered_and_no_more() -> None:
     assert len(rows) == MOST_CODES
     assert rows[0].code == Code(99)
     assert min(row.code.number for row in rows) == 100 - MOST_CODES
+
+
+def test_no_stop_waits_for_more_than_two_seconds_of_a_slow_drive() -> None:
+    for code in (STATUS, LIMITED):
+        told_s = manual_s(FAMILY, code, write=False, answer_time_s=None)
+        found = measured(30.0, 30.0, code=code, told_s=told_s)
+        assert FAMILY.patience_s(code, write=False, answer_time_s=reckoned_s(found, code)) <= 2.0
 
 
 def test_a_slow_drive_is_waited_for_twice_as_long_as_it_takes() -> None:

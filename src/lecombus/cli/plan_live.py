@@ -164,10 +164,10 @@ def _show_drives(live: LivePlan) -> None:
 def _show_codes(live: LivePlan) -> None:
     click.echo()
     show_rows(
-        ("drive", "code", "asked every", "promised", "longest gap", ""),
+        ("drive", "code", "asked every", "promised", "loaded", "longest gap", ""),
         [
             (one.drive, one.code, format_duration(one.asked_s), _time(one.promised_s),
-             _time(one.longest_s), one.verdict)
+             _time(one.loaded_s), _time(one.longest_s), one.verdict)
             for one in live.codes
         ],
         title="cyclic reads",

@@ -4,10 +4,11 @@ Strategy: of every code that is read or written, the two longest answers of this
 one before are kept, and the second longest counts: once may be this computer. What is not clearly
 slower than the manual changes nothing, so that costs and time-outs of ordinary drives are those of
 the manual to the digit. What is slower is reckoned with from then on, in steps of a quarter, never
-with less than the manual's time and never with more than ten times that or two seconds.
+with less than the manual's time and never with more than ten times that or one second: a stop
+waits for the time-out of what is under way, and that is twice as long.
 
 A drive of which every code that was measured is slow is slow as a whole: codes not yet measured are
-reckoned with by the least of the ratios found.
+reckoned with by the least of the ratios found, except where the manual tells the most it can be.
 
 What must not live here: where measures come from (`line`), what is said about them (`supervision`).
 """
@@ -35,7 +36,7 @@ WHOLE_CODES: Final = 2
 """So many codes, all slow, make a drive slow as a whole."""
 SLOW_FACTOR: Final = 1.25
 MOST_FACTOR: Final = 10.0
-MOST_S: Final = 2.0
+MOST_S: Final = 1.0
 STEP: Final = 1.25
 
 
@@ -67,7 +68,8 @@ class SlowAnswers:
         if not self.reads and not self.writes:
             return answer_time_s
         known_s = (self.writes if write else self.reads).get(code)
-        if known_s is None and self.ratio > 1.0:
+        times = family.answer_times.get(code.number, family.other_answer_time)
+        if known_s is None and self.ratio > 1.0 and not times.is_limit:
             told_s = manual_s(family, code, write=write, answer_time_s=answer_time_s)
             known_s = bounded(self.ratio * told_s, told_s)
         return answer_time_s if known_s is None else known_s
