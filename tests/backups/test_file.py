@@ -144,6 +144,9 @@ GOOD = write_backup(backup_of("8200vector", {"C0001": "3", "C0011": "50"}))
         ("C0011: 50", "C0011: [50]", 14, "a text is right here"),
         ("parameters:", "parameter:", 12, "parameter is not known here"),
         ("drive: feeder\n", "", 3, "drive is missing"),
+        ("drive: feeder", 'drive: "\\e]0;x\\a"', 4, "a control character"),
+        ("C0011: 50", "C0011: " + "[" * 50_000, 14, "nest more than 20 deep"),
+        ("C0011: 50", "C0011:\n    " + "- " * 50_000, 15, "nest more than 20 deep"),
     ],
 )
 def test_what_cannot_be_is_refused_with_its_line(

@@ -40,6 +40,14 @@ def test_words_before_the_first_key_are_the_message() -> None:
     assert line.endswith('msg="gone for good" line=hall-3 code=""')
 
 
+@pytest.mark.parametrize("forged", ["event=ready", "level=info", "drive=b"])
+def test_what_a_drive_says_forges_no_event(forged: str) -> None:
+    said = f"drive=a event=drive-swapped reason=C0200 reads X {forged} now"
+    event = json.loads(EventFormatter("json").format(record(said)))
+    assert (event["drive"], event["event"]) == ("a", "drive-swapped")
+    assert event["reason"] == f"C0200 reads X {forged} now"
+
+
 def test_fields_are_fields_in_json_too() -> None:
     event = json.loads(EventFormatter("json").format(record("line=hall-3 event=ready")))
     assert (event["line"], event["event"]) == ("hall-3", "ready")

@@ -30,6 +30,17 @@ def test_a_cell_is_shown_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
     assert "[red]not markup[/red]" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("person", [True, False])
+def test_a_cell_does_not_steer_the_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, person: bool
+) -> None:
+    monkeypatch.setattr(screen, "on_terminal", lambda: person)
+    show_rows(("why",), [("\x1b]0;title\x07\x9b2J",)])
+    shown = capsys.readouterr().out
+    assert "\\x1b]0;title\\x07\\x9b2J" in shown
+    assert not {"\x1b", "\x07", "\x9b"} & set(shown)
+
+
 @pytest.mark.parametrize(
     ("document", "shown"),
     [

@@ -54,7 +54,10 @@ def test_a_disk_that_fails_leaves_the_old_file_as_it_was(
     "damage",
     [b"", b"{", b"\xff\xfe", b"[]", b'{"version": 1}', b'{"version": 0, "drives": {}}',
      b'{"version": 1, "drives": {"a": {"writes": {"C0012": -1}}}}',
-     b'{"version": 1, "drives": {"a": {"identity": {"C0012": 5}}}}'],
+     b'{"version": 1, "drives": {"a": {"identity": {"C0012": 5}}}}',
+     b'{"version": 1, "drives": {"a": {"identity": {"C0012": "\\u001b[2J"}}}}',
+     b'{"version": 1, "drives": {"a": {"moved": {"address": 999, "at": "", "confirmed": true}}}}',
+     b"[" * 200_000],
 )  # fmt: skip
 def test_a_damaged_file_is_set_aside_and_said(tmp_path: Path, damage: bytes) -> None:
     path = tmp_path / "hall.json"
@@ -66,6 +69,15 @@ def test_a_damaged_file_is_set_aside_and_said(tmp_path: Path, damage: bytes) -> 
     assert "hall.json.damaged-2" in file.trouble
     assert file.is_usable, "a new one is begun"
     assert not path.exists()
+
+
+def test_a_pipe_in_the_files_place_does_not_hold_up_the_start(tmp_path: Path) -> None:
+    path = tmp_path / "hall.json"
+    os.mkfifo(path)
+    file = StateFile(path)
+    assert file.load().drive("feeder") == DriveFacts()
+    assert "cannot be read: Not a file but a pipe" in file.trouble
+    assert not file.is_usable
 
 
 def test_a_file_of_a_later_version_is_neither_used_nor_touched(tmp_path: Path) -> None:

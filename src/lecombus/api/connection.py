@@ -8,7 +8,7 @@ faster than h11 and gives a whole request in one call, see ADR 10):
   and nothing more is read, until there is room; nothing of it is lost;
 * what came whole is answered, whatever follows it: rubbish (then `bad-http`, as a problem document,
   and the end), the end of what the client sends, or an offer to speak another protocol, which is
-  ignored;
+  ignored (after a CONNECT the connection ends);
 * the host of an absolute request target counts instead of the `Host` header (RFC 9112, 3.2.2).
 
 Bytes are given to the parser in pieces so small that the requests in them cannot exceed the limit.
@@ -150,11 +150,19 @@ class Connection(HttpToolsProtocol):
         try:
             self.parser.feed_data(piece)
         except httptools.HttpParserUpgrade as offer:
-            self._unread[:0] = self._without_offer() + piece[offer.args[0] :]
+            if self._is_offer:
+                self._unread[:0] = self._without_offer() + piece[offer.args[0] :]
+            else:
+                self._end_after_connect()
         except httptools.HttpParserError:
             self._give_up(NOT_HTTP)
         if self._barren > HEAD_LIMIT:
             self._give_up(TOO_LONG)
+
+    def _end_after_connect(self) -> None:
+        """Answer a CONNECT like any other request, and end: what follows would be a tunnel."""
+        self.cycle.keep_alive = False
+        self._give_up(NOT_HTTP)
 
     def _without_offer(self) -> bytes:
         """Begin again with the same head, but for the offer to speak another protocol.
