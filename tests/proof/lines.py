@@ -12,11 +12,12 @@ Must not live here: what has to hold (`invariants`), running (`world`).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from random import Random
 
 from lecombus.config import DriveEntry, Roster, line_timing, parse_roster
-from lecombus.config.exchanges import own_longest_s
+from lecombus.config.exchanges import own_longest_s, stop_s
 from lecombus.config.feeding import feeding_of, smallest
 from lecombus.drives import family
 from lecombus.planning.watchdogs import AWAY_ATTEMPTS
@@ -99,8 +100,11 @@ def line_of(seed: int, length_s: float) -> RandomLine:
 
 def _least_s(roster: Roster, short: set[str], lost: int) -> float | None:
     """Give the least time for some of the watchdogs, the others being four times as long."""
-    feeding = feeding_of(roster, line_timing(roster.line))
-    blocking_s = feeding.blocking_s + lost * feeding.lost_s
+    timing = line_timing(roster.line)
+    feeding = feeding_of(roster, timing)
+    longest_stop_s = max(stop_s(drive, timing) for drive in roster.drives)
+    under_way_s = max(feeding.under_way_s, feeding.lost_s)
+    blocking_s = under_way_s + longest_stop_s + lost * feeding.lost_s
 
     def holds(time_s: float) -> bool:
         streams = [
@@ -123,7 +127,7 @@ def _read(
     for number, (address, kind) in enumerate(drives):
         guard = ""
         if watched[number]:
-            milliseconds = int(times[number] * 1000) + 1
+            milliseconds = math.ceil(times[number] * 1000) + 1
             guard = f", watchdog: {{time: {milliseconds}ms, action: quick-stop, configure: true}}"
         entries.append(
             f"  - {{name: d{address}, address: {address}, family: {kind}{guard}{cyclic}}}\n"

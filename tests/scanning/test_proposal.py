@@ -42,7 +42,7 @@ def test_drives_stand_in_the_order_of_their_addresses_with_what_they_said() -> N
     [
         (FoundWatchdog(2.0, "quick-stop"), WatchdogEntry(time_s=2.0, action="quick-stop")),
         (FoundWatchdog(65.535, "inhibit"), WatchdogEntry(time_s=65.535, action="inhibit")),
-        (FoundWatchdog(0.05, "inhibit"), WatchdogEntry(time_s=0.05, action="inhibit")),
+        (FoundWatchdog(0.06, "inhibit"), WatchdogEntry(time_s=0.06, action="inhibit")),
         (FoundWatchdog(3.0, "none"), None),
         (FoundWatchdog(0.0, "inhibit"), None),
         (FoundWatchdog(0.01, "inhibit"), None),
@@ -55,6 +55,16 @@ def test_a_watchdog_that_acts_is_fed_as_found_and_any_other_only_told(
     text, roster = propose(PLACE, 9600, [finding(11, watchdog=found)])
     assert roster.drives[0].watchdog == entry
     assert ("# watchdog: {time: 3s, action: quick-stop, configure: true}" in text) == (not entry)
+
+
+def test_a_watchdog_that_the_line_cannot_hold_is_told_and_not_proposed() -> None:
+    """An SMVector comes with 50 ms, which two of them at 9600 baud cannot be given."""
+    short = FoundWatchdog(0.05, "inhibit")
+    found = [finding(11, watchdog=short), finding(12, watchdog=short),
+             finding(13, watchdog=FoundWatchdog(2.0, "inhibit"))]  # fmt: skip
+    text, roster = propose(PLACE, 9600, found)
+    assert [one.watchdog is not None for one in roster.drives] == [False, False, True]
+    assert text.count("The watchdog acts, and this line cannot hold it: a watchdog of 50ms") == 2
 
 
 def test_the_suggested_watchdog_may_be_taken_as_it_stands() -> None:

@@ -189,7 +189,9 @@ def _through_daemon(wish: Wish, socket: str | None, url: str | None) -> int:
             )
         raise CommandError(Exit.FAILED, Problem(what, "", "no-drive"))
     here = {"port": line.port, "baud": baud}
-    added = "\n".join(["# To be added under `drives:` of the roster:", *entries(scan.found), ""])
+    added = "\n".join(
+        ["# To be added under `drives:` of the roster:", *entries(scan.found, {}), ""]
+    )
     _give(wish, scan, added, here)
     return Exit.DONE
 

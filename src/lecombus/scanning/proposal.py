@@ -9,10 +9,11 @@ Must not live here: writing files.
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from lecombus.config import Roster, parse_roster
+from lecombus.config import Roster, WatchdogEntry, parse_roster
+from lecombus.config.feeding import find_unheld
 from lecombus.drives import family
 from lecombus.durations import format_duration
 from lecombus.scanning.finding import Finding, Unclear
@@ -52,7 +53,7 @@ def check_place(place: Place) -> None:
         RosterError: It cannot; says what would be right.
     """
     drive = Finding(1, 9600, "generic", False, "")
-    parse_roster("\n".join(_lines(place, 9600, [drive], [])), "the roster")
+    parse_roster("\n".join(_lines(place, 9600, [drive], [], {})), "the roster")
 
 
 def propose(
@@ -69,12 +70,44 @@ def propose(
     Returns:
         The file's text, and the roster it is read as.
     """
-    text = "\n".join(_lines(place, baud, found, unclear)) + "\n"
+    unheld = _unheld(place, baud, found)
+    text = "\n".join(_lines(place, baud, found, unclear, unheld)) + "\n"
     return text, parse_roster(text, "the proposed roster")
 
 
+def _unheld(place: Place, baud: int, found: Sequence[Finding]) -> dict[str, str]:
+    """Find the watchdogs that this line cannot hold: they are told, and not proposed.
+
+    Returns:
+        What is wrong with each, by the drive's name.
+    """
+    told = {one.name: "" for one in found}
+    roster = parse_roster("\n".join(_lines(place, baud, found, (), told)), "the proposed roster")
+    watched = {
+        one.name: WatchdogEntry(time_s=one.watchdog.time_s, action=one.watchdog.action)
+        for one in found
+        if one.watchdog is not None and _acts(one)
+    }
+    unheld: dict[str, str] = {}
+    while True:
+        drives = tuple(
+            drive.model_copy(update={"watchdog": watched.get(drive.name)})
+            for drive in roster.drives
+        )
+        wrong = find_unheld(roster.model_copy(update={"drives": drives}))
+        if not wrong:
+            return unheld
+        for one in wrong:
+            unheld[one.drive] = one.what
+            del watched[one.drive]
+
+
 def _lines(
-    place: Place, baud: int, found: Sequence[Finding], unclear: Sequence[Unclear]
+    place: Place,
+    baud: int,
+    found: Sequence[Finding],
+    unclear: Sequence[Unclear],
+    unheld: Mapping[str, str],
 ) -> Iterator[str]:
     here = sorted((one for one in found if one.baud == baud), key=lambda one: one.address)
     yield "# What `lecombus scan` found. Nothing was written to any drive."
@@ -90,15 +123,20 @@ def _lines(
     if len(here) > MOST_WITHOUT_REPEATERS:
         yield f"  repeaters: true  # {len(here)} drives: more than an RS-485 line takes without"
     yield "drives:"
-    yield from entries(here)
+    yield from entries(here, unheld)
     yield from _elsewhere(baud, found, unclear)
     if place.socket:
         yield "# Without /run/lecombus, which the systemd unit makes:"
         yield f"api: {{socket: {_quoted(place.socket)}}}"
 
 
-def entries(found: Sequence[Finding]) -> Iterator[str]:
-    """Write drives as they stand under `drives:`."""
+def entries(found: Sequence[Finding], unheld: Mapping[str, str]) -> Iterator[str]:
+    """Write drives as they stand under `drives:`.
+
+    Args:
+        found: The drives.
+        unheld: By name, why a watchdog that acts is told and not proposed.
+    """
     for one in found:
         title = "not known" if one.family == "generic" else family(one.family).title
         yield from _comment(f"{title}: {one.why}")
@@ -110,10 +148,18 @@ def entries(found: Sequence[Finding]) -> Iterator[str]:
         yield f"    family: {one.family}"
         if one.late:
             yield f"    answer_time: {LATE_ANSWER_TIME}  # it answered late; measure it"
-        yield from _watchdog(one)
+        yield from _watchdog(one, unheld.get(one.name))
 
 
-def _watchdog(one: Finding) -> Iterator[str]:
+def _acts(one: Finding) -> bool:
+    """Whether a drive's watchdog acts, at a time that can be set."""
+    traits, found = family(one.family).watchdog, one.watchdog
+    if traits is None or found is None or found.action == "none":
+        return False
+    return bool(found.time_s) and traits.low_s <= found.time_s <= traits.high_s
+
+
+def _watchdog(one: Finding, unheld: str | None) -> Iterator[str]:
     """Write the watchdog as found: fed if it acts, else as a comment to be thought about."""
     traits, found = family(one.family).watchdog, one.watchdog
     if traits is None:
@@ -122,11 +168,13 @@ def _watchdog(one: Finding) -> Iterator[str]:
         yield "    # watchdog: {time: 3s, action: quick-stop, configure: true}"
         return
     time = format_duration(found.time_s)
-    if found.action != "none" and traits.low_s <= found.time_s <= traits.high_s and found.time_s:
+    if _acts(one) and unheld is None:
         yield f"    watchdog: {{time: {time}, action: {found.action}}}  # as found"
-    else:
-        yield f"    # The watchdog as found: {found.action}, {time}. To have one that acts:"
-        yield "    # watchdog: {time: 3s, action: quick-stop, configure: true}"
+        return
+    if unheld:
+        yield from _comment(f"The watchdog acts, and this line cannot hold it: {unheld}.")
+    yield f"    # The watchdog as found: {found.action}, {time}. To have one that is fed:"
+    yield "    # watchdog: {time: 3s, action: quick-stop, configure: true}"
 
 
 def _elsewhere(baud: int, found: Sequence[Finding], unclear: Sequence[Unclear]) -> Iterator[str]:
