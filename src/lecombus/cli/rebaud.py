@@ -18,6 +18,7 @@ from lecombus.cli.rebaud_line import carry_out, form_of
 from lecombus.cli.rebaud_reports import show_end, show_plan
 from lecombus.cli.screen import on_terminal
 from lecombus.config import DriveEntry, Roster, load_roster
+from lecombus.config.feeding import find_unheld
 from lecombus.drives import family
 from lecombus.drives.identity import identity_codes
 from lecombus.errors import LecombusError
@@ -87,6 +88,7 @@ def command(
     read = load_roster(roster)
     new, old = int(rate), int(origin) if origin else read.line.baud
     _check_words(read, old, new, generic=generic)
+    _check_held(read, new)
     _see_no_daemon(read)
     subjects = _subjects(read)
     _check_rates(subjects, old, new)
@@ -135,6 +137,21 @@ def _check_words(roster: Roster, old: int, new: int, *, generic: bool) -> None:
         problem = f"of {', '.join(unknown)} (generic) nobody knows how the baud rate is set"
         remedy = "with --generic-c0125, if C0125 has a 2102's numbers there (0: 9600 .. 4: 19200)"
         raise CommandError(Exit.USAGE, Problem(f"{problem}, or whether it stands", remedy))
+
+
+def _check_held(roster: Roster, baud: int) -> None:
+    """Refuse a rate at which the roster would be refused: its watchdogs could not be fed.
+
+    Raises:
+        CommandError: Some could not.
+    """
+    line = roster.line.model_copy(update={"baud": baud})
+    wrong = find_unheld(roster.model_copy(update={"line": line}))
+    if wrong:
+        problems = [
+            Problem(f"{one.drive}: {one.what}", one.right, drive=one.drive) for one in wrong
+        ]
+        raise CommandError(Exit.USAGE, *problems)
 
 
 def _see_no_daemon(roster: Roster) -> None:
