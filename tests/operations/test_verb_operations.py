@@ -369,15 +369,37 @@ def test_a_group_write_that_means_stop_is_not_undone_by_an_enable() -> None:
     with_drive(test, "8200vector", drive=", cyclic: []", watchdog="")
 
 
+@pytest.mark.parametrize(("code", "text"), [(40, "1"), (135, "H0000")])
 @pytest.mark.parametrize("kind", [name for name in DESCRIBED if name != "820x"])
-def test_a_reset_ends_inhibited_though_somebody_lifts_the_inhibit_meanwhile(kind: str) -> None:
+def test_a_reset_goes_no_further_behind_a_write_that_lifts_its_inhibit(
+    kind: str, code: int, text: str
+) -> None:
     async def test(plant: Plant) -> None:
         drive = plant.line["a"].model
         await do(plant, Verb.SET_SPEED, value=Decimal(50), unit="%")
         drive.trip(FAULT_NUMBER)
         resetting = asyncio.create_task(do(plant, Verb.RESET_FAULT))
-        await until(lambda: plant.site.operations._stops_said["a"] > 0)
-        await plant.site.operations.write("a", Code(40), "1")
+        before = plant.site.operations._stops_said["a"]
+        await until(lambda: plant.site.operations._stops_said["a"] > before)
+        await plant.site.operations.write("a", Code(code), text)
+        report = await resetting
+        assert report.outcome is Outcome.SUPERSEDED
+        assert not report.written
+        assert drive.fault == FAULT_NUMBER
+        assert drive.motor.output == 0.0
+
+    with_drive(test, kind)
+
+
+@pytest.mark.parametrize("kind", [name for name in DESCRIBED if name != "820x"])
+def test_a_reset_ends_inhibited_though_somebody_lifts_the_inhibit_at_the_drive(kind: str) -> None:
+    async def test(plant: Plant) -> None:
+        drive = plant.line["a"].model
+        drive.trip(FAULT_NUMBER)
+        resetting = asyncio.create_task(do(plant, Verb.RESET_FAULT))
+        await until(lambda: not drive.fault)
+        drive.control = 0
+        drive.steer()
         report = await resetting
         assert report.outcome is Outcome.VERIFIED
         assert "inhibited" in report.states

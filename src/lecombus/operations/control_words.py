@@ -109,6 +109,10 @@ class ControlWords:
         if code in self._moved_by.get(drive, ()):
             self.forget(drive)
 
+    def moves(self, drive: str, code: Code) -> bool:
+        """Say whether a write to a code changes bits of the drive's control word."""
+        return code in self._moved_by.get(drive, ())
+
     def forget(self, drive: str) -> None:
         """Nothing is known of this drive's word any more."""
         self._words.pop(drive, None)

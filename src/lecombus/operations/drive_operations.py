@@ -88,6 +88,7 @@ class Operations:
         self._entries: dict[str, DriveEntry] = {}
         self._groups: Mapping[str, GroupEntry] = {}
         self._stops_said: Counter[str] = Counter()
+        self._lifts_said: Counter[str] = Counter()
 
     def close(self) -> None:
         """Take no more writes: the daemon is ending; stops are still said."""
@@ -251,9 +252,14 @@ class Operations:
         return WriteReport(station.name, code, outcome, reason, reading=reading)
 
     def note_stop(self, station: Station, code: Code, wire: Value) -> None:
-        """Count a plain write that means to stop a drive: a verb under way must not undo it."""
+        """Count a plain write that means to stop a drive, or may lift what stops it.
+
+        A verb under way must not undo the one, and a reset must not go on behind the other.
+        """
         if asks_to_stop(station.family, code, wire):
             self._stops_said[station.name] += 1
+        elif self._words.moves(station.name, code):
+            self._lifts_said[station.name] += 1
 
     async def why(self, drive: str, *, fresh: bool = False) -> WhyReport:
         """Say why a drive does not turn; `fresh`: after reading the few codes that matter.

@@ -14,7 +14,8 @@ Rules held here:
   write that means the same.
 * An enable that the drive does not show, or that cannot be seen, is taken back: else the motor
   would start by itself when somebody closes a terminal later.
-* A reset is over when the drive shows that it is inhibited, whoever lifted the inhibit meanwhile.
+* A reset goes no further once somebody else has written the control word behind its inhibit, and
+  is over when the drive shows that it is inhibited, whoever lifted the inhibit meanwhile.
 * One enable or reset of a drive at a time; a second one is refused, not queued.
 
 What must not live here: what the steps are (`drives.verbs`), HTTP, telegrams.
@@ -66,6 +67,7 @@ from lecombus.operations.verb_reports import (
     Run,
     cut_off,
     fault_text,
+    lifted,
     may_have_happened,
     not_shown,
     still_there,
@@ -262,6 +264,8 @@ class VerbOperations(GroupOperations):
             return superseded(run)
         if isinstance(step, InhibitStep):
             return await self._inhibit(run)
+        if self._lifted_meanwhile(run):
+            return lifted(run)
         if isinstance(step, WriteStep):
             return await self._write(run, step.code, step.value.raw)
         report = await self._change_bits(run, step)
@@ -273,6 +277,7 @@ class VerbOperations(GroupOperations):
         """Inhibit the drive as part of a verb; without proof the verb goes no further."""
         name = run.station.name
         run.stops += 1
+        run.lifts = self._lifts_said[name]
         report = (await self.stop(StopAction.INHIBIT, name)).members[0]
         if report.outcome is Outcome.VERIFIED:
             return report
@@ -300,6 +305,8 @@ class VerbOperations(GroupOperations):
         # Nothing is waited for between the look at the word and its place in the queue.
         if self._stopped_meanwhile(run):
             return superseded(run)
+        if self._lifted_meanwhile(run):
+            return lifted(run)
         return await self._write(run, step.code, Value.hexadecimal(step.applied(word), 4).raw)
 
     async def _write(self, run: Run, code: Code, raw: str) -> WriteReport:
@@ -358,6 +365,9 @@ class VerbOperations(GroupOperations):
 
     def _stopped_meanwhile(self, run: Run) -> bool:
         return self._stops_said[run.station.name] != run.stops
+
+    def _lifted_meanwhile(self, run: Run) -> bool:
+        return run.lifts is not None and self._lifts_said[run.station.name] != run.lifts
 
     @contextlib.contextmanager
     def _alone(self, drive: str, verb: Verb) -> Iterator[None]:

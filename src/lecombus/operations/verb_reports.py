@@ -25,6 +25,7 @@ __all__ = [
     "Run",
     "cut_off",
     "fault_text",
+    "lifted",
     "may_have_happened",
     "not_shown",
     "still_there",
@@ -43,6 +44,8 @@ class Run:
         station: The drive.
         verb: What it is told to do.
         stops: How many stops of the drive had been said when it began, its own included.
+        lifts: How many plain writes that may lift an inhibit had been said when it inhibited the
+            drive; None while it has not.
         expires_at_s: No write of it is begun after this.
         verify: Read back what is written.
         written: What went out.
@@ -53,6 +56,7 @@ class Run:
     stops: int
     expires_at_s: float | None = None
     verify: bool = False
+    lifts: int | None = None
     written: list[tuple[Code, str]] = field(default_factory=list)
 
 
@@ -80,6 +84,17 @@ def superseded(run: Run) -> WriteReport:
         run.station.name, None, Outcome.SUPERSEDED,
         f"a stop came while {run.verb} was under way: nothing more was written",
         kind="superseded",
+    )  # fmt: skip
+
+
+def lifted(run: Run) -> WriteReport:
+    """What is told of a reset before which somebody may have lifted its inhibit."""
+    return WriteReport(
+        run.station.name, None, Outcome.SUPERSEDED,
+        f"the control word was written while {run.verb} was under way: nothing more was written, "
+        "for the drive may not be inhibited any more",
+        kind="superseded",
+        remedy="ask again when nobody else writes it",
     )  # fmt: skip
 
 
