@@ -120,15 +120,16 @@ class Site:
         maker = RequestMaker(timing, line.retries, self.metrics.meters.request_ended)
         self.health = Health(self.schedule, self.store, self._wants_audit, clock)
         self._configurations = Configurations(self._take_family, self._read_soon)
+        self.identities = Identities(
+            self.state, self.store, wall, self._wants_audit, self.health.doubted
+        )
         self._books = books = self._make_books(wall)
         self.worker = self._make_worker(opener, timing, options or options_of(roster), books)
         self.requests = Requests(self.worker, maker, clock)
-        self.identities = Identities(self.state, self.store, wall, self._wants_audit)
         self.readdress = Readdress(
             self.requests, self.store, self.state, self.identities, clock, wall, self._follow
         )
-        gates = Gates(self.requests, self.store, self.identities, self.words, self.readdress)
-        self.keeper = Keeper(self.requests, self.schedule, self.store, clock, self.health, gates)
+        self.keeper = self._make_keeper(clock)
         self.operations = VerbOperations(
             self.requests, self.store, self.words, self.wear, clock, lambda: books.disturbances,
             self.health.restarted,
@@ -150,8 +151,12 @@ class Site:
         watch = FaultWatch(self.store, self._read_soon, wall)
         return Books(
             self.store, self.metrics, self.health, self.words, watch, self._configurations,
-            self.wear, self._has_drive,
+            self.identities, self.wear, self._has_drive,
         )  # fmt: skip
+
+    def _make_keeper(self, clock: Callable[[], float]) -> Keeper:
+        gates = Gates(self.requests, self.store, self.identities, self.words, self.readdress)
+        return Keeper(self.requests, self.schedule, self.store, clock, self.health, gates)
 
     def apply(self, roster: Roster) -> Changes:
         """Take a roster's drives and groups; drives that did not change are left alone.

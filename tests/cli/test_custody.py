@@ -74,11 +74,33 @@ def test_accept_asks_whoever_can_be_asked(
 
 
 def test_a_drive_that_is_the_one_it_was_needs_no_accepting(run: Run, daemon: DaemonStub) -> None:
-    daemon.answers["GET /v1/drives/feeder/identity"] = (200, identity(OLD, OLD))
+    stand_there(daemon, "online")
     ran = run("accept", "feeder")
     assert ran.status == 0
     assert "is the drive it was" in ran.out
     assert posted(daemon) == []
+    asked = [one for one, _ in daemon.asked if "/codes/" in one]
+    assert [one.partition("?")[0].rpartition("/")[2] for one in asked] == ["C1810", "C1811"]
+    assert all("fresh=true" in one for one in asked), "its audit may be long ago"
+
+
+def test_a_drive_that_says_otherwise_when_asked_again_is_not_the_one_it_was(
+    run: Run, daemon: DaemonStub
+) -> None:
+    stand_there(daemon, "starting", "C1810 reads NEW, not OLD: to be audited")
+    ran = run("accept", "feeder")
+    assert ran.status == 1
+    assert "feeder is starting: C1810 reads NEW, not OLD: to be audited" in ran.err
+    assert "is the drive it was" not in ran.out
+
+
+def stand_there(daemon: DaemonStub, state: str, reason: str = "") -> None:
+    daemon.answers["GET /v1/drives/feeder/identity"] = (200, identity(OLD, OLD))
+    for code in OLD:
+        daemon.answers[f"GET /v1/drives/feeder/codes/{code}?fresh=true"] = (200, "{}")
+    daemon.answers["GET /v1/drives/feeder"] = (
+        200, json.dumps({"state": state, "reason": reason or None})
+    )  # fmt: skip
 
 
 REPORT = (

@@ -10,7 +10,7 @@ import pytest
 from lecombus.drives import StopAction
 from lecombus.errors import OperationError
 from lecombus.protocol.addressing import Code
-from lecombus.readings import Quality
+from lecombus.readings import DriveState, Quality
 from lecombus.schedule import Outcome
 from lecombus.simulator.parameters import CommError, ExtendedFault, Refusal
 from lecombus.state import DriveFacts, State
@@ -102,6 +102,24 @@ def test_a_swapped_drive_is_not_written_to_until_it_is_accepted(
     events = [record.getMessage() for record in caplog.records]
     assert len([one for one in events if "event=drive-swapped" in one]) == 1
     assert len([one for one in events if "event=identity-accepted" in one]) == 1
+
+
+def test_a_drive_that_any_read_shows_to_be_another_is_audited_anew() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        make_another(plant)
+        assert await write(plant) is Outcome.VERIFIED, "nobody has asked it yet"
+        await plant.site.operations.read("a", Code(1810))
+        assert plant.state("a") is DriveState.STARTING
+        with pytest.raises(OperationError) as caught:
+            await write(plant)
+        assert caught.value.kind == "starting"
+        await plant.online()
+        assert "C1810 reads 33S2102I_20000, not 33S2102I_10000" in lock(plant)
+        await plant.site.operations.read("a", Code(1810))
+        assert plant.state("a") is DriveState.ONLINE, "what is known already is no news"
+
+    with_plant(test, ROSTER)
 
 
 def test_a_record_from_before_the_start_counts() -> None:

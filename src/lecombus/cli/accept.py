@@ -7,7 +7,7 @@ from urllib.parse import quote
 import click
 
 from lecombus.cli.arguments import CODE, daemon_options
-from lecombus.cli.client import connect
+from lecombus.cli.client import Daemon, connect
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.reports import Document
 from lecombus.cli.screen import on_terminal, show_rows, table_text
@@ -63,6 +63,8 @@ def command(
             ]
             show_rows(("code", "was", "is"), rows, title=drive)
         if not differing and found:
+            if not known.get("problem"):
+                _ask_again(daemon, drive, found)
             if as_json:
                 click.echo(daemon.get(f"{path}/identity").text)
             else:
@@ -75,6 +77,18 @@ def command(
     else:
         click.echo(f"{drive} is accepted; it is audited now, then it may be written to")
     return Exit.DONE
+
+
+def _ask_again(daemon: Daemon, drive: str, found: dict[str, str]) -> None:
+    """Ask the drive itself before it is called the one it was: its audit may be long ago."""
+    path = f"/v1/drives/{quote(drive, safe='')}"
+    for code in found:
+        daemon.get(f"{path}/codes/{code}", fresh="true")
+    known = dict(daemon.get(f"{path}/identity").data.get("found") or {})
+    state: Document = daemon.get(path).data
+    if known != found or state.get("state") != "online":
+        what = f"{drive} is {table_text(state.get('state'))}: {table_text(state.get('reason'))}"
+        raise CommandError(Exit.FAILED, Problem(what, "repeat this when it is online"))
 
 
 def _make_sure(

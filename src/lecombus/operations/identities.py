@@ -23,7 +23,7 @@ from lecombus.drives.identity import is_identity, is_same_text, text_of
 from lecombus.errors import OperationError
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
-from lecombus.readings import IDENTITY_LOCK, Json, rfc3339
+from lecombus.readings import IDENTITY_LOCK, DriveState, Json, rfc3339
 from lecombus.state import State
 from lecombus.store import Store
 
@@ -72,6 +72,7 @@ class Identities:
         store: Gets what was found, and the remarks.
         wall: The time of day, Unix seconds.
         on_accepted: Called with a drive whose identity somebody accepted.
+        on_doubt: Called with a drive that is online and says otherwise than it did, and how.
     """
 
     def __init__(
@@ -80,23 +81,28 @@ class Identities:
         store: Store,
         wall: Callable[[], float],
         on_accepted: Callable[[str], None],
+        on_doubt: Callable[[str, str], None],
     ) -> None:
         self._state = state
         self._store = store
         self._wall = wall
         self._on_accepted = on_accepted
+        self._on_doubt = on_doubt
         self._entries: dict[str, DriveEntry] = {}
         self._found: dict[str, dict[str, str]] = {}
+        self._known: dict[str, dict[Code, str]] = {}
 
     def add_drive(self, entry: DriveEntry) -> None:
         """Look after a drive from now on; nothing it said as another entry counts."""
         self._entries[entry.name] = entry
         self._found.pop(entry.name, None)
+        self._known.pop(entry.name, None)
 
     def remove_drive(self, name: str) -> None:
         """Look after it no longer; what is recorded of it stays."""
         self._entries.pop(name, None)
         self._found.pop(name, None)
+        self._known.pop(name, None)
 
     def differing(self, name: str, found: Mapping[Code, Value]) -> list[Code]:
         """Return the codes that read otherwise than the roster or the record says."""
@@ -113,13 +119,25 @@ class Identities:
             name: The drive.
             found: What could be read, by code.
         """
-        told = {str(code): text_of(value) for code, value in found.items()}
+        self._known[name] = {code: text_of(value) for code, value in found.items()}
+        told = {str(code): text for code, text in self._known[name].items()}
         self._found[name] = told
         self._store.identify(name, told)
         differing = self.differing(name, found)
         if not differing:
             self._record(name, told)
         self._remark(name, self._difference(name, differing, told))
+
+    def seen(self, name: str, code: Code, value: Value) -> None:
+        """Take any value read: a drive that says otherwise than at its audit is audited anew.
+
+        A drive under audit is judged when that has ended.
+        """
+        known = self._known.get(name, {}).get(code)
+        if known is None or is_same_text(text_of(value), known):
+            return
+        if self._store.drive(name).state is DriveState.ONLINE:
+            self._on_doubt(name, f"{code} reads {text_of(value)}, not {known}: to be audited")
 
     def report(self, name: str) -> IdentityReport:
         """Return what is known of who a drive is.

@@ -12,6 +12,7 @@ from lecombus.line.observer import ExchangeReport
 from lecombus.line.station import StepKind
 from lecombus.metrics import Metrics
 from lecombus.operations.control_words import ControlWords
+from lecombus.operations.identities import Identities
 from lecombus.operations.wear import Wear
 from lecombus.protocol.exchange import ResultKind
 from lecombus.protocol.telegrams import AckAnswer, NakAnswer, UnknownCodeAnswer, ValueAnswer
@@ -42,6 +43,7 @@ class Books:
         words: Control words.
         faults: Watches for faults.
         configurations: Follows the signal configurations.
+        identities: Knows what the drives said of themselves.
         wear: Counts what may have worn a drive's memory.
         is_drive: Whether a name is a drive of the roster and has this address (None: any): it
             may have left the roster meanwhile, or come back as another device.
@@ -55,6 +57,7 @@ class Books:
         words: ControlWords,
         faults: FaultWatch,
         configurations: Configurations,
+        identities: Identities,
         wear: Wear,
         is_drive: Callable[[str, int | None], bool],
     ) -> None:
@@ -67,6 +70,7 @@ class Books:
         self._faults = faults
         self.disturbances = 0
         self._configurations = configurations
+        self._identities = identities
 
     def exchange_ended(self, report: ExchangeReport) -> None:
         """Book one exchange."""
@@ -91,6 +95,7 @@ class Books:
                 self._words.seen(report.drive, code, answer.value)
                 self._faults.seen(report.drive, code, answer.value)
                 self._configurations.seen(report.drive, code, answer.value)
+                self._identities.seen(report.drive, code, answer.value)
             elif not (type(answer) is AckAnswer and kind is StepKind.WRITE):
                 outcome = self._book_failure(report, outcome)
             elif report.step.value is not None:

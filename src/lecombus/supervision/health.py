@@ -131,6 +131,13 @@ class Health:
             self._set(name, record, DriveState.STARTING, "it was made to restart: to be audited")
             self._wants_audit(name)
 
+    def doubted(self, name: str, reason: str) -> None:
+        """A drive says that it is another: nothing but stops is written to it before its audit."""
+        record = self._records.get(name)
+        if record is not None and record.state is not DriveState.OFFLINE:
+            self._set(name, record, DriveState.STARTING, reason)
+            self._wants_audit(name)
+
     def audited(self, name: str) -> None:
         """The keeper has found the drive in order, or has put it in order."""
         record = self._records.get(name)
