@@ -466,3 +466,16 @@ def test_what_expires_is_not_written() -> None:
         assert plant.line["a"].model.params.text(46) == "0"
 
     with_drive(test, "8200vector")
+
+
+def test_a_drive_that_runs_without_the_line_is_not_said_to_be_enabled_by_it() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.line["servo"].model.preset(5, "2000")
+        report = await plant.site.operations.verb("servo", Verb.ENABLE)
+        assert report.outcome is Outcome.VERIFIED
+        assert "enabled already, and not by the line: C0005 of servo reads 2000" in report.reason
+        assert "C0005 that ends in 1" in report.remedy
+        assert report.written == ()
+
+    with_plant(test, roster_of([("servo", 21, "93xx")]))

@@ -30,6 +30,9 @@ def command(
 
     Exit status 0 only if it was found at NEW. If it is found nowhere, what is known of it is said.
     """
+    if address % 10 == 0:
+        what = f"{address} is no drive's address"
+        raise CommandError(Exit.USAGE, Problem(what, "1 to 99 without 10, 20 .. 90 would be right"))
     with connect(socket, url) as daemon:
         path = f"/v1/drives/{quote(drive, safe='')}"
         if not yes:

@@ -34,6 +34,7 @@ from .verb_rules import Access, Verb, VerbRules
 from .verb_steps import BitsStep, InhibitStep, RestartStep, VerbStep, WriteStep
 
 __all__ = [
+    "enable_objection",
     "enable_shown",
     "enable_steps",
     "fault_number",
@@ -114,6 +115,13 @@ def enable_steps(known: Known) -> tuple[VerbStep, ...]:
     if steps:
         demand_met(known, rules, Access.ENABLE)
     return tuple(steps)
+
+
+def enable_objection(known: Known) -> OperationError | None:
+    """Say which setting keeps the line from enabling a drive, as of one that runs without it."""
+    rules = rules_of(known.drive, known.family, Verb.ENABLE)
+    demand = next(objections(known, rules, Access.ENABLE), None)
+    return None if demand is None else objected(known, demand)
 
 
 def enable_shown(known: Known) -> bool:

@@ -42,6 +42,7 @@ from lecombus.drives.verb_steps import (
     WriteStep,
 )
 from lecombus.drives.verbs import (
+    enable_objection,
     enable_shown,
     enable_steps,
     has_fault,
@@ -199,7 +200,11 @@ class VerbOperations(GroupOperations):
     async def _enable(self, run: Run, known: Known) -> VerbReport:
         steps = enable_steps(known)
         if not steps:
-            report = WriteReport(known.drive, None, Outcome.VERIFIED, "it was enabled already")
+            text, remedy = "it was enabled already", ""
+            objection = enable_objection(known)
+            if objection is not None:
+                text, remedy = f"{text}, and not by the line: {objection}", objection.remedy
+            report = WriteReport(known.drive, None, Outcome.VERIFIED, text, remedy=remedy)
             return told(run, report, states=await self._states(run.station))
         failed = await self._carry_out(run, steps)
         if failed is not None and not run.written:
