@@ -40,6 +40,7 @@ def test_an_enabled_drive_is_inhibited_written_in_order_and_left_inhibited() -> 
     result = restored(one, noted=noted)
     assert one.writes == [("inhibit", ""), ("C0001", "3"), ("C0011", "60"), ("C2011", "70")]
     assert (result.complete, result.inhibited_here, result.saved) == (True, True, None)
+    assert result.inhibited_now is True
     assert noted == ["C0001", "C0011", "C2011"]
     assert one.texts[40] == "0"
 
@@ -56,6 +57,7 @@ def test_a_drive_that_somebody_enables_is_no_longer_written_to() -> None:
     assert [code for code, _ in one.writes] == ["C0001"]
     assert "somebody enabled" in result.stopped
     assert not result.complete
+    assert result.inhibited_now is False
 
 
 def test_an_enable_after_the_last_write_is_found_out_too() -> None:

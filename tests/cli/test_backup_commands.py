@@ -9,8 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from backups.backups import backup_of
 from cli.conftest import Run
 from cli.daemon_stub import DaemonStub
+from lecombus.backups import Restored, make_plan
+from lecombus.cli.restore_reports import result_json, show_result
 from lecombus.drives import family
 from lecombus.protocol.addressing import Code
 
@@ -338,3 +341,22 @@ def test_another_family_is_refused_whatever_is_said(run: Run, drive: Drive, tmp_
     assert (ran.status, writes(drive)) == (2, [])
     assert "the backup is of a 8200vector, the drive is a 821x" in ran.err
     assert "--to-other-drive" not in ran.err
+
+
+@pytest.mark.parametrize(
+    ("inhibited", "says"),
+    [
+        (True, "feeder is inhibited: enable it yourself"),
+        (False, "feeder is not inhibited now: take it for one that may start"),
+        (None, "feeder does not say whether it is inhibited now"),
+    ],
+)
+def test_a_restore_says_of_the_inhibit_what_the_drive_shows_in_the_end(
+    capsys: pytest.CaptureFixture[str], inhibited: bool | None, says: str
+) -> None:
+    result = Restored(inhibited_here=True, inhibited_now=inhibited)
+    plan = make_plan(backup_of("8200vector", {}), family("8200vector"), {})
+    show_result(plan, result, "feeder", enabled=False)
+    shown = capsys.readouterr()
+    assert says in shown.out + shown.err
+    assert result_json(plan, result, "feeder")["inhibited"] is (inhibited is True)

@@ -35,7 +35,7 @@ def read_backup(text: str, file: str) -> Backup:
     Raises:
         ConfigError: It is no backup, or something in it cannot be.
     """
-    table = read_document(text, Origin(file, ""))
+    table = read_document(text, Origin(file, ""), foreign=True)
     version = table.get(FORMAT_KEY)
     if version is None:
         table.fail(f"this is no backup: it does not begin with {FORMAT_KEY}: {FORMAT_VERSION}")

@@ -46,7 +46,8 @@ class Restored:
         written: What was written and read back.
         refused: What the drive did not take, and why.
         changed: What reads otherwise in the end: wanted and found.
-        inhibited_here: The drive was enabled before, and is inhibited now.
+        inhibited_here: The drive was enabled before, and was inhibited by this restore.
+        inhibited_now: It reports its inhibit in the very end; None: it does not say.
         saved: The parameters were saved at the end; None where nothing needs saving.
         stopped: Why it ended before its end; empty when it did not.
     """
@@ -55,6 +56,7 @@ class Restored:
     refused: dict[Code, str] = field(default_factory=dict)
     changed: dict[Code, tuple[Value, Answer]] = field(default_factory=dict)
     inhibited_here: bool = False
+    inhibited_now: bool | None = None
     saved: bool | None = None
     stopped: str = ""
 
@@ -96,6 +98,7 @@ async def restore(
             await work.save()
     except StopRestoreError as exc:
         work.result.stopped = str(exc)
+    work.result.inhibited_now = await is_inhibited(access, plan.family)
     return work.result
 
 

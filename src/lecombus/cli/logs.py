@@ -218,8 +218,15 @@ def _fields_of(message: str) -> dict[str, str]:
     """Take a message such as `line=hall-3 event=port-lost reason=it is gone` apart.
 
     A value goes on to the next key or to the end; what stands before the first key is the message.
+    A key that stands twice is part of a value, such as what a drive says of itself: no text forges
+    another event.
     """
-    starts = list(_KEY.finditer(message))
+    starts: list[re.Match[str]] = []
+    known = {"time", "level", "logger", "msg", "exc"}
+    for one in _KEY.finditer(message):
+        if one[1] not in known:
+            known.add(one[1])
+            starts.append(one)
     ends = [*(match.start() for match in starts), len(message)][1:]
     text = message[: starts[0].start()] if starts else message
     fields = {"msg": text.strip()} if text.strip() else {}

@@ -93,8 +93,11 @@ def show_result(plan: Plan, result: Restored, drive: str, *, enabled: bool) -> N
             click.echo("not saved: what was written is lost at power-off", err=True)
     if enabled:
         click.echo(f"{drive} is enabled again")
-    elif result.inhibited_here:
+    elif result.inhibited_here and result.inhibited_now:
         click.echo(f"{drive} is inhibited: enable it yourself, when it may move")
+    elif result.inhibited_now is not True:
+        told = "is not" if result.inhibited_now is False else "does not say whether it is"
+        click.echo(f"{drive} {told} inhibited now: take it for one that may start", err=True)
 
 
 def plan_json(plan: Plan, drive: str) -> dict[str, Json]:
@@ -137,6 +140,6 @@ def result_json(plan: Plan, result: Restored, drive: str) -> dict[str, Json]:
             for code, (value, answer) in result.changed.items()
         ],
         "stopped": result.stopped or None,
-        "inhibited": result.inhibited_here,
+        "inhibited": result.inhibited_here and result.inhibited_now is True,
         "saved": result.saved,
     }

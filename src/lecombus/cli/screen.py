@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import click
 
-__all__ = ["age", "mark", "on_terminal", "show_rows", "table_text"]
+__all__ = ["age", "harmless", "mark", "on_terminal", "show_rows", "table_text"]
 
 _STYLES: Mapping[str, str] = {
     "good": "green", "online": "green", "open": "green", "done": "green", "verified": "green",
@@ -41,7 +41,7 @@ def show_rows(headings: Sequence[str], rows: Iterable[Sequence[str]], *, title: 
         _show_table(headings, rows)
         return
     for row in rows:
-        click.echo("\t".join(" ".join(cell.split()) for cell in row))
+        click.echo("\t".join(harmless(" ".join(cell.split())) for cell in row))
 
 
 def table_text(value: object) -> str:
@@ -49,6 +49,13 @@ def table_text(value: object) -> str:
     if value is None:
         return ""
     return str(value)
+
+
+def harmless(text: str) -> str:
+    """Return a text whose control characters are shown, not sent to the terminal."""
+    if text.isprintable():
+        return text
+    return "".join(one if one.isprintable() or one == "\n" else ascii(one)[1:-1] for one in text)
 
 
 def mark(word: str) -> str:
@@ -80,5 +87,5 @@ def _show_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     for heading in headings:
         table.add_column(heading, overflow="fold")
     for row in rows:
-        table.add_row(*(Text(cell, style=mark(cell)) for cell in row))
+        table.add_row(*(Text(harmless(cell), style=mark(cell)) for cell in row))
     Console(file=sys.stdout).print(table)

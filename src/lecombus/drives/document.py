@@ -22,6 +22,9 @@ __all__ = ["Item", "Origin", "Table", "read_document"]
 
 LOADER: type = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
+DEEPEST = 20
+"""Deepest nesting read; no file here needs more than 8."""
+
 TRUE = frozenset({"true", "yes", "on"})
 
 
@@ -67,7 +70,10 @@ class Item:
         """Give a text that says something."""
         if not isinstance(self._node, yaml.ScalarNode) or not self._node.value.strip():
             self.fail("a text is right here")
-        return str(self._node.value)
+        text = str(self._node.value)
+        if not text.isprintable():
+            self.fail("a control character stands in this text: it would steer a terminal")
+        return text
 
     def integer(self, low: int, high: int) -> int:
         """Give a whole number from `low` to `high`."""
@@ -146,17 +152,40 @@ class Table(Item):
                 key.fail(f"{name} is not known here; {', '.join(sorted(self._seen))} are")
 
 
-def read_document(text: str, origin: Origin) -> Table:
+def _refuse_deep(text: str, origin: Origin) -> None:
+    """Refuse a text that nests deeper than any of these files: the composer recurses, in C too.
+
+    Raises:
+        DescriptionError: It does.
+    """
+    depth = 0
+    for event in yaml.parse(text, Loader=LOADER):
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        if depth > DEEPEST:
+            mark = event.start_mark
+            raise DescriptionError(
+                f"lists and tables nest more than {DEEPEST} deep here",
+                file=origin.file,
+                where=f"{mark.line + 1}:{mark.column + 1}" if mark else "",
+                drive_type=origin.family,
+            )
+
+
+def read_document(text: str, origin: Origin, *, foreign: bool = False) -> Table:
     """Compose a data file.
 
     Args:
         text: The file's content.
         origin: Its name and the family being read, for complaints.
+        foreign: It is none of our own: its depth is looked at first.
 
     Raises:
-        DescriptionError: It is no YAML, or not a table.
+        DescriptionError: It is no YAML, nests too deep, or is not a table.
     """
     try:
+        if foreign:
+            _refuse_deep(text, origin)
         node = yaml.compose(text, Loader=LOADER)
     except yaml.YAMLError as exc:
         mark = getattr(exc, "problem_mark", None)

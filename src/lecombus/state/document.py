@@ -14,7 +14,7 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from typing import Annotated, Final
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 
 __all__ = ["VERSION", "DriveFacts", "Moved", "NewerStateError", "State", "StateFormatError"]
 
@@ -24,6 +24,16 @@ FORMER_MOST: Final = 100
 """Drives remembered that are not in the roster now: a typing error must not cost their counts."""
 
 Count = Annotated[int, Field(ge=0)]
+
+
+def _plain(text: str) -> str:
+    """Refuse what no drive says and what would steer a terminal."""
+    if not text.isprintable():
+        raise ValueError("a control character")
+    return text
+
+
+PlainText = Annotated[str, AfterValidator(_plain)]
 
 
 class StateFormatError(ValueError):
@@ -44,8 +54,8 @@ class Moved:
         confirmed: It was found there; else it was found nowhere.
     """
 
-    address: int
-    at: str
+    address: Annotated[int, Field(ge=1, le=99)]
+    at: PlainText
     confirmed: bool
 
 
@@ -61,10 +71,10 @@ class DriveFacts:
         moved: Where it was moved to, as long as the roster says otherwise.
     """
 
-    identity: dict[str, str] = field(default_factory=dict)
-    accepted_at: str = ""
-    writes: dict[str, Count] = field(default_factory=dict)
-    writes_before: dict[str, Count] = field(default_factory=dict)
+    identity: dict[PlainText, PlainText] = field(default_factory=dict)
+    accepted_at: PlainText = ""
+    writes: dict[PlainText, Count] = field(default_factory=dict)
+    writes_before: dict[PlainText, Count] = field(default_factory=dict)
     moved: Moved | None = None
 
 
@@ -140,7 +150,7 @@ def _refuse_newer(text: bytes) -> None:
     """Tell a file of a later version from a damaged one."""
     try:
         version = json.loads(text)["version"]
-    except (ValueError, TypeError, KeyError, LookupError):
+    except (ValueError, TypeError, KeyError, LookupError, RecursionError):
         return
     if isinstance(version, int) and version > VERSION:
         raise NewerStateError(f"it is of version {version}, this lecombus knows {VERSION}")

@@ -10,7 +10,9 @@ What must not live here: the event loop (`keeping`), what the content means (`do
 
 from __future__ import annotations
 
+import errno
 import os
+import stat
 from pathlib import Path
 from typing import Final
 
@@ -99,7 +101,9 @@ class StateFile:
             )
 
     def _read(self, path: Path) -> State:
-        with path.open("rb") as file:
+        with open(path, "rb", opener=_without_waiting) as file:
+            if stat.S_ISFIFO(os.fstat(file.fileno()).st_mode):
+                raise OSError(errno.EINVAL, "Not a file but a pipe")
             data = file.read(LARGEST + 1)
         if len(data) > LARGEST:
             raise StateFormatError("it is far too large")
@@ -121,3 +125,8 @@ class StateFile:
             f"{path} was damaged ({why}) and stands as {aside.name} now: what was known of the "
             "drives' identities and write counts begins anew; delete it when it is of no use"
         )
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    """Open a file; a pipe that stands in its place does not hold up the start."""
+    return os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC)
