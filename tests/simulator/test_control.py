@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -87,6 +88,9 @@ def test_a_swapped_drive_has_the_codes_given(control: Control, line: SimLine) ->
     before = line["feeder"]
     said = control.do("swap feeder family=821x C0200=33S8211E_21000 'C0201=17 March'")
     assert "821x" in said
+    assert "answers in 10 s" in said
+    silent_s = line["feeder"].model.deaf_until_s - time.monotonic()
+    assert 5.0 < silent_s <= 10.0, "nobody changes drives faster"
     assert line["feeder"] is not before
     assert line["feeder"].text(200) == "S33S8211E_21000"
     assert line["feeder"].text(201) == "S17 March"

@@ -26,6 +26,9 @@ from lecombus.simulator.looking import code_text, describe, parse_code, summary
 __all__ = ["Control", "ControlError"]
 
 
+SWAP_S = 10.0
+"""Nobody puts another drive in a drive's place faster, seconds: its master misses it meanwhile."""
+
 _T = TypeVar("_T")
 
 
@@ -163,13 +166,17 @@ def _swap(control: Control, words: list[str]) -> str:
     given = dict(_setting(word) for word in words[1:])
     family = given.pop("family", None)
     codes = {_try(lambda name=name: parse_code(name)): text for name, text in given.items()}  # type: ignore[misc]
-    trial = _try(lambda: SimDrive(old.address, family or old.family))
+    trial = _try(lambda: SimDrive(old.address, family or old.family, old.name))
     for (number, subcode), text in codes.items():
         _try(lambda n=number, s=subcode, t=text: set_value(trial, n, s, t))  # type: ignore[misc]
     new = control.line.swap(old.address, time.monotonic(), family)
     for (number, subcode), text in codes.items():
         set_value(new, number, subcode, text)
-    return f"another drive stands there, new from the maker: {summary(new)}"
+    new.power_cycle(time.monotonic(), SWAP_S)
+    return (
+        f"another drive stands there, new from the maker, and answers in {SWAP_S:g} s: "
+        f"{summary(new)}"
+    )
 
 
 def _set(control: Control, words: list[str]) -> str:
