@@ -221,6 +221,17 @@ async def test_an_offer_to_speak_another_protocol_is_ignored_and_its_body_kept(
     assert [asked[3] for asked in line.ops.asked] == [7, 8]
 
 
+@pytest.mark.parametrize("tcp", [False, True])
+async def test_a_connect_is_answered_once_and_ends_the_connection(
+    line: Line, tmp_path: Path, tcp: bool
+) -> None:
+    tunnel = b"CONNECT /v1/line HTTP/1.1\r\nHost: localhost\r\nContent-Length: 0\r\n\r\n"
+    async with connected(line, tmp_path, tcp=tcp) as client:
+        await client.say(GET + tunnel + GET)
+        answers = [status for status, _ in await client.rest()]
+    assert answers == [200, 403 if tcp else 405]
+
+
 @pytest.mark.parametrize(
     ("target", "status"),
     [

@@ -204,6 +204,20 @@ def test_after_the_line_came_back_every_drive_is_audited_again() -> None:
     with_plant(test, roster_of([*ONE, ("b", 12, "8200vector")], watchdog=GUARD))
 
 
+def test_a_line_that_was_lost_often_is_not_waited_for_longer_when_it_is_back() -> None:
+    async def test(plant: Plant) -> None:
+        for _ in range(30):
+            plant.end.unplug()
+            await anyio.sleep(2.0)
+            plant.end.replug()
+            await until(lambda: plant.site.worker.is_open)
+        opened_s = plant.now_s
+        await plant.online()
+        assert plant.now_s - opened_s < 6.0
+
+    with_plant(test, roster_of(ONE, watchdog=GUARD))
+
+
 def test_an_audit_asked_for_while_the_rest_is_learnt_is_not_forgotten() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()

@@ -50,9 +50,10 @@ SLOW_S = 0.1
 class _Running:
     """An audit that runs or is about to."""
 
-    __slots__ = ("cancelled", "scope")
+    __slots__ = ("asked_again", "cancelled", "scope")
 
     def __init__(self) -> None:
+        self.asked_again = asyncio.Event()
         self.cancelled = False
         self.scope: anyio.CancelScope | None = None
 
@@ -132,6 +133,7 @@ class Keeper:
         """Audit a drive; a drive under audit is audited once more when that has ended."""
         if name in self._auditing:
             self._again.add(name)
+            self._auditing[name].asked_again.set()
             return
         audit = self._auditing[name] = _Running()
         self._waiting.append((name, audit))
@@ -142,23 +144,30 @@ class Keeper:
         with anyio.CancelScope() as audit.scope:
             if audit.cancelled:
                 return
-            await self._audit_until_done(name)
+            await self._audit_until_done(name, audit)
         if self._auditing.get(name) is audit:
             del self._auditing[name]
 
-    async def _audit_until_done(self, name: str) -> None:
-        """Audit one drive, again and again until it is done or the drive is offline."""
+    async def _audit_until_done(self, name: str, running: _Running) -> None:
+        """Audit one drive, again and again until it is done or the drive is offline.
+
+        Failures are waited out longer and longer, until there is news such as a line reopened.
+        """
         delay_s = FIRST_RETRY_S
         while name in self._entries:
             self._again.discard(name)
+            running.asked_again.clear()
             try:
                 await self._audit(self._entries[name])
             except LecombusError as exc:
                 self._audit_failed(name, exc)
                 if self._is_offline(name):
                     return
-                await anyio.sleep(delay_s)
-                delay_s = min(2.0 * delay_s, LONGEST_RETRY_S)
+                await anyio.sleep(FIRST_RETRY_S)
+                with anyio.move_on_after(delay_s - FIRST_RETRY_S):
+                    await running.asked_again.wait()
+                is_news = running.asked_again.is_set()
+                delay_s = FIRST_RETRY_S if is_news else min(2.0 * delay_s, LONGEST_RETRY_S)
             else:
                 if name not in self._again:
                     self._health.audited(name)
