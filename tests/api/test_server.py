@@ -93,11 +93,11 @@ async def test_tcp_answers_reads_and_nothing_else(line: Line, tmp_path: Path) ->
         ("127.0.0.1.evil.example", 421),
         ("10.0.0.1", 421),
         ("[fe80::1]", 421),
-        ("[::1].evil", 421),
-        ("[::1]evil:80", 421),
-        ("127.0.0.1:80:evil", 421),
-        ("127.0.0.1:evil", 421),
-        ("", 421),
+        ("[::1].evil", 400),
+        ("[::1]evil:80", 400),
+        ("127.0.0.1:80:evil", 400),
+        ("127.0.0.1:evil", 400),
+        ("", 400),
     ],
 )
 async def test_tcp_answers_only_to_the_names_of_this_machine(
@@ -106,6 +106,43 @@ async def test_tcp_answers_only_to_the_names_of_this_machine(
     async with serving(line, tmp_path / "s") as served, over_tcp(served) as client:
         answer = await client.get("/v1/line", headers={"Host": host})
     assert answer.status_code == status
+    if status != 200:
+        assert "localhost" in answer.json()["remedy"]
+
+
+@pytest.mark.parametrize(
+    ("head", "status", "says"),
+    [
+        ("", 400, "names no host"),
+        ("Host: localhost\r\nHost: localhost\r\n", 400, "localhost, localhost, where one host"),
+        ("Host: localhost\r\n", 200, "hall-3"),
+    ],
+)
+async def test_one_host_is_named_over_tcp(
+    line: Line, tmp_path: Path, head: str, status: int, says: str
+) -> None:
+    async with serving(line, tmp_path / "s") as served:
+        assert served.http is not None
+        async with await anyio.connect_tcp(*served.http) as stream:
+            close = "Connection: close\r\n\r\n"
+            await stream.send(f"GET /v1/line HTTP/1.1\r\n{head}{close}".encode())
+            answer = b"".join([part async for part in stream]).decode()
+    assert answer.startswith(f"HTTP/1.1 {status} ")
+    assert says in answer
+
+
+async def test_the_unix_socket_stops_for_a_request_without_a_host(
+    line: Line, tmp_path: Path
+) -> None:
+    body = '{"action": "inhibit", "target": "all"}'
+    head = f"POST /v1/stop HTTP/1.1\r\nContent-Length: {len(body)}\r\nConnection: close"
+    async with serving(line, tmp_path / "s") as served:
+        stream = await anyio.connect_unix(served.socket_path)
+        async with stream:
+            await stream.send(f"{head}\r\n\r\n{body}".encode())
+            answer = b"".join([part async for part in stream]).decode()
+    assert answer.startswith("HTTP/1.1 200 ")
+    assert [one[0] for one in line.ops.asked] == ["stop"]
 
 
 async def test_the_socket_is_for_owner_and_group_and_goes_at_the_end(

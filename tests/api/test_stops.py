@@ -9,6 +9,7 @@ import pytest
 from fastapi import FastAPI
 
 from lecombus.api import stops
+from lecombus.api.documents import GroupOutcomeDocument
 from lecombus.drives import StopAction
 from lecombus.errors import LecombusError, LineLostError, OperationError
 from lecombus.operations.reports import WriteReport
@@ -52,9 +53,9 @@ async def test_a_plain_stop_is_said_without_being_routed(line: Line, routed: lis
     ("body", "headers", "query", "status"),
     [
         (b'{"action": "inhibit", "target": "all"}', {"Idempotency-Key": "k"}, "", 200),
-        (b'{"action": "inhibit", "target": "all"}', {}, "?x=1", 422),
+        (b'{"action": "inhibit", "target": "all"}', {}, "?x=1", 200),
         (b'{"action": "inhibit"}', {}, "", 422),
-        (b'{"action": "inhibit", "target": "all", "now": true}', {}, "", 422),
+        (b'{"action": "inhibit", "target": "all", "now": true}', {}, "", 200),
         (b'{"action": "halt", "target": "all"}', {}, "", 422),
         (b'{"action": ["inhibit"], "target": "all"}', {}, "", 422),
         (b'{"action": "inhibit", "target": ""}', {}, "", 422),
@@ -73,6 +74,53 @@ async def test_whatever_is_not_plain_goes_the_long_way_with_its_body(
     assert answer.status_code == status
     assert routed == ["/v1/stop"]
     assert len(line.ops.asked) == (status == 200)
+
+
+@pytest.mark.parametrize("outcome", [Outcome.VERIFIED, Outcome.UNKNOWN])
+@pytest.mark.parametrize(
+    ("more", "headers", "query", "says"),
+    [
+        ({"now": True}, {}, "", ["there is no key now: known are: action, target"]),
+        ({"acton": "x", "b": []}, {}, "", ["did you mean action?", "there is no key b"]),
+        ({}, {"Idempotency-Key": ""}, "", ["Idempotency-Key has 0 characters, 1 to 255 are"]),
+        ({}, {"Idempotency-Key": "x" * 256}, "", ["Idempotency-Key has 256 characters"]),
+        ({}, {}, "?fresh=true", ["a stop takes no query: fresh=true"]),
+        ({"k": 1}, {"Idempotency-Key": ""}, "?x=1", ["no query", "has 0 char", "no key k"]),
+    ],
+)
+async def test_a_stop_is_taken_whatever_is_superfluous_and_says_what_it_ignored(
+    line: Line,
+    more: dict[str, object],
+    headers: dict[str, str],
+    query: str,
+    says: list[str],
+    outcome: Outcome,
+) -> None:
+    line.ops.report = lambda drive, code: WriteReport(drive, code, outcome)
+    async with over(line.app) as client:
+        answer = await client.post(f"/v1/stop{query}", json=PLAIN | more, headers=headers)
+        plain = await client.post("/v1/stop", json=PLAIN)
+    assert line.ops.asked == [("stop", StopAction.INHIBIT, "all")] * 2
+    ignored = answer.json()["ignored"]
+    assert [part in text for part, text in zip(says, ignored, strict=True)] == [True] * len(says)
+    assert answer.status_code == plain.status_code
+    assert answer.json() == {**plain.json(), "ignored": ignored}
+    if outcome is Outcome.VERIFIED:
+        GroupOutcomeDocument.model_validate(answer.json())
+
+
+async def test_a_stop_with_many_superfluous_keys_says_some_of_them(line: Line) -> None:
+    async with over(line.app) as client:
+        answer = await client.post("/v1/stop", json=PLAIN | {f"k{n}": n for n in range(30)})
+    assert (len(answer.json()["ignored"]), answer.json()["ignored"][-1]) == (11, "and 20 more")
+
+
+async def test_a_stop_with_a_misspelt_key_for_a_needed_one_is_told_both(line: Line) -> None:
+    async with over(line.app) as client:
+        answer = await client.post("/v1/stop", json={"action": "inhibit", "taget": "all"})
+    assert (answer.status_code, line.ops.asked) == (422, [])
+    assert "key target is missing" in answer.json()["detail"]
+    assert "did you mean target?" in answer.json()["detail"]
 
 
 @pytest.mark.parametrize("size", [1, 5, 20])

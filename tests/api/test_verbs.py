@@ -56,6 +56,20 @@ async def test_a_stop_is_refused_for_no_body(
     assert line.ops.asked == [("verb", "feeder", Verb(verb), None, "", None, False)]
 
 
+@pytest.mark.parametrize("verb", ["inhibit", "quick-stop"])
+@pytest.mark.parametrize("outcome", [Outcome.DONE, Outcome.UNKNOWN])
+async def test_a_stop_is_refused_for_no_query_and_no_key(
+    client: httpx.AsyncClient, line: Line, verb: str, outcome: Outcome
+) -> None:
+    line.ops.report = lambda drive, code: WriteReport(drive, code, outcome)
+    answer = await say(client, f"{verb}?now=1", **{"Idempotency-Key": "x" * 256})
+    assert (answer.status_code, len(line.ops.asked)) == (200 if outcome is Outcome.DONE else 504, 1)
+    query, key = answer.json()["ignored"]
+    assert (query, key[:15]) == ("a stop takes no query: now=1", "Idempotency-Key")
+    if outcome is Outcome.DONE:
+        VerbDocument.model_validate(answer.json())
+
+
 @pytest.mark.parametrize(
     ("verb", "body", "says"),
     [

@@ -5,6 +5,8 @@ What must not live here: any path (`app`, `custody`), what a problem is (`proble
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Annotated, Any, Final
 
 from fastapi import Header
@@ -30,6 +32,7 @@ __all__ = [
     "described",
     "group_json",
     "group_response",
+    "ignored_json",
     "json_response",
     "report_json",
     "status_response",
@@ -77,7 +80,8 @@ def code_of(code: str, subcode: str) -> Code:
 
 def content_of(request: Request, body: bytes) -> bytes:
     """Return what tells this request from another with the same key."""
-    return fingerprint(request.method.encode(), request.url.path.encode(), body)
+    query = request.scope["query_string"]
+    return fingerprint(request.method.encode(), request.url.path.encode(), query, body)
 
 
 def group_json(group: GroupInfo) -> dict[str, Json]:
@@ -104,12 +108,17 @@ def report_json(report: WriteReport) -> dict[str, Json]:
     }
 
 
-def group_response(report: GroupReport) -> Response:
-    """Return the answer to a group write or a stop."""
+def group_response(report: GroupReport, ignored: Sequence[str] = ()) -> Response:
+    """Return the answer to a group write or a stop.
+
+    Args:
+        report: How it ended.
+        ignored: What of a stop's request was not looked at (`stopping`).
+    """
     members: list[Json] = [report_json(one) for one in report.members]
     problem = group_problem(report, members)
     if problem is not None:
-        return problem.response()
+        return replace(problem, more={**problem.more, **ignored_json(ignored)}).response()
     return json_response(
         {
             "target": report.target,
@@ -117,8 +126,14 @@ def group_response(report: GroupReport) -> Response:
             "outcome": report.outcome.value,
             "reason": report.reason or None,
             "members": members,
+            **ignored_json(ignored),
         }
     )
+
+
+def ignored_json(ignored: Sequence[str]) -> dict[str, Json]:
+    """Return the member that says what was ignored; none where nothing was."""
+    return {"ignored": list(ignored)} if ignored else {}
 
 
 def status_response(kind: str, check: tuple[bool, str]) -> Response:

@@ -43,7 +43,6 @@ from lecombus.api.answers import (
 from lecombus.api.bodies import (
     RIGHT,
     DriveWriteBody,
-    StopBody,
     Urgency,
     WriteBody,
     check_query,
@@ -65,11 +64,12 @@ from lecombus.api.documents import (
     StatusDocument,
 )
 from lecombus.api.exact import encode, short
-from lecombus.api.idempotency import Idempotency, SharedStops
+from lecombus.api.idempotency import Idempotency
 from lecombus.api.pages import KeptPage
 from lecombus.api.planned import add_plan
 from lecombus.api.problems import Problem, problem_of, report_problem
 from lecombus.api.seam import CustodyPort, OperationsPort
+from lecombus.api.stopping import add_stop
 from lecombus.api.stops import PlainStops
 from lecombus.api.verbs import add_verbs
 from lecombus.errors import LecombusError
@@ -134,6 +134,7 @@ def create_app(
     add_addresses(app, ops)
     add_writes(app, ops, keys)
     add_group_writes(app, ops, keys)
+    add_stop(app, ops)
     add_verbs(app, ops, keys)
     add_custody(app, custody, keys)
     add_diagnosis(app, ops)
@@ -254,9 +255,8 @@ def add_writes(app: FastAPI, ops: OperationsPort, keys: Idempotency) -> None:
 
 
 def add_group_writes(app: FastAPI, ops: OperationsPort, keys: Idempotency) -> None:
-    """Add the writes to groups, and stop."""
+    """Add the writes to groups."""
     told = described(GroupOutcomeDocument, *REFUSALS, body=WriteBody)
-    stops = SharedStops()
 
     @app.put("/v1/groups/{group}/codes/{code}", **told)
     @app.put("/v1/groups/{group}/codes/{code}/{subcode}", **told)
@@ -276,21 +276,6 @@ def add_group_writes(app: FastAPI, ops: OperationsPort, keys: Idempotency) -> No
             )
 
         return await keys.run(key, content_of(request, raw), act)
-
-    @app.post("/v1/stop", **described(GroupOutcomeDocument, *REFUSALS, body=StopBody))
-    async def stop(request: Request, key: Key = None) -> Response:
-        """Stop a drive, a group or all, before everything else on the line.
-
-        A repeat with the same key shares the result only while the first is under way; after that
-        it stops again.
-        """
-        check_query(request)
-        body, raw = await read_body(request, StopBody)
-
-        async def act() -> Response:
-            return group_response(await ops.stop(body.action, body.target))
-
-        return await stops.run(key, content_of(request, raw), act)
 
 
 def add_service(app: FastAPI, metrics: Metrics, ready: Check, healthy: Check) -> None:

@@ -39,6 +39,7 @@ __all__ = [
     "WriteBody",
     "check_query",
     "read_body",
+    "read_stop",
 ]
 
 BODY_LIMIT: Final = 64 * 1024
@@ -278,19 +279,67 @@ async def read_body(
         ProblemError: It is too big, not JSON, or not what is asked for.
     """
     raw = await bounded_bytes(request) or (b"{}" if may_be_empty else b"")
+    return checked(object_of(raw, model), model), raw
+
+
+async def read_stop(request: Request) -> tuple[StopBody, bytes, tuple[str, ...]]:
+    """Return a stop, the bytes of its body, and what in it is superfluous.
+
+    A stop whose action and target are right is taken, whatever else its body says.
+
+    Raises:
+        ProblemError: It does not say how to stop and what; every mistake is told.
+    """
+    raw = await bounded_bytes(request)
+    given = object_of(raw, StopBody)
+    known = {key: value for key, value in given.items() if key in StopBody.model_fields}
+    try:
+        return StopBody.model_validate(known), raw, superfluous(given)
+    except ValidationError:
+        return checked(given, StopBody), raw, ()
+
+
+def superfluous(given: Mapping[str, object]) -> tuple[str, ...]:
+    """Return what to say of the keys of a stop that nobody knows."""
+    known = tuple(StopBody.model_fields)
+    unknown = [key for key in given if key not in known]
+    said = [f"there is no key {short(key)}: {nearest(key, known)}" for key in unknown]
+    return bounded_list(said)
+
+
+def object_of(raw: bytes, model: type[Body]) -> dict[str, object]:
+    """Return the JSON object that a body is.
+
+    Raises:
+        ProblemError: It is none.
+    """
     try:
         given = decode(raw)
     except NotJsonError as exc:
         raise refusal(f"the body is not JSON: {exc}", f"send {example(model)}") from exc
     if not isinstance(given, dict):
         raise refusal("the body is not a JSON object", f"send {example(model)}")
+    return given
+
+
+def checked(given: Mapping[str, object], model: type[B]) -> B:
+    """Return a body that is as its model says.
+
+    Raises:
+        ProblemError: It is not; every mistake is told.
+    """
     try:
-        return model.model_validate(given), raw
+        return model.model_validate(given)
     except ValidationError as exc:
         mistakes = list(dict.fromkeys(mistake_text(one, given, model) for one in exc.errors()))
-        if len(mistakes) > MISTAKES_LIMIT:
-            mistakes[MISTAKES_LIMIT:] = [f"and {len(mistakes) - MISTAKES_LIMIT} more"]
-        raise refusal("; ".join(mistakes), f"send {example(model)}") from exc
+        raise refusal("; ".join(bounded_list(mistakes)), f"send {example(model)}") from exc
+
+
+def bounded_list(mistakes: list[str]) -> tuple[str, ...]:
+    """Return so many mistakes as a message has room for, and the number of the others."""
+    if len(mistakes) <= MISTAKES_LIMIT:
+        return tuple(mistakes)
+    return (*mistakes[:MISTAKES_LIMIT], f"and {len(mistakes) - MISTAKES_LIMIT} more")
 
 
 async def bounded_bytes(request: Request) -> bytes:

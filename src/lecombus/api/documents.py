@@ -44,6 +44,9 @@ Scalar = Annotated[
 ]
 
 
+IGNORED: Any = Field(description="Only for stops: what of the request was not looked at")
+
+
 class Document(BaseModel):
     """The common rules."""
 
@@ -365,6 +368,7 @@ class VerbDocument(Document):
     ]
     written: Annotated[list[WrittenDocument], Field(description="What was written, in order")]
     reading: Annotated[ReadingDocument | None, Field(description="What was read back")]
+    ignored: Annotated[list[str] | None, IGNORED] = None
 
 
 class GroupOutcomeDocument(Document):
@@ -375,6 +379,7 @@ class GroupOutcomeDocument(Document):
     outcome: str
     reason: str | None
     members: list[OutcomeDocument]
+    ignored: Annotated[list[str] | None, IGNORED] = None
 
 
 class ProblemDocument(BaseModel):

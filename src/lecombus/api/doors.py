@@ -2,7 +2,9 @@
 
 `ReadOnlyDoor` stands before the TCP server: until there is access control it lets reads through and
 nothing else, and refuses hosts that are not this machine, so that no web page can reach the drives
-through a browser (DNS rebinding). `HeadIsGet` stands before both.
+through a browser (DNS rebinding). A request without a host, with two, or with one that is none, is
+not well made (RFC 9112, 3.2). Behind the Unix socket nobody asks for the host: a stop counts more.
+`HeadIsGet` stands before both.
 
 What must not live here: sockets (`server`), how many may come in (`crowd`).
 """
@@ -22,6 +24,8 @@ from lecombus.api.problems import Problem
 __all__ = ["HeadIsGet", "ReadOnlyDoor", "is_loopback"]
 
 HOST: Final = re.compile(r"(?:\[([0-9a-f:.]+)\]|([^\[\]:]+))(?::[0-9]{0,5})?")
+
+RIGHT_HOST: Final = "ask for localhost or 127.0.0.1"
 
 
 class HeadIsGet:
@@ -63,11 +67,16 @@ class ReadOnlyDoor:
 
     def _objection(self, scope: Scope) -> Problem | None:
         hosts = [value.decode("latin-1") for name, value in scope["headers"] if name == b"host"]
-        if len(hosts) != 1 or not self._is_here(hosts[0]):
+        name = host_name(hosts[0].strip().lower()) if len(hosts) == 1 else ""
+        if not name:
             return Problem(
-                "foreign-host",
-                f"host {short(', '.join(hosts)) or '(none)'} is not this machine",
-                remedy="ask for localhost or 127.0.0.1",
+                "bad-host",
+                f"the request names {short(', '.join(hosts)) or 'no host'}, where one host belongs",
+                remedy=RIGHT_HOST,
+            )
+        if not self._is_here(name):
+            return Problem(
+                "foreign-host", f"host {short(hosts[0])} is not this machine", remedy=RIGHT_HOST
             )
         if scope["method"] not in ("GET", "HEAD"):
             return Problem(
@@ -83,8 +92,7 @@ class ReadOnlyDoor:
             )
         return None
 
-    def _is_here(self, host: str) -> bool:
-        name = host_name(host.strip().lower())
+    def _is_here(self, name: str) -> bool:
         return name in ("localhost", self._host) or is_loopback(name)
 
 

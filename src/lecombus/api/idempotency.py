@@ -7,7 +7,7 @@ was sent at all (queue full, line lost, not understood), the same key may be tri
 
 Stops are different (`SharedStops`): a repeat shares the first one's result only while that is under
 way. Afterwards the drive may have been started again, so a repeat is a new stop and is sent; and
-no stop is refused for its key being in use or for too many keys.
+no stop is refused for its key being in use, for too many keys, or for a key that cannot be kept.
 
 Memory is bounded: `KEY_LIMIT` keys for `KEEP_S` seconds, the oldest finished one going first.
 What must not live here: what a request does.
@@ -26,7 +26,7 @@ from starlette.responses import Response
 from lecombus.api.exact import short
 from lecombus.api.problems import Problem, ProblemError
 
-__all__ = ["KEEP_S", "KEY_LIMIT", "Idempotency", "SharedStops", "fingerprint"]
+__all__ = ["KEEP_S", "KEY_LIMIT", "Idempotency", "SharedStops", "fingerprint", "key_mistake"]
 
 KEY_LIMIT: Final = 1000
 KEEP_S: Final = 600.0
@@ -128,16 +128,13 @@ class SharedStops:
         """Stop, or share the result of the same stop with the same key while it is under way.
 
         Args:
-            key: The client's key; None stops without looking at others.
+            key: The client's key; None, or one that cannot be kept, stops without looking at
+                others.
             content: What the request is (`fingerprint`).
             act: Stops; when it raises, whoever waited for its result stops by itself.
-
-        Raises:
-            ProblemError: The key is malformed.
         """
-        if key is None:
+        if key is None or key_mistake(key):
             return await act()
-        check_key(key)
         while (entry := self._under_way.get((key, content))) is not None:
             await entry.ended.wait()
             if entry.response is not None:
@@ -160,20 +157,22 @@ def fingerprint(*parts: bytes) -> bytes:
     return digest.digest()
 
 
+def key_mistake(key: str) -> str:
+    """Return what is wrong with a key, or nothing: it is empty or too long to keep."""
+    if 0 < len(key) <= KEY_CHARS:
+        return ""
+    return f"Idempotency-Key has {len(key)} characters, 1 to {KEY_CHARS} are taken"
+
+
 def check_key(key: str) -> None:
-    """Refuse keys that are empty or too long to keep.
+    """Refuse keys that cannot be kept.
 
     Raises:
         ProblemError: It is one of these.
     """
-    if not 0 < len(key) <= KEY_CHARS:
-        raise ProblemError(
-            Problem(
-                "bad-request",
-                f"Idempotency-Key has {len(key)} characters, 1 to {KEY_CHARS} are taken",
-                remedy="send a UUID",
-            )
-        )
+    mistake = key_mistake(key)
+    if mistake:
+        raise ProblemError(Problem("bad-request", mistake, remedy="send a UUID"))
 
 
 def reused(key: str) -> ProblemError:

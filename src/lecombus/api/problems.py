@@ -6,7 +6,7 @@ error of lecombus' tree, `report_problem` from a write that ended in anything bu
 shows the same table.
 
 ==== ==================================================================================
-400  not HTTP
+400  not HTTP, or not with one host
 403  not writable, or a write over TCP
 404  no such drive, group, code or path
 405  wrong method
@@ -70,6 +70,7 @@ PROBLEM_TYPE: Final = "application/problem+json"
 
 STATUS_BY_KIND: Final[Mapping[str, tuple[int, str]]] = {
     "bad-http": (400, "Not HTTP"),
+    "bad-host": (400, "Not one host"),
     "read-only": (403, "Only reads are answered here"),
     "not-writable": (403, "Not writable"),
     "not-permitted": (403, "Not permitted"),

@@ -1,15 +1,16 @@
 """The paths of verbs: what a person wants of a drive, in a person's words.
 
-`inhibit` and `quick-stop` are stops: no body is looked at, so that none can be wrong, they are
-never refused for there being too many requests, and a repeat with the same `Idempotency-Key` stops
-again once the first is over. The others are done once per key.
+`inhibit` and `quick-stop` are stops: no body is looked at, so that none can be wrong, a query or a
+key that is none is ignored (`stopping`), they are never refused for there being too many requests,
+and a repeat with the same `Idempotency-Key` stops again once the first is over. The others are done
+once per key.
 
 What must not live here: what a verb comes to (`drives`), how it is carried out (`operations`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Mapping
+from collections.abc import Awaitable, Mapping, Sequence
 from decimal import Decimal
 from typing import Final
 
@@ -17,13 +18,21 @@ from fastapi import FastAPI
 from starlette.requests import Request
 from starlette.responses import Response
 
-from lecombus.api.answers import REFUSALS, Key, content_of, described, json_response
+from lecombus.api.answers import (
+    REFUSALS,
+    Key,
+    content_of,
+    described,
+    ignored_json,
+    json_response,
+)
 from lecombus.api.bodies import SpeedBody, VerbBody, check_query, read_body
 from lecombus.api.documents import VerbDocument
 from lecombus.api.exact import short
 from lecombus.api.idempotency import Idempotency, SharedStops
 from lecombus.api.problems import Problem, ProblemError, verb_problem
 from lecombus.api.seam import OperationsPort, VerbReport
+from lecombus.api.stopping import ignored_of
 from lecombus.drives import Verb
 from lecombus.readings import Json
 
@@ -49,13 +58,14 @@ def add_verbs(app: FastAPI, ops: OperationsPort, keys: Idempotency) -> None:
 
         Only set-speed needs a body: `{"value": 35.4, "unit": "Hz"}`.
         """
-        check_query(request)
         wanted = verb_of(verb)
         model = BODIES.get(wanted)
         if model is None:
+            ignored = ignored_of(request, key)
             return await stops.run(
-                key, content_of(request, b""), lambda: answered(ops.verb(drive, wanted))
+                key, content_of(request, b""), lambda: answered(ops.verb(drive, wanted), ignored)
             )
+        check_query(request)
         body, raw = await read_body(request, model, may_be_empty=True)
         return await keys.run(
             key, content_of(request, raw), lambda: answered(carry_out(ops, drive, wanted, body))
@@ -66,12 +76,17 @@ MORE: Final = ("verb", "states", "written")
 """What a problem document of a verb has besides."""
 
 
-async def answered(ending: Awaitable[VerbReport]) -> Response:
-    """Return the answer to a verb once it has ended."""
+async def answered(ending: Awaitable[VerbReport], ignored: Sequence[str] = ()) -> Response:
+    """Return the answer to a verb once it has ended.
+
+    Args:
+        ending: The verb.
+        ignored: What of a stop's request was not looked at (`stopping`).
+    """
     report = await ending
-    document = verb_json(report)
-    problem = verb_problem(report, {name: document[name] for name in MORE})
-    return problem.response() if problem else json_response(document)
+    document, spare = verb_json(report), ignored_json(ignored)
+    problem = verb_problem(report, {name: document[name] for name in MORE} | spare)
+    return problem.response() if problem else json_response(document | spare)
 
 
 def verb_of(word: str) -> Verb:
