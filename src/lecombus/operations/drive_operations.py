@@ -2,7 +2,7 @@
 
 Here stands what is true of such wishes whoever has them: which codes may be written, that a
 drive which is offline or not yet audited is not written to, and how a user's value becomes the
-wire's. Operations on several drives, and the stop, stand in `group_operations`.
+wire's. The stop stands in `stop_operations`, writes to several drives in `group_operations`.
 
 What must not live here: HTTP, telegrams, waiting lists.
 """

@@ -60,9 +60,10 @@ from lecombus.errors import (
 )
 from lecombus.line.station import Station
 from lecombus.operations.control_words import ControlWords
-from lecombus.operations.group_operations import STOP_REMEDY, GroupOperations
+from lecombus.operations.group_operations import GroupOperations
 from lecombus.operations.reports import VerbReport, WriteReport
 from lecombus.operations.requests import Requests
+from lecombus.operations.stop_operations import STOP_REMEDY
 from lecombus.operations.verb_reports import (
     GOOD,
     Run,
