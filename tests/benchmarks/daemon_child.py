@@ -35,6 +35,8 @@ from .children import answer_lines
 __all__ = ["main"]
 
 STATUS = Code(150)
+MOST_RESTS = 0.02
+"""Of the exchanges of a busy line: a few are left to whoever starts, or lost an answer."""
 
 
 class Bench:
@@ -112,11 +114,20 @@ class Bench:
             "background": self._background,
         }
 
-    async def spend(self, for_s: float) -> float:
-        """Processor time per exchange over a while, seconds."""
-        cpu_s, exchanges = time.process_time(), self.site.worker.exchanges
+    async def spend(self, for_s: float, busy: bool) -> float:
+        """Processor time per exchange over a while, seconds; `busy`: the line must not fall idle.
+
+        Raises:
+            RuntimeError: It did: other exchanges would be measured than were asked for.
+        """
+        worker = self.site.worker
+        cpu_s, exchanges, rests = time.process_time(), worker.exchanges, worker.rests
         await anyio.sleep(for_s)
-        return (time.process_time() - cpu_s) / (self.site.worker.exchanges - exchanges)
+        cpu_s, exchanges = time.process_time() - cpu_s, worker.exchanges - exchanges
+        rests = worker.rests - rests
+        if busy and rests > MOST_RESTS * exchanges:
+            raise RuntimeError(f"{rests} rests in {exchanges} exchanges: not back to back")
+        return cpu_s / exchanges
 
     async def stop(self, drive: str, after_s: float) -> float:
         """Stop a drive some time from now; gives the moment at which that was asked."""

@@ -1,7 +1,8 @@
 """A child: one master that does nothing but exchanges, ours or a peer's.
 
-`python -m benchmarks.masters KIND PORT`. The only question is `spend` with a number of exchanges;
-the answer is the processor time of one, seconds, the kernel's share included.
+`python -m benchmarks.masters KIND PORT`. The only question is `spend` with a number of exchanges,
+and how often one is wanted if not at once; the answer is the processor time of one, seconds, the
+kernel's share included.
 
 * `protocol`: pyserial-asyncio's transport with a bare Protocol and a future for each exchange,
   without time-out, parity or any look at the answer but where it ends.
@@ -201,14 +202,27 @@ async def open_master(kind: str, port: str) -> Exchanges:
     return await worker(port, Again() if kind == "worker" else one_cyclic())
 
 
+async def spread(exchanges: Exchanges, count: int, every_s: float) -> None:
+    """Do one exchange after the other at their times, and sleep between."""
+    due_s = time.monotonic()
+    for _ in range(count):
+        await exchanges(1)
+        due_s += every_s
+        await asyncio.sleep(max(0.0, due_s - time.monotonic()))
+
+
 async def serve(kind: str, port: str) -> None:
     """Answer `spend` until the input ends."""
     exchanges = await open_master(kind, port)
 
     async def answer(question: dict[str, Any]) -> float:
         count: int = question["count"]
+        every_s: float | None = question.get("every_s")
         before_s = time.process_time()
-        await exchanges(count)
+        if every_s is None:
+            await exchanges(count)
+        else:
+            await spread(exchanges, count, every_s)
         return (time.process_time() - before_s) / count
 
     await answer_lines(answer)

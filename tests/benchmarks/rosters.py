@@ -1,16 +1,26 @@
-"""The rosters of the benchmarks: one status word of every drive, and nothing else cyclic."""
+"""The rosters of the benchmarks: the status word of every drive, and nothing else that is fed."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from .paced_line import drives
 
-__all__ = ["write_roster"]
+__all__ = ["DRIVES", "write_roster"]
+
+DRIVES = 31
 
 
 def write_roster(
-    folder: Path, port: Path, *, baud: int, turnaround_ms: int, http: int, every_ms: int = 500
+    folder: Path,
+    port: Path,
+    *,
+    baud: int,
+    turnaround_ms: int,
+    http: int,
+    every_ms: int = 500,
+    codes: Sequence[str] = ("C0150",),
 ) -> Path:
     """Write a roster for 31 drives; at 500 ms and 19200 baud the line is never idle.
 
@@ -20,12 +30,13 @@ def write_roster(
         baud: Its baud rate.
         turnaround_ms: The pause between exchanges.
         http: The TCP port of the API.
-        every_ms: How often each drive is asked.
+        every_ms: How often each drive is asked for each code.
+        codes: What it is asked for.
     """
+    cyclic = ", ".join(f"{{code: {code}, every: {every_ms}ms}}" for code in codes)
     rows = [
-        f"  - {{name: {name}, address: {address}, family: {family}, "
-        f"cyclic: [{{code: C0150, every: {every_ms}ms}}]}}"
-        for name, address, family in drives(31)
+        f"  - {{name: {name}, address: {address}, family: {family}, cyclic: [{cyclic}]}}"
+        for name, address, family in drives(DRIVES)
     ]
     text = "\n".join(
         [
