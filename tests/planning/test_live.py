@@ -54,7 +54,7 @@ def test_a_line_that_works_keeps_what_was_promised() -> None:
         await work(plant, 330)
         for _ in range(20):
             await plant.site.operations.read("a", Code(61))
-            await anyio.sleep(0.3)
+            await anyio.sleep(0.237)
         live = live_of(plant)
         assert live.beyond == ()
         assert live.window_s == 300.0

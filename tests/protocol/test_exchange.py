@@ -181,6 +181,17 @@ def test_an_answer_that_breaks_off_is_given_up_after_a_gap_not_at_the_last_deadl
     assert result.received == ANSWER[:4]
 
 
+def test_an_answer_that_drips_in_is_given_up_when_the_whole_of_it_is_overdue() -> None:
+    exchange = begun()
+    for place, byte in enumerate(ANSWER[:4]):
+        assert exchange.feed(bytes((byte,)), T0 + 0.046 + place * 0.009) is None
+    assert exchange.deadline_s() == pytest.approx(T0 + 0.080)
+    assert exchange.expire(T0 + 0.0799) is None
+    result = exchange.expire(T0 + 0.0801)
+    assert result is not None
+    assert result.kind is ResultKind.GARBLED
+
+
 def test_an_answer_that_comes_in_is_waited_for_beyond_the_first_deadline() -> None:
     exchange = begun()
     assert trickle(exchange, ANSWER[:-1], 0.058) is None

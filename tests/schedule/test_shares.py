@@ -77,6 +77,42 @@ def test_background_by_its_share_never_goes_twice_in_a_row_before_others() -> No
     assert (P.BACKGROUND, P.BACKGROUND) not in set(pairwise(kinds))
 
 
+def test_a_lone_control_request_lets_nobody_go_first_whatever_others_have_saved_up() -> None:
+    world = _loaded(P.INTERACTIVE, P.BACKGROUND)
+    for name in "abc":
+        world.cyclic(name, 0.03)
+    for number in range(100):
+        world.at(5.0 + number * 0.1, lambda: world.submit("a", P.CONTROL))
+    world.run(20.0)
+    waits = [
+        s.at_s - s.request.submitted_at_s for s in world.sent if s.request.priority is P.CONTROL
+    ]
+    assert len(waits) == 100
+    assert max(waits) <= 0.02 + 1e-9
+
+
+def test_a_control_request_among_many_lets_one_exchange_go_after_each_of_its_own() -> None:
+    world = _loaded(P.CONTROL, P.INTERACTIVE, P.BACKGROUND)
+    for name in "abc":
+        world.cyclic(name, 0.03)
+    world.run(60.0)
+    kinds = [sent.request.priority for sent in world.sent]
+    others = [pair for pair in pairwise(kinds) if P.CONTROL not in pair]
+    assert others == []
+
+
+def test_long_control_exchanges_leave_each_class_its_turn() -> None:
+    world = World().drives("a", "b", "c")
+    world.saturate(P.CONTROL, ["a", "b"], cost_s=0.3)
+    for priority in (P.INTERACTIVE, P.BACKGROUND):
+        world.saturate(priority, ["c"])
+    world.cyclic("c", 0.03)
+    world.run(60.0)
+    kinds = [sent.request.priority for sent in world.sent]
+    for priority in (P.INTERACTIVE, P.CYCLIC, P.BACKGROUND):
+        assert kinds.count(priority) >= len(kinds) / 2 / 3 - 2, priority
+
+
 def test_idle_classes_save_nothing_up() -> None:
     world = _loaded(P.CONTROL)
     world.run(30.0)

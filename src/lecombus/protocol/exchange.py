@@ -42,7 +42,6 @@ from .telegrams import (
     UnknownCodeAnswer,
     ValueAnswer,
 )
-from .timing import MAX_ANSWER_CHARS
 
 __all__ = ["ACK_FIELD", "Ask", "Exchange", "Result", "ResultKind"]
 
@@ -208,8 +207,8 @@ class Exchange:
         first = self.started_s + ask.first_byte_s
         if self._phase is not _Phase.ANSWER:
             return first
-        longest = self.started_s + ask.whole_s + MAX_ANSWER_CHARS * ask.char_s
-        return max(first, min(self._last_byte_s + ask.gap_s, longest))
+        # Never later, however slowly characters drip in: costs and promises reckon with it.
+        return max(first, min(self._last_byte_s + ask.gap_s, self.started_s + ask.whole_s))
 
     def expire(self, now_s: float) -> Result | None:
         """End the exchange if its deadline has passed.

@@ -128,7 +128,8 @@ class Rehearsal:
         waiting = {priority: head.cost_s for priority, head in heads.items()}
         entitled = None
         if len(waiting) + (control is not None) > 1:
-            entitled = self._shares.foresee(waiting, under_way, at_s - started_s)
+            top = Priority.CONTROL if control is not None else next(iter(heads))
+            entitled = self._shares.foresee(waiting, top, under_way, at_s - started_s)
         if control is not None and entitled is None:
             chosen, ahead = control, False
         else:

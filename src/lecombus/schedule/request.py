@@ -13,7 +13,17 @@ from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 from typing import Any, Final
 
-__all__ = ["DEFERRED", "OUT", "QUEUED", "UNDER_WAY", "Outcome", "Priority", "Request", "Settle"]
+__all__ = [
+    "DEFERRED",
+    "OUT",
+    "QUEUED",
+    "UNDER_WAY",
+    "Outcome",
+    "Priority",
+    "Request",
+    "Settle",
+    "Turn",
+]
 
 # Where a request is: not in a schedule, in its lane, waiting for a time, or on the line.
 OUT: Final = 0
@@ -31,6 +41,20 @@ class Priority(IntEnum):
     INTERACTIVE = 3
     CYCLIC = 4
     BACKGROUND = 5
+
+
+class Turn(IntEnum):
+    """By what an exchange went when it did.
+
+    `RIGHT`: it was the first of the highest class. `CREDIT`: by its class's share, before a higher
+    class that waited. `FEED`: a watchdog asked for it. `FEED_AHEAD`: the same, before a control
+    request that waited.
+    """
+
+    RIGHT = 0
+    CREDIT = 1
+    FEED = 2
+    FEED_AHEAD = 3
 
 
 class Outcome(StrEnum):
@@ -98,7 +122,7 @@ class Request:
     cell: list[Any] | None = field(default=None, init=False, repr=False)  # where it stands
     attempts: int = field(default=0, init=False, repr=False)  # exchanges made for it
     rooms: int = field(default=0, init=False, repr=False)  # feeds run first so that it fits
-    by_credit: bool = field(default=False, init=False, repr=False)  # went first by its share
+    turn: Turn = field(default=Turn.RIGHT, init=False, repr=False)  # by what it went
     source: object = field(default=None, init=False, repr=False)  # the entry or probe behind it
 
     def cut(self, outcome: Outcome, reason: str) -> None:

@@ -1,19 +1,9 @@
 """Who speaks next on a line: the one place where that is decided.
 
 Theory of operation. `next` answers which request goes now, and marks it as under way; `finished`
-books the exchange. Both are O(log n), whatever is queued. The choice, in this order:
-
-1. A stop, always, whatever its drive is doing (what else a stop does: waiting.py).
-2. If a lower class has earned its share (shares.py): urgent feeds, then that class.
-3. Control, then urgent feeds by hard deadline, interactive, cyclic (next steps of cyclic
-   requests, then probes, then slots by cadence), background. Within a class first come, first
-   served; what comes back through `again` goes ahead of its class.
-
-A feed is urgent when it is due, or when the slack of all watchdogs together is less than the
-spare kept for failed attempts (feeds.py). While a third of that spare is left, urgent feeds and
-interactive requests take turns, so that a sweep of feeds does not keep a person waiting; below
-that feeds go first. A feed that is not urgent yet, but will be soon (twice the spare), costs no
-telegram of its own: where a cyclic slot would go, it is one of that drive, run early.
+books the exchange. Both are O(log n), whatever is queued. A stop goes always, whatever its drive is
+doing (what else a stop does: waiting.py). Then come, in strict order, control, urgent feeds,
+interactive, cyclic and background, each letting others go first as choice.py says.
 
 Whatever is chosen, a stop apart, must pass the slack check (feeds.py): it is begun only if every
 watchdog can still be fed in time should it take its longest. If it does not, the feed that stands
@@ -38,11 +28,12 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 from lecombus.schedule.cadence import Cadence, Cyclic, Entry
+from lecombus.schedule.choice import Choice, to_feed
 from lecombus.schedule.feed_choice import FeedChoice
 from lecombus.schedule.feeds import Feed, Feeding, Feeds
 from lecombus.schedule.rehearsal import Foreseen, Rehearsal
-from lecombus.schedule.request import OUT, QUEUED, UNDER_WAY, Outcome, Priority, Request
-from lecombus.schedule.shares import CLASS_SHARES, Probe, Probes, Shares
+from lecombus.schedule.request import OUT, QUEUED, UNDER_WAY, Outcome, Priority, Request, Turn
+from lecombus.schedule.shares import Probe, Probes, Shares
 from lecombus.schedule.stats import ScheduleStats, snapshot
 from lecombus.schedule.waiting import DriveState, Waiting
 
@@ -72,12 +63,14 @@ class Schedule:
         self._probes = Probes(absent_share)
         self._shares = Shares()
         self._feed_choice = FeedChoice(self._waiting, self._feeds, self._cadence)
+        self._choice = Choice(
+            self._waiting, self._feed_choice, self._cadence, self._probes, self._shares
+        )
         self._rehearsal = Rehearsal(
             self._waiting, self._feeds, self._cadence, self._probes, self._shares
         )
         self._speaking_to: str | None = None
         self._more = False  # the last choice stopped early: there is more to do at once
-        self._fed_last = False  # an urgent feed went last: it is the turn of interactive
 
     # -- what the line has ------------------------------------------------------------------------
 
@@ -200,7 +193,7 @@ class Schedule:
             return self._start(stop, now_s)
         self._more = False
         for _ in range(REFUSE_BATCH):
-            request, feeding = self._choose(now_s)
+            request, feeding = self._choice.first(now_s)
             if request is None:
                 return None
             admitted = request if feeding else self._admit(request, now_s)
@@ -250,10 +243,7 @@ class Schedule:
         request = found.request
         if request.priority is not Priority.STOP:
             self._more = False
-            if request.priority is not Priority.CONTROL:
-                self._fed_last = False
-            self._shares.note(found.waiting)
-            request.by_credit = found.ahead
+            self._choice.took(request, found.waiting, ahead=found.ahead)
         return self._start(request, now_s)
 
     def _run_timers(self, now_s: float) -> None:
@@ -265,55 +255,12 @@ class Schedule:
             elif what.held:
                 self._release(what, now_s)
 
-    def _choose(self, now_s: float) -> tuple[Request | None, bool]:
-        """Find what is first by priority and shares; say whether it is a feed."""
-        heads: dict[Priority, Request] = {}
-        waiting: dict[Priority, float] = {}
-        for priority in CLASS_SHARES:
-            head = self._waiting.head(priority, now_s)
-            if head is None and priority is Priority.CYCLIC:
-                head = self._periodic(now_s)
-            if head is not None:
-                heads[priority] = head
-                waiting[priority] = head.cost_s
-        entitled = self._shares.entitled(waiting)
-        control = self._waiting.head(Priority.CONTROL, now_s)
-        if control is not None and entitled is None:
-            return control, False
-        feed = self._waiting.head(Priority.WATCHDOG, now_s)
-        if feed is not None:
-            return feed, False
-        interactive = heads.get(Priority.INTERACTIVE)
-        if interactive is None or not (self._fed_last and self._feed_choice.can_wait(now_s)):
-            feed = self._feed_choice.urgent(now_s)
-            if feed is not None:
-                self._fed_last = True
-                return feed, True
-        self._fed_last = False
-        ahead = entitled is not None and (control is not None or entitled is not next(iter(heads)))
-        for first in heads.values() if entitled is None else (heads[entitled],):
-            early = self._feed_choice.early_slot(first, now_s)
-            chosen = early or first
-            chosen.by_credit = ahead
-            return chosen, early is not None
-        return None, False
-
-    def _periodic(self, now_s: float) -> Request | None:
-        """Find the probe or else the cyclic slot that is due."""
-        while (probe := self._probes.ready(now_s)) is not None:
-            drive = self._drives[probe.drive]
-            if not drive.held:
-                return probe.made()
-            self._probes.schedule(probe, drive.held_until_s)
-        entry = self._cadence.head(now_s, self._drives)
-        return entry.made() if entry is not None else None
-
     def _admit(self, request: Request, now_s: float) -> Request | None:
         """Let a request go if no watchdog can suffer; else run what must go first, or end it."""
         feeds = self._feeds
         own = feeds.own_first(now_s, request.worst_s, request.drive)
         if own is not None:
-            return own.made()
+            return to_feed(own.made())
         if feeds.fits(now_s, request.worst_s, request.drive):
             return request
         reason = feeds.never(request.worst_s, request.drive)
@@ -324,7 +271,7 @@ class Schedule:
             feed = feeds.room(now_s, request.worst_s, request.drive)
             if feed is not None:
                 request.rooms += 1
-                return self._feed_choice.telegram(feed, now_s)
+                return to_feed(self._feed_choice.telegram(feed, now_s))
         self._put_off(request, feeds.retry_s(now_s))
         return None
 
@@ -399,8 +346,8 @@ class Schedule:
         self._speaking_to = None
         self._waiting.forget_key(request)
         duration_s = now_s - started_s
-        self._shares.book(request.priority, request.by_credit, duration_s)
-        request.by_credit = False
+        self._shares.book(request.priority, request.turn, duration_s)
+        request.turn = Turn.RIGHT
         if type(request.source) is Probe:
             self._probes.paid(duration_s, now_s)
         feed = self._feeds.by_drive.get(request.drive)

@@ -3,8 +3,14 @@
 Classes are served strictly by priority, but three of them are promised a small share of the line
 when they wait behind others. While such a class has something that could go, it earns its share of
 all line time as credit and pays for the line time it uses; once the credit covers its next
-exchange, that one goes first. Credit is capped at a few exchanges and lost when nothing waits, so
-that no class saves up a burst.
+exchange, that one goes first. Credit is capped at a few exchanges and lost when nothing waits.
+
+Nobody is let first twice. An exchange goes by credit only directly after one that went by right and
+was of the class it goes ahead of, or of a higher one; feeds between them do not count. So a lone
+request of a higher class lets nothing go first, and many of them let others have every second
+exchange at most, whatever those have saved up. Of several classes that have earned theirs, the one
+goes that has gone by credit least recently: where exchanges of higher classes are far longer the
+shares become smaller, but each class gets its turn.
 
 Absent drives share one token bucket: it fills with their share of elapsed time and holds one
 probe. A probe starts only when the bucket covers the longest it can take, and pays what it took.
@@ -15,11 +21,11 @@ by one probe per `WINDOW_S`, and the share holds in any window of that length.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from heapq import heappop, heappush
 from typing import Final
 
-from lecombus.schedule.request import Priority, Request
+from lecombus.schedule.request import Priority, Request, Turn
 
 __all__ = ["CLASS_SHARES", "Probe", "Probes", "Shares"]
 
@@ -39,57 +45,73 @@ ROUNDING_S: Final = 1e-6
 class Shares:
     """The credit of the classes that wait behind others."""
 
-    __slots__ = ("_credit_s", "_last", "_waiting")
+    __slots__ = ("_credit_s", "_last", "_order", "_waiting")
 
     def __init__(self) -> None:
         self._credit_s = dict.fromkeys(CLASS_SHARES, 0.0)
         self._waiting: Mapping[Priority, float] = {}  # class: cost of its head at the last choice
-        self._last: Priority | None = None  # the class that went first by credit just now
+        self._last: Priority | None = None  # the class that went last, if it went by right
+        self._order = tuple(CLASS_SHARES)  # least recently gone by credit first
 
-    def entitled(self, waiting: Mapping[Priority, float]) -> Priority | None:
+    def had_its_turn(self, top: Priority) -> bool:
+        """Tell whether a class, or one above it, went last and by right: others may go now."""
+        return _had_its_turn(top, self._last)
+
+    def entitled(self, waiting: Mapping[Priority, float], top: Priority) -> Priority | None:
         """Choose the class that goes first by its credit.
 
         Args:
             waiting: The classes that have something that may go, highest first, and the cost of
                 their first request, seconds.
+            top: The highest class that has something that may go.
         """
         self._waiting = waiting
-        return _entitled(waiting, self._credit_s, self._last)
+        if not _had_its_turn(top, self._last):
+            return None
+        return _entitled(waiting, self._credit_s, self._order)
 
     def foresee(
-        self, waiting: Mapping[Priority, float], under_way: Request | None, duration_s: float
+        self,
+        waiting: Mapping[Priority, float],
+        top: Priority,
+        under_way: Request | None,
+        duration_s: float,
     ) -> Priority | None:
         """Tell which class will go first once an exchange has been booked; changes nothing.
 
         Args:
             waiting: As for `entitled`.
+            top: As for `entitled`.
             under_way: The request whose exchange it is; None: nothing is to be booked.
             duration_s: How long it will have taken.
         """
-        if under_way is None:
-            return _entitled(waiting, self._credit_s, self._last)
-        used_by, by_credit = under_way.priority, under_way.by_credit
-        credit_s = self._booked(used_by, by_credit, duration_s)
-        return _entitled(waiting, credit_s, used_by if by_credit else None)
+        credit_s, last = self._credit_s, self._last
+        if under_way is not None:
+            last = _last(last, under_way.priority, under_way.turn)
+        if not _had_its_turn(top, last):
+            return None
+        if under_way is not None:
+            credit_s = self._booked(under_way.priority, under_way.turn, duration_s)
+        return _entitled(waiting, credit_s, self._order)
 
     def note(self, waiting: Mapping[Priority, float]) -> None:
         """Take note of what waits at a choice that was made by what `foresee` told."""
         self._waiting = waiting
 
-    def book(self, used_by: Priority, by_credit: bool, duration_s: float) -> None:
+    def book(self, used_by: Priority, turn: Turn, duration_s: float) -> None:
         """Book the line time of one exchange.
 
         Args:
             used_by: The class it belonged to.
-            by_credit: It went ahead of higher classes by its share.
+            turn: By what it went.
             duration_s: How long it took.
         """
-        self._credit_s = self._booked(used_by, by_credit, duration_s)
-        self._last = used_by if by_credit else None
+        self._credit_s = self._booked(used_by, turn, duration_s)
+        self._last = _last(self._last, used_by, turn)
+        if turn is Turn.CREDIT:
+            self._order = (*(one for one in self._order if one is not used_by), used_by)
 
-    def _booked(
-        self, used_by: Priority, by_credit: bool, duration_s: float
-    ) -> dict[Priority, float]:
+    def _booked(self, used_by: Priority, turn: Turn, duration_s: float) -> dict[Priority, float]:
         waiting = self._waiting
         booked: dict[Priority, float] = {}
         for priority, credit_s in self._credit_s.items():
@@ -105,20 +127,29 @@ class Shares:
                 # Whoever went by right of its class starts at nothing when it falls behind; who
                 # went by credit and took longer than thought pays that back.
                 credit_s -= duration_s
-                if not by_credit and credit_s < 0.0:
+                if turn is not Turn.CREDIT and credit_s < 0.0:
                     credit_s = 0.0
             booked[priority] = credit_s
         return booked
 
 
+def _had_its_turn(top: Priority, last: Priority | None) -> bool:
+    return last is not None and last <= top
+
+
+def _last(last: Priority | None, used_by: Priority, turn: Turn) -> Priority | None:
+    """Tell who has gone last by right after one more exchange; stops and feeds do not count."""
+    if turn is Turn.FEED or used_by is Priority.STOP:
+        return last
+    return used_by if turn is Turn.RIGHT else None
+
+
 def _entitled(
-    waiting: Mapping[Priority, float], credit_s: Mapping[Priority, float], last: Priority | None
+    waiting: Mapping[Priority, float], credit_s: Mapping[Priority, float], order: Sequence[Priority]
 ) -> Priority | None:
-    for priority, cost_s in waiting.items():
-        if credit_s[priority] >= cost_s > 0.0 and not (
-            # Background never takes two exchanges in a row from anyone above it.
-            priority is Priority.BACKGROUND and last is Priority.BACKGROUND
-        ):
+    for priority in order:
+        cost_s = waiting.get(priority)
+        if cost_s is not None and credit_s[priority] >= cost_s > 0.0:
             return priority
     return None
 

@@ -1,0 +1,151 @@
+"""What is first by priority, by the shares of the lower classes and by what watchdogs ask for.
+
+In this order:
+
+1. Control. After each exchange of its own it lets one other go: an urgent feed, or else the first
+   of a class that has earned its share (shares.py).
+2. Urgent feeds by hard deadline. A feed is urgent when it is due, or when the slack of all
+   watchdogs together is less than the spare kept for failed attempts (feeds.py). While a third of
+   that spare is left, urgent feeds and interactive requests take turns, so that a sweep of feeds
+   does not keep a person waiting; below that feeds go first.
+3. Interactive, cyclic (next steps of cyclic requests, then probes, then slots by cadence),
+   background; of these, too, one that has earned its share goes after one of a higher class.
+   Within a class first come, first served; what comes back through `again` goes ahead of its class.
+
+So a lone control request waits for the exchange under way and for what watchdogs need, and for
+nothing else (`planning.waits` counts it so). A feed that is not urgent yet, but will be soon (twice
+the spare), costs no telegram of its own: where a cyclic slot would go, it is one of that drive, run
+early.
+
+What must not live here: stops, the slack check, what a choice changes (schedule.py); which telegram
+feeds a drive (feed_choice.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from lecombus.schedule.cadence import Cadence
+from lecombus.schedule.feed_choice import FeedChoice
+from lecombus.schedule.request import Priority, Request, Turn
+from lecombus.schedule.shares import CLASS_SHARES, Probes, Shares
+from lecombus.schedule.waiting import Waiting
+
+__all__ = ["Choice", "to_feed"]
+
+
+class Choice:
+    """Chooses what is first; stops and the slack check stand above it.
+
+    Args:
+        waiting: What waits.
+        feed_choice: Which telegrams feed.
+        cadence: The cyclic entries.
+        probes: The probes.
+        shares: The credit of the classes.
+    """
+
+    __slots__ = ("_cadence", "_fed_last", "_feed_choice", "_probes", "_shares", "_waiting")
+
+    def __init__(
+        self,
+        waiting: Waiting,
+        feed_choice: FeedChoice,
+        cadence: Cadence,
+        probes: Probes,
+        shares: Shares,
+    ) -> None:
+        self._waiting = waiting
+        self._feed_choice = feed_choice
+        self._cadence = cadence
+        self._probes = probes
+        self._shares = shares
+        self._fed_last = False  # an urgent feed went last: it is the turn of interactive
+
+    def first(self, now_s: float) -> tuple[Request | None, bool]:
+        """Find what is first; say whether it is a feed, which needs no slack check."""
+        heads: dict[Priority, Request] = {}
+        costs_s: dict[Priority, float] = {}
+        for priority in CLASS_SHARES:
+            head = self._waiting.head(priority, now_s)
+            if head is None and priority is Priority.CYCLIC:
+                head = self._periodic(now_s)
+            if head is not None:
+                heads[priority] = head
+                costs_s[priority] = head.cost_s
+        control = self._waiting.head(Priority.CONTROL, now_s)
+        top = Priority.CONTROL if control is not None else next(iter(heads), Priority.BACKGROUND)
+        entitled = self._shares.entitled(costs_s, top)
+        if control is not None:
+            return self._with_control(control, None if entitled is None else heads[entitled], now_s)
+        feed = self._feed(heads.get(Priority.INTERACTIVE), now_s)
+        if feed is not None:
+            return feed
+        self._fed_last = False
+        if not heads:
+            return None, False
+        return self._by_class(heads[entitled or top], entitled not in (None, top), now_s)
+
+    def took(self, request: Request, costs_s: Mapping[Priority, float], *, ahead: bool) -> None:
+        """Take note of a choice that was made beforehand (rehearsal.py).
+
+        Args:
+            request: What was chosen.
+            costs_s: The lower classes that have something to say, and what their first costs.
+            ahead: It goes first by its class's share.
+        """
+        if request.priority is not Priority.CONTROL:
+            self._fed_last = False
+        self._shares.note(costs_s)
+        request.turn = Turn.CREDIT if ahead else Turn.RIGHT
+
+    def _with_control(
+        self, control: Request, entitled: Request | None, now_s: float
+    ) -> tuple[Request, bool]:
+        """Choose while control waits: after one of its own, one of somebody else's may go."""
+        if self._shares.had_its_turn(Priority.CONTROL):
+            feed = self._feed_choice.urgent(now_s)
+            if feed is not None and feed is not control:
+                self._fed_last = True
+                return to_feed(feed, Turn.FEED_AHEAD), True
+            if entitled is not None:
+                self._fed_last = False
+                return self._by_class(entitled, True, now_s)
+        control.turn = Turn.RIGHT
+        return control, False
+
+    def _feed(self, interactive: Request | None, now_s: float) -> tuple[Request, bool] | None:
+        """Find the feed that goes now, if it is its turn."""
+        begun = self._waiting.head(Priority.WATCHDOG, now_s)
+        if begun is not None:
+            return to_feed(begun), False
+        if interactive is not None and self._fed_last and self._feed_choice.can_wait(now_s):
+            return None
+        feed = self._feed_choice.urgent(now_s)
+        if feed is None:
+            return None
+        self._fed_last = True
+        return to_feed(feed), True
+
+    def _by_class(self, first: Request, ahead: bool, now_s: float) -> tuple[Request, bool]:
+        """Take the first of a class, or a slot in its place that feeds a drive soon in need."""
+        early = self._feed_choice.early_slot(first, now_s)
+        chosen = early or first
+        chosen.turn = Turn.CREDIT if ahead else Turn.RIGHT
+        return chosen, early is not None
+
+    def _periodic(self, now_s: float) -> Request | None:
+        """Find the probe or else the cyclic slot that is due."""
+        while (probe := self._probes.ready(now_s)) is not None:
+            drive = self._waiting.drives[probe.drive]
+            if not drive.held:
+                return probe.made()
+            self._probes.schedule(probe, drive.held_until_s)
+        entry = self._cadence.head(now_s, self._waiting.drives)
+        return entry.made() if entry is not None else None
+
+
+def to_feed(request: Request, turn: Turn = Turn.FEED) -> Request:
+    """Note that a request goes because a watchdog asks for it."""
+    request.turn = turn
+    return request
