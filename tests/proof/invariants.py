@@ -23,6 +23,7 @@ from lecombus.simulator.line import SimLine
 from lecombus.site import Site
 from proof.lines import RandomLine
 
+_STRIPPED = bytes(range(128)) * 2
 MOST_SAID = 5
 """So many broken promises of one line are enough to look at."""
 CLASSES = {Priority.CONTROL: "control", Priority.INTERACTIVE: "interactive"}
@@ -87,7 +88,7 @@ class Invariants:
         """A telegram goes out."""
         if not self._begun:
             return
-        text = bytes(byte & 0x7F for byte in data)
+        text = data.translate(_STRIPPED)
         name = self._addresses.get(int(text[1:3]), "")
         if self._stops and name not in self._stops:
             waiting = min(self._stops.values())

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import random
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -52,7 +52,7 @@ class LogEntry:
     accepted: bool
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Reply:
     """Seven-bit characters, and after how many seconds the drive begins to send them."""
 
@@ -77,6 +77,7 @@ class SimDrive:
         heard: How many requests were heard, unbounded.
         model: The drive's inside, for tests.
         present: Whether it is connected and switched on.
+        moved: Called when its address or baud rate may have changed; for the line it is on.
     """
 
     def __init__(
@@ -106,6 +107,10 @@ class SimDrive:
         self._log_size = log_size
         self._baud = 0
         self.generic = family == "generic"
+        self.moved: Callable[[], None] = lambda: None
+        self._where: tuple[int, int] | None = None
+        codes = (self.model.address_code, self.model.baud_code)
+        self.model.params.watch(codes, self._look_again)
         if not self.generic:
             self.model.params.set(self.model.address_code, str(address))
         self._preset: set[int | tuple[int, int]] = set()
@@ -118,16 +123,26 @@ class SimDrive:
     @property
     def address(self) -> int:
         """The address it listens to; C0009 or P410 changes it."""
-        if self.generic:
-            return self._address
-        return int(self.model.params.text(self.model.address_code))
+        return (self._where or self._look())[0]
 
     @property
     def baud(self) -> int:
         """The baud rate it speaks; C0125 or P411 changes it, for its very acknowledgement."""
-        if self._own_rate:
-            return self._baud
-        return _BAUDS[self.model.params.text(self.model.baud_code)]
+        return (self._where or self._look())[1]
+
+    def _look(self) -> tuple[int, int]:
+        params = self.model.params
+        address, baud = self._address, self._baud
+        if not self.generic:
+            address = int(params.text(self.model.address_code))
+        if not self._own_rate:
+            baud = _BAUDS[params.text(self.model.baud_code)]
+        self._where = address, baud
+        return self._where
+
+    def _look_again(self) -> None:
+        self._where = None
+        self.moved()
 
     @property
     def _own_rate(self) -> bool:
@@ -143,6 +158,7 @@ class SimDrive:
         code = self.model.baud_code
         if index is not None and not self.generic and code not in self._preset:
             self.model.params.set(code, index)
+        self._look_again()
 
     def replacement(self, family: str | None, overrides: Overrides | None) -> SimDrive:
         """Give another drive with this one's name, address and baud rate, new from the maker.
@@ -347,6 +363,6 @@ class SimDrive:
         self.model.extended_fault = refusal.fault
 
     def _spread_out(self, reply: Reply | None, rng: random.Random) -> Reply | None:
-        if reply is None or not self._spread:
-            return reply
-        return Reply(reply.data, reply.after_s * (1.0 - self._spread * rng.random()))
+        if reply is not None and self._spread:
+            reply.after_s *= 1.0 - self._spread * rng.random()
+        return reply

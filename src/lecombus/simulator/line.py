@@ -5,6 +5,9 @@ when they have arrived. A drive that was asked thinks, then speaks; its characte
 Three queues hold what is under way, each ordered by time: `_incoming` (host to drives), `_events`
 (a drive begins to speak, an adapter lets an answer through), `_outbox` (bytes to the host).
 `_run` works them off in the order of time: how often or how late it is called does not matter.
+A whole request that meets nothing on its way is heard at once, when its last character arrives;
+where its single characters matter (echo, drives that think or speak, damage, pieces of a telegram)
+each is heard by itself. Nobody at either end can tell the two apart.
 
 A good EOT drops what a drive is thinking about and cuts off what it is saying. The host speaking
 while a drive speaks is a collision: counted, and what the drive says from then on is garbled.
@@ -80,6 +83,8 @@ class SimLine:
             raise ValueError(f"addresses given twice: {sorted(twice)}")
         for drive in drives:
             drive.join(baud)
+            drive.moved = self._look_again
+        self._by_address: dict[int, list[SimDrive]] | None = None
         self.drives = tuple(drives)
         self.baud = baud
         self.faults = faults if faults is not None else Faults()
@@ -97,7 +102,7 @@ class SimLine:
         self._spoiler = Spoiler(seed, parity=parity)
         self._outbox = Outbox(self._spoiler)
         self._listener = Listener(parity=parity)
-        self._incoming: deque[tuple[float, int, int]] = deque()
+        self._incoming: deque[tuple[float, int, int, Heard | None]] = deque()
         self._host_free_s = 0.0
         self._events: list[tuple[float, int, _Event, Speech]] = []
         self._count = 0
@@ -148,6 +153,8 @@ class SimLine:
             if speech.drive is old:
                 speech.cut_at_s = now_s
         self.drives = tuple(new if drive is old else drive for drive in self.drives)
+        new.moved = self._look_again
+        self._look_again()
         new.power_cycle(now_s)
         return new
 
@@ -170,24 +177,35 @@ class SimLine:
             echo = self._spoiler.one_character(data)
         start_s = max(now_s, self._host_free_s)
         char_s = self._char_s
-        for place, byte in enumerate(heard):
-            self._incoming.append((start_s + (place + 1) * char_s, byte, echo[place]))
-        self._host_free_s = start_s + len(data) * char_s
+        end_s = start_s + len(data) * char_s
+        whole = self._listener.whole(heard) if self._is_calm(start_s) else None
+        if whole is not None:
+            self._incoming.append((end_s, 0, 0, whole))
+        else:
+            for place, byte in enumerate(heard):
+                self._incoming.append((start_s + (place + 1) * char_s, byte, echo[place], None))
+        self._host_free_s = end_s
         if not self.paced:
             self._run(now_s)
 
+    def _is_calm(self, start_s: float) -> bool:
+        """Whether a telegram begun then meets nothing on its way, so that it matters as a whole."""
+        if self._incoming or self._thinking or self.faults.echo:
+            return False
+        before_s = start_s - self._char_s  # well before: no rounding decides
+        return all(speech.end_s(self._char_s) < before_s for speech in self._speaking)
+
     def next_event_s(self) -> float | None:
         """When `poll` is worth calling again; None when nothing is under way."""
-        times = []
+        next_s = self._outbox.next_s()
         if self._incoming:
             # Without echo nothing comes of a telegram before its last character has arrived.
-            times.append(self._incoming[0 if self.faults.echo else -1][0])
+            heard_s = self._incoming[0 if self.faults.echo else -1][0]
+            next_s = heard_s if next_s is None or heard_s < next_s else next_s
         if self._events:
-            times.append(self._events[0][0])
-        outgoing_s = self._outbox.next_s()
-        if outgoing_s is not None:
-            times.append(outgoing_s)
-        return min(times) if times else None
+            event_s = self._events[0][0]
+            next_s = event_s if next_s is None or event_s < next_s else next_s
+        return next_s
 
     def poll(self, now_s: float) -> bytes:
         """Give the bytes that have arrived at the host by now."""
@@ -222,8 +240,11 @@ class SimLine:
             if next_in is not None and (next_event is None or next_in <= next_event):
                 if next_in > now_s:
                     return
-                at_s, byte, echo = incoming.popleft()
-                self._character(at_s, byte, echo)
+                at_s, byte, echo, whole = incoming.popleft()
+                if whole is None:
+                    self._character(at_s, byte, echo)
+                else:
+                    self._request(at_s, whole)
             elif next_event is not None and next_event <= now_s:
                 at_s, _, kind, speech = heappop(events)
                 if kind is _Event.SPEAK:
@@ -243,10 +264,13 @@ class SimLine:
         if listener.started:
             self._interrupt(at_s, listener.cut_short)
         elif heard is not None:
-            self.requests += 1
-            if self.on_request is not None:
-                self.on_request(at_s, heard)
-            self._dispatch(heard, at_s)
+            self._request(at_s, heard)
+
+    def _request(self, at_s: float, heard: Heard) -> None:
+        self.requests += 1
+        if self.on_request is not None:
+            self.on_request(at_s, heard)
+        self._dispatch(heard, at_s)
 
     def _collide(self, at_s: float) -> None:
         """The host's character overlaps with what drives are saying."""
@@ -274,12 +298,22 @@ class SimLine:
     def _reached(self, address: int) -> list[SimDrive]:
         """The drives an address or group address reaches. Source: EDB2102EN 8.3.4."""
         if address % 10:
-            found = [drive for drive in self.drives if drive.address == address]
+            found = (self._by_address or self._look()).get(address, [])
         elif address == 0:
             found = list(self.drives)
         else:
             found = [drive for drive in self.drives if drive.address // 10 == address // 10]
         return [drive for drive in found if self._hears(drive)]
+
+    def _look(self) -> dict[int, list[SimDrive]]:
+        found: dict[int, list[SimDrive]] = {}
+        for drive in self.drives:
+            found.setdefault(drive.address, []).append(drive)
+        self._by_address = found
+        return found
+
+    def _look_again(self) -> None:
+        self._by_address = None
 
     def _hears(self, drive: SimDrive) -> bool:
         faults = self._faults_of(drive)
@@ -288,6 +322,8 @@ class SimLine:
         )
 
     def _faults_of(self, drive: SimDrive) -> Faults:
+        if not self.drive_faults:
+            return self.faults
         return self.drive_faults.get(drive.address, self.faults)
 
     def _dispatch(self, heard: Heard, at_s: float) -> None:
@@ -352,11 +388,8 @@ class SimLine:
         if not self.paced:
             self._outbox.put(base_s, speech.data, speech)
             return
-        char_s = self._char_s
-        for place in range(len(speech.data)):
-            one = speech.data[place : place + 1]
-            self._outbox.put(base_s + (place + 1) * char_s, one, speech)
-        self._to_host_free_s = base_s + len(speech.data) * char_s
+        self._outbox.put(base_s, speech.data, speech, self._char_s)
+        self._to_host_free_s = base_s + len(speech.data) * self._char_s
 
     def _schedule(self, at_s: float, kind: _Event, speech: Speech) -> None:
         self._count += 1

@@ -68,6 +68,7 @@ class Model:
     banked: ClassVar[bool] = True
     address_code: ClassVar[int] = 9
     baud_code: ClassVar[int] = 125
+    watchdog_codes: ClassVar[tuple[int, ...]] = ()
     boot_s: ClassVar[float] = 1.0
     speed_unit: ClassVar[str] = "Hz"
     fault_kinds: ClassVar[Mapping[int, Kind]] = {}
@@ -89,8 +90,10 @@ class Model:
         self._now_s: float | None = None
         self._fed_at_s = 0.0
         self._fired = False
+        self._guard: tuple[float, int] | None = None
         self._later: list[tuple[float, Callable[[], None]]] = []
         self._last_write_s = -1.0
+        self.params.watch(self.watchdog_codes, self._look_again)
         self._install()
         for number, text in self.commissioned.items():
             self.params.set(number, text)
@@ -110,7 +113,10 @@ class Model:
         raise NotImplementedError
 
     def watchdog_setting(self) -> tuple[float, int]:
-        """The watchdog's time in seconds and its action's number; action 0 is none."""
+        """The watchdog's time in seconds and its action's number, from `watchdog_codes` alone.
+
+        Action 0 is none.
+        """
         return 0.0, 0
 
     def expire(self, action: int) -> None:
@@ -154,7 +160,9 @@ class Model:
 
     def _run_to(self, now_s: float) -> None:
         assert self._now_s is not None
-        time_s, action = self.watchdog_setting()
+        if self._guard is None:
+            self._guard = self.watchdog_setting()
+        time_s, action = self._guard
         due_s = self._fed_at_s + time_s
         if action and not self._fired and due_s < now_s:
             self.motor.advance(max(0.0, due_s - self._now_s))
@@ -166,6 +174,9 @@ class Model:
         if now_s > self._now_s:
             self.motor.advance(now_s - self._now_s)
             self._now_s = now_s
+
+    def _look_again(self) -> None:
+        self._guard = None
 
     def feed(self, now_s: float) -> None:
         """Note a telegram of the host to this drive: the watchdog starts anew."""

@@ -1,8 +1,9 @@
 """What drives say, and the bytes on their way to the host.
 
-Strategy: an answer is one `Speech`; its bytes lie in a heap by the time they arrive. Whether an EOT
-cut a speech off, or the host spoke over it, is looked at when a byte is due, because both may
-happen after the bytes were put on their way.
+Strategy: an answer is one `Speech`; its bytes travel as one run, which lies in a heap by the time
+its next byte arrives. Runs that overlap come through byte by byte, in the order of arrival. Whether
+an EOT cut a speech off, or the host spoke over it, is looked at when a byte is due, because both
+may happen after the bytes were put on their way.
 
 Must not live here: who speaks when.
 """
@@ -43,6 +44,20 @@ class Speech:
         return self.begin_s + len(self.data) * char_s
 
 
+@dataclass(slots=True, eq=False)
+class _Run:
+    """Bytes one behind the other: byte n arrives at `base_s + (n + 1) * char_s`."""
+
+    base_s: float
+    char_s: float
+    data: bytes
+    speech: Speech | None
+    taken: int = 0
+
+    def at_s(self, place: int) -> float:
+        return self.base_s + (place + 1) * self.char_s
+
+
 class Outbox:
     """Bytes on their way to the host, by time of arrival.
 
@@ -52,13 +67,21 @@ class Outbox:
 
     def __init__(self, spoiler: Spoiler) -> None:
         self._spoiler = spoiler
-        self._heap: list[tuple[float, int, bytes, Speech | None]] = []
+        self._heap: list[tuple[float, int, _Run]] = []
         self._count = 0
 
-    def put(self, at_s: float, data: bytes, speech: Speech | None) -> None:
-        """Let bytes arrive at a time; without a speech they are the host's own echo."""
+    def put(self, base_s: float, data: bytes, speech: Speech | None, char_s: float = 0.0) -> None:
+        """Let bytes begin to arrive.
+
+        Args:
+            base_s: When the first one starts.
+            data: The bytes.
+            speech: What they are part of; without one they are the host's own echo.
+            char_s: How long each takes; 0: they are all there at once.
+        """
         self._count += 1
-        heappush(self._heap, (at_s, self._count, data, speech))
+        run = _Run(base_s, char_s, data, speech)
+        heappush(self._heap, (run.at_s(0), self._count, run))
 
     def next_s(self) -> float | None:
         """When the next bytes are due."""
@@ -67,20 +90,43 @@ class Outbox:
     def take(self, now_s: float) -> bytes:
         """Give what has arrived by now."""
         heap = self._heap
-        arrived = []
+        arrived = b""
         while heap and heap[0][0] <= now_s:
-            at_s, _, data, speech = heappop(heap)
-            arrived.append(data if speech is None else self._as_heard(data, speech, at_s))
-        return b"".join(arrived)
+            _, count, run = heappop(heap)
+            begin, size = run.taken, len(run.data)
+            alone = not heap and run.at_s(size - 1) <= now_s
+            end = size if alone else self._end(run, count, now_s)
+            arrived += self._as_heard(run, begin, end)
+            if end < size:
+                run.taken = end
+                heappush(heap, (run.at_s(end), count, run))
+        return arrived
+
+    def _end(self, run: _Run, count: int, now_s: float) -> int:
+        """Find how far a run comes before it is too late, or the turn of another one's byte."""
+        end = run.taken + 1
+        while end < len(run.data):
+            at_s = run.at_s(end)
+            if at_s > now_s or (self._heap and self._heap[0][:2] < (at_s, count)):
+                break
+            end += 1
+        return end
 
     def clear(self) -> None:
         """Forget everything."""
         self._heap.clear()
 
-    def _as_heard(self, data: bytes, speech: Speech, at_s: float) -> bytes:
-        wire_s = at_s - speech.held_up_s
+    def _as_heard(self, run: _Run, begin: int, end: int) -> bytes:
+        speech = run.speech
+        if speech is None or (speech.cut_at_s is None and speech.garbled_from_s is None):
+            return run.data[begin:end]
+        return b"".join(self._spoilt(run, speech, place) for place in range(begin, end))
+
+    def _spoilt(self, run: _Run, speech: Speech, place: int) -> bytes:
+        wire_s = run.at_s(place) - speech.held_up_s
         if speech.cut_at_s is not None and wire_s > speech.cut_at_s:
             return b""
+        byte = run.data[place : place + 1]
         if speech.garbled_from_s is not None and wire_s > speech.garbled_from_s:
-            return self._spoiler.garbled(data)
-        return data
+            return self._spoiler.garbled(byte)
+        return byte

@@ -9,7 +9,7 @@ Must not live here: what a value does to the motor.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from enum import Enum, IntEnum, auto
@@ -200,7 +200,12 @@ class Parameters:
         self._texts: dict[Key, str] = {}
         self._saved: dict[Key, str] = {}
         self._sets = set_count
+        self._watchers: dict[int, Callable[[], None]] = {}
         self.wear: dict[Key, int] = {}
+
+    def watch(self, numbers: Collection[int], changed: Callable[[], None]) -> None:
+        """Call back whenever one of some codes may have changed."""
+        self._watchers |= dict.fromkeys(numbers, changed)
 
     @property
     def specs(self) -> Mapping[Key, Spec]:
@@ -228,7 +233,10 @@ class Parameters:
         """The text kept for a code that exists."""
         key = (number, subcode)
         kept = self._texts.get(key)
-        return kept if kept is not None else self.find(number, subcode).default
+        if kept is not None:
+            return kept
+        spec = self._specs.get(key)
+        return (spec or self.find(number, subcode)).default
 
     def number(self, number: int, subcode: int = 0) -> float:
         """The number kept under a decimal code."""
@@ -242,6 +250,7 @@ class Parameters:
         """Take a checked value over, and count the wear."""
         key = (spec.number, spec.subcode)
         self._texts[key] = text
+        self._tell(spec.number)
         if spec.kept is Kept.DRIVE:
             self.wear[key] = self.wear.get(key, 0) + 1
 
@@ -249,6 +258,7 @@ class Parameters:
         """Set a value from inside the drive or from a test: unchecked, no wear."""
         self.find(number, subcode)
         self._texts[(number, subcode)] = text
+        self._tell(number)
 
     def save(self) -> None:
         """Make what stands in RAM survive (93XX, C0003)."""
@@ -262,6 +272,7 @@ class Parameters:
         self._texts = {
             key: text for key, text in self._texts.items() if self.find(*key).kept is Kept.DRIVE
         } | self._saved
+        self._tell(*self._watchers)
 
     def factory_reset(self, keep: Collection[int]) -> None:
         """Put stored parameters of all sets back to their defaults, but for some codes."""
@@ -269,3 +280,9 @@ class Parameters:
         for key in [k for k in self._texts if k[0] not in keep and self.find(*k).kept in stored]:
             del self._texts[key]
         self._saved = {key: text for key, text in self._saved.items() if key[0] in keep}
+        self._tell(*self._watchers)
+
+    def _tell(self, *numbers: int) -> None:
+        for number in numbers:
+            if number in self._watchers:
+                self._watchers[number]()

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum, auto
+from functools import lru_cache
 from typing import Final
 
 from lecombus.simulator.wire import ENQ, EOT, ETX, PARITY_TABLE, STX, bcc
@@ -67,6 +68,13 @@ class Listener:
         """Whether the character fed last was an EOT that began a telegram."""
         self.cut_short: int | None = None
         """The address of an unfinished write that this EOT cut short, if it did."""
+
+    def whole(self, data: bytes) -> Heard | None:
+        """Say what these characters are if nothing comes between them: one request, or not (None).
+
+        The listener's state is left as it is, which is where a whole request leaves it, too.
+        """
+        return _whole(data, self._parity) if self._place is _Place.IDLE else None
 
     def feed(self, byte: int) -> Heard | None:
         """Take one character (0..255); give the request it completes, if it does."""
@@ -140,3 +148,17 @@ class Listener:
         length = 7 if body[:1] == b"!" else 2
         text = body[length:-1].decode("ascii")
         return Heard(self._address, body[:length], text, damaged)
+
+
+@lru_cache(maxsize=4096)
+def _whole(data: bytes, parity: bool) -> Heard | None:
+    """Hear a telegram at once: only one EOT, in front, and the request ends with the last byte."""
+    listener = Listener(parity=parity)
+    heard: Heard | None = None
+    for place, byte in enumerate(data):
+        if heard is not None:
+            return None
+        heard = listener.feed(byte)
+        if listener.started != (place == 0):
+            return None
+    return heard

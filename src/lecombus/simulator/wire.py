@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import re
 from decimal import Decimal
+from functools import lru_cache
 from typing import Final
 
 from lecombus.protocol.controls import ACK, ENQ, EOT, ETX, NAK, STX, bcc
@@ -44,6 +45,7 @@ PARITY_TABLE: Final = bytes(n | (n.bit_count() % 2) << 7 for n in range(128)) * 
 """Maps a character to the byte that carries it with even parity in bit 7."""
 
 
+@lru_cache(maxsize=4096)
 def read_code_field(field: bytes) -> tuple[int, int, bool] | None:
     """Read the code field of a telegram.
 
@@ -101,6 +103,7 @@ def read_hexadecimal(text: str) -> tuple[int, int] | None:
     return None if match is None else (int(match[1], 16), len(match[1]))
 
 
+@lru_cache(maxsize=4096)
 def value_reply(field: bytes, text: str) -> bytes:
     """`STX C1 C2 V1..Vn ETX BCC`, also for the `?` answer. Source: EDB2102EN 8.3.2."""
     body = field + text.encode("ascii") + bytes((ETX,))

@@ -7,6 +7,8 @@ Must not live here: words and setpoints, which differ by family.
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from lecombus.simulator.model import INHIBIT, QSP, Model, word_text
 
 __all__ = ["Module2102", "tens_digit"]
@@ -19,6 +21,8 @@ def tens_digit(number: int) -> int:
 
 class Module2102(Model):
     """A drive whose watchdog and start state live in a 2102 module."""
+
+    watchdog_codes: ClassVar[tuple[int, ...]] = (1922, 1923)
 
     def start_word(self) -> int:
         """C1920: 0 quick stop, 1 controller inhibit. Source: EDB2102EN 6.3.1."""

@@ -48,6 +48,7 @@ class SMVector(Model):
     family: ClassVar[str] = "smvector"
     address_code: ClassVar[int] = 1410
     baud_code: ClassVar[int] = 1411
+    watchdog_codes: ClassVar[tuple[int, ...]] = (1425, 1426)
     fault_kinds: ClassVar[Mapping[int, Kind]] = FAULTS_SMV
     commissioned: ClassVar[Mapping[int, str]] = {1121: _NET_ENABLE, 1400: _LECOM, 1420: "3"}
     kept_in_reset: ClassVar[tuple[int, ...]] = (*_INPUTS, 1400, 1420)
