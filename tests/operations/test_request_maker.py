@@ -88,8 +88,24 @@ def test_a_multicast_leaves_the_slowest_member_its_time_also_by_the_roster_s_wor
     )
     assert isinstance(made.work, MulticastJob)
     assert made.work.processing_s == 0.8
-    assert made.work.station.hold_s == 0.23
+    assert made.work.holds == {"x": 0.23}
     assert made.cost_s > 0.8
+
+
+def test_a_multicast_waits_for_no_member_that_acknowledges_early_unless_it_is_a_stop() -> None:
+    members = (station(), station("820x", hold_s=0.23, answers_early=True))
+    group = Station("g", 10, members[0].family, members[0].forms)
+    waited_s = []
+    for priority in (Priority.CONTROL, Priority.STOP):
+        made = maker().multicast(
+            group, members, Code(40), Value.decimal(0), priority, settle=ignore_end
+        )
+        assert isinstance(made.work, MulticastJob)
+        waited_s.append(made.work.processing_s)
+    assert waited_s == [
+        members[0].family.longest_answer_time_s(Code(40), write=True),
+        members[1].family.longest_answer_time_s(Code(40), write=True),
+    ]
 
 
 def test_a_probe_asks_in_the_rarer_form_for_a_code_nobody_polls() -> None:

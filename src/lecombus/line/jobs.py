@@ -12,6 +12,8 @@ What must not live here: telegrams, time-outs, who goes first.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from ..drives import WriteClass
 from ..errors import ExchangeError
 from ..protocol.addressing import Code
@@ -181,14 +183,24 @@ class MulticastJob:
         station: The group's name and address.
         code: What to write.
         value: The value.
-        processing_s: How long the slowest member takes over it, seconds.
+        processing_s: How long the line waits for members to have done with it, seconds.
+        holds: How long single members are left alone after that, seconds by name.
     """
 
-    __slots__ = ("error", "processing_s", "station", "step")
+    __slots__ = ("error", "holds", "processing_s", "station", "step")
 
-    def __init__(self, station: Station, code: Code, value: Value, *, processing_s: float) -> None:
+    def __init__(
+        self,
+        station: Station,
+        code: Code,
+        value: Value,
+        *,
+        processing_s: float,
+        holds: Mapping[str, float] | None = None,
+    ) -> None:
         self.station = station
         self.processing_s = processing_s
+        self.holds = holds or {}
         self.step = Step(StepKind.MULTICAST, code, value)
         self.error: ExchangeError | None = None
 

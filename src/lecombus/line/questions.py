@@ -142,7 +142,7 @@ class Questions:
         request_s = write_request_chars(form, len(step.value.raw)) * char_s
         whole_s = request_s + self._timing.adapter_latency_s + job.processing_s
         ask = Ask(self._on_the_wire(telegram), b"", request_s, whole_s, whole_s, self.gap_s, char_s)
-        return Question(ask, 0.0, job.station.hold_s, request_s)
+        return Question(ask, 0.0, 0.0, request_s)
 
     def _question(self, sent: bytes, field: bytes, cost: Cost, hold_s: float) -> Question:
         ask = Ask(

@@ -37,7 +37,9 @@ class Station:
         family: Its description, with the roster's overrides applied.
         forms: The addressing forms it is spoken to in, the preferred first.
         hold_s: How long it is left alone after a write, seconds: with shortened response time
-            (C1921 = 1) the module acknowledges before it has passed the value on.
+            (C1921 = 1) the module acknowledges before it has passed the value on. Until it is
+            known whether it does, it is taken to.
+        answers_early: It is known to have shortened response time.
         answer_time_s: The roster's word on how long it thinks, seconds; None: the family's.
         measured: How long it really thinks.
     """
@@ -49,6 +51,7 @@ class Station:
     hold_s: float = 0.0
     answer_time_s: float | None = None
     measured: MeasuredTimes = field(default_factory=MeasuredTimes)
+    answers_early: bool = False
 
     def answer_s(self, code: Code, *, write: bool = False) -> float | None:
         """Give how long it thinks, to be reckoned with; None: what its family says."""

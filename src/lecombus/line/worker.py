@@ -38,7 +38,7 @@ from ..schedule import Outcome, Priority, Request, Schedule
 from .aftermath import Aftermath
 from .connection import Connection
 from .doubts import Asked, Doubts
-from .jobs import ReadJob
+from .jobs import MulticastJob, ReadJob
 from .observer import ExchangeReport, Observer
 from .options import WorkerOptions
 from .port import PortOpener, PortSettings
@@ -450,9 +450,11 @@ class LineWorker:
             self._aftermath.put_off(request, job, result)
             return
         self._aftermath.report(request, job, result, quarantined_s)
-        if question.hold_s and (answered or not question.ask.field):
-            for drive in request.members or (request.drive,):
-                self.schedule.hold(drive, ended + question.hold_s, ended)
+        if question.hold_s and answered:
+            self.schedule.hold(request.drive, ended + question.hold_s, ended)
+        if type(job) is MulticastJob:
+            for drive, hold_s in job.holds.items():
+                self.schedule.hold(drive, ended + hold_s, ended)
         verdict = job.advance(result)
         if verdict is None:
             request.cut_outcome = job.cut_outcome

@@ -35,6 +35,7 @@ from lecombus.operations.wear import wears
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 from lecombus.schedule import Outcome, Priority
+from lecombus.schedule.fan_out import least_order
 
 __all__ = ["GroupOperations"]
 
@@ -171,22 +172,40 @@ class GroupOperations(StopOperations):
         Where the queue is full half way, the members left over are told so: the others' writes
         are in the line already and will have their outcome.
         """
-        waits: list[Ending | WriteReport] = []
-        for one, wire, known in zip(stations, wires, there, strict=True):
+        waits: dict[int, Ending | WriteReport] = {}
+        for index in self._order(stations, code, wires, proven=verify):
+            one, wire, known = stations[index], wires[index], there[index]
             if known is not None:
-                waits.append(known)
+                waits[index] = known
                 continue
             try:
                 self._wear.take(one.name, code)
                 self.note_stop(one, code, wire)
-                waits.append(self.submit_write(one, code, wire, expires_at_s, verify=verify))
+                waits[index] = self.submit_write(one, code, wire, expires_at_s, verify=verify)
             except QueueFullError as exc:
                 if not waits:
                     raise
-                waits.append(
-                    WriteReport(one.name, code, Outcome.REFUSED, str(exc), kind="queue-full")
+                waits[index] = WriteReport(
+                    one.name, code, Outcome.REFUSED, str(exc), kind="queue-full"
                 )
-        return waits
+        return [waits[index] for index in range(len(stations))]
+
+    def _order(
+        self, stations: Sequence[Station], code: Code, wires: Sequence[Value], *, proven: bool
+    ) -> list[int]:
+        """Give the order in which members are written to.
+
+        As in the roster, unless members are read back: then so that all are proven soonest.
+        Those that may not answer come last: behind an acknowledgement that did not come no write
+        may go out for a while.
+        """
+        order = list(range(len(stations)))
+        if proven:
+            part_of = self._requests.maker.part_of_write
+            order = least_order(
+                [part_of(one, code, wire) for one, wire in zip(stations, wires, strict=True)]
+            )
+        return sorted(order, key=lambda index: self.silence_of(stations[index]))
 
     async def _multicast(
         self,

@@ -17,9 +17,10 @@ from lecombus.line.jobs import MulticastJob, ReadJob, WriteJob
 from lecombus.line.station import Station
 from lecombus.line.stop_job import STOP_PATIENCE_S, StopJob
 from lecombus.protocol.addressing import Code, Form
-from lecombus.protocol.timing import write_request_chars
+from lecombus.protocol.timing import ACK_CHARS, write_request_chars
 from lecombus.protocol.values import Value
 from lecombus.schedule import Outcome, Priority, Request, Settle
+from lecombus.schedule.fan_out import Part
 
 __all__ = ["RequestMaker", "ignore_end"]
 
@@ -82,6 +83,22 @@ class RequestMaker:
         """Give the line time of a read that is answered, seconds."""
         form = form_of(station, code)
         return read_cost(self.timing, station.family, code, form, station.answer_s(code)).expected_s
+
+    def part_of_write(self, station: Station, code: Code, value: Value) -> Part:
+        """Give what a write that is read back takes of the line.
+
+        A drive with shortened response time acknowledges at once and is left alone then.
+        """
+        cost = write_cost(
+            self.timing, station.family, code, value, form_of(station, code),
+            station.answer_s(code, write=True),
+        )  # fmt: skip
+        said_s = cost.expected_s
+        if station.answers_early:
+            said_s = cost.request_s + ACK_CHARS * self.timing.char_s
+        turnaround_s = self.timing.turnaround_s
+        prove_s = self.cost_of_read_s(station, code) + turnaround_s
+        return Part(said_s + turnaround_s, station.hold_s, prove_s)
 
     def write(
         self,
@@ -166,20 +183,23 @@ class RequestMaker:
         stops: tuple[str, ...] = (),
         expires_at_s: float | None = None,
     ) -> Request:
-        """Make a request that writes one code of all members with one telegram."""
-        slowest_s = max(
-            max(
-                one.family.longest_answer_time_s(code, write=True),
-                one.answer_s(code, write=True) or 0.0,
-            )
-            for one in members
-        )
+        """Make a request that writes one code of all members with one telegram.
+
+        The line waits for the slowest member to have done with it. A member with shortened
+        response time is left alone instead, and others are spoken to meanwhile; but not after a
+        stop, whose proofs leave nobody alone.
+        """
+        waiting = members
+        if priority is not Priority.STOP:
+            waiting = tuple(one for one in members if not one.answers_early)
+        waited_for_s = max((thinks_s(one, code) for one in waiting), default=0.0)
         form = form_of(group, code)
         wire_s = write_request_chars(form, len(value.raw)) * self.timing.char_s
-        whole_s = wire_s + slowest_s + self.timing.adapter_latency_s
-        longest_hold_s = max(one.hold_s for one in members)
-        group = dataclasses.replace(group, hold_s=longest_hold_s)
-        job = MulticastJob(group, code, value, processing_s=slowest_s)
+        whole_s = wire_s + waited_for_s + self.timing.adapter_latency_s
+        job = MulticastJob(
+            group, code, value, processing_s=waited_for_s,
+            holds={one.name: one.hold_s for one in members if one.hold_s},
+        )  # fmt: skip
         return Request(
             group.name,
             priority,
@@ -236,6 +256,12 @@ def form_of(station: Station, code: Code) -> Form:
         remedy="standard addressing carries C0000 to C6229 without subcodes; write "
         "`addressing: both` for this drive if it knows extended addressing",
     )
+
+
+def thinks_s(station: Station, code: Code) -> float:
+    """How long a drive may take over a write that nobody acknowledges, seconds."""
+    longest_s = station.family.longest_answer_time_s(code, write=True)
+    return max(longest_s, station.answer_s(code, write=True) or 0.0)
 
 
 def is_switch(station: Station, code: Code) -> bool:

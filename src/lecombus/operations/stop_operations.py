@@ -98,7 +98,7 @@ class StopOperations(Operations):
         # Whoever answers is stopped first: one that is silent holds the line at every attempt.
         endings = {
             one.name: self._say_stop(one, action, said=shared is not None)
-            for one in sorted(able, key=self._silence_of)
+            for one in sorted(able, key=self.silence_of)
         }
         reports = [await self._stop_report(one, endings[one.name]) for one in able]
         reports += [
@@ -114,7 +114,7 @@ class StopOperations(Operations):
     def _state_of(self, station: Station) -> DriveState:
         return self._store.drive(station.name).state
 
-    def _silence_of(self, station: Station) -> int:
+    def silence_of(self, station: Station) -> int:
         """Tell how little is to be expected of a drive: 0 where it answers."""
         state = self._state_of(station)
         return 2 if state is DriveState.OFFLINE else int(state is not DriveState.ONLINE)

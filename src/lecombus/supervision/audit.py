@@ -125,6 +125,8 @@ class Audit:
     async def _learn_response(self, station: Station, code: Code) -> None:
         """With shortened response time on, a drive is left alone after each write."""
         value = await self._requests.read(station, code, Priority.BACKGROUND, timeout_s=PATIENCE_S)
-        hold_s = station.family.hold_after_write_s if value.number == 1 else 0.0
-        if hold_s != station.hold_s:
-            self._requests.replace_station(station, dataclasses.replace(station, hold_s=hold_s))
+        early = value.number == 1
+        hold_s = station.family.hold_after_write_s if early else 0.0
+        learnt = dataclasses.replace(station, hold_s=hold_s, answers_early=early)
+        if (learnt.hold_s, early) != (station.hold_s, station.answers_early):
+            self._requests.replace_station(station, learnt)
