@@ -15,12 +15,11 @@ demo:
 	@scripts/venv runtime
 	@.venv/bin/lecombus demo $(ARGS)
 
-# pytest comes last and prints last: its closing line says how the whole run ended.
+# Its closing line says how the whole run ended.
 test:
 	@scripts/venv dev
 	@scripts/debian-packages
-	@scripts/check
-	@.venv/bin/python -m pytest $(ARGS)
+	@.venv/bin/python scripts/test $(ARGS)
 
 test-long:
 	@scripts/venv dev

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import runpy
 import subprocess
 import sys
 import tomllib
@@ -144,6 +145,19 @@ def test_functions_stay_readable() -> None:
         and body_lines(node) > FUNCTION_LINES
     }
     assert long == {}
+
+
+def test_every_test_runs_in_just_one_lane() -> None:
+    lanes: dict[str, list[str]] = runpy.run_path(str(ROOT / "scripts" / "test"))["lanes"]()
+    paths = [ROOT / path for paths in lanes.values() for path in paths]
+    assert sorted(paths) == sorted((ROOT / "tests").glob("**/test_*.py"))
+
+
+def test_what_needs_real_time_runs_apart_and_is_what_conftest_repeats() -> None:
+    lanes: dict[str, list[str]] = runpy.run_path(str(ROOT / "scripts" / "test"))["lanes"]()
+    on_the_clock = runpy.run_path(str(ROOT / "tests" / "conftest.py"))["ON_THE_CLOCK"]
+    folders = {Path(path).parts[1] for path in [*lanes["load"], *lanes["clock"]]}
+    assert folders == on_the_clock
 
 
 def test_every_license_text_is_there() -> None:
