@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import re
+from random import Random
 
 import pytest
 
-from lecombus.config.feeding import feeding_of, find_unheld, least_time_s
+from lecombus.config import RosterError
+from lecombus.config.feeding import feeding_of, least_time_s
+from lecombus.config.unheld import find_unheld
 from lecombus.durations import parse_duration
 
 from .rosters import parsed, said
@@ -98,3 +101,54 @@ def test_a_watchdog_shorter_than_a_drives_own_stop_is_refused() -> None:
     proposed = re.search(r"a time of (\S+) or more", refused[0])
     assert proposed is not None
     assert find_unheld(parsed(text.replace("TIME", proposed[1]))) == []
+
+
+def mixed(slow: str, fast: str, *, slow_first: bool = True) -> str:
+    """Write an 820X, whose stop takes 230 ms and more, beside an SMVector."""
+    guard = "watchdog: {{time: {}, action: inhibit}}"
+    drives = [
+        f"  - {{name: slow, address: 1, family: 820x, {guard.format(slow)}}}",
+        f"  - {{name: fast, address: 2, family: smvector, {guard.format(fast)}}}",
+    ]
+    listed = "\n".join(drives if slow_first else drives[::-1])
+    return f"line: {{name: l, port: 'sim:'}}\ndrives:\n{listed}\n"
+
+
+@pytest.mark.parametrize("slow_first", [True, False])
+def test_the_stop_of_the_drive_with_the_shortest_watchdog_stands_before_the_others(
+    slow_first: bool,
+) -> None:
+    """540 ms or 541 ms for the other: what is said to the first does not feed the second."""
+    refused = said(mixed("540ms", "541ms", slow_first=slow_first))
+    assert "one stop (296ms)" in refused[0]
+    assert said(mixed("540ms", "540ms", slow_first=slow_first))
+    parsed(mixed("700ms", "701ms", slow_first=slow_first))
+
+
+def test_whatever_time_is_proposed_does() -> None:
+    """Also where raising one watchdog makes another drive the one that stands in the way."""
+    random, proposals = Random(7), 0
+    for _ in range(60):
+        families = random.choices(("820x", "8200vector", "93xx", "smvector"), k=4)
+        times = {name: random.choice((300, 500, 700, 1000, 2000)) for name in "abcd"}
+        baud = random.choice((1200, 2400, 4800))
+        try:
+            parsed(drives_of(families, times, baud))
+        except RosterError as refused:
+            for mistake in refused.mistakes:
+                proposed = re.search(r"a time of (\S+) or more", mistake.right)
+                if proposed is not None:
+                    name = "abcd"[mistake.line - 3]
+                    times[name] = round(parse_duration(proposed[1]) * 1000)
+                    proposals += 1
+            parsed(drives_of(families, times, baud))
+    assert proposals > 20
+
+
+def drives_of(families: list[str], times: dict[str, int], baud: int) -> str:
+    rows = "".join(
+        f"  - {{name: {name}, address: {at}, family: {family}, "
+        f"watchdog: {{time: {times[name]}ms, action: quick-stop}}}}\n"
+        for at, (name, family) in enumerate(zip("abcd", families, strict=True), 1)
+    )
+    return f"line: {{name: l, port: 'sim:', baud: {baud}}}\ndrives:\n{rows}"

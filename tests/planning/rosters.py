@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 from lecombus.config import Roster, parse_roster
 
 FAMILIES = ("8200vector", "smvector", "93xx", "821x", "820x")
 
 
 def roster_of(
-    count: int, *, time: str = "2s", baud: int = 9600, cyclic: str = "", only: str | None = None
+    count: int,
+    *,
+    time: str = "2s",
+    baud: int = 9600,
+    cyclic: str = "",
+    only: str | None = None,
+    times: Mapping[str, str] = MappingProxyType({}),
 ) -> Roster:
-    """A line of some drives, families in turn."""
+    """A line of some drives, families in turn; `times`: other watchdog times, by drive."""
     addresses = [address for address in range(1, 99) if address % 10][:count]
     drives = []
     for number, address in enumerate(addresses):
         family = only or FAMILIES[number % len(FAMILIES)]
-        watchdog = f", watchdog: {{time: {time}, action: quick-stop, configure: true}}"
+        own = times.get(f"d{address}", time)
+        watchdog = f", watchdog: {{time: {own}, action: quick-stop, configure: true}}"
         drives.append(
             f"  - {{name: d{address}, address: {address}, family: {family}"
             f"{watchdog if time else ''}{cyclic}}}\n"

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from xml.etree import ElementTree
 
 import pytest
 
-from lecombus.config import line_timing
+from lecombus.config import RosterError, line_timing
 from lecombus.config.feeding import feeding_of
 from lecombus.planning import make_plan
 from lecombus.planning.picture import picture
@@ -43,24 +42,43 @@ def test_a_line_asked_for_too_much_says_by_how_much_cycles_grow() -> None:
 
 
 def test_every_least_time_holds_and_a_millisecond_less_does_not() -> None:
-    roster = roster_of(6, time="4s")
-    for one in make_plan(roster).watchdogs:
+    """Taken by whoever checks rosters, not only by the formula that found it."""
+    for one in make_plan(roster_of(6, time="4s")).watchdogs:
         assert one.least_s is not None
         assert one.outlasts_s is not None
         assert one.least_s < one.outlasts_s
         for time_s, lost in ((one.least_s, 0), (one.outlasts_s, AWAY_ATTEMPTS)):
-            assert feeding_with(roster, one.drive, time_s, lost), one
-            assert not feeding_with(roster, one.drive, time_s - 0.001, lost), one
+            assert is_held(one.drive, time_s, lost), one
+            assert not is_held(one.drive, time_s - 0.001, lost), one
 
 
-def feeding_with(roster, drive: str, time_s: float, lost: int) -> bool:  # type: ignore[no-untyped-def]
-    """Whether all watchdogs hold with another time for one drive; blocking as before."""
-    feeding = feeding_of(roster)
-    streams = [
-        type(one)(one.name, one.cost_s, 0.9 * time_s) if one.name == drive else one
-        for one in feeding.streams
-    ]
-    return replace(feeding, streams=tuple(streams)).overload(lost=lost) is None
+def is_held(drive: str, time_s: float, lost: int) -> bool:
+    """Whether the roster with another watchdog time for one drive is held."""
+    times = {drive: f"{round(time_s * 1000)}ms"}
+    try:
+        roster = roster_of(6, time="4s", times=times)
+    except RosterError:
+        return False
+    return feeding_of(roster).holds(lost=lost)
+
+
+def test_at_every_baud_rate_held_means_that_such_a_roster_is_taken() -> None:
+    for one in make_plan(roster_of(6, time="1500ms", baud=19200)).bauds:
+        try:
+            roster_of(6, time="1500ms", baud=one.baud)
+        except RosterError:
+            assert not one.held
+        else:
+            assert one.held
+        assert one.least_s is not None
+        least_ms = round(one.least_s * 1000)
+        roster_of(6, time=f"{least_ms}ms", baud=one.baud)
+        with pytest.raises(RosterError):
+            roster_of(6, time=f"{least_ms - 1}ms", baud=one.baud)
+
+
+def test_a_line_without_watchdogs_has_no_least_time_for_them() -> None:
+    assert [one.least_s for one in make_plan(roster_of(2, time="")).bauds] == [None] * 5
 
 
 def test_the_verdict_follows_from_the_times() -> None:

@@ -18,7 +18,7 @@ from lecombus.cli.rebaud_line import carry_out, form_of
 from lecombus.cli.rebaud_reports import show_end, show_plan
 from lecombus.cli.screen import on_terminal
 from lecombus.config import DriveEntry, Roster, load_roster
-from lecombus.config.feeding import find_unheld
+from lecombus.config.unheld import find_unheld
 from lecombus.drives import family
 from lecombus.drives.identity import identity_codes
 from lecombus.errors import LecombusError

@@ -14,12 +14,12 @@ from typing import Final
 
 from lecombus.config.borders import is_network_port
 from lecombus.config.drive_checks import check_drive, check_lapse
-from lecombus.config.feeding import find_unheld
 from lecombus.config.kinds import UNUSABLE
 from lecombus.config.mistakes import Mistakes, did_you_mean, one_of, shown
 from lecombus.config.models import Roster
 from lecombus.config.nodes import Scalar
 from lecombus.config.shapes import Entry, Items
+from lecombus.config.unheld import find_unheld
 from lecombus.drives import StopAction, family, knows_stop
 
 __all__ = ["check_feeding", "check_roster", "default_socket", "drives_of"]

@@ -1,20 +1,24 @@
-"""Whether a line can hold the watchdogs of a roster, and what would do where it cannot.
+"""Whether a line can hold the watchdogs of a roster, and what the least times would be.
 
 Every watched drive must have been spoken to within nine tenths of its watchdog time, so its feed
-is a stream of work (`schedule.demand`). What stands before the feeds once is an exchange with
-another drive, and one stop, which goes before everything and waits for nobody. The exchange counts
-at its longest, unanswered: the schedule begins none that could make a feed late, so where that does
-not fit a drive could not even be asked whether it is there. If the feeds do not fit behind those,
-the roster is refused. One in which a further lost answer makes a watchdog act is worth a warning.
+is a stream of work (`schedule.demand`). What stands before a feed once is an exchange with another
+drive, and one stop of another one, which goes before everything and waits for nobody. The exchange
+counts at its longest, unanswered: the schedule begins none that could make a feed late, so where
+that does not fit a drive could not even be asked whether it is there. If the feeds do not fit
+behind those, the roster is refused (`unheld`). One in which a further lost answer makes a watchdog
+act is worth a warning.
 
-What must not live here: costs (`exchanges`), the schedule's choices.
+What is said to a drive feeds it, so no drive stands in its own way; that is reckoned for each of
+them, not only for the one with the shortest time.
+
+What must not live here: costs (`exchanges`), what is said to people (`unheld`), the schedule's
+choices.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 from lecombus.config.exchanges import (
@@ -26,24 +30,48 @@ from lecombus.config.exchanges import (
 )
 from lecombus.config.models import DriveEntry, Roster
 from lecombus.config.timing import line_timing
-from lecombus.drives import LineTiming
-from lecombus.durations import format_duration
+from lecombus.drives import LineTiming, family
 from lecombus.schedule.demand import FULL, Overload, Stream, find_overload, load_of
 from lecombus.schedule.feeds import HARD_PART
 
 __all__ = [
+    "BAUDS",
+    "LONGEST_S",
     "Feeding",
-    "Unheld",
+    "Obstacle",
     "feeding_of",
-    "find_unheld",
     "least_time_s",
-    "written_up",
+    "longest_stop_s",
+    "lowest_s",
+    "smallest",
+    "under_way_s",
 ]
 
 BAUDS: Final = (1200, 2400, 4800, 9600, 19200)
 LONGEST_S: Final = 65.535
 """The longest watchdog time there is. Source: EDB2102EN 6.3.3 (C1923)."""
-STEP_S: Final = 0.001
+
+
+@dataclass(frozen=True, slots=True)
+class Obstacle:
+    """What one drive, watched or not, may put before the feeds of the others once.
+
+    Args:
+        drive: The drive.
+        failed_s: Its cheapest read, not answered, seconds.
+        reads: Its cyclic reads, as usual: what they are, and seconds.
+        stop_s: Its stop with the proof, seconds.
+    """
+
+    drive: str
+    failed_s: float
+    reads: tuple[tuple[str, float], ...]
+    stop_s: float
+
+    @property
+    def under_way_s(self) -> float:
+        """The longest exchange with it that may be under way, seconds."""
+        return max(self.failed_s, *(time_s for _, time_s in self.reads), 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,55 +80,76 @@ class Feeding:
 
     Args:
         drives: The watched drives.
-        streams: The feed of each, in the same order.
-        under_way_s: The longest that may be under way with another drive: one of the roster's
-            reads, or a feed that is not answered; seconds.
-        stop_s: The longest stop of another drive with its proof, seconds.
+        streams: The feed of each, in the same order, with what may stand before it once.
+        obstacles: What each drive of the line may put before the others.
         lost_s: What one feed that is not answered costs at most, seconds.
-        own_s: For each drive, its own longest exchange: meanwhile nothing feeds it, seconds.
+        own_s: For each watched drive, its own longest exchange: meanwhile nothing feeds it.
     """
 
     drives: tuple[DriveEntry, ...]
     streams: tuple[Stream, ...]
-    under_way_s: float
-    stop_s: float
+    obstacles: tuple[Obstacle, ...]
     lost_s: float
     own_s: tuple[float, ...]
 
     @property
-    def blocking_s(self) -> float:
-        """What may stand before the feeds once, seconds."""
-        return self.under_way_s + self.stop_s
+    def under_way_s(self) -> float:
+        """The longest exchange that may stand before the shortest watchdog's feed, seconds."""
+        return under_way_s(self.before(self._tightest))
+
+    def before(self, drive: str) -> tuple[Obstacle, ...]:
+        """List what may stand before a drive's feed: all but what is said to itself."""
+        return tuple(one for one in self.obstacles if one.drive != drive)
 
     def overload(self, *, lost: int = 0) -> Overload | None:
         """Find where the feeds do not fit, when so many answers are lost just then."""
-        return _overload(self.streams, self.blocking_s + lost * self.lost_s)
+        found = find_overload(self.streams, lost * self.lost_s)
+        if found is None and load_of(self.streams) > FULL:
+            first = min(self.streams, key=_every)
+            demand_s = load_of(self.streams) * first.every_s
+            return Overload(first.every_s, demand_s, first.blocked_s, first.name)
+        return found
 
-    def with_times(self, change: Callable[[float], float]) -> tuple[Stream, ...]:
-        """Give the streams with other watchdog times.
+    def holds(self, *, lost: int = 0) -> bool:
+        """Whether all watchdogs can be held, also beside their own drives' exchanges."""
+        fits = all(
+            own_s <= one.every_s for own_s, one in zip(self.own_s, self.streams, strict=True)
+        )
+        return fits and self.overload(lost=lost) is None
+
+    def with_times(self, change: Callable[[int, float], float]) -> Feeding:
+        """Give the same with other watchdog times.
 
         Args:
-            change: Makes the new watchdog time from the old one, seconds.
+            change: Makes the new watchdog time from a drive's number and its old one, seconds.
         """
-        return tuple(
-            Stream(one.name, one.cost_s, HARD_PART * change(one.every_s / HARD_PART))
-            for one in self.streams
+        streams = tuple(
+            replace(one, every_s=HARD_PART * change(number, one.every_s / HARD_PART))
+            for number, one in enumerate(self.streams)
         )
+        return replace(self, streams=streams)
+
+    def without_reads(self, longer_than_s: float) -> Feeding:
+        """Give the same with the longer cyclic reads in nobody's way."""
+        obstacles = tuple(
+            replace(one, reads=tuple(read for read in one.reads if read[1] <= longer_than_s))
+            for one in self.obstacles
+        )
+        return _put_together(self.drives, self.streams, obstacles, self.own_s, self.lost_s)
+
+    @property
+    def _tightest(self) -> str:
+        return min(self.streams, key=_every).name if self.streams else ""
 
 
-@dataclass(frozen=True, slots=True)
-class Unheld:
-    """A watchdog that cannot be held.
+def under_way_s(obstacles: Sequence[Obstacle]) -> float:
+    """Give the longest exchange among what may stand in the way, seconds."""
+    return max((one.under_way_s for one in obstacles), default=0.0)
 
-    Args:
-        drive: The drive.
-        what: What is wrong, with the arithmetic.
-        right: What would do.
-    """
 
-    drive: str
-    what: str
-    right: str
+def longest_stop_s(obstacles: Sequence[Obstacle]) -> float:
+    """Give the longest stop among what may stand in the way, seconds."""
+    return max((one.stop_s for one in obstacles), default=0.0)
 
 
 def feeding_of(roster: Roster, timing: LineTiming | None = None) -> Feeding:
@@ -113,84 +162,86 @@ def feeding_of(roster: Roster, timing: LineTiming | None = None) -> Feeding:
     timing = timing or line_timing(roster.line)
     watched = [(drive, time_s) for drive in roster.drives if (time_s := watched_s(drive))]
     times = [feed_times(drive, timing) for drive, _ in watched]
-    others = _others(roster, watched)
-    asked = [
-        read_times(drive, entry.code, timing).usual_s for drive in others for entry in drive.cyclic
-    ]
-    asked.extend(feed_times(drive, timing).worst_s for drive in others)
-    return Feeding(
-        drives=tuple(drive for drive, _ in watched),
-        streams=tuple(
+    return _put_together(
+        tuple(drive for drive, _ in watched),
+        tuple(
             Stream(drive.name, one.usual_s, HARD_PART * time_s)
             for (drive, time_s), one in zip(watched, times, strict=True)
         ),
-        under_way_s=max(asked, default=0.0),
-        stop_s=max((stop_s(drive, timing) for drive in others), default=0.0),
-        lost_s=max((one.worst_s for one in times), default=0.0),
-        own_s=tuple(own_longest_s(drive, timing) for drive, _ in watched),
+        tuple(_obstacle(drive, timing) for drive in roster.drives),
+        tuple(own_longest_s(drive, timing) for drive, _ in watched),
+        max((one.worst_s for one in times), default=0.0),
     )
 
 
-def _others(roster: Roster, watched: Sequence[tuple[DriveEntry, float]]) -> list[DriveEntry]:
-    """List the drives that can stand in the way: all but the one with the shortest watchdog.
-
-    What is said to that one feeds it.
-    """
-    tightest = min(watched, key=lambda one: one[1])[0] if watched else None
-    return [drive for drive in roster.drives if drive is not tightest]
-
-
-def find_unheld(roster: Roster) -> list[Unheld]:
-    """Find the watchdogs that cannot be held; each is named with what would do."""
-    feeding = feeding_of(roster)
-    overload = feeding.overload()
-    if overload is None:
-        return list(_too_slow(feeding, roster.line.baud))
-    least_s = least_time_s(feeding)
-    baud = next((baud for baud in BAUDS if baud > roster.line.baud and _holds(roster, baud)), None)
-    return [
-        Unheld(drive.name, _arithmetic(drive, feeding, overload, roster.line.baud),
-               _remedy(roster, feeding, least_s, baud))
-        for drive in feeding.drives
-        if least_s is None or (watched_s(drive) or math.inf) < least_s
-    ]  # fmt: skip
+def _obstacle(drive: DriveEntry, timing: LineTiming) -> Obstacle:
+    reads = tuple(
+        (f"{entry.code} of {drive.name}", read_times(drive, entry.code, timing).usual_s)
+        for entry in drive.cyclic
+    )
+    return Obstacle(drive.name, feed_times(drive, timing).worst_s, reads, stop_s(drive, timing))
 
 
-def _too_slow(feeding: Feeding, baud: int) -> Iterator[Unheld]:
-    """Find the drives that one exchange of their own keeps from being fed."""
-    for drive, stream, own_s in zip(feeding.drives, feeding.streams, feeding.own_s, strict=True):
-        if own_s > stream.every_s:
-            time_s = format_duration(watched_s(drive) or 0.0)
-            yield Unheld(
-                drive.name,
-                f"a watchdog of {time_s} cannot be held at {baud} baud: one exchange with this "
-                f"drive, such as its stop, takes {_ms(own_s)}, and nothing feeds it meanwhile",
-                f"a time of {written_up(own_s / HARD_PART)} or more would do",
-            )
+def _put_together(
+    drives: tuple[DriveEntry, ...],
+    streams: tuple[Stream, ...],
+    obstacles: tuple[Obstacle, ...],
+    own_s: tuple[float, ...],
+    lost_s: float,
+) -> Feeding:
+    """Let each stream know what may stand before it: the longest of all drives but its own."""
+    exchanges = _two_longest(obstacles, lambda one: one.under_way_s)
+    stops = _two_longest(obstacles, lambda one: one.stop_s)
+    blocked = tuple(
+        replace(one, blocked_s=_but(one.name, exchanges) + _but(one.name, stops)) for one in streams
+    )
+    return Feeding(drives, blocked, obstacles, lost_s, own_s)
 
 
-def least_time_s(feeding: Feeding, *, lost: int = 0) -> float | None:
+def _two_longest(
+    obstacles: Sequence[Obstacle], of: Callable[[Obstacle], float]
+) -> list[tuple[str, float]]:
+    ordered = sorted(obstacles, key=of, reverse=True)
+    return [(one.drive, of(one)) for one in ordered[:2]]
+
+
+def _but(drive: str, longest: Sequence[tuple[str, float]]) -> float:
+    return next((time_s for name, time_s in longest if name != drive), 0.0)
+
+
+def least_time_s(feeding: Feeding, *, lost: int = 0, all_alike: bool = False) -> float | None:
     """Give the least time that the watchdogs below it must be raised to so that all are held.
 
     Args:
         feeding: The feeds as they are.
         lost: So many lost answers in a row are to be outlasted.
+        all_alike: All watchdogs shall have that time, also those that are longer.
 
     Returns:
-        The time in seconds, to the millisecond; None if not even the longest will do.
+        The time in seconds, to the millisecond; None if not even the longest will do, or if
+        nothing is fed.
     """
-    blocking_s = feeding.blocking_s + lost * feeding.lost_s
+    if not feeding.drives:
+        return None
 
     def holds(time_s: float) -> bool:
-        raised = feeding.with_times(lambda old_s: max(old_s, time_s))
-        return _overload(raised, blocking_s) is None
+        def change(number: int, old_s: float) -> float:
+            return time_s if all_alike else max(old_s, time_s)
 
-    return smallest(holds, STEP_S, LONGEST_S)
+        return feeding.with_times(change).holds(lost=lost)
+
+    return smallest(holds, max(lowest_s(drive) for drive in feeding.drives), LONGEST_S)
+
+
+def lowest_s(drive: DriveEntry) -> float:
+    """Give the shortest watchdog time that a drive's family has, seconds."""
+    traits = family(drive.family).watchdog
+    return traits.low_s if traits else 0.0
 
 
 def smallest(holds: Callable[[float], bool], low_s: float, high_s: float) -> float | None:
     """Find the smallest whole number of milliseconds that holds; None if the highest does not."""
-    low, high = round(low_s * 1000), round(high_s * 1000)
+    low, high = max(round(low_s * 1000), 1), round(high_s * 1000)
     if not holds(high / 1000):
         return None
     while low < high:
@@ -199,72 +250,5 @@ def smallest(holds: Callable[[float], bool], low_s: float, high_s: float) -> flo
     return high / 1000
 
 
-def written_up(seconds: float) -> str:
-    """Write a time rounded up to 10 ms or, from a second on, to tenths: it must still do."""
-    step = 0.01 if seconds < 1.0 else 0.1
-    return format_duration(round(math.ceil(round(seconds / step, 6)) * step, 3))
-
-
-def _overload(streams: Sequence[Stream], blocking_s: float) -> Overload | None:
-    found = find_overload(streams, blocking_s)
-    if found is None and load_of(streams) > FULL:
-        first = min(streams, key=lambda stream: stream.every_s)
-        return Overload(first.every_s, load_of(streams) * first.every_s, blocking_s, first.name)
-    return found
-
-
-def _holds(roster: Roster, baud: int) -> bool:
-    line = roster.line.model_copy(update={"baud": baud})
-    return feeding_of(roster, line_timing(line)).overload() is None
-
-
-def _arithmetic(drive: DriveEntry, feeding: Feeding, overload: Overload, baud: int) -> str:
-    time_s = watched_s(drive) or 0.0
-    counted = sum(1 for stream in feeding.streams if stream.every_s <= overload.within_s + 1e-9)
-    feeds = "1 feed" if counted == 1 else f"the feeds of {counted} drives"
-    behind = ""
-    if feeding.blocking_s:
-        behind = (
-            f" behind one exchange that fails ({_ms(feeding.under_way_s)}) and one stop "
-            f"({_ms(feeding.stop_s)})"
-        )
-    return (
-        f"a watchdog of {format_duration(time_s)} cannot be held at {baud} baud: within "
-        f"{_ms(overload.within_s)} the line would have to carry {feeds} ({_ms(overload.demand_s)})"
-        f"{behind}"
-    )
-
-
-def _remedy(roster: Roster, feeding: Feeding, least_s: float | None, baud: int | None) -> str:
-    ways: list[str] = []
-    if least_s is not None:
-        ways.append(f"a time of {written_up(least_s)} or more")
-    if baud is not None:
-        ways.append(f"baud: {baud}")
-    ways.extend(_fewer_reads(roster, feeding))
-    ways.append("fewer watched drives on this line")
-    return f"{' or '.join(ways)} would do"
-
-
-def _fewer_reads(roster: Roster, feeding: Feeding) -> Iterator[str]:
-    """Say if it is one long cyclic read that stands in the way."""
-    timing = line_timing(roster.line)
-    feed_s = feeding.lost_s
-    if _overload(feeding.streams, feed_s + feeding.stop_s) is not None:
-        return
-    long = [
-        f"{entry.code} of {drive.name}"
-        for drive in roster.drives
-        for entry in drive.cyclic
-        if read_times(drive, entry.code, timing).usual_s > feed_s
-        and _overload(
-            feeding.streams, read_times(drive, entry.code, timing).usual_s + feeding.stop_s
-        )
-    ]
-    if long:
-        shown = ", ".join(long[:4]) + (" .." if len(long) > 4 else "")
-        yield f"not reading {shown} cyclically"
-
-
-def _ms(seconds: float) -> str:
-    return f"{seconds * 1000:.0f}ms"
+def _every(stream: Stream) -> float:
+    return stream.every_s

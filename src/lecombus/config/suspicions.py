@@ -15,9 +15,10 @@ from typing import Final
 
 from lecombus.config.borders import is_network_port
 from lecombus.config.exchanges import feed_times, read_times, watched_s
-from lecombus.config.feeding import feeding_of, least_time_s, written_up
+from lecombus.config.feeding import feeding_of, least_time_s
 from lecombus.config.models import DriveEntry, LineEntry, Roster
 from lecombus.config.timing import line_timing
+from lecombus.config.unheld import written_up
 from lecombus.drives import LineTiming, WriteClass, family
 from lecombus.durations import format_duration
 from lecombus.protocol.addressing import Code

@@ -56,7 +56,8 @@ class BaudEffect:
         baud: The rate, bit/s.
         load: What would be asked of it.
         held: All watchdogs of the roster can be held.
-        least_s: The least time for all watchdogs that are shorter; None: none will do.
+        least_s: The least time that all watchdogs could have at once; None: none will do, or
+            nothing is fed.
     """
 
     baud: int
@@ -101,10 +102,8 @@ def baud_effects(roster: Roster) -> list[BaudEffect]:
     for baud in BAUDS:
         timing = line_timing(roster.line.model_copy(update={"baud": baud}))
         feeding = feeding_of(roster, timing)
-        held = feeding.overload() is None
-        effects.append(
-            BaudEffect(baud, load_on(roster.drives, timing), held, least_time_s(feeding))
-        )
+        least_s = least_time_s(feeding, all_alike=True)
+        effects.append(BaudEffect(baud, load_on(roster.drives, timing), feeding.holds(), least_s))
     return effects
 
 

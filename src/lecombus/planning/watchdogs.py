@@ -13,9 +13,8 @@ from typing import Final
 
 from lecombus.config import Roster
 from lecombus.config.exchanges import watched_s
-from lecombus.config.feeding import LONGEST_S, Feeding, feeding_of, smallest
-from lecombus.drives import LineTiming, family
-from lecombus.schedule.demand import FULL, Stream, find_overload, load_of
+from lecombus.config.feeding import LONGEST_S, Feeding, feeding_of, lowest_s, smallest
+from lecombus.drives import LineTiming
 from lecombus.schedule.feeds import HARD_PART
 
 __all__ = ["AWAY_ATTEMPTS", "WatchdogPlan", "watchdog_plans"]
@@ -56,12 +55,11 @@ def watchdog_plans(roster: Roster, timing: LineTiming) -> list[WatchdogPlan]:
     """Plan every watched drive's watchdog, in the roster's order."""
     feeding = feeding_of(roster, timing)
     plans = []
-    known: dict[tuple[float, float, float], tuple[float | None, float | None]] = {}
+    known: dict[tuple[float, float, float, float], tuple[float | None, float | None]] = {}
     for number, drive in enumerate(feeding.drives):
         stream = feeding.streams[number]
-        traits = family(drive.family).watchdog
-        low_s = max(traits.low_s if traits else 0.0, feeding.own_s[number] / HARD_PART)
-        alike = (stream.cost_s, stream.every_s, low_s)
+        low_s = max(lowest_s(drive), feeding.own_s[number] / HARD_PART)
+        alike = (stream.cost_s, stream.every_s, stream.blocked_s, low_s)
         if alike not in known:
             known[alike] = (
                 _least(feeding, number, low_s, 0),
@@ -74,12 +72,11 @@ def watchdog_plans(roster: Roster, timing: LineTiming) -> list[WatchdogPlan]:
 
 
 def _least(feeding: Feeding, number: int, low_s: float, lost: int) -> float | None:
-    blocking_s = feeding.blocking_s + lost * feeding.lost_s
-    own = feeding.streams[number]
-    others = [stream for at, stream in enumerate(feeding.streams) if at != number]
-
     def holds(time_s: float) -> bool:
-        streams = [*others, Stream(own.name, own.cost_s, HARD_PART * time_s)]
-        return find_overload(streams, blocking_s) is None and load_of(streams) <= FULL
+        def change(at: int, old_s: float) -> float:
+            return time_s if at == number else old_s
 
-    return smallest(holds, low_s, LONGEST_S)
+        return feeding.with_times(change).holds(lost=lost)
+
+    now_s = feeding.streams[number].every_s / HARD_PART
+    return smallest(holds, low_s, now_s if holds(now_s) else LONGEST_S)

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from lecombus.config import Roster, WatchdogEntry, parse_roster
-from lecombus.config.feeding import find_unheld
+from lecombus.config.unheld import find_unheld
 from lecombus.drives import family
 from lecombus.durations import format_duration
 from lecombus.scanning.finding import Finding, Unclear

@@ -47,11 +47,13 @@ class Stream:
         name: Whose it is, for messages.
         cost_s: Line time of one piece, seconds, > 0.
         every_s: It is needed once in each stretch of this length, seconds, > 0.
+        blocked_s: What may go before it once and is nothing of these streams, seconds.
     """
 
     name: str
     cost_s: float
     every_s: float
+    blocked_s: float = 0.0
 
     def before(self, t_s: float) -> float:
         """Give the work that must be over within a stretch of this length, seconds."""
@@ -89,20 +91,21 @@ def find_overload(streams: Sequence[Stream], blocking_s: float) -> Overload | No
 
     Args:
         streams: The work.
-        blocking_s: The longest exchange that may be under way when a stretch begins, seconds;
-            an exchange of another stream that need not be over yet counts by itself.
+        blocking_s: The longest exchange that may be under way when a stretch begins, seconds,
+            before whatever stream and beside what stands before that one alone; an exchange of
+            another stream that need not be over yet counts by itself.
     """
     ordered = sorted(streams, key=_every)
     longest_later_s = _longest_later(ordered)
     demand_s, reached = 0.0, 0
-    for t_s, number in _ends(ordered, blocking_s):
+    for t_s, numbers in _ends(ordered, blocking_s):
         while reached < len(ordered) and ordered[reached].every_s <= t_s + ROUNDING_S:
             reached += 1
-        demand_s += ordered[number].cost_s
-        before_s = max(blocking_s, longest_later_s[reached])
+        demand_s += sum(ordered[number].cost_s for number in numbers)
+        last = max((ordered[number] for number in numbers), key=_blocked)
+        before_s = max(blocking_s + last.blocked_s, longest_later_s[reached])
         if demand_s + before_s > t_s + ROUNDING_S:
-            whose = ordered[number].name
-            return Overload(t_s, sum(one.before(t_s) for one in ordered), before_s, whose)
+            return Overload(t_s, sum(one.before(t_s) for one in ordered), before_s, last.name)
     return None
 
 
@@ -114,26 +117,43 @@ def _longest_later(ordered: Sequence[Stream]) -> list[float]:
     return longest_s[::-1]
 
 
-def _ends(ordered: Sequence[Stream], blocking_s: float) -> Iterator[tuple[float, int]]:
-    """Give the end of every piece of every stream in order, as far as a look is needed.
+def _ends(ordered: Sequence[Stream], blocking_s: float) -> Iterator[tuple[float, list[int]]]:
+    """Give each moment at which pieces end, and of which streams, as far as a look is needed.
+
+    Pieces that end together may come in any order, so each of them has all others before it.
 
     Beyond the horizon demand grows by less than time does, so a stretch there can hold its work
     if all shorter ones can. Streams that take all of the line have none, and are found out soon.
     """
     load = load_of(ordered)
-    blocked_s = max((blocking_s, *(stream.cost_s for stream in ordered)))
+    most_s = max((stream.blocked_s for stream in ordered), default=0.0)
+    blocked_s = max((blocking_s + most_s, *(stream.cost_s for stream in ordered)))
     horizon_s = ordered[-1].every_s if ordered else 0.0
     if load < FULL:
         horizon_s = max(horizon_s, blocked_s / (1.0 - load))
     else:
         horizon_s = horizon_s * OVERLOADED_PERIODS
-    return merge(
+    ends = merge(
         *(
             [(stream.every_s * piece, number) for piece in range(1, pieces + 1)]
             for number, stream in enumerate(ordered)
             if (pieces := min(int(horizon_s / stream.every_s) + 1, MOST_PIECES))
         )
     )
+    return _together(ends)
+
+
+def _together(ends: Iterable[tuple[float, int]]) -> Iterator[tuple[float, list[int]]]:
+    at_s, numbers = 0.0, list[int]()
+    for t_s, number in ends:
+        if numbers and t_s > at_s + ROUNDING_S:
+            yield at_s, numbers
+            numbers = []
+        if not numbers:
+            at_s = t_s
+        numbers.append(number)
+    if numbers:
+        yield at_s, numbers
 
 
 def response_s(
@@ -163,3 +183,7 @@ def response_s(
 
 def _every(stream: Stream) -> float:
     return stream.every_s
+
+
+def _blocked(stream: Stream) -> float:
+    return stream.blocked_s
