@@ -1,22 +1,19 @@
 """What is counted while the line works: the instruments behind every exchange.
 
-Strategy: each instrument is a prometheus_client object in no registry, and every child it can
-ever have is made when the roster is known and kept in a dictionary; so the path behind an
-exchange calls `inc` and `observe` and nothing else, series begin at 0, and their number is
-bounded by the roster. A family with many series is several objects (one per drive, per class),
-so that rendering it can be cut between them.
+Strategy: every instrument there can ever be is made when the roster is known and kept in a
+dictionary; so the path behind an exchange calls `inc` and `observe` and nothing else, series begin
+at 0, and their number is bounded by the roster. A family with many series has several parts (one
+per drive, per class), so that rendering it can be cut between them.
 
 What must not live here: rendering, the store, anything that waits.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable
 from typing import Final
 
-from prometheus_client import Counter, Histogram
-from prometheus_client.metrics import MetricWrapperBase
-
+from lecombus.metrics.instruments import Counter, Family, Histogram
 from lecombus.schedule.request import Outcome, Priority
 
 __all__ = [
@@ -59,8 +56,13 @@ class Meters:
 
     def __init__(self, line: str) -> None:
         self.line = line
-        self._drives: dict[str, tuple[Counter, dict[tuple[str, str], Counter]]] = {}
-        self._parents: dict[str, list[MetricWrapperBase]] = {}
+        self._families: dict[str, Family] = {}
+        self._telegrams = self._family(
+            "telegrams",
+            "counter",
+            "Telegrams sent, by drive (a multicast: by group), kind and how the exchange ended.",
+        )
+        self._drives: dict[str, dict[tuple[str, str], Counter]] = {}
         self._took = {
             kind: self._histogram(
                 "exchange_seconds",
@@ -79,8 +81,15 @@ class Meters:
             )
             for priority in Priority
         }
-        self._taken = {priority: self._line_seconds(priority) for priority in Priority}
-        self._ended = {priority: self._outcomes(priority) for priority in Priority}
+        self._taken = {
+            priority: self._counter(
+                "line_seconds",
+                "Time the line was taken, by the class of what took it; quarantine included.",
+                priority=label_of(priority),
+            )
+            for priority in Priority
+        }
+        self._ended = {priority: self._outcomes(label_of(priority)) for priority in Priority}
         self._make_plain()
 
     def _make_plain(self) -> None:
@@ -98,6 +107,14 @@ class Meters:
         self.echo_mismatches = self._counter(
             "echo_mismatches", "Echoes that differed from what was sent: collisions, bad wiring."
         )
+
+    def _outcomes(self, priority: str) -> dict[Outcome, Counter]:
+        """Make the counters of how the requests of a class ended."""
+        text = "Requests by class and how they ended; each ends exactly once."
+        return {
+            outcome: self._counter("requests", text, priority=priority, outcome=outcome.value)
+            for outcome in Outcome
+        }
 
     # -- the hot path ---------------------------------------------------------------------------
 
@@ -123,7 +140,7 @@ class Meters:
             priority: The class of its request.
             waited_s: How long the request had waited, seconds.
         """
-        self._drives[drive][1][kind, outcome].inc()
+        self._drives[drive][kind, outcome].inc()
         self._took[kind].observe(took_s)
         self._waited[priority].observe(waited_s)
         self._busy.inc(busy_s)
@@ -152,6 +169,7 @@ class Meters:
     def remove(self, name: str) -> None:
         """Drop the counters of a drive or group that left the roster."""
         self._drives.pop(name, None)
+        self._telegrams.parts.pop(name, None)
 
     def names(self) -> tuple[str, ...]:
         """Return the drives and groups counted."""
@@ -159,62 +177,33 @@ class Meters:
 
     # -- for the page ---------------------------------------------------------------------------
 
-    def families(self) -> Iterator[list[MetricWrapperBase]]:
-        """Yield every family as the instruments it is made of, each small enough for a piece."""
-        yield [counter for counter, _ in self._drives.values()]
-        yield from self._parents.values()
+    def families(self) -> Iterable[Family]:
+        """Give every family; each part of one is small enough for a piece of a page."""
+        return self._families.values()
 
     # -- inside ---------------------------------------------------------------------------------
 
     def _add(self, name: str, kinds: tuple[str, ...], outcomes: tuple[str, ...]) -> None:
-        children = self._drives[name][1] if name in self._drives else {}
-        counter = self._drives[name][0] if name in self._drives else telegram_counter()
+        counters = self._drives.setdefault(name, {})
         for kind in kinds:
             for outcome in outcomes:
-                children[kind, outcome] = counter.labels(self.line, name, kind, outcome)
-        self._drives[name] = (counter, children)
+                if (kind, outcome) not in counters:
+                    labels = {"line": self.line, "drive": name, "kind": kind, "outcome": outcome}
+                    counters[kind, outcome] = Counter(labels)
+        self._telegrams.parts[name] = list(counters.values())
 
-    def _counter(self, name: str, text: str) -> Counter:
-        parent = Counter(f"lecombus_{name}_total", text, ("line",), registry=None)
-        self._parents[name] = [parent]
-        return parent.labels(self.line)
+    def _family(self, name: str, kind: str, text: str) -> Family:
+        return self._families.setdefault(name, Family(f"lecombus_{name}", kind, text))
 
-    def _line_seconds(self, priority: Priority) -> Counter:
-        parent = Counter(
-            "lecombus_line_seconds_total",
-            "Time the line was taken, by the class of what took it; quarantine included.",
-            ("line", "priority"),
-            registry=None,
-        )
-        self._parents.setdefault("line_seconds", []).append(parent)
-        return parent.labels(self.line, label_of(priority))
-
-    def _outcomes(self, priority: Priority) -> dict[Outcome, Counter]:
-        parent = Counter(
-            "lecombus_requests_total",
-            "Requests by class and how they ended; each ends exactly once.",
-            ("line", "priority", "outcome"),
-            registry=None,
-        )
-        self._parents.setdefault("requests", []).append(parent)
-        label = label_of(priority)
-        return {outcome: parent.labels(self.line, label, outcome.value) for outcome in Outcome}
+    def _counter(self, name: str, text: str, **labels: str) -> Counter:
+        counter = Counter({"line": self.line, **labels})
+        part = self._family(name, "counter", text).parts
+        part.setdefault(labels.get("priority", ""), []).append(counter)
+        return counter
 
     def _histogram(
         self, name: str, text: str, label: tuple[str, str], buckets: tuple[float, ...]
     ) -> Histogram:
-        parent = Histogram(
-            f"lecombus_{name}", text, ("line", label[0]), registry=None, buckets=buckets
-        )
-        self._parents.setdefault(name, []).append(parent)
-        return parent.labels(self.line, label[1])
-
-
-def telegram_counter() -> Counter:
-    """Return the telegram counter of one drive or group."""
-    return Counter(
-        "lecombus_telegrams_total",
-        "Telegrams sent, by drive (a multicast: by group), kind and how the exchange ended.",
-        ("line", "drive", "kind", "outcome"),
-        registry=None,
-    )
+        histogram = Histogram({"line": self.line, label[0]: label[1]}, buckets)
+        self._family(name, "histogram", text).parts[label[1]] = [histogram]
+        return histogram

@@ -19,7 +19,6 @@ from typing import Final
 import anyio
 import anyio.lowlevel
 from prometheus_client import ProcessCollector
-from prometheus_client.metrics import MetricWrapperBase
 
 from lecombus.metrics.figures import DriveFigures, Figures, LineFigures
 from lecombus.metrics.meters import Meters
@@ -151,12 +150,12 @@ class Metrics:
             yield
         blocks = [self._build_info(), *line.blocks, *drives.blocks]
         for family in self.meters.families():
-            block: Block | None = None
-            for instrument in family:
-                block = add_samples(block, instrument)
+            block = Block(family.name, family.kind, family.help)
+            for part in list(family.parts.values()):
+                for instrument in part:
+                    block.lines += instrument.lines(family.name)
                 yield
-            if block is not None:
-                blocks.append(block)
+            blocks.append(block)
         for metric in self._process.collect():
             kind = str(metric.type)
             blocks.append(Block(metric.name, kind, metric.documentation, sample_lines(metric)))
@@ -174,12 +173,3 @@ class Metrics:
         )
         name = "lecombus_build_info"
         return Block(name, "gauge", "1; what is running.", [f"{name}{{{labels}}} 1"])
-
-
-def add_samples(block: Block | None, instrument: MetricWrapperBase) -> Block | None:
-    """Add what an instrument collects to a family, which is made when there is none yet."""
-    for metric in instrument.collect():
-        if block is None:
-            block = Block(metric.name, str(metric.type), metric.documentation)
-        block.lines.extend(sample_lines(metric))
-    return block

@@ -2,16 +2,19 @@
 
 Here roster, descriptions and cost model meet: every request, whoever wants it, is given its cost
 and its worst case here, so that the schedule, the time-outs and later the plan reckon with the
-same numbers.
+same numbers. What a read costs is kept, for the same few are made for years, until the station is
+another one or its measured times are.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
 
-from lecombus.drives import LineTiming, StopAction, read_cost, write_cost
+from lecombus.drives import Cost, LineTiming, StopAction, read_cost, write_cost
+from lecombus.drives.measured import SlowAnswers
 from lecombus.errors import OperationError
 from lecombus.line.jobs import MulticastJob, ReadJob, WriteJob
 from lecombus.line.station import Station
@@ -23,6 +26,19 @@ from lecombus.schedule import Outcome, Priority, Request, Settle
 from lecombus.schedule.fan_out import Part
 
 __all__ = ["RequestMaker", "ignore_end"]
+
+
+MAX_KEPT: Final = 8192
+"""Costs of reads kept: a line has at most 90 drives with some ten codes each."""
+
+
+class _ReadCost(NamedTuple):
+    """What a read costs, by the measured times it was reckoned with."""
+
+    slow: SlowAnswers
+    cost: Cost
+    line_s: float
+    worst_s: float
 
 
 def ignore_end(outcome: Outcome, reason: str) -> None:
@@ -42,10 +58,16 @@ class RequestMaker:
     timing: LineTiming
     retries: int
     count: Callable[[Priority, Outcome], None]
+    _costs: dict[tuple[Station, Code], _ReadCost] = field(default_factory=dict, init=False)
+    _unheeded: dict[Priority, Settle] = field(default_factory=dict, init=False)
 
     def _counted(self, priority: Priority, settle: Settle) -> Settle:
-        """Count the end of a request, then tell whoever waits."""
+        """Count the end of a request, then tell whoever waits; mostly that is nobody."""
         count = self.count
+        if settle is ignore_end:
+            if priority not in self._unheeded:
+                self._unheeded[priority] = lambda outcome, reason: count(priority, outcome)
+            return self._unheeded[priority]
 
         def end(outcome: Outcome, reason: str) -> None:
             count(priority, outcome)
@@ -65,15 +87,13 @@ class RequestMaker:
         expires_at_s: float | None = None,
     ) -> Request:
         """Make a request that reads one code."""
-        cost = read_cost(
-            self.timing, station.family, code, form_of(station, code), station.answer_s(code)
-        )
+        cost = self._read_cost(station, code)
         job = ReadJob(station, code, self.retries if retries is None else retries, instead)
         return Request(
             station.name,
             priority,
-            cost.expected_s + self.timing.turnaround_s,
-            cost.worst_s + self.timing.turnaround_s,
+            cost.line_s,
+            cost.worst_s,
             self._counted(priority, settle),
             job,
             expires_at_s=expires_at_s,
@@ -81,8 +101,19 @@ class RequestMaker:
 
     def cost_of_read_s(self, station: Station, code: Code) -> float:
         """Give the line time of a read that is answered, seconds."""
-        form = form_of(station, code)
-        return read_cost(self.timing, station.family, code, form, station.answer_s(code)).expected_s
+        return self._read_cost(station, code).cost.expected_s
+
+    def _read_cost(self, station: Station, code: Code) -> _ReadCost:
+        kept = self._costs.get((station, code))
+        slow = station.measured.slow
+        if kept is None or kept.slow is not slow:
+            if len(self._costs) >= MAX_KEPT:
+                self._costs.clear()
+            form, pause_s = form_of(station, code), self.timing.turnaround_s
+            cost = read_cost(self.timing, station.family, code, form, station.answer_s(code))
+            kept = _ReadCost(slow, cost, cost.expected_s + pause_s, cost.worst_s + pause_s)
+            self._costs[station, code] = kept
+        return kept
 
     def part_of_write(self, station: Station, code: Code, value: Value) -> Part:
         """Give what a write that is read back takes of the line.
@@ -158,14 +189,12 @@ class RequestMaker:
         job = StopJob(
             station, action, word=word, retries=self.retries, said=said, patience_s=patience_s
         )
-        code = station.family.stops[action].code
-        form = form_of(station, code)
-        cost = read_cost(self.timing, station.family, code, form, station.answer_s(code))
+        cost = self._read_cost(station, station.family.stops[action].code)
         return Request(
             station.name,
             Priority.STOP,
-            cost.expected_s + self.timing.turnaround_s,
-            cost.worst_s + self.timing.turnaround_s,
+            cost.line_s,
+            cost.worst_s,
             self._counted(Priority.STOP, settle),
             job,
             stops=(station.name,),
@@ -224,17 +253,7 @@ class RequestMaker:
         code = rare[0] if rare else station.family.feed_code
 
         def make() -> Request:
-            cost = read_cost(self.timing, quiet.family, code, forms[0], quiet.answer_s(code))
-            job = ReadJob(quiet, code, 0)
-            settle = self._counted(Priority.CYCLIC, ignore_end)
-            return Request(
-                quiet.name,
-                Priority.CYCLIC,
-                cost.expected_s + self.timing.turnaround_s,
-                cost.worst_s + self.timing.turnaround_s,
-                settle,
-                job,
-            )
+            return self.read(quiet, code, Priority.CYCLIC, retries=0)
 
         return make
 

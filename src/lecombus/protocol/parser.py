@@ -9,7 +9,8 @@ becomes a `BadAnswer` that says why. Every buffer is bounded.
 An answer mostly arrives whole, in one call. `AnswerParser` then looks at its fixed places at once
 (`_whole`), which is several times faster. That path decides nothing by itself: it only takes what
 `fits_field`, `bcc` and `Value.parse` take, gives up in every doubt, and the tests hold it equal
-to the other path for every split.
+to the other path for every split. What it made of bytes is kept, since drives answer the same
+things again and again, and the same bytes always mean the same.
 
 All bytes handed back (`received`, `pending`, `tail`) are as they came, parity included. When an
 answer may begin and when it is too late is not known here: see `line`.
@@ -17,6 +18,7 @@ answer may begin and when it is too late is not known here: see `line`.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Final
 
 from lecombus.protocol.addressing import field_length, is_code_field
@@ -50,6 +52,9 @@ __all__ = ["TAIL_LIMIT", "AnswerParser", "RequestParser", "strip_parity", "with_
 TAIL_LIMIT: Final = 256
 """So many bytes after an answer are kept; later ones are dropped."""
 
+CACHED_ANSWERS: Final = 2048
+"""What ninety drives say: a dozen codes each, and of a word that changes the last few states."""
+
 _ACK_ANSWER: Final = AckAnswer()
 _NAK_ANSWER: Final = NakAnswer()
 _SHORTEST_VALUE_ANSWER: Final = 6  # STX C1 C2 V ETX BCC
@@ -75,10 +80,12 @@ class AnswerParser:
 
     def reset(self) -> None:
         """Forget everything and expect a new answer."""
-        self._raw.clear()
-        self._tail.clear()
-        self._text.clear()
         self._ended = False
+        if self._raw:
+            self._raw.clear()
+            self._text.clear()
+        if self._tail:
+            self._tail.clear()
 
     @property
     def tail(self) -> bytes:
@@ -98,7 +105,7 @@ class AnswerParser:
             which only extends `tail`.
         """
         if not self._ended and not self._raw:
-            answer = self._whole(data)
+            answer = _whole(data, self._parity) if len(data) <= MAX_ANSWER_CHARS else None
             if answer is not None:
                 self._ended = True
                 return answer
@@ -112,31 +119,6 @@ class AnswerParser:
                 self._tail += data[index + 1 : index + 1 + TAIL_LIMIT]
                 return answer
         return None
-
-    def _whole(self, data: bytes) -> Answer | None:
-        """Read an answer that is one call's data exactly; None in any doubt."""
-        size = len(data)
-        if size == 1:
-            text, sound = strip_parity(data) if self._parity else (data, True)
-            if not sound:
-                return None
-            return _ACK_ANSWER if text[0] == ACK else _NAK_ANSWER if text[0] == NAK else None
-        if not _SHORTEST_VALUE_ANSWER <= size <= MAX_ANSWER_CHARS:
-            return None
-        if self._parity:
-            data, sound = strip_parity(data)
-            if not sound:
-                return None
-        if data[0] != STX or data[-2] != ETX or bcc(data[1:]):  # the BCC makes the XOR 0
-            return None
-        value_at = 1 + field_length(data[1])
-        field = data[1:value_at]
-        if not is_code_field(field):
-            return None
-        try:
-            return ValueAnswer(field, Value.parse(data[value_at:-2]))
-        except ValueFormatError:
-            return None
 
     def _take(self, byte: int) -> Answer | None:
         """Take one byte: the rules, in their order."""
@@ -175,3 +157,27 @@ class AnswerParser:
             return ValueAnswer(text.field, Value.parse(text.value))
         except ValueFormatError:
             return BadAnswer(Fault.FORMAT, bytes(self._raw))
+
+
+@lru_cache(maxsize=CACHED_ANSWERS)
+def _whole(data: bytes, parity: bool) -> Answer | None:
+    """Read an answer that is one call's data exactly; None in any doubt."""
+    sound = True
+    if parity:
+        data, sound = strip_parity(data)
+    if not sound:
+        return None
+    if len(data) == 1:
+        return _ACK_ANSWER if data[0] == ACK else _NAK_ANSWER if data[0] == NAK else None
+    if len(data) < _SHORTEST_VALUE_ANSWER:
+        return None
+    if data[0] != STX or data[-2] != ETX or bcc(data[1:]):  # the BCC makes the XOR 0
+        return None
+    value_at = 1 + field_length(data[1])
+    field = data[1:value_at]
+    if not is_code_field(field):
+        return None
+    try:
+        return ValueAnswer(field, Value.parse(data[value_at:-2]))
+    except ValueFormatError:
+        return None
