@@ -119,7 +119,7 @@ class Site:
         timing = timing or line_timing(line)
         maker = RequestMaker(timing, line.retries, self.metrics.meters.request_ended)
         self.health = Health(self.schedule, self.store, self._wants_audit, clock)
-        self._configurations = Configurations(self._take_family, self._read_soon)
+        self._configurations = self._make_configurations()
         self.identities = Identities(
             self.state, self.store, wall, self._wants_audit, self.health.doubted
         )
@@ -139,6 +139,9 @@ class Site:
         self._cyclic: dict[str, list[object]] = {}
         self._entries: dict[str, DriveEntry] = {}
         self.apply(roster)
+
+    def _make_configurations(self) -> Configurations:
+        return Configurations(self._take_family, self._take_response, self._read_soon)
 
     def _make_worker(
         self, opener: PortOpener, timing: LineTiming, options: WorkerOptions, books: Books
@@ -302,6 +305,14 @@ class Site:
         self.store.take_family(name, kind)
         station = self.requests.station(name)
         self.requests.replace_station(station, replace(station, family=kind))
+
+    def _take_response(self, name: str, early: bool | None) -> None:
+        """Leave a drive alone after a write if it acknowledges early, or may (None)."""
+        station = self.requests.station(name)
+        hold_s = 0.0 if early is False else station.family.hold_after_write_s
+        if (station.hold_s, station.answers_early) != (hold_s, early is True):
+            changed = replace(station, hold_s=hold_s, answers_early=early is True)
+            self.requests.replace_station(station, changed)
 
     def _read_soon(self, name: str, code: Code, settle: Settle) -> None:
         """Read a code before the cyclic ones, without waiting for it here."""

@@ -88,7 +88,7 @@ def test_a_multicast_leaves_the_slowest_member_its_time_also_by_the_roster_s_wor
     )
     assert isinstance(made.work, MulticastJob)
     assert made.work.processing_s == 0.8
-    assert made.work.holds == {"x": 0.23}
+    assert made.work.holds == {"a": 0.23}
     assert made.cost_s > 0.8
 
 

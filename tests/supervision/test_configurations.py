@@ -1,4 +1,4 @@
-"""The signal configuration of a 93XX decides what its words mean, as soon and as long as known."""
+"""What decides how a drive is to be taken is followed: signal configuration, early answers."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ import pytest
 from lecombus.drives import Family, family
 from lecombus.errors import LineLostError
 from lecombus.protocol.addressing import Code
+from lecombus.protocol.exchange import ResultKind
 from lecombus.protocol.values import Value
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Settle
 from lecombus.supervision.configurations import Configurations
 from support.site_host import Plant, roster_of, until, with_plant
 
-C0005, C0135, C0150 = Code(5), Code(135), Code(150)
+C0005, C0135, C0150, C1921 = Code(5), Code(135), Code(150), Code(1921)
 
 
 class Post:
@@ -25,11 +26,15 @@ class Post:
         self.taken: list[str] = []
         self.asked: list[Code] = []
         self.deaf = False
-        self.following = Configurations(self._change, self._ask)
+        self.early: list[bool | None] = []
+        self.following = Configurations(self._change, self._take_early, self._ask)
         self.following.watch("a", family(kind))
 
     def _change(self, drive: str, found: Family) -> None:
         self.taken.append(found.configuration)
+
+    def _take_early(self, drive: str, early: bool | None) -> None:
+        self.early.append(early)
 
     def _ask(self, drive: str, code: Code, settle: Settle) -> None:
         if self.deaf:
@@ -171,3 +176,33 @@ def test_states_are_shown_only_from_good_values() -> None:
         assert store.drive("c").as_json()["states"] is None
 
     with_plant(test, roster_of([("c", 13, "821x")]))
+
+
+def test_shortened_response_time_is_followed_and_not_known_after_a_write() -> None:
+    post = Post("820x")
+    for raw in ("0", "1", "S1"):
+        post.reads(raw, C1921)
+    post.following.written("a", C1921)
+    assert post.early == [False, True, None, None]
+    assert (post.asked, post.taken) == ([C1921], [])
+
+
+def test_a_drive_told_to_acknowledge_early_is_left_alone_after_its_next_write() -> None:
+    async def test(plant: Plant) -> None:
+        station = plant.site.requests.station
+        await plant.online(within_s=60.0)
+        await until(lambda: station("a").hold_s == 0.0, within_s=60.0)
+        write = plant.site.operations.write
+        assert (await write("a", C1921, 1)).outcome is Outcome.DONE
+        assert (station("a").hold_s, station("a").answers_early) == (0.23, False)
+        # The proof waits until the module has passed the value on, and is answered.
+        report = await write("a", Code(46), 20, verify=True)
+        assert report.outcome is Outcome.VERIFIED
+        await until(lambda: station("a").answers_early, within_s=10.0)
+        assert plant.tap.reports[-1].result.kind is ResultKind.ANSWERED
+        assert (await write("a", C1921, 0)).outcome is Outcome.DONE
+        await until(lambda: station("a").hold_s == 0.0, within_s=10.0)
+        assert all(one.result.kind is ResultKind.ANSWERED for one in plant.reports)
+
+    roster = roster_of([("a", 1, "820x")], drive=", cyclic: [], writable: [C0046, C1921]")
+    with_plant(test, roster)

@@ -11,7 +11,6 @@ When an audit is due, and what is fed meanwhile, is the keeper's.
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import logging
 from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
@@ -20,7 +19,6 @@ from lecombus.config import DriveEntry
 from lecombus.errors import LecombusError, RefusedError, UnknownCodeError
 from lecombus.line.station import Station
 from lecombus.operations.requests import Requests
-from lecombus.protocol.addressing import Code
 from lecombus.schedule import Priority
 from lecombus.supervision.gates import Gates
 from lecombus.supervision.watchdogs import PATIENCE_S, WatchdogAudit
@@ -117,16 +115,10 @@ class Audit:
         try:
             if entry.watchdog is None and station.family.watchdog is not None:
                 await self._watchdogs.learn(entry.name, station, station.family.watchdog)
-            if station.family.shortened_code is not None:
-                await self._learn_response(station, station.family.shortened_code)
+            shortened = station.family.shortened_code
+            if shortened is not None:  # what it brings is seen by `configurations`
+                await self._requests.read(
+                    station, shortened, Priority.BACKGROUND, timeout_s=PATIENCE_S
+                )
         except LecombusError as exc:
             logger.info("drive=%s event=not-learnt reason=%s", entry.name, exc)
-
-    async def _learn_response(self, station: Station, code: Code) -> None:
-        """With shortened response time on, a drive is left alone after each write."""
-        value = await self._requests.read(station, code, Priority.BACKGROUND, timeout_s=PATIENCE_S)
-        early = value.number == 1
-        hold_s = station.family.hold_after_write_s if early else 0.0
-        learnt = dataclasses.replace(station, hold_s=hold_s, answers_early=early)
-        if (learnt.hold_s, early) != (station.hold_s, station.answers_early):
-            self._requests.replace_station(station, learnt)

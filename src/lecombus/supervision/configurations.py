@@ -1,19 +1,23 @@
-"""Which signal configuration each drive has, and so what the bits of its words mean.
+"""What a drive is set to that decides how it is to be taken: two codes.
 
-On a 93XX most bits of C0135 and C0150 mean what the signal configuration C0005 makes of them. It
-is read at every audit; until it is known, and whenever it was written and not yet read again, a
-drive is taken by what holds for every configuration. Once known it is kept while the drive is
-away: the audit that brings the drive back reads it anew.
+*Signal configuration.* On a 93XX most bits of C0135 and C0150 mean what the signal configuration
+C0005 makes of them. It is read at every audit; until it is known, and whenever it was written and
+not yet read again, a drive is taken by what holds for every configuration. Once known it is kept
+while the drive is away: the audit that brings the drive back reads it anew.
+
+*Shortened response time.* With C1921 = 1 a module acknowledges a write before it has passed it on,
+and must be left alone meanwhile. Until it is known, and after it was written, it is taken to.
 
 Strategy: as in `fault_watch`, no task and no timer: `seen` is told every value read and `written`
-every write, and both cost one look-up where a drive's family has no configurations.
-Source: EDB2102EN 8.2 (C0135, C0150).
+every write, and both cost one look-up where a drive's family has no such codes.
+Source: EDB2102EN 8.2 (C0135, C0150), 6.3.2 (C1921).
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Final
 
 from lecombus.drives import Family
 from lecombus.errors import LecombusError
@@ -25,53 +29,70 @@ __all__ = ["Configurations"]
 
 logger = logging.getLogger(__name__)
 
+_NOTHING: Final[Mapping[Code, Callable[[str, int | None], None]]] = {}
+
 
 class Configurations:
-    """Tells whoever works with a drive's words which family they follow.
+    """Tells whoever works with a drive how it is to be taken.
 
     Args:
         change: Told that a drive is to be taken by another description of its family.
+        early: Told whether a drive acknowledges early; None: not known.
         ask: Reads a code of a drive now; raises a `LecombusError` where that cannot be asked.
     """
 
     def __init__(
-        self, change: Callable[[str, Family], None], ask: Callable[[str, Code, Settle], None]
+        self,
+        change: Callable[[str, Family], None],
+        early: Callable[[str, bool | None], None],
+        ask: Callable[[str, Code, Settle], None],
     ) -> None:
         self._change = change
+        self._early = early
         self._ask = ask
         self._families: dict[str, Family] = {}
-        self._codes: dict[str, Code] = {}
+        self._followed: dict[str, Mapping[Code, Callable[[str, int | None], None]]] = {}
 
     def watch(self, drive: str, family: Family) -> None:
-        """Follow a drive from now on; its configuration is not known yet."""
+        """Follow a drive from now on; nothing is known of it yet."""
         self.forget(drive)
+        followed = {}
         if family.configured_by is not None:
             self._families[drive] = family
-            self._codes[drive] = family.configured_by
+            followed[family.configured_by] = self._take_configuration
+        if family.shortened_code is not None:
+            followed[family.shortened_code] = self._take_response
+        if followed:
+            self._followed[drive] = followed
 
     def forget(self, drive: str) -> None:
         """The drive has left the roster."""
         self._families.pop(drive, None)
-        self._codes.pop(drive, None)
+        self._followed.pop(drive, None)
 
     def seen(self, drive: str, code: Code, value: Value) -> None:
         """Take a value that was read."""
-        if self._codes.get(drive) == code:
+        take = self._followed.get(drive, _NOTHING).get(code)
+        if take is not None:
             number = value.number
             whole = not isinstance(number, str | bytes) and number == int(number)
-            self._take(drive, int(number) if whole else None)
+            take(drive, int(number) if whole else None)
 
     def written(self, drive: str, code: Code) -> None:
         """Take note that a code was written: whether it took is known when it is read."""
-        if self._codes.get(drive) != code:
+        take = self._followed.get(drive, _NOTHING).get(code)
+        if take is None:
             return
-        self._take(drive, None)
+        take(drive, None)
         try:
             self._ask(drive, code, ignore)
         except LecombusError as exc:
             logger.info("drive=%s event=configuration-not-asked reason=%s", drive, exc)
 
-    def _take(self, drive: str, number: int | None) -> None:
+    def _take_response(self, drive: str, number: int | None) -> None:
+        self._early(drive, None if number is None else number == 1)
+
+    def _take_configuration(self, drive: str, number: int | None) -> None:
         known = self._families[drive]
         found = known.configured(number)
         if found is known:
@@ -79,7 +100,7 @@ class Configurations:
         self._families[drive] = found
         logger.info(
             "drive=%s event=configuration code=%s from=%s to=%s",
-            drive, self._codes[drive], known.configuration or "any", found.configuration or "any",
+            drive, found.configured_by, known.configuration or "any", found.configuration or "any",
         )  # fmt: skip
         self._change(drive, found)
 
