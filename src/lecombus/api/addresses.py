@@ -13,7 +13,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from lecombus.api.answers import code_of, described, json_response
-from lecombus.api.bodies import check_query
+from lecombus.api.checking import check_query
 from lecombus.api.documents import HeardDocument
 from lecombus.api.problems import Problem, ProblemError
 from lecombus.api.seam import OperationsPort

@@ -1,31 +1,22 @@
-"""What a client may send: bodies and query parameters, checked as strictly as a roster.
+"""What the bodies of requests may say: strict models, and what would be right for each key.
 
-Strategy: the JSON is read exactly (`exact`), then held against a strict pydantic model, and every
-mistake is told in one go with what would be right. A misspelt key is an error with the nearest
-key, never ignored: `?fersh=true` must not quietly give a stored value.
-
-What must not live here: what is done with a request.
+What must not live here: how a body comes in and is refused (`checking`), what is done with it.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from decimal import Decimal
-from difflib import get_close_matches
 from enum import StrEnum
-from typing import Annotated, ClassVar, Final, TypeVar
+from typing import Annotated, ClassVar, Final
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema, field_validator
-from starlette.requests import ClientDisconnect, Request
+from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema, field_validator
 
-from lecombus.api.exact import NotJsonError, decode, short
-from lecombus.api.problems import Problem, ProblemError
 from lecombus.drives import StopAction
 from lecombus.schedule.request import Priority
 
 __all__ = [
-    "BODY_LIMIT",
     "RIGHT",
     "TARGET_LIMIT",
     "AcceptBody",
@@ -37,19 +28,12 @@ __all__ = [
     "Urgency",
     "VerbBody",
     "WriteBody",
-    "check_query",
-    "read_body",
-    "read_stop",
 ]
-
-BODY_LIMIT: Final = 64 * 1024
 
 TEXT_LIMIT: Final = 250
 """A little more than the longest value (241 characters), so that its own error can speak."""
 
 TARGET_LIMIT: Final = 200
-
-MISTAKES_LIMIT: Final = 10
 
 EXPONENT_LIMIT: Final = 30
 """A number such as 1E+999999 is a few bytes here and a megabyte once written out."""
@@ -260,179 +244,3 @@ def seconds_of(value: int | Decimal | str) -> Decimal:
     if match is None:
         raise ValueError(RIGHT["expires"])
     return Decimal(match[1]) * UNIT_S[match[2]]
-
-
-B = TypeVar("B", bound=Body)
-
-
-async def read_body(
-    request: Request, model: type[B], *, may_be_empty: bool = False
-) -> tuple[B, bytes]:
-    """Return a request's body, checked, and its bytes.
-
-    Args:
-        request: The request.
-        model: What it must be.
-        may_be_empty: No body at all stands for one without keys.
-
-    Raises:
-        ProblemError: It is too big, not JSON, or not what is asked for.
-    """
-    raw = await bounded_bytes(request) or (b"{}" if may_be_empty else b"")
-    return checked(object_of(raw, model), model), raw
-
-
-async def read_stop(request: Request) -> tuple[StopBody, bytes, tuple[str, ...]]:
-    """Return a stop, the bytes of its body, and what in it is superfluous.
-
-    A stop whose action and target are right is taken, whatever else its body says.
-
-    Raises:
-        ProblemError: It does not say how to stop and what; every mistake is told.
-    """
-    raw = await bounded_bytes(request)
-    given = object_of(raw, StopBody)
-    known = {key: value for key, value in given.items() if key in StopBody.model_fields}
-    try:
-        return StopBody.model_validate(known), raw, superfluous(given)
-    except ValidationError:
-        return checked(given, StopBody), raw, ()
-
-
-def superfluous(given: Mapping[str, object]) -> tuple[str, ...]:
-    """Return what to say of the keys of a stop that nobody knows."""
-    known = tuple(StopBody.model_fields)
-    unknown = [key for key in given if key not in known]
-    said = [f"there is no key {short(key)}: {nearest(key, known)}" for key in unknown]
-    return bounded_list(said)
-
-
-def object_of(raw: bytes, model: type[Body]) -> dict[str, object]:
-    """Return the JSON object that a body is.
-
-    Raises:
-        ProblemError: It is none.
-    """
-    try:
-        given = decode(raw)
-    except NotJsonError as exc:
-        raise refusal(f"the body is not JSON: {exc}", f"send {example(model)}") from exc
-    if not isinstance(given, dict):
-        raise refusal("the body is not a JSON object", f"send {example(model)}")
-    return given
-
-
-def checked(given: Mapping[str, object], model: type[B]) -> B:
-    """Return a body that is as its model says.
-
-    Raises:
-        ProblemError: It is not; every mistake is told.
-    """
-    try:
-        return model.model_validate(given)
-    except ValidationError as exc:
-        mistakes = list(dict.fromkeys(mistake_text(one, given, model) for one in exc.errors()))
-        raise refusal("; ".join(bounded_list(mistakes)), f"send {example(model)}") from exc
-
-
-def bounded_list(mistakes: list[str]) -> tuple[str, ...]:
-    """Return so many mistakes as a message has room for, and the number of the others."""
-    if len(mistakes) <= MISTAKES_LIMIT:
-        return tuple(mistakes)
-    return (*mistakes[:MISTAKES_LIMIT], f"and {len(mistakes) - MISTAKES_LIMIT} more")
-
-
-async def bounded_bytes(request: Request) -> bytes:
-    """Return the body, reading no more than `BODY_LIMIT`.
-
-    Raises:
-        ProblemError: It is longer, or the client went away before it was complete.
-    """
-    parts = bytearray()
-    try:
-        async for part in request.stream():
-            parts += part
-            if len(parts) > BODY_LIMIT:
-                raise ProblemError(
-                    Problem(
-                        "too-big",
-                        f"the body is longer than {BODY_LIMIT} bytes",
-                        remedy="a write is one value; send it alone",
-                        headers={"Connection": "close"},
-                    )
-                )
-    except ClientDisconnect as exc:
-        raise refusal("the client went away before its request was complete", "") from exc
-    return bytes(parts)
-
-
-def check_query(request: Request, allowed: Iterable[str] = ()) -> None:
-    """Refuse query parameters that nobody reads, and those given twice.
-
-    Raises:
-        ProblemError: There is one; the nearest right one is named.
-    """
-    if not request.scope["query_string"]:
-        return
-    known = tuple(allowed)
-    seen: set[str] = set()
-    for key, _ in request.query_params.multi_items():
-        if key not in known:
-            raise refusal(f"there is no query parameter {short(key)}", nearest(key, known))
-        if key in seen:
-            raise refusal(f"query parameter {short(key)} stands twice", "give it once")
-        seen.add(key)
-
-
-def nearest(word: str, known: tuple[str, ...]) -> str:
-    """Return a remedy for a misspelt word."""
-    near = get_close_matches(word, known, n=1, cutoff=0.5)
-    if near:
-        return f"did you mean {near[0]}?"
-    return f"known are: {', '.join(known)}" if known else "none is known here"
-
-
-def mistake_text(error: Mapping[str, object], given: Mapping[str, object], model: type[B]) -> str:
-    """Return one mistake pydantic found, as a person would say it."""
-    place = error["loc"]
-    key = str(place[0]) if isinstance(place, tuple) and place else ""
-    if error["type"] == "extra_forbidden":
-        return f"there is no key {short(key)}: {nearest(key, tuple(model.model_fields))}"
-    right = {**RIGHT, **model.right}
-    if key not in right:
-        return "a key is not text: it holds one half of a character"
-    if error["type"] == "missing":
-        return f"key {key} is missing: it takes {right[key]}"
-    return f"{key} takes {right[key]}, not {shown(given.get(key))}"
-
-
-def shown(value: object) -> str:
-    """Return a wrong value as it can stand in a message, cut short."""
-    if isinstance(value, dict):
-        return "an object"
-    if isinstance(value, list):
-        return "an array"
-    if isinstance(value, bool) or value is None:
-        return {True: "true", False: "false", None: "null"}[value]
-    text = str(value)
-    return repr(text if len(text) <= 40 else f"{text[:37]}...")
-
-
-def example(model: type[Body]) -> str:
-    """Return a right body, for messages."""
-    if model is StopBody:
-        return '{"action": "quick-stop", "target": "all"}'
-    if model is SpeedBody:
-        return '{"value": 35.4, "unit": "Hz"}'
-    if model is VerbBody:
-        return "{}"
-    if model is AddressBody:
-        return '{"address": 12}'
-    if model is AcceptBody:
-        return '{"identity": {"C1810": "33S2102I_10000"}}'
-    return '{"value": 35.4, "expires": "2s", "verify": true}'
-
-
-def refusal(detail: str, remedy: str) -> ProblemError:
-    """Return the error for a request that cannot be understood."""
-    return ProblemError(Problem("bad-request", detail, remedy=remedy))

@@ -17,7 +17,8 @@ from lecombus.api.answers import (
     json_response,
     report_json,
 )
-from lecombus.api.bodies import AcceptBody, AddressBody, check_query, read_body
+from lecombus.api.bodies import AcceptBody, AddressBody
+from lecombus.api.checking import check_query, read_body
 from lecombus.api.documents import IdentityDocument, OutcomeDocument, WearDocument
 from lecombus.api.idempotency import Idempotency
 from lecombus.api.problems import report_problem

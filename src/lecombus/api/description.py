@@ -13,7 +13,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from lecombus.api.answers import described, text_response
-from lecombus.api.bodies import check_query
+from lecombus.api.checking import check_query
 from lecombus.api.documents import DescribedDocument
 from lecombus.api.exact import encode
 from lecombus.descriptions import code_document, family_document

@@ -12,7 +12,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from lecombus.api.answers import described, json_response
-from lecombus.api.bodies import check_query
+from lecombus.api.checking import check_query
 from lecombus.api.documents import WhyDocument
 from lecombus.api.seam import OperationsPort
 from lecombus.drives import Language

@@ -15,7 +15,8 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from lecombus.api.answers import REFUSALS, Key, content_of, described, group_response
-from lecombus.api.bodies import StopBody, read_stop
+from lecombus.api.bodies import StopBody
+from lecombus.api.checking import read_stop
 from lecombus.api.documents import GroupOutcomeDocument
 from lecombus.api.exact import short
 from lecombus.api.idempotency import SharedStops, key_mistake

@@ -20,7 +20,8 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from lecombus.api.answers import group_response
-from lecombus.api.bodies import BODY_LIMIT, TARGET_LIMIT
+from lecombus.api.bodies import TARGET_LIMIT
+from lecombus.api.checking import BODY_LIMIT
 from lecombus.api.exact import NotJsonError, decode
 from lecombus.api.problems import problem_of
 from lecombus.api.seam import OperationsPort

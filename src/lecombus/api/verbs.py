@@ -26,7 +26,8 @@ from lecombus.api.answers import (
     ignored_json,
     json_response,
 )
-from lecombus.api.bodies import SpeedBody, VerbBody, check_query, read_body
+from lecombus.api.bodies import SpeedBody, VerbBody
+from lecombus.api.checking import check_query, read_body
 from lecombus.api.documents import VerbDocument
 from lecombus.api.exact import short
 from lecombus.api.idempotency import Idempotency, SharedStops

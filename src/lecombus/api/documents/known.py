@@ -1,0 +1,138 @@
+"""What is known: readings, drives, the line, groups."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from lecombus.api.documents.common import Document, Exact, Scalar
+
+__all__ = [
+    "DriveDocument",
+    "DrivesDocument",
+    "FaultDocument",
+    "GroupDocument",
+    "GroupsDocument",
+    "HeardDocument",
+    "LineDocument",
+    "ReadingDocument",
+    "RestoreDocument",
+]
+
+
+class ReadingDocument(Document):
+    """One value with its age and quality."""
+
+    drive: str
+    code: Annotated[str, Field(examples=["C0046"])]
+    subcode: int
+    name: Annotated[str, Field(description="Empty where no description knows the code")]
+    value: Annotated[Scalar, Field(description="Decimals exactly, words as integers, bytes as hex")]
+    raw: Annotated[str | None, Field(description="As on the wire, with its format letter")]
+    format: Annotated[str | None, Field(description="VD, VH, VS or VO")]
+    unit: str | None
+    quality: Annotated[str, Field(description="good, stale or bad")]
+    reason: Annotated[str | None, Field(description="Why it is not good")]
+    time: Annotated[str | None, Field(description="When it was read, RFC 3339")]
+    age_s: Exact | None
+    text: Annotated[str | None, Field(description="What the value means, where that is described")]
+
+
+class FaultDocument(Document):
+    """The fault a drive has, as its status words show it."""
+
+    number: Annotated[int | None, Field(description="LECOM number; null while it is not known")]
+    keypad: Annotated[str | None, Field(description="What the keypad shows", examples=["OH"])]
+    kind: Annotated[str, Field(description="trip, message or warning")]
+    meaning: str | None
+    cause: str | None
+    remedy: str | None
+    since: str
+    shown_by: Annotated[str, Field(examples=["C0150 reads H0898"])]
+    stale: Annotated[bool, Field(description="The drive has not been heard since")]
+
+
+class DriveDocument(Document):
+    """One drive with everything known of it."""
+
+    drive: str
+    address: int
+    family: str
+    state: Annotated[str, Field(description="starting, online, degraded or offline")]
+    reason: str | None
+    since: str
+    states: Annotated[
+        list[str] | None,
+        Field(description="What its status words show; null while they are not known well"),
+    ]
+    fault: Annotated[FaultDocument | None, Field(description="Null: none is shown")]
+    remarks: dict[str, str]
+    identity: Annotated[dict[str, str], Field(description="What it said of itself, by code")]
+    values: list[ReadingDocument]
+
+
+class DrivesDocument(Document):
+    """Every drive."""
+
+    drives: list[DriveDocument]
+
+
+class LineDocument(Document):
+    """The line."""
+
+    line: str
+    port: Annotated[str, Field(description="As in the roster")]
+    baud: int
+    state: Annotated[str, Field(description="closed, open or lost")]
+    reason: str | None
+    since: str
+    stretch: Annotated[Exact, Field(description="1 when every cyclic read keeps its period")]
+    remarks: dict[str, str]
+    drives: Annotated[dict[str, int], Field(description="How many drives are in each state")]
+
+
+class GroupDocument(Document):
+    """One group of the roster."""
+
+    group: str
+    members: list[str]
+    how: Annotated[str, Field(description="multicast or one-by-one")]
+    multicast_address: int | None
+
+
+class GroupsDocument(Document):
+    """Every group."""
+
+    groups: list[GroupDocument]
+
+
+class HeardDocument(Document):
+    """What came back from an address of which nothing is known."""
+
+    address: int
+    code: str
+    subcode: int
+    heard: Annotated[
+        str,
+        Field(description="value, no-such-code, transmission-error, silence, garbled or echo"),
+    ]
+    value: Scalar
+    raw: str | None
+    format: str | None
+    received: Annotated[str | None, Field(description="What was no usable answer, as hex")]
+    disturbances: Annotated[
+        int, Field(description="How often the line carried something that was no answer")
+    ]
+
+
+class RestoreDocument(Document):
+    """Whether a backup may be restored into a drive."""
+
+    drive: str
+    permitted: bool
+    owned: Annotated[
+        list[str], Field(description="Codes that lecombus sets from the roster, left alone")
+    ]
+    reason: Annotated[str | None, Field(description="Why it is not permitted")]
+    remedy: Annotated[str | None, Field(description="What to do about it")]
