@@ -71,6 +71,74 @@ def test_a_damaged_file_is_set_aside_and_said(tmp_path: Path, damage: bytes) -> 
     assert not path.exists()
 
 
+@pytest.mark.parametrize("exists", [True, False])
+@pytest.mark.parametrize("leads", ["{}/real.json", "../far/real.json"])
+def test_a_link_stays_a_link_and_the_file_it_leads_to_is_kept(
+    tmp_path: Path, leads: str, exists: bool
+) -> None:
+    far, near = tmp_path / "far", tmp_path / "near"
+    far.mkdir()
+    near.mkdir()
+    (near / "hall.json").symlink_to(leads.format(far))
+    if exists:
+        (far / "real.json").write_text(filled().text())
+    file = StateFile(near / "hall.json")
+    state = file.load()
+    assert (file.trouble, file.is_usable) == ("", True)
+    assert bool(state.drive("feeder").writes) == exists
+    state.drive("feeder").writes["C0012"] = 8
+    file.save(state.text())
+    assert (near / "hall.json").is_symlink()
+    assert [path.name for path in near.iterdir()] == ["hall.json"]
+    assert [path.name for path in far.iterdir()] == ["real.json"]
+    assert StateFile(near / "hall.json").load().drive("feeder").writes == {"C0012": 8}
+
+
+def test_a_link_into_nowhere_says_where_it_leads(tmp_path: Path) -> None:
+    path = tmp_path / "hall.json"
+    path.symlink_to(tmp_path / "nowhere" / "real.json")
+    file = StateFile(path)
+    file.load()
+    assert not file.is_usable
+    assert f"{tmp_path}/nowhere, where {path} leads, does not exist" in file.trouble
+    assert path.is_symlink()
+
+
+def test_a_link_in_a_circle_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "hall.json"
+    path.symlink_to(path)
+    file = StateFile(path)
+    file.load()
+    assert not file.is_usable
+    assert "cannot be read: Too many levels of symbolic links" in file.trouble
+
+
+def test_a_damaged_file_behind_a_link_is_set_aside_where_it_is(tmp_path: Path) -> None:
+    path, real = tmp_path / "hall.json", tmp_path / "real.json"
+    path.symlink_to(real)
+    real.write_text("{")
+    file = StateFile(path)
+    file.load()
+    assert f"{path}, a link to {real}, was damaged" in file.trouble
+    assert "real.json.damaged-1" in file.trouble
+    assert (path.is_symlink(), real.exists(), file.is_usable) == (True, False, True)
+
+
+def test_a_folder_that_a_link_leads_to_and_that_is_lost_later_is_said(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path, far = tmp_path / "hall.json", tmp_path / "far"
+    far.mkdir()
+    path.symlink_to(far / "real.json")
+    keeping = Keeping(path)
+    far.rmdir()
+    keeping.state.touch()
+    with caplog.at_level(logging.WARNING):
+        keeping.close()
+    (record,) = caplog.records
+    assert f"{path}, a link to {far}/real.json, cannot be written: No such" in record.getMessage()
+
+
 def test_a_pipe_in_the_files_place_does_not_hold_up_the_start(tmp_path: Path) -> None:
     path = tmp_path / "hall.json"
     os.mkfifo(path)

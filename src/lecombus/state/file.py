@@ -3,7 +3,8 @@
 Strategy: the new content goes to a neighbour of the file, is brought to the disk (fsync), takes
 the file's name, and the folder is brought to the disk as well. A damaged file is never overwritten:
 it is set aside under its own name with `.damaged` and a number, and said. A file of a later version
-is left alone, and nothing is kept then.
+is left alone, and nothing is kept then. Where the path is a link, all this is done where it leads,
+also when there is nothing yet, and the link stays a link; it is looked at anew each time.
 
 What must not live here: the event loop (`keeping`), what the content means (`document`).
 """
@@ -53,15 +54,28 @@ class StateFile:
             return self._read(self.path)
         except NewerStateError as exc:
             self.is_usable = False
-            self.trouble = f"{self.path} is not used and not changed: {exc}"
+            self.trouble = f"{self.name} is not used and not changed: {exc}"
         except StateFormatError as exc:
-            self._set_aside(self.path, str(exc))
+            self._set_aside(self.target, str(exc))
         except FileNotFoundError:
-            self._look_at_folder(self.path.parent)
+            self._look_at_folder(self.target.parent)
         except OSError as exc:
             self.is_usable = False
-            self.trouble = f"{self.path} cannot be read: {exc.strerror}"
+            self.trouble = f"{self.name} cannot be read: {exc.strerror}"
         return State()
+
+    @property
+    def target(self) -> Path:
+        """The file itself, where the path leads now."""
+        assert self.path is not None
+        return Path(os.path.realpath(self.path))
+
+    @property
+    def name(self) -> str:
+        """The file as messages name it: with where a link leads."""
+        if self.path is None or not self.path.is_symlink():
+            return str(self.path)
+        return f"{self.path}, a link to {self.target},"
 
     def save(self, text: str) -> None:
         """Put new content in the place of the old; blocks for as long as the disk takes.
@@ -69,8 +83,8 @@ class StateFile:
         Raises:
             OSError: It could not be written; the old file is as it was.
         """
-        assert self.path is not None
-        neighbour = self.path.with_name(f".{self.path.name}.new")
+        target = self.target
+        neighbour = target.with_name(f".{target.name}.new")
         descriptor = os.open(
             neighbour, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | os.O_NOFOLLOW, MODE
         )
@@ -78,8 +92,8 @@ class StateFile:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())
-        neighbour.replace(self.path)
-        folder = os.open(self.path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        neighbour.replace(target)
+        folder = os.open(target.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
             os.fsync(folder)
         finally:
@@ -90,15 +104,22 @@ class StateFile:
         if not folder.is_dir():
             self.is_usable = False
             self.trouble = (
-                f"{folder} does not exist, nothing is kept: make it and restart, or name another "
-                "file by `state:` in the roster"
+                f"{folder}{self._led_by_link} does not exist, nothing is kept: make it and "
+                "restart, or name another file by `state:` in the roster"
             )
         elif not os.access(folder, os.W_OK | os.X_OK):
             self.is_usable = False
             self.trouble = (
-                f"{folder} may not be written to, nothing is kept: give it to the user that "
-                "lecombus runs as and restart, or name another file by `state:` in the roster"
+                f"{folder}{self._led_by_link} may not be written to, nothing is kept: give it to "
+                "the user that lecombus runs as (a service also needs it in `ReadWritePaths=`) and "
+                "restart, or name another file by `state:` in the roster"
             )
+
+    @property
+    def _led_by_link(self) -> str:
+        """Why a folder is meant that the roster does not name."""
+        assert self.path is not None
+        return f", where {self.path} leads," if self.path.is_symlink() else ""
 
     def _read(self, path: Path) -> State:
         with open(path, "rb", opener=_without_waiting) as file:
@@ -117,13 +138,13 @@ class StateFile:
         except OSError as exc:
             self.is_usable = False
             self.trouble = (
-                f"{path} is damaged ({why}) and cannot be set aside: {exc.strerror}; it is not "
-                "used and not changed"
+                f"{self.name} is damaged ({why}) and cannot be set aside: {exc.strerror}; it is "
+                "not used and not changed"
             )
             return
         self.trouble = (
-            f"{path} was damaged ({why}) and stands as {aside.name} now: what was known of the "
-            "drives' identities and write counts begins anew; delete it when it is of no use"
+            f"{self.name} was damaged ({why}) and stands as {aside.name} now: what was known of "
+            "the drives' identities and write counts begins anew; delete it when it is of no use"
         )
 
 

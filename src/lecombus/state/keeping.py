@@ -73,7 +73,7 @@ class Keeping:
         try:
             self._file.save(text)
         except OSError as exc:
-            return f"{self._file.path} cannot be written: {exc.strerror}"
+            return f"{self._file.name} cannot be written: {exc.strerror}"
         return ""
 
     def _took(self, changes: int, failure: str) -> None:
