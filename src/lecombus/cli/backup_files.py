@@ -97,7 +97,7 @@ def save(path: Path, text: str) -> None:
             file.flush()
             os.fsync(descriptor)
         Path(name).replace(place)
-    except BaseException:
+    except BaseException:  # also when interrupted: no half of a backup is left beside it
         Path(name).unlink(missing_ok=True)
         raise
 
