@@ -10,6 +10,7 @@ import pytest
 
 from lecombus.drives import FAMILY_NAMES, StopAction
 from lecombus.errors import OperationError
+from lecombus.line.station import StepKind
 from lecombus.protocol.addressing import Code, Form, encode_code
 from lecombus.protocol.values import Value
 from lecombus.readings import DriveState
@@ -384,3 +385,23 @@ def test_a_quick_stop_whose_word_may_not_be_read_now_becomes_an_inhibit_and_does
         assert told_at_s(plant, said)[b"13"] - since_s < 0.1, "an old answer may come for 0.5 s"
 
     with_plant(test, ROSTER)
+
+
+@pytest.mark.parametrize("action", StopAction, ids=str)
+def test_the_proof_of_a_stop_waits_until_a_module_that_acknowledges_early_hears_again(
+    action: StopAction,
+) -> None:
+    async def test(plant: Plant) -> None:
+        plant.line["a"].model.params.set(1921, "1")
+        station = plant.site.requests.station
+        await plant.online(within_s=60.0)
+        await until(lambda: station("a").answers_early, within_s=60.0)
+        before, began_s = len(plant.reports), plant.now_s
+        report = await plant.site.operations.stop(action, "a")
+        assert report.outcome is Outcome.VERIFIED
+        assert plant.now_s - began_s < 1.0
+        said = [one for one in plant.reports[before:] if one.step.kind is StepKind.WRITE]
+        assert len(said) == 1
+        assert plant.line["a"].model.stop_wanted()
+
+    with_plant(test, roster_of([("a", 1, "820x")], drive=", cyclic: []"))

@@ -151,8 +151,14 @@ class StopJob:
 
     @property
     def pause_s(self) -> float:
-        """How long the line is left to others before the stop is said again, seconds."""
-        fresh = self._checking or self._step is not None or self.attempts <= self.retries
+        """How long the line is left to others before the next step, seconds.
+
+        A module that acknowledges early hears nothing until it has passed the stop on: a proof
+        asked for sooner stays without an answer, and saying the stop again begins all anew.
+        """
+        if self._checking:
+            return self.station.hold_s
+        fresh = self._step is not None or self.attempts <= self.retries
         return 0.0 if fresh else PAUSE_S
 
     def cannot_read(self) -> bool:
