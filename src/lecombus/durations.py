@@ -10,7 +10,17 @@ import re
 from decimal import Decimal
 from typing import Final
 
-__all__ = ["DurationError", "format_duration", "parse_duration"]
+__all__ = [
+    "LEAST_EXPIRY_S",
+    "LONGEST_EXPIRY_S",
+    "DurationError",
+    "format_duration",
+    "parse_duration",
+]
+
+LEAST_EXPIRY_S: Final = 0.001
+LONGEST_EXPIRY_S: Final = 3600.0
+"""How long a request may wait for its turn, for whoever says `expires`."""
 
 _UNITS: Final = {
     "ms": Decimal("0.001"), "s": Decimal(1), "min": Decimal(60), "h": Decimal(3600),

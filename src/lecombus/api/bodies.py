@@ -14,6 +14,7 @@ from typing import Annotated, ClassVar, Final
 from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema, field_validator
 
 from lecombus.drives import StopAction
+from lecombus.durations import LONGEST_EXPIRY_S
 from lecombus.schedule.request import Priority
 
 __all__ = [
@@ -40,7 +41,6 @@ EXPONENT_LIMIT: Final = 30
 
 DURATION: Final = re.compile(r"([0-9]+(?:\.[0-9]+)?)\s*(ms|s|min)")
 UNIT_S: Final = {"ms": Decimal("0.001"), "s": Decimal(1), "min": Decimal(60)}
-LONGEST_EXPIRY_S: Final = 3600
 
 RIGHT: Final[Mapping[str, str]] = {
     "value": 'a number such as 35.4 or a text such as "H0008"',

@@ -7,13 +7,19 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from decimal import Decimal
+from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
-from lecombus.durations import DurationError, parse_duration
+from lecombus.durations import (
+    LEAST_EXPIRY_S,
+    LONGEST_EXPIRY_S,
+    DurationError,
+    format_duration,
+    parse_duration,
+)
 from lecombus.errors import CodeValueError
 from lecombus.protocol import Code
 
@@ -21,6 +27,7 @@ __all__ = [
     "CODE",
     "CODES",
     "DURATION",
+    "EXPIRY",
     "VALUE",
     "CommandWithNumbers",
     "Given",
@@ -33,6 +40,9 @@ Given = int | Decimal | str
 """A value as the user gave it: a number, or text such as H0008 for the daemon to judge."""
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+MOST_DIGITS = 12
+"""No drive takes a number that is longer; one with an exponent may be a megabyte written out."""
 
 MOST_CODES = 2000
 """A whole parameter set; reading it takes some minutes."""
@@ -112,6 +122,8 @@ class _ValueType(click.ParamType[Given]):
             return Decimal(word)
         if re.fullmatch(r"[+-]?[0-9]+,[0-9]+", word, re.ASCII):
             self.fail(f"{word} has a decimal comma, write {word.replace(',', '.')}", param, ctx)
+        if re.fullmatch(r"[+-]?[0-9.]+[eE][+-]?[0-9]+", word, re.ASCII):
+            self.fail(f"{word} has an exponent, {_written_out(word)}", param, ctx)
         if not re.fullmatch(r"[HO](?:[0-9A-Fa-f]{2})+", word, re.ASCII):
             self.fail(
                 f"`{word}` is no value, write a number such as 35.4, a word such as H0008, "
@@ -120,6 +132,17 @@ class _ValueType(click.ParamType[Given]):
                 ctx,
             )
         return word[0] + word[1:].upper()
+
+
+def _written_out(word: str) -> str:
+    """Return what to write instead of a number with an exponent."""
+    try:
+        number = Decimal(word)
+    except InvalidOperation:
+        number = Decimal("NaN")
+    if not number.is_finite() or abs(number.adjusted()) > MOST_DIGITS:
+        return "write a number such as 35.4"
+    return f"write {number:f}"
 
 
 class _DurationType(click.ParamType[float]):
@@ -137,10 +160,24 @@ class _DurationType(click.ParamType[float]):
             self.fail(f"{word} {exc}", param, ctx)
 
 
+class _ExpiryType(_DurationType):
+    """How long a request may wait before it is not sent any more."""
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        seconds = super().convert(value, param, ctx)
+        if not LEAST_EXPIRY_S <= seconds <= LONGEST_EXPIRY_S:
+            right = f"{format_duration(LEAST_EXPIRY_S)} to {format_duration(LONGEST_EXPIRY_S)}"
+            self.fail(f"{value} is out of range, write {right}, such as 2s", param, ctx)
+        return seconds
+
+
 CODE = _CodeType()
 CODES = _CodesType()
 VALUE = _ValueType()
 DURATION = _DurationType()
+EXPIRY = _ExpiryType()
 
 
 def json_option(function: Function) -> Function:

@@ -6,7 +6,7 @@ from urllib.parse import quote
 
 import click
 
-from lecombus.cli.arguments import CODE, DURATION, VALUE, CommandWithNumbers, Given, daemon_options
+from lecombus.cli.arguments import CODE, EXPIRY, VALUE, CommandWithNumbers, Given, daemon_options
 from lecombus.cli.client import connect
 from lecombus.cli.reports import Document, show_group, status_of
 from lecombus.cli.write import write_document
@@ -35,7 +35,7 @@ def was_only_sent(report: Document) -> bool:
     default=None,
     help="Read it back from every member; a multicast is, unless told otherwise.",
 )
-@click.option("--expires", type=DURATION, help="Not sent any more after so long, such as 2s.")
+@click.option("--expires", type=EXPIRY, help="Not sent any more after so long, such as 2s.")
 @daemon_options
 def command(
     group: str,

@@ -6,21 +6,21 @@ import re
 
 import click
 
-from lecombus.cli.arguments import DURATION, VALUE, CommandWithNumbers, daemon_options
+from lecombus.cli.arguments import EXPIRY, VALUE, CommandWithNumbers, daemon_options
 from lecombus.cli.verbs import say
 from lecombus.cli.write import write_document
 
 __all__ = ["command"]
 
-_SPEED = re.compile(r"\0?([+-]?[0-9.,]+)\s*(.*)", re.DOTALL)
-"""A number with a unit behind it; before a negative one stands what hides it from click."""
+_SPEED = re.compile(r"\0?([+-]?[0-9.,]+(?:[eE][+-]?[0-9]+)?)\s*(.*)", re.DOTALL)
+"""A number, right or not, and a unit; before a negative one stands what hides it from click."""
 
 
 @click.command("set-speed", cls=CommandWithNumbers)
 @click.argument("drive")
 @click.argument("speed", nargs=-1, required=True, metavar="VALUE UNIT")
 @click.option("--verify", is_flag=True, help="Read it back afterwards.")
-@click.option("--expires", type=DURATION, help="Not sent any more after so long, such as 2s.")
+@click.option("--expires", type=EXPIRY, help="Not sent any more after so long, such as 2s.")
 @daemon_options
 @click.pass_context
 def command(

@@ -6,7 +6,7 @@ from urllib.parse import quote
 
 import click
 
-from lecombus.cli.arguments import CODE, DURATION, VALUE, CommandWithNumbers, Given, daemon_options
+from lecombus.cli.arguments import CODE, EXPIRY, VALUE, CommandWithNumbers, Given, daemon_options
 from lecombus.cli.client import connect
 from lecombus.cli.reports import show_write, status_of
 from lecombus.protocol import Code
@@ -36,7 +36,7 @@ def write_document(value: Given, expires: float | None, verify: bool | None) -> 
 @click.argument("code", type=CODE)
 @click.argument("value", type=VALUE)
 @click.option("--verify", is_flag=True, help="Read it back afterwards.")
-@click.option("--expires", type=DURATION, help="Not sent any more after so long, such as 2s.")
+@click.option("--expires", type=EXPIRY, help="Not sent any more after so long, such as 2s.")
 @daemon_options
 def command(
     drive: str,
