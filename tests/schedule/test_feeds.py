@@ -181,7 +181,20 @@ def test_a_drive_late_by_one_lost_answer_is_asked_again_at_once() -> None:
     world.step()
     world.silent.clear()
     world.run(0.7)
-    assert world.sent[1].at_s == pytest.approx(0.57)  # 0.02 s after the vain attempt
+    assert world.sent[1].at_s == pytest.approx(0.55)  # when the vain attempt has ended
+
+
+def test_a_drive_made_late_by_its_own_lost_answer_is_fed_before_a_setpoint_goes() -> None:
+    world = World().drives("a", "b")
+    world.feed("a", 0.5)
+    world.silent.add("a")
+    world.now_s = 0.36  # over at 0.46 s, past nine tenths; the watchdog acts at 0.5 s
+    world.step()
+    world.silent.clear()
+    setpoint = world.submit("b", P.CONTROL)
+    again, then = world.step(), world.step()
+    assert again is not None
+    assert (again.drive, then) == ("a", setpoint)
 
 
 def test_what_one_lost_answer_makes_late_is_fed_before_its_watchdog_fires() -> None:

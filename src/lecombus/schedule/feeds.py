@@ -161,7 +161,9 @@ class Feed:
             return
         spare = max(SPARE_ATTEMPTS - self.failures, 1)
         pause_s = min(left_s / 2, left_s - spare * self.worst_s)
-        self.retry_at_s = now_s + max(pause_s, RETRY_LEAST_S)
+        # One lost answer is no reason to be late: if need be it is asked again at once.
+        least_s = 0.0 if self.failures == 1 else RETRY_LEAST_S
+        self.retry_at_s = now_s + max(pause_s, least_s)
 
     def outlasts(self, now_s: float, worst_s: float) -> bool:
         """Tell whether a vain exchange with the drive would leave time to feed it afterwards.
@@ -190,12 +192,13 @@ class Feed:
 class Feeds:
     """The watchdogs of all drives of a line."""
 
-    __slots__ = ("_due_from_s", "_latest_end_s", "_spare_s", "by_drive")
+    __slots__ = ("_due_from_s", "_latest_end_s", "_left_out", "_spare_s", "by_drive")
 
     def __init__(self) -> None:
         self.by_drive: dict[str, Feed] = {}
         self._latest_end_s = math.inf  # a lower bound of L, see above
         self._due_from_s = math.inf  # a lower bound: no feed is due before
+        self._left_out = False  # some feeds were left out of the last sums
         self._spare_s: float | None = None  # see `spare_s`; None: to be computed
 
     def changed(self) -> None:
@@ -236,6 +239,7 @@ class Feeds:
     def _in_order(self, now_s: float) -> list[Feed]:
         """Sort the feeds that can still be in time by hard deadline, and count those too late."""
         found = []
+        self._left_out = False
         for feed in self.by_drive.values():
             if not feed.active:
                 continue
@@ -245,6 +249,7 @@ class Feeds:
                 found.append(feed)
             else:
                 feed.judge(now_s)
+                self._left_out = True
         found.sort(key=_hard)
         return found
 
@@ -320,6 +325,25 @@ class Feeds:
             and feed.failures < SPARE_ATTEMPTS
             and feed.free_s() <= now_s
             and now_s + feed.cost_s <= feed.fed_at_s + feed.time_s
+        ]
+        return min(found, key=_hard, default=None)
+
+    def late(self, now_s: float) -> Feed | None:
+        """Find a feed that is too late to be in time, though not for its watchdog, and may run.
+
+        It is left out of the slack check, so that nothing else would bring it forward.
+        """
+        if not self._left_out:
+            return None
+        found = [
+            feed
+            for feed in self.by_drive.values()
+            if feed.active
+            and feed.left_out
+            and feed.failures < SPARE_ATTEMPTS
+            and feed.free_s() <= now_s
+            and now_s + feed.cost_s <= feed.fed_at_s + feed.time_s
+            and self.fits(now_s, feed.cost_s, feed.drive)
         ]
         return min(found, key=_hard, default=None)
 

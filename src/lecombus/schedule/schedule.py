@@ -261,7 +261,11 @@ class Schedule:
         own = feeds.own_first(now_s, request.worst_s, request.drive)
         if own is not None:
             return to_feed(own.made())
-        if feeds.fits(now_s, request.worst_s, request.drive):
+        fits = feeds.fits(now_s, request.worst_s, request.drive)
+        late = feeds.late(now_s)
+        if late is not None:
+            return to_feed(self._feed_choice.telegram(late, now_s))
+        if fits:
             return request
         reason = feeds.never(request.worst_s, request.drive)
         if reason:
