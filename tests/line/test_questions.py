@@ -80,6 +80,33 @@ def test_a_read_in_doubt_is_said_in_the_other_form_and_then_waits() -> None:
     assert both.ask(ReadJob(station(), STATUS, 0), 0.1, urgent=True) == 0.5, "a stop's read too"
 
 
+def test_a_read_waits_for_the_form_that_is_free_first_and_no_longer() -> None:
+    doubts = Doubts(0.5)
+    where, job = Questions(TIMING, doubts), ReadJob(station(), STATUS, 0)
+    doubts.add(field(STATUS), 0.0)
+    assert ask(where, ReadJob(station(), Code(50), 0)).ask.field == field(Code(50))
+    doubts.add(field(STATUS, Form.EXTENDED), 0.2)
+    assert where.ask(job, 0.3, urgent=False) == 0.5
+    assert ask(where, job, 0.5).ask.field == field(STATUS)
+
+
+def test_a_code_only_the_extended_form_can_say_waits_for_that() -> None:
+    where, code = questions(field(Code(39, 1), Form.EXTENDED)), Code(39, 1)
+    assert where.ask(ReadJob(station(), code, 0), 0.1, urgent=False) == 0.5
+    assert ask(where, ReadJob(station(), code, 0), 0.5).ask.field == field(code, Form.EXTENDED)
+
+
+def test_a_drive_found_slow_is_given_longer_at_its_next_read() -> None:
+    one, where = station(), questions()
+    before = ask(where, ReadJob(one, STATUS, 0))
+    assert ask(where, ReadJob(one, STATUS, 0)) is before, "made once"
+    for at_s in (1.0, 2.0):
+        one.measured.note(STATUS, before.told_s, before.told_s + 0.1, at_s, write=False)
+    after = ask(where, ReadJob(one, STATUS, 0))
+    assert after.ask.first_byte_s > before.ask.first_byte_s + 0.1
+    assert after.told_s == before.told_s == one.told_s(STATUS)
+
+
 def test_a_device_with_one_form_waits_at_once() -> None:
     where = questions(field(STATUS))
     assert where.ask(ReadJob(station("generic"), STATUS, 0), 0.1, urgent=False) == 0.5

@@ -96,26 +96,6 @@ def test_without_a_window_there_are_no_doubts() -> None:
     assert not doubts.any(0.0)
 
 
-def test_a_form_is_chosen_that_no_old_answer_can_answer() -> None:
-    doubts = Doubts(0.5)
-    forms = (Form.STANDARD, Form.EXTENDED)
-    assert doubts.form_for(Code(150), forms, 0.0)[0] is Form.STANDARD
-    doubts.add(FIELD, 0.0)
-    assert doubts.form_for(Code(150), forms, 0.1)[:2] == (Form.EXTENDED, OTHER)
-    assert doubts.form_for(Code(50), forms, 0.1)[0] is Form.STANDARD
-    doubts.add(OTHER, 0.2)
-    assert doubts.form_for(Code(150), forms, 0.3) == (None, b"", 0.5)
-    assert doubts.form_for(Code(150), forms, 0.5)[0] is Form.STANDARD
-
-
-def test_a_code_only_the_extended_form_can_say_waits_for_that() -> None:
-    doubts = Doubts(0.5)
-    code = Code(39, 1)
-    doubts.add(encode_code(code, Form.EXTENDED), 0.0)
-    forms = (Form.STANDARD, Form.EXTENDED)
-    assert doubts.form_for(code, forms, 0.1) == (None, b"", 0.5)
-
-
 STATION = Station("a", 1, family("8200vector"), family("8200vector").forms)
 
 

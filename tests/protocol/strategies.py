@@ -20,7 +20,7 @@ from lecombus.protocol import (
 )
 
 addressed = st.one_of(
-    st.tuples(st.builds(Code, st.integers(0, 6229)), st.just(Form.STANDARD)),
+    st.tuples(st.integers(0, 6229).map(Code), st.just(Form.STANDARD)),
     st.tuples(st.builds(Code, st.integers(0, 65535), st.integers(0, 255)), st.just(Form.EXTENDED)),
 )
 fields = addressed.map(lambda pair: encode_code(*pair))

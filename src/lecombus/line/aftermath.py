@@ -16,6 +16,7 @@ from __future__ import annotations
 from ..protocol.exchange import Result
 from ..schedule import Request
 from .observer import ExchangeReport, Observer
+from .questions import Question
 from .station import Job, StepKind
 
 __all__ = ["Aftermath"]
@@ -28,17 +29,19 @@ class Aftermath:
 
     def __init__(self) -> None:
         self.reports: list[ExchangeReport] = []
-        self._unsettled: tuple[Request, Job, Result] | None = None
+        self._unsettled: tuple[Request, Job, Question, Result] | None = None
 
-    def report(self, request: Request, job: Job, result: Result, quarantined_s: float) -> None:
+    def report(
+        self, request: Request, job: Job, question: Question, result: Result, quarantined_s: float
+    ) -> None:
         """Keep the report of an exchange whose request is seen to."""
         self._settle()
-        self._keep(request, job, result, quarantined_s)
+        self._keep(request, job, question, result, quarantined_s)
 
-    def put_off(self, request: Request, job: Job, result: Result) -> None:
+    def put_off(self, request: Request, job: Job, question: Question, result: Result) -> None:
         """Settle a read that brought its value later."""
         self._settle()
-        self._unsettled = (request, job, result)
+        self._unsettled = (request, job, question, result)
 
     def publish(self, observer: Observer) -> None:
         """Settle the read that was put off, and tell the observer of every exchange since."""
@@ -52,30 +55,32 @@ class Aftermath:
     def _settle(self) -> None:
         if self._unsettled is None:
             return
-        request, job, result = self._unsettled
+        request, job, question, result = self._unsettled
         self._unsettled = None
-        self._keep(request, job, result, 0.0)
+        self._keep(request, job, question, result, 0.0)
         outcome = job.advance(result)
         assert outcome is not None, "a value ends a read"
         request.end(*outcome)
 
-    def _keep(self, request: Request, job: Job, result: Result, quarantined_s: float) -> None:
+    def _keep(
+        self, request: Request, job: Job, question: Question, result: Result, quarantined_s: float
+    ) -> None:
+        station, step = job.station, job.step
         if result.thought_s is not None and result.clean:
-            station, code, write = job.station, job.step.code, job.step.kind is StepKind.WRITE
             station.measured.note(
-                code, station.told_s(code, write=write), result.thought_s, result.ended_s,
-                write=write,
+                step.code, question.told_s, result.thought_s, result.ended_s,
+                write=step.kind is StepKind.WRITE,
             )  # fmt: skip
         self.reports.append(
             ExchangeReport(
                 request.drive,
-                job.step,
+                step,
                 result,
                 request.priority,
                 result.started_s - request.submitted_at_s,
                 quarantined_s,
                 request.members,
-                job.station.address,
+                station.address,
                 request.attempts,
             )
         )

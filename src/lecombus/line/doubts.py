@@ -16,10 +16,9 @@ Source: EDB2102EN 8.3 (telegrams without address in the answer), 8.3.5 (time mon
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ..protocol.addressing import Code, Form, encode_code
+from ..protocol.addressing import Code
 from ..protocol.exchange import ACK_FIELD
 from .station import Station
 
@@ -102,33 +101,6 @@ class Doubts:
         if until <= now_s:
             del self._until_s[field]
         return until
-
-    def form_for(
-        self, code: Code, forms: Sequence[Form], now_s: float
-    ) -> tuple[Form | None, bytes, float]:
-        """Choose the addressing form for a read.
-
-        Args:
-            code: The code to be read.
-            forms: The forms the drive knows, the preferred first.
-            now_s: The time.
-
-        Returns:
-            The form and its code field; or None, an empty field and the time from which a form
-            will be free.
-        """
-        free_at = float("inf")
-        for form in forms:
-            if not code.knows(form):
-                continue
-            field = encode_code(code, form)
-            if not self._until_s:
-                return form, field, now_s
-            until = self.blocked_until_s(field, now_s)
-            if until <= now_s:
-                return form, field, now_s
-            free_at = min(free_at, until)
-        return None, b"", free_at
 
     def __len__(self) -> int:
         return len(self._until_s)

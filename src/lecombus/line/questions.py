@@ -2,8 +2,8 @@
 
 Here is decided in which addressing form a step is said, what its answer must look like and how
 long to wait for it; and when it may not be said yet, because an old answer that could pass for
-its own may still come (`doubts`). Read telegrams are made once per drive, code and form, for the
-same few are said for years.
+its own may still come (`doubts`). What reads a code is made once per drive and code, for the same
+few are said for years, and again when the drive turns out to be slower.
 
 Time-outs: twice the longest response time plus the adapter's latency, from the cost model.
 Source: EDB2102EN 8.3.5; 3.5 for the times.
@@ -11,9 +11,11 @@ Source: EDB2102EN 8.3.5; 3.5 for the times.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from ..drives import Cost, LineTiming, read_cost, write_cost
+from ..drives.measured import SlowAnswers
 from ..protocol.addressing import Code, Form, encode_code
 from ..protocol.exchange import ACK_FIELD, Ask
 from ..protocol.parser import with_parity
@@ -26,7 +28,7 @@ from .station import Job, Station, Step, StepKind
 __all__ = ["Question", "Questions"]
 
 MAX_CACHED = 8192
-"""Read telegrams kept; a line has at most 90 drives with some ten codes each."""
+"""Reads whose questions are kept; a line has at most 90 drives with some ten codes each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,12 +40,22 @@ class Question:
         quarantine_s: Silence wanted after it if its answer does not come, seconds.
         hold_s: How long the drive is left alone after it, seconds.
         thinking_s: For how long nothing can arrive after it was handed over, seconds.
+        told_s: The longest that manual and roster let the drive think, seconds.
     """
 
     ask: Ask
     quarantine_s: float
     hold_s: float
     thinking_s: float
+    told_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    """The questions that read one code, one for each form that can, the preferred first."""
+
+    slow: SlowAnswers
+    questions: tuple[Question, ...]
 
 
 class Questions:
@@ -57,7 +69,7 @@ class Questions:
     def __init__(self, timing: LineTiming, doubts: Doubts) -> None:
         self._timing = timing
         self._doubts = doubts
-        self._reads: dict[tuple[Station, Code, Form, float | None], Question] = {}
+        self._reads: dict[tuple[Station, Code], _Kept] = {}
         self._parity = True
         self.gap_s = 5.0 * timing.char_s + timing.adapter_latency_s
 
@@ -85,7 +97,7 @@ class Questions:
         """
         step = job.step
         if step.kind is StepKind.READ:
-            return self._read(job, step, now_s, urgent)
+            return self._read(job, step, now_s)
         if isinstance(job, MulticastJob):
             return self._multicast(job, step)
         free_at = self._doubts.blocked_until_s(ACK_FIELD, now_s)
@@ -93,31 +105,41 @@ class Questions:
             return free_at
         return self._write(job.station, step)
 
-    def _read(self, job: Job, step: Step, now_s: float, urgent: bool) -> Question | float:
-        station = job.station
-        form, _, free_at = self._doubts.form_for(step.code, station.forms, now_s)
-        if form is not None:
-            return self._read_question(station, step.code, form)
-        if isinstance(job, ReadJob):
+    def _read(self, job: Job, step: Step, now_s: float) -> Question | float:
+        question = self._free(job.station, step.code, now_s)
+        if type(question) is float and isinstance(job, ReadJob):
             for code in job.instead:
-                form, _, _ = self._doubts.form_for(code, station.forms, now_s)
-                if form is not None:
+                other = self._free(job.station, code, now_s)
+                if isinstance(other, Question):
                     job.step = Step(StepKind.READ, code)
-                    return self._read_question(station, code, form)
-        return free_at
+                    return other
+        return question
 
-    def _read_question(self, station: Station, code: Code, form: Form) -> Question:
-        answer_s = station.answer_s(code)
-        key = (station, code, form, answer_s)
-        question = self._reads.get(key)
-        if question is None:
+    def _free(self, station: Station, code: Code, now_s: float) -> Question | float:
+        """Find the form in which a code may be read now; else the time when one may be used."""
+        free_at_s = math.inf
+        for question in self._of_read(station, code):
+            until_s = self._doubts.blocked_until_s(question.ask.field, now_s)
+            if until_s <= now_s:
+                return question
+            free_at_s = min(free_at_s, until_s)
+        return free_at_s
+
+    def _of_read(self, station: Station, code: Code) -> tuple[Question, ...]:
+        kept, slow = self._reads.get((station, code)), station.measured.slow
+        if kept is None or kept.slow is not slow:
             if len(self._reads) >= MAX_CACHED:
                 self._reads.clear()
-            cost = read_cost(self._timing, station.family, code, form, answer_s)
-            sent = self._on_the_wire(read_telegram(station.address, code, form))
-            question = self._question(sent, encode_code(code, form), cost, 0.0)
-            self._reads[key] = question
-        return question
+            forms = [form for form in station.forms if code.knows(form)]
+            kept = _Kept(slow, tuple(self._to_read(station, code, form) for form in forms))
+            self._reads[station, code] = kept
+        return kept.questions
+
+    def _to_read(self, station: Station, code: Code, form: Form) -> Question:
+        cost = read_cost(self._timing, station.family, code, form, station.answer_s(code))
+        sent = self._on_the_wire(read_telegram(station.address, code, form))
+        told_s = station.told_s(code)
+        return self._question(sent, encode_code(code, form), cost, hold_s=0.0, told_s=told_s)
 
     def _write(self, station: Station, step: Step) -> Question:
         assert step.value is not None
@@ -131,7 +153,10 @@ class Questions:
             station.answer_s(step.code, write=True),
         )
         telegram = write_telegram(station.address, step.code, step.value, form)
-        return self._question(self._on_the_wire(telegram), ACK_FIELD, cost, station.hold_s)
+        return self._question(
+            self._on_the_wire(telegram), ACK_FIELD, cost,
+            hold_s=station.hold_s, told_s=station.told_s(step.code, write=True),
+        )  # fmt: skip
 
     def _multicast(self, job: MulticastJob, step: Step) -> Question:
         """The slowest member is left its processing time before anything else is said."""
@@ -142,14 +167,16 @@ class Questions:
         request_s = write_request_chars(form, len(step.value.raw)) * char_s
         whole_s = request_s + self._timing.adapter_latency_s + job.processing_s
         ask = Ask(self._on_the_wire(telegram), b"", request_s, whole_s, whole_s, self.gap_s, char_s)
-        return Question(ask, 0.0, 0.0, request_s)
+        return Question(ask, 0.0, 0.0, request_s, 0.0)
 
-    def _question(self, sent: bytes, field: bytes, cost: Cost, hold_s: float) -> Question:
+    def _question(
+        self, sent: bytes, field: bytes, cost: Cost, *, hold_s: float, told_s: float
+    ) -> Question:
         ask = Ask(
             sent, field, cost.request_s, cost.first_byte_s, cost.whole_s, cost.gap_s,
             self._timing.char_s,
         )  # fmt: skip
-        return Question(ask, cost.worst_s - cost.whole_s, hold_s, cost.request_s)
+        return Question(ask, cost.worst_s - cost.whole_s, hold_s, cost.request_s, told_s)
 
     def _on_the_wire(self, telegram: bytes) -> bytes:
         return with_parity(telegram) if self._parity else telegram

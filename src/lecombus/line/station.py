@@ -10,8 +10,8 @@ What must not live here: the jobs themselves (`jobs`, `stop_job`).
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import Enum
-from typing import Protocol
+from enum import StrEnum
+from typing import NamedTuple, Protocol
 
 from ..drives import Family
 from ..drives.measured import MeasuredTimes, manual_s
@@ -64,7 +64,7 @@ class Station:
         return manual_s(self.family, code, write=write, answer_time_s=self.answer_time_s)
 
 
-class StepKind(Enum):
+class StepKind(StrEnum):
     """What one exchange does."""
 
     READ = "read"
@@ -72,8 +72,7 @@ class StepKind(Enum):
     MULTICAST = "multicast"
 
 
-@dataclass(frozen=True, slots=True)
-class Step:
+class Step(NamedTuple):
     """One exchange to be run: read `code`, or write `value` to it."""
 
     kind: StepKind

@@ -101,6 +101,7 @@ class LineWorker:
         self._nap = Nap(self.lateness)
         self._silence = Silence(options.turnaround_s)
         self._stall = StallWatch(options.stall_s)
+        self._stop_waiting = False
         self._closing = False
 
     # ---- what others call -------------------------------------------------------------------
@@ -127,8 +128,10 @@ class LineWorker:
         if self._connection.port is None:
             raise LineLostError(f"{self._connection.why_not()}: nothing was sent")
         self.schedule.submit(request, asyncio.get_running_loop().time())
-        if request.priority is Priority.STOP and self._under_way is not None:
-            self._rehearse()
+        if request.priority is Priority.STOP:
+            self._stop_waiting = True
+            if self._under_way is not None:
+                self._rehearse()
         self.nudge()
 
     def nudge(self) -> None:
@@ -223,6 +226,7 @@ class LineWorker:
     def _line_lost(self) -> None:
         reason = self._connection.why_not()
         self._connection.drop()
+        self._stop_waiting = False
         self._observer.line_changed(False, reason)
         self.schedule.fail_all(asyncio.get_running_loop().time(), reason)
 
@@ -235,10 +239,11 @@ class LineWorker:
                 await self._stay_quiet(now)
             ):
                 continue
-            if self._say_next(now):
+            if self._say_next(loop.time()):
                 await self._run_ends()
             else:
                 self._publish()
+                self._stop_waiting = False
                 await self._rest(now)
         self._publish()
         return not self._closing
@@ -261,12 +266,12 @@ class LineWorker:
         await self._nap.until(latest if wake_at is None else min(wake_at, latest))
 
     async def _stay_quiet(self, now: float) -> bool:
-        """Keep the turnaround, and the quarantine unless a stop goes now; True: ask again."""
+        """Keep the turnaround, and the quarantine unless a stop waits; True: ask again."""
         self._publish()
         if now < self._silence.free_at_s:
             await self._nap.until(self._silence.free_at_s, deaf=True)
             return True
-        if self.schedule.stop_goes(now):
+        if self._stop_waiting:
             return False
         await self._nap.until(self._silence.quiet_until_s)
         return True
@@ -278,6 +283,8 @@ class LineWorker:
         request = self.schedule.next(now)
         if request is None:
             return False
+        if request.priority is not Priority.STOP:
+            self._stop_waiting = False
         self._say(request, now)
         return True
 
@@ -327,7 +334,7 @@ class LineWorker:
         """Whether the telegram that was written out is the one to be said at that time."""
         return self._ready is not None and self.schedule.foreseen(at_s) is self._ready[0]
 
-    def _follow(self, request: Request, job: Job, result: Result) -> bool:
+    def _follow(self, request: Request, job: Job, question: Question, result: Result) -> bool:
         """Say what was made ready, and only then look at what the exchange before it brought.
 
         Only after a read that brought its value, for that changes nothing about what comes next.
@@ -344,8 +351,9 @@ class LineWorker:
         self.exchanges += 1
         self._silence.exchange_ended(result.ended_s)
         self._heard()
-        self._aftermath.put_off(request, job, result)
+        self._aftermath.put_off(request, job, question, result)
         self.schedule.follow(request, result.started_s, result.ended_s, now)
+        self._stop_waiting = self._stop_waiting and ready[0].priority is Priority.STOP
         self._under_way = ready
         self._begin(ready[2], now, loss)
         return True
@@ -357,7 +365,7 @@ class LineWorker:
         (request, job, question), self._under_way = self._under_way, None
 
         def conclude_and_go_on() -> None:
-            if not self._follow(request, job, result):
+            if not self._follow(request, job, question, result):
                 self._conclude(request, job, question, result)
                 self._go_on()
 
@@ -439,9 +447,9 @@ class LineWorker:
         quarantined_s = self._after(job, question, result)
         self.schedule.finished(request, result.started_s, ended + quarantined_s, answered)
         if type(result.answer) is ValueAnswer and type(job) is ReadJob:
-            self._aftermath.put_off(request, job, result)
+            self._aftermath.put_off(request, job, question, result)
             return
-        self._aftermath.report(request, job, result, quarantined_s)
+        self._aftermath.report(request, job, question, result, quarantined_s)
         if question.hold_s and answered:
             self.schedule.hold(request.drive, ended + question.hold_s, ended)
         if type(job) is MulticastJob:
@@ -450,12 +458,12 @@ class LineWorker:
         verdict = job.advance(result)
         if verdict is None:
             request.cut_outcome = job.cut_outcome
-            behind, not_before_s = False, ended
+            stop = request.priority is Priority.STOP
+            behind, pause_s = False, 0.0
             if type(job) is StopJob:
-                behind = job.goes_behind
-                if job.pause_s:  # others have it only when the silence is over
-                    not_before_s += quarantined_s + job.pause_s
-            self.schedule.again(request, ended, not_before_s, behind=behind)
+                behind, pause_s = job.goes_behind, job.pause_s
+            self.schedule.again(request, ended, ended + pause_s, behind=behind)
+            self._stop_waiting = self._stop_waiting or (stop and not pause_s)
         else:
             request.end(*verdict)
 

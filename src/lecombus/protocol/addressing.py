@@ -15,10 +15,9 @@ Code bank C0249 and input selection C0248 are deliberately absent: lecombus neve
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
-from typing import Final
+from typing import Final, NamedTuple, Self
 
 from lecombus.errors import CodeValueError
 
@@ -64,40 +63,45 @@ class Form(Enum):
     EXTENDED = "extended"
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class Code:
+class _Numbers(NamedTuple):
+    """What a code is made of."""
+
+    number: int
+    subcode: int
+
+
+class Code(_Numbers):
     """A code number with its subcode.
+
+    A tuple, for codes are the keys of all that stands behind an exchange, and nothing is hashed
+    and compared as quickly.
 
     Args:
         number: 0..65535.
         subcode: 0..255; 0 also where the code has no subcodes.
 
     Raises:
-        CodeValueError: One of them lies outside its range.
+        CodeValueError: One of them lies outside its range, which no telegram can carry.
 
     Source: EDB2102EN 8.3.1 "Code number (C1, C2)"; CMVLC401A 5.3.
     """
 
-    number: int
-    subcode: int = 0
+    __slots__ = ()
 
-    def __post_init__(self) -> None:
+    def __new__(cls, number: int, subcode: int = 0) -> Self:
         """Refuse what no telegram can carry."""
-        if not 0 <= self.number <= HIGHEST_CODE:
+        if not 0 <= number <= HIGHEST_CODE:
             raise CodeValueError(
-                f"there is no code {self.number}: codes run from 0 to {HIGHEST_CODE}",
-                code=str(self.number), value=self.number, low=0, high=HIGHEST_CODE,
+                f"there is no code {number}: codes run from 0 to {HIGHEST_CODE}",
+                code=str(number), value=number, low=0, high=HIGHEST_CODE,
             )  # fmt: skip
-        if not 0 <= self.subcode <= HIGHEST_SUBCODE:
+        if not 0 <= subcode <= HIGHEST_SUBCODE:
             raise CodeValueError(
-                f"C{self.number:04d} cannot have subcode {self.subcode}: "
+                f"C{number:04d} cannot have subcode {subcode}: "
                 f"subcodes run from 0 to {HIGHEST_SUBCODE}",
-                code=f"C{self.number:04d}", value=self.subcode, low=0, high=HIGHEST_SUBCODE,
+                code=f"C{number:04d}", value=subcode, low=0, high=HIGHEST_SUBCODE,
             )  # fmt: skip
-
-    def __hash__(self) -> int:
-        """Hash without building a tuple: codes are the keys of every store on the hot path."""
-        return self.number << 8 | self.subcode
+        return super().__new__(cls, number, subcode)
 
     def __str__(self) -> str:
         """Return `C0150`, or `C0039/1` with a subcode."""

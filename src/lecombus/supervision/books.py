@@ -136,7 +136,7 @@ class Books:
         meters = self._metrics.meters
         meters.exchange(
             report.drive,
-            report.step.kind.value,
+            report.step.kind,
             outcome,
             took_s=took_s,
             busy_s=took_s + report.quarantined_s,
