@@ -56,6 +56,9 @@ def test_a_speed_is_sent_with_its_unit(
         (["fast"], "`fast` is no speed, write it like 35 Hz or 70%"),
         (["35,4", "Hz"], "35,4 has a decimal comma, write 35.4"),
         (["1.2.3", "Hz"], "`1.2.3` is no value"),
+        (["1e1", "Hz"], "1e1 has an exponent, write 10"),
+        (["-3.5E1%"], "-3.5E1 has an exponent, write -35"),
+        (["1e99999", "Hz"], "1e99999 has an exponent, write a number such as 35.4"),
         ([], "Missing argument"),
     ],
 )

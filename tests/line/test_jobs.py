@@ -356,6 +356,20 @@ def test_a_drive_that_hears_again_after_seconds_is_stopped() -> None:
     assert (job.advance(late(value(150, "H0080"), 4.4)) or (None,))[0] is VERIFIED
 
 
+@pytest.mark.parametrize(("said", "sayings"), [(False, 2), (True, 1)])
+def test_however_late_its_turns_come_a_stop_is_said_twice_and_asked_for(
+    said: bool, sayings: int
+) -> None:
+    job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=0, said=said)
+    steps, verdict, at_s = "", None, 0.0
+    while verdict is None:
+        at_s += 60.0
+        steps += "W" if job.step.kind is StepKind.WRITE else "R"
+        verdict = job.advance(late(RESULTS["none"], at_s))
+    assert (steps.count("W"), steps[-1]) == (sayings, "R")
+    assert verdict[0] is UNKNOWN
+
+
 def test_a_stop_of_a_silent_drive_is_unknown_when_its_time_is_over() -> None:
     job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=1, patience_s=1.5)
     steps, outcome, _ = play(job, "none none none none")

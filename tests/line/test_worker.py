@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable
+from itertools import pairwise
 
 import anyio
 import pytest
@@ -78,6 +79,23 @@ def test_a_stop_breaks_the_silence_after_a_failed_exchange_and_nothing_else_does
         assert rig.sent[said].at_s - given_up_s < 0.020, "the silence would last 40 ms"
         for end in (failed, other, ended):
             await end.done.wait()
+
+    with_rig(test, retries=0)
+
+
+def test_between_two_sayings_to_a_silent_drive_others_are_spoken_to_in_turn() -> None:
+    async def test(rig: Rig) -> None:
+        rig.line.faults.absent = {2}
+        ended = stop(rig, "b")
+        while ended.outcome is None:
+            read = rig.read("a", 50)
+            await read.done.wait()
+            assert read.outcome is Outcome.DONE
+        said = [one.at_s for one in rig.sent if one.data.startswith(b"\x0402\x02400\x03")]
+        assert 10 < len(said) < 40
+        reads = [one.at_s for one in rig.sent if one.data.startswith(b"\x0401")]
+        pauses = list(pairwise(said[1:]))
+        assert all(any(a < at_s < b for at_s in reads) for a, b in pauses)
 
     with_rig(test, retries=0)
 

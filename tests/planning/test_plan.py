@@ -109,7 +109,7 @@ def test_absent_drives_take_their_share_and_leave_their_own() -> None:
 def test_the_plan_is_json_with_every_part() -> None:
     found = json.loads(json.dumps(make_plan(roster_of(3)).as_json(), allow_nan=False))
     assert set(found) == {
-        "line", "baud", "load", "exchanges", "waits", "watchdogs", "bauds", "absent",
+        "line", "baud", "load", "exchanges", "waits", "silent_stop", "watchdogs", "bauds", "absent",
     }  # fmt: skip
     assert [one["name"] for one in found["waits"]] == [
         "stop", "control", "watchdog", "interactive", "cyclic", "background",

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Sequence
 from random import Random
 
 import anyio
 
+from lecombus.config import DriveEntry
 from lecombus.drives import StopAction
 from lecombus.errors import LecombusError
 from lecombus.protocol.addressing import Code
@@ -63,7 +65,7 @@ class Clients:
         return not self._over.is_set()
 
     async def _one_thing_after_the_other(self) -> None:
-        deeds = [self._read, self._read, self._write, self._write, self._stop_one]
+        deeds = [self._read, self._read, self._write, self._write, self._stop_some]
         if self._line.kind == "quiet":
             deeds.append(self._read_idly)
         while await self._pause(0.0, 3.0):
@@ -104,24 +106,30 @@ class Clients:
         else:
             self._seen.answered(report.outcome)
 
-    async def _stop_one(self) -> None:
-        """Stop a drive that is there: stopping a silent one takes line time from all others."""
+    async def _stop_some(self) -> None:
+        """Stop a drive, there or not, or one that is there and some that are not."""
+        count = self._random.choice((1, 1, 1, 3, 10))
+        drives = self._random.sample(self._drives, len(self._drives))
         absent = self._sim.faults.absent
-        there = [drive for drive in self._drives if drive.address not in absent]
-        if not there:
-            return
-        drive = self._random.choice(there)
+        await self._stop([*drives[:1], *[d for d in drives[1:] if d.address in absent]][:count])
+
+    async def _stop(self, drives: Sequence[DriveEntry]) -> None:
         action = self._random.choice(list(StopAction))
+        async with anyio.create_task_group() as tasks:
+            for drive in drives:
+                tasks.start_soon(self._stop_one, drive.name, action)
+
+    async def _stop_one(self, drive: str, action: StopAction) -> None:
         self._seen.asked()
-        self._seen.stop_asked(drive.name)
+        self._seen.stop_asked(drive)
         try:
-            report = await self._site.operations.stop(action, drive.name)
+            report = await self._site.operations.stop(action, drive)
         except LecombusError as exc:
             self._seen.answered(type(exc).__name__)
         else:
             self._seen.answered(report.members[0].outcome)
         finally:
-            self._seen.stop_ended(drive.name)
+            self._seen.stop_ended(drive)
 
     async def _come_and_go(self) -> None:
         """Switch drives off and on, one after the other has been given up or found again."""
@@ -135,3 +143,5 @@ class Clients:
             else:
                 absent.add(drive.address)
                 self._seen.left(drive.name)
+                if self._random.random() < 0.5:  # somebody sees it and wants it stopped
+                    await self._stop([drive])

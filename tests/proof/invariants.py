@@ -4,6 +4,8 @@
 * At most one exchange is open: before a telegram the last exchange has ended.
 * Nothing overtakes a stop: from its submission on only the exchange under way, and stops, go
   before it; and it begins within what the plan promises, as `plan --from-daemon` reckons it.
+* Before a stop of a drive that is known to be silent nothing goes but stops and feeds, and every
+  telegram of it begins within what the plan promises for that.
 * Every request ends in exactly one outcome.
 * No answer is taken for another exchange's: every drive is asked for its own address.
 * On a line whose drives all answer or are away, no watchdog acts.
@@ -14,9 +16,11 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
+from dataclasses import dataclass
 
 from lecombus.line.observer import ExchangeReport
 from lecombus.planning import Plan, make_plan
+from lecombus.planning.silent_stops import PAUSE_S
 from lecombus.protocol.exchange import ResultKind
 from lecombus.schedule import Priority
 from lecombus.simulator.line import SimLine
@@ -26,7 +30,17 @@ from proof.lines import RandomLine
 _STRIPPED = bytes(range(128)) * 2
 MOST_SAID = 5
 """So many broken promises of one line are enough to look at."""
+GOES_BEFORE = {Priority.STOP, Priority.WATCHDOG}
 CLASSES = {Priority.CONTROL: "control", Priority.INTERACTIVE: "interactive"}
+
+
+@dataclass
+class _Waiting:
+    """A stop of a silent drive: since when it waits, and what others had had by then."""
+
+    since_s: float
+    others_s: float
+    others: int
 
 
 class Invariants:
@@ -44,9 +58,13 @@ class Invariants:
         self.broken: list[str] = []
         self.exchanges = 0
         self.outcomes: Counter[str] = Counter()
+        self._stopping: Counter[str] = Counter()  # stops of a drive that have not ended
         self._addresses = {drive.address: drive.name for drive in line.roster.drives}
         self._stops: dict[str, float] = {}  # drives whose stop waits unsaid: since when
-        self._said = 0  # telegrams
+        self._silent: dict[str, _Waiting] = {}  # drives whose stop waits though nobody is there
+        self._before: dict[float, str] = {}  # telegrams that went before a silent drive's stop
+        self._others_s = 0.0  # line time of stops and of exchanges that failed
+        self._others = 0
         self._asked = 0
         self._answered = 0
         self._fired: dict[str, int] = {}
@@ -90,6 +108,9 @@ class Invariants:
             return
         text = data.translate(_STRIPPED)
         name = self._addresses.get(int(text[1:3]), "")
+        waiting_silent = self._waiting_silent()
+        if waiting_silent and name not in self._silent:
+            self._before[now_s] = waiting_silent
         if self._stops and name not in self._stops:
             waiting = min(self._stops.values())
             if now_s > waiting:  # the exchange under way was said before
@@ -107,6 +128,45 @@ class Invariants:
         if waited_s > promised_s:
             self.say(f"the stop of {name} waited {waited_s:.3f} s, promised {promised_s:.3f} s")
 
+    def _waiting_silent(self) -> str:
+        """Name a silent drive whose stop could go out now, if there is one."""
+        assert self._site is not None
+        waiting = self._site.schedule._waiting
+        stops = waiting.queues[Priority.STOP].waiting()
+        return next((one.drive for one in stops if one.drive in waiting.silent), "")
+
+    def _watch_silent(self, report: ExchangeReport) -> None:
+        """Judge what went before stops of silent drives, and how long these waited."""
+        result = report.result
+        behind = self._before.pop(result.started_s, "")
+        if behind and report.priority not in GOES_BEFORE:
+            self.say(f"{report.priority.name} to {report.drive} before the stop of {behind}")
+        stop = report.priority is Priority.STOP
+        waiting = self._silent.pop(report.drive, None) if stop else None
+        if waiting is not None:
+            self._judge_silent(report.drive, waiting, result.started_s)
+        ended_s = result.ended_s + report.quarantined_s
+        answered = result.kind is ResultKind.ANSWERED
+        if stop or not answered:
+            self._others_s += ended_s - result.started_s
+            self._others += 1
+        if stop and not answered and not report.members and report.drive in self._stopping:
+            self._silent[report.drive] = _Waiting(ended_s + PAUSE_S, self._others_s, self._others)
+        elif answered:
+            self._silent.pop(report.drive, None)
+
+    def _judge_silent(self, name: str, waiting: _Waiting, now_s: float) -> None:
+        """Each of the others' stops may let a round of feeds go first, as this one does."""
+        waited_s, rounds = now_s - waiting.since_s, 1 + self._others - waiting.others
+        more_s = self._others_s - waiting.others_s
+        promised_s = self.plan.silent_stop.loaded_s * rounds + more_s
+        if waited_s > promised_s:
+            promised_s = self._plan_as_measured().silent_stop.loaded_s * rounds + more_s
+        if waited_s > promised_s:
+            self.say(
+                f"a stop of the silent {name} waited {waited_s:.3f} s, promised {promised_s:.3f} s"
+            )
+
     def _plan_as_measured(self) -> Plan:
         """Plan as `plan --from-daemon`: drives whose answers came late are waited for longer."""
         assert self._site is not None
@@ -120,6 +180,8 @@ class Invariants:
     def ended(self, report: ExchangeReport) -> None:
         """An exchange ended."""
         self.exchanges += 1
+        if self._begun:
+            self._watch_silent(report)
         name = CLASSES.get(report.priority)
         if not self._begun or name is None or self.line.kind not in {"quiet", "loaded"}:
             return
@@ -139,11 +201,21 @@ class Invariants:
 
     def stop_asked(self, drive: str) -> None:
         """A drive is to be stopped."""
-        self._stops.setdefault(drive, asyncio.get_running_loop().time())
+        assert self._site is not None
+        now_s = asyncio.get_running_loop().time()
+        self._stopping[drive] += 1
+        if drive in self._site.schedule._waiting.silent:
+            self._silent.setdefault(drive, _Waiting(now_s, self._others_s, self._others))
+        else:
+            self._stops.setdefault(drive, now_s)
 
     def stop_ended(self, drive: str) -> None:
         """The stop has its outcome; if it was never said, nobody waits for that any more."""
-        self._stops.pop(drive, None)
+        self._stopping[drive] -= 1
+        if not self._stopping[drive]:
+            del self._stopping[drive]
+            self._stops.pop(drive, None)
+            self._silent.pop(drive, None)
 
     def asked(self) -> None:
         """A request was made."""

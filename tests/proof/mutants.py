@@ -11,6 +11,8 @@ from collections.abc import Iterator
 
 from lecombus.schedule import feeds
 from lecombus.schedule.feeds import Feed, Feeds
+from lecombus.schedule.request import Request
+from lecombus.schedule.silent_stops import SilentStops
 
 __all__ = ["MUTANTS", "SEEDS", "mutated"]
 
@@ -32,16 +34,23 @@ def _no_blocking(self: Feeds, now_s: float, worst_s: float, drive: str) -> bool:
     return _fits(self, now_s, 0.0, drive)
 
 
+def _at_once(self: SilentStops, stop: Request, now_s: float) -> bool:
+    """A stop is said again and again to whom nobody answers, whatever becomes of the others."""
+    return True
+
+
 MUTANTS = {
     "no slack check": (Feeds, "fits", _no_slack_check),
     "first come instead of deadlines": (feeds, "_hard", _fed_at),
     "no blocking": (Feeds, "fits", _no_blocking),
+    "silent drives stopped at any cost": (SilentStops, "goes", _at_once),
 }
 
 SEEDS: dict[str, tuple[int, ...]] = {
     "no slack check": (5, 17),
     "first come instead of deadlines": (40,),
     "no blocking": (5, 17),
+    "silent drives stopped at any cost": (10, 50),
 }
 """Lines that show each mutant; without it they are clean."""
 

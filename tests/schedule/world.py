@@ -22,6 +22,7 @@ class Sent:
     end_s: float
     request: Request
     reached: bool
+    silent: frozenset[str] = frozenset()  # drives whose stops wait for feeds, when it began
 
 
 @dataclass
@@ -99,12 +100,12 @@ class World:
         if request is None:
             return None
         assert not request.settled
-        started_s = self.now_s
+        started_s, silent = self.now_s, frozenset(self.schedule._waiting.silent)
         if self.rehearses:
             self.schedule.rehearse(request, started_s, started_s + request.cost_s)
         reached = request.drive not in self.silent
         self.now_s += request.cost_s if reached else request.worst_s
-        self.sent.append(Sent(started_s, self.now_s, request, reached))
+        self.sent.append(Sent(started_s, self.now_s, request, reached, silent))
         self._happen()  # what comes in during the exchange comes before its end is known
         self._begun = self.schedule.foreseen(self.now_s) if self.follows and reached else None
         if self._begun is not None:

@@ -93,7 +93,26 @@ class Body(BaseModel):
     """What a key takes here, where that is not what it takes elsewhere."""
 
 
-class WriteBody(Body):
+class WaitingBody(Body):
+    """How long what is asked for may wait for its turn."""
+
+    expires: Number | None = None
+
+    @field_validator("expires")
+    @classmethod
+    def bounded(cls, value: int | Decimal | str | None) -> int | Decimal | str | None:
+        """Refuse durations out of range."""
+        if value is not None and not 0 < float(seconds_of(value)) <= LONGEST_EXPIRY_S:
+            raise ValueError(RIGHT["expires"])
+        return value
+
+    @property
+    def expires_s(self) -> float | None:
+        """How long it may wait, seconds."""
+        return None if self.expires is None else float(seconds_of(self.expires))
+
+
+class WriteBody(WaitingBody):
     """What to write, how long it may wait, and whether to read it back."""
 
     value: Annotated[Number, Field(description=RIGHT["value"])]
@@ -120,17 +139,6 @@ class WriteBody(Body):
         if not fits:
             raise ValueError(RIGHT["value"])
         return value
-
-    @field_validator("expires")
-    @classmethod
-    def bounded(cls, value: int | Decimal | str | None) -> int | Decimal | str | None:
-        """Refuse durations out of range."""
-        return in_bounds(value)
-
-    @property
-    def expires_s(self) -> float | None:
-        """How long the write may wait, seconds."""
-        return None if self.expires is None else float(seconds_of(self.expires))
 
 
 class DriveWriteBody(WriteBody):
@@ -167,24 +175,13 @@ class StopBody(Body):
     ]
 
 
-class VerbBody(Body):
+class VerbBody(WaitingBody):
     """How long a verb may wait before its first write."""
 
     expires: Annotated[
         Number | None,
         Field(description=f"Not begun any more after this: {RIGHT['expires']}"),
     ] = None
-
-    @field_validator("expires")
-    @classmethod
-    def bounded(cls, value: int | Decimal | str | None) -> int | Decimal | str | None:
-        """Refuse durations out of range."""
-        return in_bounds(value)
-
-    @property
-    def expires_s(self) -> float | None:
-        """How long the verb may wait, seconds."""
-        return None if self.expires is None else float(seconds_of(self.expires))
 
 
 class SpeedBody(VerbBody):
@@ -213,17 +210,6 @@ class AcceptBody(Body):
     """The identity that whoever accepts a drive has seen."""
 
     identity: Annotated[dict[str, str], Field(description=RIGHT["identity"])]
-
-
-def in_bounds(value: int | Decimal | str | None) -> int | Decimal | str | None:
-    """Return a duration that a request may wait.
-
-    Raises:
-        ValueError: It is none; pydantic makes a mistake of it.
-    """
-    if value is not None and not 0 < float(seconds_of(value)) <= LONGEST_EXPIRY_S:
-        raise ValueError(RIGHT["expires"])
-    return value
 
 
 class AddressBody(Body):

@@ -34,7 +34,10 @@ __all__ = [
     "daemon_options",
     "json_option",
     "roster_option",
+    "wait_option",
 ]
+
+PATIENCE_S = 60.0
 
 Given = int | Decimal | str
 """A value as the user gave it: a number, or text such as H0008 for the daemon to judge."""
@@ -195,6 +198,17 @@ def roster_option(function: Function) -> Function:
         required=True,
         type=click.Path(dir_okay=False, path_type=Path),
         help="The roster: a YAML file that describes the line.",
+    )(function)
+
+
+def wait_option(function: Function) -> Function:
+    """Give a command `--wait`: long work outlives a line that is lost."""
+    return click.option(
+        "--wait",
+        "patience_s",
+        type=DURATION,
+        default=PATIENCE_S,
+        help="How long to wait for a line or a drive that is away; default: 1min.",
     )(function)
 
 

@@ -22,7 +22,7 @@ from lecombus.backups import (
     wanted_codes,
     write_backup,
 )
-from lecombus.cli.arguments import CODES, DURATION, daemon_options
+from lecombus.cli.arguments import CODES, daemon_options, wait_option
 from lecombus.cli.backup_files import check_target, save
 from lecombus.cli.client import connect_async
 from lecombus.cli.drive_access import HttpDrive
@@ -33,8 +33,6 @@ from lecombus.protocol import Code
 from lecombus.readings import Json
 
 __all__ = ["command", "entry_json", "read_drive"]
-
-PATIENCE_S = 60.0
 
 
 @click.command("backup")
@@ -53,13 +51,7 @@ PATIENCE_S = 60.0
     metavar="CODES",
     help="Further codes, such as C0012 or C0010-C0050; what the drive does not know is left out.",
 )
-@click.option(
-    "--wait",
-    "patience_s",
-    type=DURATION,
-    default=PATIENCE_S,
-    help="How long to wait for a line or a drive that is away; default: 1min.",
-)
+@wait_option
 @click.option("--partial", is_flag=True, help="Also write what is not complete.")
 @daemon_options
 def command(

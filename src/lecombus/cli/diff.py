@@ -10,8 +10,8 @@ import anyio
 import click
 
 from lecombus.backups import Backup, Comparison, Difference, Entry, Listener, compare
-from lecombus.cli.arguments import DURATION, daemon_options
-from lecombus.cli.backup import PATIENCE_S, incomplete, read_drive
+from lecombus.cli.arguments import daemon_options, wait_option
+from lecombus.cli.backup import incomplete, read_drive
 from lecombus.cli.backup_files import load_backup
 from lecombus.cli.client import connect_async
 from lecombus.cli.drive_access import HttpDrive
@@ -34,13 +34,7 @@ SUFFIXES = (".yaml", ".yml")
     is_flag=True,
     help="Also process values, addresses and what tells drives apart.",
 )
-@click.option(
-    "--wait",
-    "patience_s",
-    type=DURATION,
-    default=PATIENCE_S,
-    help="How long to wait for a line or a drive that is away; default: 1min.",
-)
+@wait_option
 @daemon_options
 def command(
     one: str,

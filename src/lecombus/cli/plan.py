@@ -129,14 +129,18 @@ def _show(plan: Plan) -> None:
 
 def _show_waits(plan: Plan) -> None:
     click.echo()
+    rows = [
+        (one.name, _time(one.quiet_s), _time(one.loaded_s), _time(one.own_s), one.counts)
+        for one in plan.waits
+    ]
+    silent = plan.silent_stop
+    text = f"{silent.counts}; {silent.telegrams} telegrams at least"
+    times = _time(silent.quiet_s), _time(silent.loaded_s), _time(silent.attempt_s)
+    rows.insert(1, ("stop, silent drive", *times, text))
     show_rows(
-        ("class", "begins within", "under load", "own exchange", "what is counted"),
-        [
-            (one.name, _time(one.quiet_s), _time(one.loaded_s), _time(one.own_s), one.counts)
-            for one in plan.waits
-        ],
+        ("class", "begins within", "under load", "own exchange", "what is counted"), rows,
         title="how long one request waits at most",
-    )
+    )  # fmt: skip
 
 
 def _show_watchdogs(plan: Plan) -> None:

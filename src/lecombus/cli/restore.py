@@ -24,8 +24,8 @@ from lecombus.backups import (
     take,
 )
 from lecombus.backups.plan import codes_to_read
-from lecombus.cli.arguments import DURATION, daemon_options
-from lecombus.cli.backup import PATIENCE_S, incomplete
+from lecombus.cli.arguments import daemon_options, wait_option
+from lecombus.cli.backup import incomplete
 from lecombus.cli.backup_files import Notes, digest_of, read_text
 from lecombus.cli.client import connect_async
 from lecombus.cli.drive_access import HttpDrive, RestoreRights, Whose
@@ -97,13 +97,7 @@ class Seen:
     is_flag=True,
     help="Enable it at the end if it was enabled before: the motor may turn.",
 )
-@click.option(
-    "--wait",
-    "patience_s",
-    type=DURATION,
-    default=PATIENCE_S,
-    help="How long to wait for a line or a drive that is away; default: 1min.",
-)
+@wait_option
 @daemon_options
 def command(
     file: Path,

@@ -17,6 +17,7 @@ from lecombus.drives import (
     confirm_codes,
     family,
     read_cost,
+    stop_steps,
     stop_value,
     write_cost,
 )
@@ -29,6 +30,7 @@ __all__ = [
     "form_for",
     "own_longest_s",
     "read_times",
+    "stop_attempt_s",
     "stop_s",
     "watched_s",
     "write_times",
@@ -55,9 +57,11 @@ def form_for(drive: DriveEntry, code: Code) -> Form:
     return next((form for form in drive.forms if code.knows(form)), Form.EXTENDED)
 
 
-def read_times(drive: DriveEntry, code: Code, timing: LineTiming) -> Times:
-    """Give the times of reading a code."""
-    form = form_for(drive, code)
+def read_times(
+    drive: DriveEntry, code: Code, timing: LineTiming, form: Form | None = None
+) -> Times:
+    """Give the times of reading a code, in the drive's usual form if none is given."""
+    form = form or form_for(drive, code)
     of = family(drive.family)
     answer_s = drive.slow.time_s(of, code, write=False, answer_time_s=drive.answer_time_s)
     cost = read_cost(timing, of, code, form, answer_s)
@@ -65,9 +69,11 @@ def read_times(drive: DriveEntry, code: Code, timing: LineTiming) -> Times:
     return Times(cost.expected_s + pause_s, cost.whole_s + pause_s, cost.worst_s + pause_s)
 
 
-def write_times(drive: DriveEntry, code: Code, value: Value, timing: LineTiming) -> Times:
-    """Give the times of writing a code."""
-    form = form_for(drive, code)
+def write_times(
+    drive: DriveEntry, code: Code, value: Value, timing: LineTiming, form: Form | None = None
+) -> Times:
+    """Give the times of writing a code, in the drive's usual form if none is given."""
+    form = form or form_for(drive, code)
     of = family(drive.family)
     answer_s = drive.slow.time_s(of, code, write=True, answer_time_s=drive.answer_time_s)
     cost = write_cost(timing, of, code, value, form, answer_s)
@@ -112,3 +118,22 @@ def stop_s(drive: DriveEntry, timing: LineTiming) -> float:
         for action in of.stops
     ]
     return max(stops, default=0.0)
+
+
+def stop_attempt_s(drive: DriveEntry, timing: LineTiming) -> float:
+    """Give the longest that one unanswered telegram of a drive's stop holds the line, seconds.
+
+    In whatever form it is said; zero for a family that knows no stop.
+    """
+    of, found = family(drive.family), 0.0
+    for action in of.stops:
+        for code, value in stop_steps(of, action):
+            for form in drive.forms:
+                if not code.knows(form):
+                    continue
+                if value is None:
+                    times = read_times(drive, code, timing, form)
+                else:
+                    times = write_times(drive, code, value, timing, form)
+                found = max(found, times.worst_s)
+    return found

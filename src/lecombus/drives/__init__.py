@@ -43,6 +43,7 @@ from .stops import (
     knows_stop,
     needs_control_word,
     stop_confirmed,
+    stop_steps,
     stop_value,
 )
 from .texts import Language, Text
@@ -102,6 +103,7 @@ __all__ = [
     "saving_rule",
     "shifts_addressing",
     "stop_confirmed",
+    "stop_steps",
     "stop_value",
     "write_cost",
 ]

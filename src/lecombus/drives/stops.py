@@ -38,6 +38,7 @@ __all__ = [
     "knows_stop",
     "needs_control_word",
     "stop_confirmed",
+    "stop_steps",
     "stop_value",
     "usable_word",
 ]
@@ -169,6 +170,24 @@ def confirm_codes(family: Family, action: StopAction) -> tuple[Code, ...]:
         OperationError: kind `no-stop`.
     """
     return tuple(_rule(family, action).proofs)
+
+
+def stop_steps(family: Family, action: StopAction) -> list[tuple[Code, Value | None]]:
+    """List what a stop may say to a drive, whatever becomes of it.
+
+    Learning the control word, saying it, its proof, and the same for the inhibit that a quick stop
+    may become.
+
+    Returns:
+        Codes, with the value where the code is written and None where it is read.
+    """
+    found: list[tuple[Code, Value | None]] = []
+    for one in {action, StopAction.INHIBIT} & set(family.stops):
+        code, value = stop_value(family, one, 0)
+        found.extend([(code, value), (confirm_codes(family, one)[0], None)])
+        if needs_control_word(family, one):
+            found.append((code, None))
+    return found
 
 
 def stop_confirmed(family: Family, action: StopAction, code: Code, value: Value) -> bool:

@@ -46,6 +46,9 @@ __all__ = ["STOP_PATIENCE_S", "StopJob"]
 STOP_PATIENCE_S = 5.0
 """A stop is said again for this long from its first step, while its proof is missing, seconds."""
 
+LEAST_SAYINGS = 2
+"""A stop is said so often to a drive that does not answer, however long feeds keep the line."""
+
 LEAST_INHIBIT_S = 1.5
 """What an inhibit in a quick stop's place is tried for at least, seconds."""
 
@@ -54,7 +57,8 @@ UNSHOWN_S = 1.0
 seconds: with shortened response time a 820X takes a value up 230 ms later (EDB2102EN 6.3.2)."""
 
 PAUSE_S = 0.1
-"""Left to others before each attempt after the first few, seconds."""
+"""Left to others before each attempt after the first few, seconds; to a drive that is silent a
+stop is said again only when all watchdogs can be fed in time besides (`schedule.silent_stops`)."""
 
 
 class StopJob:
@@ -79,6 +83,7 @@ class StopJob:
         "_checking",
         "_failed_reads",
         "_learning",
+        "_least_sayings",
         "_naks",
         "_since_s",
         "_step",
@@ -116,6 +121,7 @@ class StopJob:
         self.error: ExchangeError | None = None
         self._since_s: float | None = None
         self._checking = said
+        self._least_sayings = LEAST_SAYINGS - said
         self._learning = False
         self._unheard = 0  # sayings in a row without an acknowledgement
         self._failed_reads = 0  # in a row
@@ -302,6 +308,7 @@ class StopJob:
         no_code = type(result.answer) is UnknownCodeAnswer
         self._turn(refused=no_code)
         unknown = no_code and self._failed_reads > 1
+        over = over and self.attempts >= self._least_sayings
         if self.attempts and (over or unknown):
             text = f"{self.action} was said but not read back: {self.error}"
             return Outcome.UNKNOWN, self._why + text

@@ -101,7 +101,6 @@ class LineWorker:
         self._nap = Nap(self.lateness)
         self._silence = Silence(options.turnaround_s)
         self._stall = StallWatch(options.stall_s)
-        self._stop_waiting = False
         self._closing = False
 
     # ---- what others call -------------------------------------------------------------------
@@ -128,10 +127,8 @@ class LineWorker:
         if self._connection.port is None:
             raise LineLostError(f"{self._connection.why_not()}: nothing was sent")
         self.schedule.submit(request, asyncio.get_running_loop().time())
-        if request.priority is Priority.STOP:
-            self._stop_waiting = True
-            if self._under_way is not None:
-                self._rehearse()
+        if request.priority is Priority.STOP and self._under_way is not None:
+            self._rehearse()
         self.nudge()
 
     def nudge(self) -> None:
@@ -226,7 +223,6 @@ class LineWorker:
     def _line_lost(self) -> None:
         reason = self._connection.why_not()
         self._connection.drop()
-        self._stop_waiting = False
         self._observer.line_changed(False, reason)
         self.schedule.fail_all(asyncio.get_running_loop().time(), reason)
 
@@ -239,11 +235,10 @@ class LineWorker:
                 await self._stay_quiet(now)
             ):
                 continue
-            if self._say_next(loop.time()):
+            if self._say_next(now):
                 await self._run_ends()
             else:
                 self._publish()
-                self._stop_waiting = False
                 await self._rest(now)
         self._publish()
         return not self._closing
@@ -266,12 +261,12 @@ class LineWorker:
         await self._nap.until(latest if wake_at is None else min(wake_at, latest))
 
     async def _stay_quiet(self, now: float) -> bool:
-        """Keep the turnaround, and the quarantine unless a stop waits; True: ask again."""
+        """Keep the turnaround, and the quarantine unless a stop goes now; True: ask again."""
         self._publish()
         if now < self._silence.free_at_s:
             await self._nap.until(self._silence.free_at_s, deaf=True)
             return True
-        if self._stop_waiting:
+        if self.schedule.stop_goes(now):
             return False
         await self._nap.until(self._silence.quiet_until_s)
         return True
@@ -283,8 +278,6 @@ class LineWorker:
         request = self.schedule.next(now)
         if request is None:
             return False
-        if request.priority is not Priority.STOP:
-            self._stop_waiting = False
         self._say(request, now)
         return True
 
@@ -353,7 +346,6 @@ class LineWorker:
         self._heard()
         self._aftermath.put_off(request, job, question, result)
         self.schedule.follow(request, result.started_s, result.ended_s, now)
-        self._stop_waiting = self._stop_waiting and ready[0].priority is Priority.STOP
         self._under_way = ready
         self._begin(ready[2], now, loss)
         return True
@@ -458,12 +450,12 @@ class LineWorker:
         verdict = job.advance(result)
         if verdict is None:
             request.cut_outcome = job.cut_outcome
-            stop = request.priority is Priority.STOP
-            behind, pause_s = False, 0.0
+            behind, not_before_s = False, ended
             if type(job) is StopJob:
-                behind, pause_s = job.goes_behind, job.pause_s
-            self.schedule.again(request, ended, ended + pause_s, behind=behind)
-            self._stop_waiting = self._stop_waiting or (stop and not pause_s)
+                behind = job.goes_behind
+                if job.pause_s:  # others have it only when the silence is over
+                    not_before_s += quarantined_s + job.pause_s
+            self.schedule.again(request, ended, not_before_s, behind=behind)
         else:
             request.end(*verdict)
 

@@ -13,7 +13,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from lecombus.drives import Cost, LineTiming, StopAction, read_cost, write_cost
+from lecombus.drives import (
+    Cost,
+    LineTiming,
+    StopAction,
+    read_cost,
+    stop_steps,
+    write_cost,
+)
 from lecombus.drives.measured import SlowAnswers
 from lecombus.errors import OperationError
 from lecombus.line.jobs import MulticastJob, ReadJob, WriteJob
@@ -189,16 +196,31 @@ class RequestMaker:
         job = StopJob(
             station, action, word=word, retries=self.retries, said=said, patience_s=patience_s
         )
-        cost = self._read_cost(station, station.family.stops[action].code)
+        usual = self._read_cost(station, station.family.stops[action].code)
         return Request(
             station.name,
             Priority.STOP,
-            cost.line_s,
-            cost.worst_s,
+            usual.line_s,
+            self._longest_stop_s(station, action) + self.timing.turnaround_s,
             self._counted(Priority.STOP, settle),
             job,
             stops=(station.name,),
         )
+
+    def _longest_stop_s(self, station: Station, action: StopAction) -> float:
+        """Give the longest that one telegram of a stop can hold the line, in whatever form."""
+        of, found = station.family, 0.0
+        for code, value in stop_steps(of, action):
+            answer_s = station.answer_s(code, write=value is not None)
+            for form in station.forms:
+                if not code.knows(form):
+                    continue
+                if value is None:
+                    cost = read_cost(self.timing, of, code, form, answer_s)
+                else:
+                    cost = write_cost(self.timing, of, code, value, form, answer_s)
+                found = max(found, cost.worst_s)
+        return found
 
     def multicast(
         self,

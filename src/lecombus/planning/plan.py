@@ -22,6 +22,7 @@ from lecombus.planning.loads import (
     baud_effects,
     load_on,
 )
+from lecombus.planning.silent_stops import SilentStop, silent_stop
 from lecombus.planning.waits import ClassWait, class_waits
 from lecombus.planning.watchdogs import WatchdogPlan, watchdog_plans
 
@@ -59,6 +60,7 @@ class Plan:
         load: What is asked of it all the time.
         exchanges: What it does again and again.
         waits: How long each class waits at most.
+        silent_stop: What a stop of a drive that does not answer is promised.
         watchdogs: Each watched drive's, and how short it could be.
         bauds: The same line at every baud rate.
         absent: The same line while drives are away.
@@ -69,6 +71,7 @@ class Plan:
     load: Load
     exchanges: tuple[PlannedExchange, ...]
     waits: tuple[ClassWait, ...]
+    silent_stop: SilentStop
     watchdogs: tuple[WatchdogPlan, ...]
     bauds: tuple[BaudEffect, ...]
     absent: tuple[AbsentEffect, ...]
@@ -107,6 +110,7 @@ def make_plan(roster: Roster, timing: LineTiming | None = None) -> Plan:
             for exchange in _exchanges(drive, roster, timing, load)
         ),
         waits=tuple(class_waits(roster, timing, longest_stop_s)),
+        silent_stop=silent_stop(roster, timing),
         watchdogs=tuple(watchdog_plans(roster, timing)),
         bauds=tuple(baud_effects(roster)),
         absent=tuple(absent_effects(roster, timing)),

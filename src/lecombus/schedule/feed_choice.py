@@ -86,6 +86,10 @@ class FeedChoice:
         entry = self._cadence.early(feed.drive, now_s)
         if entry is not None and self._serves(entry.made(), feed, now_s):
             return entry.made()
+        return self.plain(feed)
+
+    def plain(self, feed: Feed) -> Request:
+        """Make the read that does nothing but feed a drive."""
         cost_s = feed.cost_s
         request = feed.made()
         if feed.cost_s > cost_s:

@@ -403,6 +403,24 @@ class Feeds:
             earlier_s = min(earlier_s, end_by_s)
         return best or (first if broken else None)
 
+    def round_s(self) -> float:
+        """Tell how long it takes to feed every drive once, seconds."""
+        return sum(feed.cost_s for feed in self.by_drive.values()) + ROUNDING_S
+
+    def held_until_s(self, now_s: float, drive: str) -> float:
+        """Tell when the first of the other drives is left alone no longer that still can be fed.
+
+        Infinite where none is; those that do not answer their feeds do not count.
+        """
+        return min(
+            (
+                feed.held_until_s
+                for feed in self._in_order(now_s)
+                if feed.drive != drive and not feed.failures and feed.held_until_s > now_s
+            ),
+            default=math.inf,
+        )
+
     def retry_s(self, now_s: float) -> float:
         """Tell when it is worth asking again whether something fits that does not fit now."""
         least_s = min(feed.time_s for feed in self.by_drive.values())

@@ -96,6 +96,8 @@ class Rehearsal:
         self._found = None
         stop = self._waiting.stop()
         if stop is not None:
+            if stop.drive in self._waiting.silent:  # feeds may have to go before it
+                return None
             self._found = Foreseen(stop, -math.inf, self._settled_until_s())
         elif under_way is None or self._is_plain(under_way):
             self._found = self._choose(under_way, started_s, at_s)

@@ -2,7 +2,8 @@
 
 Theory of operation. `next` answers which request goes now, and marks it as under way; `finished`
 books the exchange. Both are O(log n), whatever is queued. A stop goes always, whatever its drive is
-doing (what else a stop does: waiting.py). Then come, in strict order, control, urgent feeds,
+doing (what else a stop does: waiting.py), but feeds may go before one of a silent drive
+(silent_stops.py). Then come, in strict order, control, urgent feeds,
 interactive, cyclic and background, each letting others go first as choice.py says.
 
 Whatever is chosen, a stop apart, must pass the slack check (feeds.py): it is begun only if every
@@ -34,6 +35,7 @@ from lecombus.schedule.feeds import Feed, Feeding, Feeds
 from lecombus.schedule.rehearsal import Foreseen, Rehearsal
 from lecombus.schedule.request import OUT, QUEUED, UNDER_WAY, Outcome, Priority, Request, Turn
 from lecombus.schedule.shares import Probe, Probes, Shares
+from lecombus.schedule.silent_stops import SilentStops
 from lecombus.schedule.stats import ScheduleStats, snapshot
 from lecombus.schedule.waiting import DriveState, Waiting
 
@@ -66,6 +68,7 @@ class Schedule:
         self._choice = Choice(
             self._waiting, self._feed_choice, self._cadence, self._probes, self._shares
         )
+        self._silent_stops = SilentStops(self._waiting, self._feeds, self._feed_choice)
         self._rehearsal = Rehearsal(
             self._waiting, self._feeds, self._cadence, self._probes, self._shares
         )
@@ -78,10 +81,13 @@ class Schedule:
         """Make a drive known."""
         assert name not in self._drives, f"{name} is known already"
         self._drives[name] = DriveState()
+        self._waiting.set_silent(name, silent=False)
 
     def remove_drive(self, name: str, now_s: float, reason: str) -> None:
         """Forget a drive: its waiting requests end as refused; stops still go out."""
+        silent = name in self._waiting.silent
         self.park(name, now_s, reason)
+        self._waiting.set_silent(name, silent=silent)
         self.set_feeding(name, None, now_s)
         self.set_probe(name, None, now_s)
         for entry in list(self._cadence.by_drive.pop(name, ())):
@@ -189,9 +195,10 @@ class Schedule:
         if waiting.expiries.overdue(now_s):
             waiting.expire(now_s)
         stop = waiting.stop()
-        if stop is not None:
-            return self._start(stop, now_s)
         self._more = False
+        if stop is not None:
+            first = self._silent_stops.turn(stop, now_s)
+            return None if first is None else self._start(first, now_s)
         for _ in range(REFUSE_BATCH):
             request, feeding = self._choice.first(now_s)
             if request is None:
@@ -217,6 +224,11 @@ class Schedule:
         if found is None:
             self._cadence.prepare()
         return found
+
+    def stop_goes(self, now_s: float) -> bool:
+        """Tell whether `next` would give a stop at this moment."""
+        stop = self._waiting.stop()
+        return stop is not None and self._silent_stops.goes(stop, now_s)
 
     def foreseen(self, now_s: float) -> Request | None:
         """Tell what was chosen beforehand, if that still holds."""
@@ -323,13 +335,18 @@ class Schedule:
         waiting = self._waiting
         if self._more or waiting.expiries.overdue(now_s):
             return now_s
-        times = (
-            waiting.timers[0][0] if waiting.timers else None,
-            waiting.expiries.next_s(),
-            self._cadence.next_s(),
-            self._feeds.next_s(now_s),
-            self._probes.next_s(now_s),
-        )
+        timer_s = waiting.timers[0][0] if waiting.timers else None
+        times: tuple[float | None, ...]
+        if waiting.stop() is not None:  # nothing goes before it but feeds, and none can go now
+            times = timer_s, self._silent_stops.wake_at_s
+        else:
+            times = (
+                timer_s,
+                waiting.expiries.next_s(),
+                self._cadence.next_s(),
+                self._feeds.next_s(now_s),
+                self._probes.next_s(now_s),
+            )
         return min((at_s for at_s in times if at_s is not None), default=None)
 
     # -- what the line reports --------------------------------------------------------------------
@@ -345,7 +362,12 @@ class Schedule:
         """
         if not reached:
             self._rehearsal.spoil()
+            if request.priority is Priority.STOP and not request.members:
+                self._waiting.set_silent(request.drive, silent=True)
+        elif self._waiting.silent:
+            self._waiting.set_silent(request.drive, silent=False)
         request.attempts += 1
+        request.given_s = 0.0
         request.state = OUT
         self._speaking_to = None
         self._waiting.forget_key(request)
@@ -396,6 +418,7 @@ class Schedule:
             drive.parked = reason
             return
         drive.parked = reason
+        self._waiting.set_silent(name, silent=True)
         feed = self._feeds.by_drive.get(name)
         if feed is not None:
             feed.active = False
@@ -415,6 +438,7 @@ class Schedule:
         if drive.parked is None:
             return
         drive.parked = None
+        self._waiting.set_silent(name, silent=False)
         feed = self._feeds.by_drive.get(name)
         if feed is not None:
             feed.restart(now_s)
@@ -437,8 +461,14 @@ class Schedule:
             self._release(drive, now_s)
         for feed in self._feeds.by_drive.values():
             feed.held_until_s = feed.retry_at_s = -math.inf
+        for name in [one for one in self._waiting.silent if not self._is_parked(one)]:
+            self._waiting.set_silent(name, silent=False)
         self._feeds.changed()
         self._waiting.end_all(self._waiting.listed(stops=True), Outcome.REFUSED, reason)
+
+    def _is_parked(self, name: str) -> bool:
+        drive = self._drives.get(name)
+        return drive is not None and drive.parked is not None
 
     def stats(self, now_s: float) -> ScheduleStats:
         """Take a snapshot; it begins new measures (see `stats`)."""

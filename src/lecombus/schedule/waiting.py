@@ -44,6 +44,7 @@ DEFAULT_LIMITS: Final[Mapping[Priority, int]] = {
 }
 EXPIRE_BATCH: Final = 64  # expired requests ended per choice: about 0.1 ms
 _FIRST_AHEAD: Final = -(1 << 62)  # places of requests that go ahead of their class
+_LAST: Final = 1 << 63  # added to the places of stops of silent drives: behind all others
 
 _STOPPED: Final = "stopped"
 _REPLACED: Final = "a later request took its place"
@@ -87,6 +88,7 @@ class Waiting:
 
     def __init__(self, limits: Mapping[Priority, int] | None = None) -> None:
         self.drives: dict[str, DriveState] = {}
+        self.silent: set[str] = set()  # drives that did not answer a stop, or are offline
         self.queues = tuple(ClassQueue() for _ in Priority)
         self.expiries = Expiries()
         self.timers: list[tuple[float, int, Timed]] = []
@@ -163,6 +165,8 @@ class Waiting:
     def _submit_stop(self, request: Request) -> None:
         """Take a stop, and end the motion that waits for the drives it stops."""
         self.number(request)
+        if request.drive in self.silent:
+            request.place += _LAST
         queue = self.queues[Priority.STOP]
         request.state = QUEUED
         queue.put(request)
@@ -200,14 +204,36 @@ class Waiting:
         """Give a request that comes back a place ahead of its class, or behind what waits now.
 
         Behind goes a stop that was said and has only to be proven: it must not keep the next
-        drive waiting for its own.
+        drive waiting for its own. A stop of a silent drive goes behind those of all others.
         """
-        if behind:
+        if request.priority is Priority.STOP and request.drive in self.silent:
+            self._serial += 1
+            request.place = _LAST + self._serial
+        elif behind:
             self._serial += 1
             request.place = self._serial
         else:
             self._ahead += 1
             request.place = self._ahead
+
+    def set_silent(self, name: str, *, silent: bool) -> None:
+        """Note that a drive does not answer, or does; its waiting stops go to their new places."""
+        if silent is (name in self.silent):
+            return
+        if silent:
+            self.silent.add(name)
+        else:
+            self.silent.discard(name)
+        queue = self.queues[Priority.STOP]
+        for request in self.listed(drive=name, stops=True):
+            if request.priority is not Priority.STOP or request.members:
+                continue
+            queued = request.state == QUEUED
+            if queued:
+                queue.remove(request)
+            request.place += _LAST if silent else -_LAST
+            if queued:
+                queue.put(request)
 
     def take_back(self, request: Request, until_s: float, now_s: float) -> None:
         """Take back a request that was chosen, to wait until a time and then at its place."""
@@ -356,7 +382,7 @@ class Waiting:
     # -- heads ------------------------------------------------------------------------------------
 
     def stop(self) -> Request | None:
-        """Find the first stop; nothing holds it back."""
+        """Find the first stop: no hold keeps it back, and those of silent drives are the last."""
         queue = self.queues[Priority.STOP]
         return queue.head(_never_held) if queue.depth else None
 

@@ -8,43 +8,38 @@ asked here and nothing is sent; `operations.refusals` decides what is worth a lo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from decimal import Decimal
 from enum import IntEnum, StrEnum
 from functools import cache
-from typing import Final, TypeVar
+from typing import Final
 
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 
 from ..codes import CodeInfo, Storage
 from ..document import Item, Table
-from ..readers import WORD_MAX, read_choice, read_code_number, read_flag, read_text
+from ..readers import read_choice, read_code_number, read_flag, read_text
 from ..texts import Text
-from .loading import ReadFile, link_report, open_document, packaged
+from .loading import ReadFile, link_report, packaged
 from .model import LinkReport
+from .rules import Condition, load_rules, read_condition, read_each, read_families
 
 __all__ = [
     "Cause",
     "CauseRule",
-    "Condition",
     "Happened",
     "Known",
     "Support",
     "cause_rules",
     "likely_causes",
     "load_causes",
-    "read_condition",
-    "read_each",
     "rules_for",
 ]
 
 HIGHEST_C1962: Final = 255
 HIGHEST_ERROR: Final = 15
-T = TypeVar("T")
-
-TESTS: Final = ("not_in", "in", "below", "last_digit_not", "clear", "set")
 
 
 class Happened(StrEnum):
@@ -82,37 +77,6 @@ class Support(IntEnum):
     """The manual says so of this code or value."""
     PROVEN = 5
     """A value of the drive shows it."""
-
-
-@dataclass(frozen=True, slots=True)
-class Condition:
-    """A value of the drive that makes a rule true.
-
-    Args:
-        code: Which code.
-        test: One of `TESTS`.
-        numbers: What the test compares with.
-    """
-
-    code: Code
-    test: str
-    numbers: frozenset[int]
-
-    def holds(self, value: Value | None) -> bool | None:
-        """Say whether it is so; None where the value is not known or no number."""
-        if value is None or isinstance(value.number, (str, bytes)):
-            return None
-        number = int(value.number)
-        (first, *_) = self.numbers
-        if self.test == "below":
-            return number < first
-        if self.test == "last_digit_not":
-            return number % 10 != first
-        if self.test == "clear":
-            return not number & first
-        if self.test == "set":
-            return number & first == first
-        return (number in self.numbers) == (self.test == "in")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -287,26 +251,14 @@ def load_causes(read_file: ReadFile) -> tuple[CauseRule, ...]:
     Raises:
         DescriptionError: The file is missing, or says something that cannot be.
     """
-    document = open_document("causes", read_file)
-    for _, families in document.take("families").table().pairs():
-        families.items()
-    rules: list[CauseRule] = []
-    names: set[str] = set()
-    for item in document.take("causes").items():
-        rule = _rule(item.table())
-        if rule.name in names:
-            item.fail(f"{rule.name} stands here twice")
-        names.add(rule.name)
-        rules.append(rule)
-    document.done()
-    return tuple(rules)
+    return load_rules("causes", read_file, _rule)
 
 
 def _rule(table: Table) -> CauseRule:
     value = table.get("value")
     rule = CauseRule(
         name=table.take("name").text(),
-        families=frozenset(item.text() for item in table.take("families").items()),
+        families=read_families(table),
         codes=frozenset(read_each(table.get("codes"), read_code_number)),
         happened=frozenset(read_each(table.take("happened"), lambda it: read_choice(it, Happened))),
         when=frozenset(read_each(table.get("when"), lambda it: read_choice(it, When))),
@@ -320,25 +272,6 @@ def _rule(table: Table) -> CauseRule:
     )
     table.done()
     return rule
-
-
-def read_condition(table: Table) -> Condition:
-    """Read a code and what it must read."""
-    code = read_code_number(table.take("code"))
-    given = [(test, item) for test in TESTS if (item := table.get(test)) is not None]
-    table.done()
-    if len(given) != 1:
-        table.fail(f"one of {', '.join(TESTS)} is right here")
-    ((test, item),) = given
-    items = item.items() if test in ("not_in", "in") else [item]
-    if not items:
-        item.fail("at least one number is right here")
-    return Condition(code, test, frozenset(one.integer(0, WORD_MAX) for one in items))
-
-
-def read_each(item: Item | None, read: Callable[[Item], T]) -> list[T]:
-    """Read the entries of a list that may be missing."""
-    return [read(one) for one in item.items()] if item is not None else []
 
 
 def _c1962(item: Item) -> int:

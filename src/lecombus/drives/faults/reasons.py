@@ -19,8 +19,8 @@ from ..document import Item, Table
 from ..operating import OperatingState
 from ..readers import read_choice, read_text
 from ..texts import Text
-from .causes import Condition, read_condition, read_each
-from .loading import ReadFile, open_document, packaged
+from .loading import ReadFile, packaged
+from .rules import Condition, load_rules, read_condition, read_each, read_families
 
 __all__ = ["Reason", "Weight", "asked_codes", "holding", "load_reasons", "reasons"]
 
@@ -120,23 +120,13 @@ def load_reasons(read_file: ReadFile) -> tuple[Reason, ...]:
     Raises:
         DescriptionError: The file is missing, or says something that cannot be.
     """
-    document = open_document("reasons", read_file)
-    for _, families in document.take("families").table().pairs():
-        families.items()
-    found: dict[str, Reason] = {}
-    for item in document.take("reasons").items():
-        reason = _reason(item.table())
-        if reason.name in found:
-            item.fail(f"{reason.name} stands here twice")
-        found[reason.name] = reason
-    document.done()
-    return tuple(found.values())
+    return load_rules("reasons", read_file, _reason)
 
 
 def _reason(table: Table) -> Reason:
     reason = Reason(
         name=table.take("name").text(),
-        families=frozenset(item.text() for item in table.take("families").items()),
+        families=read_families(table),
         states=_states(table.get("states")),
         not_states=_states(table.get("not_states")),
         values=tuple(read_each(table.get("values"), _condition)),

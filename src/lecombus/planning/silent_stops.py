@@ -1,0 +1,69 @@
+"""What a stop of a drive that does not answer is promised, and what it costs the others.
+
+Its first telegram is the stop class's own (`waits`), unless the drive is known to be offline. Every
+other telegram waits until the watchdogs can be fed in time besides; before it go feeds of one round
+of the line at most, and nothing else (`schedule.silent_stops`). So the bound is plain addition: the
+exchange under way, a drive that is left alone after a write, that round. It holds while the drives
+that are fed answer; other drives' stops add theirs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from lecombus.config import Roster
+from lecombus.config.exchanges import feed_times, stop_attempt_s, watched_s
+from lecombus.drives import LineTiming, family
+from lecombus.planning.waits import LATENESS_S, longest_exchange
+
+__all__ = ["PATIENCE_S", "PAUSE_S", "SilentStop", "silent_stop"]
+
+PATIENCE_S: Final = 5.0
+"""A stop is said again for so long (`line.stop_job`), seconds."""
+PAUSE_S: Final = 0.1
+"""And left to others before each telegram after the first few (`line.stop_job`), seconds."""
+LEAST_TELEGRAMS: Final = 3
+"""Said twice and asked once, however long that takes (`line.stop_job`)."""
+
+
+@dataclass(frozen=True, slots=True)
+class SilentStop:
+    """What a line promises to a stop of a drive that does not answer.
+
+    Args:
+        quiet_s: From when it may be said again until its telegram begins, nobody else asking; for
+            a drive that is offline already, from its request to the first telegram.
+        loaded_s: The same with the longest exchange under way.
+        attempt_s: What one telegram without an answer then takes at most.
+        telegrams: So many go out at least, in `PATIENCE_S` or however long they take.
+        counts: What the bounds consist of, in words.
+    """
+
+    quiet_s: float
+    loaded_s: float
+    attempt_s: float
+    telegrams: int
+    counts: str
+
+
+def silent_stop(roster: Roster, timing: LineTiming) -> SilentStop:
+    """Reckon what a stop of a silent drive is promised.
+
+    Args:
+        roster: The line.
+        timing: Its times.
+    """
+    usual = longest_exchange(roster, timing, any_code=False)
+    longest = longest_exchange(roster, timing, any_code=True)
+    watched = [drive for drive in roster.drives if watched_s(drive) is not None]
+    round_s = sum(feed_times(drive, timing).usual_s + LATENESS_S for drive in watched)
+    alone_s = max((family(drive.family).hold_after_write_s for drive in watched), default=0.0)
+    more_s = round_s + alone_s + LATENESS_S
+    attempt_s = max(stop_attempt_s(drive, timing) for drive in roster.drives)
+    loaded_s = longest.times.worst_s + more_s
+    telegrams = 1 + int(PATIENCE_S / (attempt_s + PAUSE_S + loaded_s))
+    return SilentStop(
+        usual.times.worst_s + more_s, loaded_s, attempt_s, max(telegrams, LEAST_TELEGRAMS),
+        "as above, and feeds that would come too late, one round of the line at most",
+    )  # fmt: skip

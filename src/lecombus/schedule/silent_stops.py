@@ -1,0 +1,85 @@
+"""When a stop of a drive that does not answer goes out, so that it costs no other its watchdog.
+
+A stop goes before everything, and an exchange that is not answered feeds nobody: a few of them in
+a row, and other drives act by their own watchdogs. So the first telegram of a stop waits for
+nothing, for the drive is supposed to hear it; but once a drive has not answered a stop, and from
+the beginning where it is offline, every telegram of its stops must pass the slack check, with the
+spare kept for lost answers left over (feeds.py). While it does not, the feed that stands in the
+way goes first: that read alone, nothing else.
+
+That cannot last. The feeds before one such telegram take no longer than one feed of every watched
+drive does, a round of the line; after them it goes, whatever becomes of the watchdogs, for it may
+be the one telegram that is heard. A drive that is left alone for a moment (a hold) is waited for
+if its feed stands in the way, but not one that fails to answer its feed.
+
+Whoever answers anything is no longer silent, and its stop goes first again. Which stops come
+before which stands in waiting.py.
+
+Pure: the times are arguments.
+"""
+
+from __future__ import annotations
+
+import math
+
+from lecombus.schedule.feed_choice import FeedChoice
+from lecombus.schedule.feeds import Feeds
+from lecombus.schedule.request import Request
+from lecombus.schedule.waiting import Waiting
+
+__all__ = ["SilentStops"]
+
+
+class SilentStops:
+    """Holds the stops of silent drives to the slack check.
+
+    Args:
+        waiting: Knows who is silent.
+        feeds: The watchdogs.
+        choice: Makes the telegrams that feed.
+    """
+
+    __slots__ = ("_choice", "_feeds", "_waiting", "wake_at_s")
+
+    def __init__(self, waiting: Waiting, feeds: Feeds, choice: FeedChoice) -> None:
+        self._waiting = waiting
+        self._feeds = feeds
+        self._choice = choice
+        self.wake_at_s = math.inf  # a stop waits until then for a drive that is left alone
+
+    def held(self, stop: Request) -> bool:
+        """Tell whether a stop waits for feeds at all."""
+        return stop.drive in self._waiting.silent
+
+    def goes(self, stop: Request, now_s: float) -> bool:
+        """Tell whether a stop may go now; changes nothing."""
+        if not self.held(stop):
+            return True
+        return self._feeds.fits(now_s, self._needed_s(stop), stop.drive)
+
+    def turn(self, stop: Request, now_s: float) -> Request | None:
+        """Choose what goes when a stop is the first in the queue.
+
+        Returns:
+            The stop, or the feed that goes before it; None: wait until `wake_at_s`.
+        """
+        self.wake_at_s = math.inf
+        if self.goes(stop, now_s):
+            return stop
+        feed = self._feeds.room(now_s, self._needed_s(stop), stop.drive)
+        if feed is not None and stop.given_s + feed.cost_s > self._feeds.round_s():
+            return stop
+        if feed is not None:
+            stop.given_s += feed.cost_s
+            return self._choice.plain(feed)
+        if self._feeds.fits(now_s, stop.worst_s, stop.drive):
+            return stop
+        self.wake_at_s = self._feeds.held_until_s(now_s, stop.drive)
+        return None if self.wake_at_s < math.inf else stop
+
+    def _needed_s(self, stop: Request) -> float:
+        """Tell how much slack it takes: its longest, and what is kept for lost answers."""
+        feeds = self._feeds
+        most_s, _ = feeds.most_s(stop.drive)
+        room_s = max(most_s - stop.worst_s, 0.0) / 2
+        return stop.worst_s + min(feeds.spare_s(), room_s)

@@ -1,0 +1,73 @@
+"""What a stop of a silent drive is promised, and that the daemon reckons with the same figures."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import pytest
+
+from lecombus.config import line_timing
+from lecombus.config.exchanges import feed_times, stop_attempt_s
+from lecombus.drives import StopAction, family
+from lecombus.line import stop_job
+from lecombus.line.station import Station
+from lecombus.operations.request_maker import RequestMaker, ignore_end
+from lecombus.planning import make_plan, silent_stops
+from lecombus.schedule import Priority
+from lecombus.schedule.feeds import Feed, Feeding, Feeds
+
+from .rosters import roster_of
+
+
+def test_the_plan_reckons_with_what_the_stop_does() -> None:
+    assert silent_stops.PATIENCE_S == stop_job.STOP_PATIENCE_S
+    assert silent_stops.PAUSE_S == stop_job.PAUSE_S
+    assert silent_stops.LEAST_TELEGRAMS == stop_job.LEAST_SAYINGS + 1
+
+
+@pytest.mark.parametrize("kind", ["820x", "8200vector", "93xx", "smvector"])
+def test_an_attempt_is_as_long_as_the_request_says(kind: str) -> None:
+    roster = roster_of(1, only=kind)
+    timing = line_timing(roster.line)
+    drive, of = roster.drives[0], family(kind)
+    maker = RequestMaker(timing, 2, lambda priority, outcome: None)
+    made = [
+        maker.stop(
+            Station("a", 1, of, drive.forms), action, word=lambda: None, said=False,
+            settle=ignore_end,
+        ).worst_s
+        for action in StopAction
+    ]  # fmt: skip
+    assert max(made) == pytest.approx(stop_attempt_s(drive, timing))
+
+
+def test_it_waits_for_one_round_of_feeds_and_the_exchange_under_way() -> None:
+    few, many = (
+        make_plan(roster_of(count, time="4s", baud=19200, only="93xx")) for count in (5, 25)
+    )
+    feed_s = few.watchdogs[0].feed_s
+    longer_s = many.silent_stop.quiet_s - few.silent_stop.quiet_s
+    assert longer_s == pytest.approx(20 * (feed_s + 0.002))
+    assert few.silent_stop.quiet_s < few.silent_stop.loaded_s
+    assert few.silent_stop.telegrams > many.silent_stop.telegrams > 1
+
+
+def test_the_round_is_that_of_the_running_schedule() -> None:
+    roster = roster_of(7, time="4s", baud=19200)
+    timing = line_timing(roster.line)
+    maker = RequestMaker(timing, 2, lambda priority, outcome: None)
+    feeds = Feeds()
+    for drive in roster.drives:
+        of = family(drive.family)
+        station = Station(drive.name, drive.address, of, drive.forms)
+        make = partial(maker.read, station, of.feed_code, Priority.WATCHDOG)
+        feeding = Feeding(4.0, make)
+        feeds.by_drive[drive.name] = Feed(drive.name, feeding, 0.0)
+    planned_s = sum(feed_times(drive, timing).usual_s for drive in roster.drives)
+    assert feeds.round_s() == pytest.approx(planned_s)
+
+
+def test_on_a_slow_line_at_least_three_telegrams_go_out() -> None:
+    plan = make_plan(roster_of(60, time="60s", baud=1200))
+    assert plan.silent_stop.quiet_s > silent_stops.PATIENCE_S
+    assert plan.silent_stop.telegrams == 3

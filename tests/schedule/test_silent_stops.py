@@ -1,0 +1,174 @@
+"""Stops of drives that do not answer: what goes before them, and what does not."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+
+from lecombus.schedule import Priority, Request
+from lecombus.schedule.feeds import HARD_PART
+from schedule.world import COST_S, WORST_S, World
+
+P = Priority
+
+
+def full_line(count: int = 20, time_s: float = 1.2) -> World:
+    """A line on which feeding takes a good part, with somebody who wants all the rest."""
+    world = World()
+    for number in range(count):
+        name = f"d{number}"
+        world.drives(name)
+        world.feed(name, time_s)
+    world.drives("other")
+    world.saturate(P.INTERACTIVE, ["other"])
+    return world
+
+
+def repeat(world: World, stop: Request, times: int, *, pause_s: float = 0.0) -> None:
+    """Say a stop again until it was said so often."""
+    earlier = world.after
+
+    def after(request: Request, reached: bool) -> bool:
+        if request is stop and stop.attempts < times:
+            world.schedule.again(stop, world.now_s, world.now_s + pause_s)
+            return True
+        return earlier(request, reached) if earlier is not None else False
+
+    world.after = after
+
+
+def fired(world: World, *but: str) -> list[str]:
+    feeds = world.schedule.stats(world.now_s).feeds
+    return [name for name, feed in feeds.items() if feed.lapses and name not in but]
+
+
+def test_the_first_telegram_waits_for_nothing_though_it_makes_feeds_late() -> None:
+    world = full_line()
+    world.run(5.0)
+    world.silent = {"d3"}
+    stop = world.submit("d3", P.STOP, worst_s=5.0)
+    assert world.step() is stop
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_stopping_a_silent_drive_again_and_again_costs_nobody_a_watchdog(known: bool) -> None:
+    world = full_line()
+    world.run(5.0)
+    world.silent = {"d3"}
+    if known:
+        world.schedule.park("d3", world.now_s, "silent")
+    stop = world.submit("d3", P.STOP)
+    repeat(world, stop, 40)
+    world.run(20.0)
+    assert stop.attempts == 40
+    assert fired(world, "d3") == []
+
+
+def test_without_the_slack_check_it_would_cost_watchdogs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lecombus.schedule.silent_stops.SilentStops.goes", lambda *_: True)
+    world = full_line()
+    world.run(5.0)
+    world.silent = {"d3"}
+    stop = world.submit("d3", P.STOP)
+    repeat(world, stop, 40)
+    world.run(20.0)
+    assert fired(world, "d3")
+
+
+def test_nothing_but_feeds_goes_before_a_repetition_and_no_more_than_one_for_every_drive() -> None:
+    world = full_line()
+    world.run(5.0)
+    world.silent = {"d3"}
+    world.submit("d5", P.CONTROL)
+    stop = world.submit("d3", P.STOP)
+    repeat(world, stop, 40)
+    world.run(20.0)
+    at = [number for number, sent in enumerate(world.sent) if sent.request is stop]
+    assert len(at) == 40
+    between = [world.sent[a + 1 : b] for a, b in pairwise(at)]
+    assert {sent.request.priority for some in between for sent in some} == {P.WATCHDOG}
+    assert max(len(some) for some in between) <= 20
+
+
+def test_where_no_slack_is_ever_enough_it_goes_after_one_feed_of_every_drive() -> None:
+    world = World().drives("a", "b", "c")
+    world.feed("a", 0.2)
+    world.feed("b", 0.2)
+    world.run(1.0)
+    world.silent = {"c"}
+    stop = world.submit("c", P.STOP, worst_s=3.0)
+    repeat(world, stop, 5)
+    world.run(20.0)
+    at = [number for number, sent in enumerate(world.sent) if sent.request is stop]
+    assert len(at) == 5
+    assert max(b - a - 1 for a, b in pairwise(at)) <= 2
+
+
+def test_stops_of_drives_that_answer_go_before_those_of_silent_ones() -> None:
+    world = World().drives("a", "b", "c")
+    world.schedule.park("a", 0.0, "silent")
+    silent = world.submit("a", P.STOP)
+    alive = world.submit("b", P.STOP)
+    later = world.submit("c", P.STOP)
+    assert [world.step(), world.step(), world.step()] == [alive, later, silent]
+
+
+def test_a_drive_that_answers_again_has_its_stop_said_at_once() -> None:
+    world = World().drives("a", "b")
+    world.feed("b", 1.0, worst_s=0.3)
+    world.run(0.85)
+    world.schedule.park("a", world.now_s, "silent")
+    stop = world.submit("a", P.STOP, worst_s=0.3)
+    other = world.submit("b", P.STOP, worst_s=0.3)
+    world.schedule.unpark("a", world.now_s)
+    assert world.schedule.stop_goes(world.now_s)
+    assert [world.step(), world.step()] == [stop, other]
+
+
+def test_an_answer_to_anything_ends_the_silence_of_a_drive() -> None:
+    world = World().drives("a")
+    world.silent = {"a"}
+    stop = world.submit("a", P.STOP)
+    repeat(world, stop, 2, pause_s=1.0)
+    world.step()
+    assert "a" in world.schedule._waiting.silent
+    world.silent = set()
+    world.submit("a", P.INTERACTIVE)
+    world.step()
+    assert "a" not in world.schedule._waiting.silent
+
+
+def test_a_feed_of_a_drive_that_is_left_alone_is_waited_for() -> None:
+    world = World().drives("a", "b")
+    world.feed("b", 1.0)
+    world.schedule.park("a", 0.0, "silent")
+    world.now_s = HARD_PART - WORST_S
+    world.schedule.hold("b", world.now_s + 0.05, world.now_s)
+    stop = world.submit("a", P.STOP)
+    started_s = world.now_s
+    assert world.step() is None
+    assert not world.schedule.stop_goes(world.now_s)
+    assert world.schedule.wake_at_s(world.now_s) == pytest.approx(started_s + 0.05)
+    world.run(2.0)
+    first, second = world.sent[:2]
+    assert (first.request.drive, second.request) == ("b", stop)
+    assert second.at_s == pytest.approx(started_s + 0.05 + COST_S)
+
+
+def test_a_lost_line_is_no_silence() -> None:
+    world = World().drives("a", "b")
+    world.schedule.park("b", 0.0, "silent")
+    stop = world.submit("a", P.STOP)
+    assert world.schedule.next(0.0) is stop
+    world.schedule.finished(stop, 0.0, 0.1, reached=False)
+    world.schedule.fail_all(0.1, "lost")
+    assert world.schedule._waiting.silent == {"b"}
+
+
+def test_a_multicast_is_no_drive_and_never_silent() -> None:
+    world = World().drives("a", "b")
+    shared = world.submit("all", P.STOP, stops=("a", "b"), members=("a", "b"))
+    assert world.schedule.next(0.0) is shared
+    world.schedule.finished(shared, 0.0, 0.1, reached=False)
+    assert world.schedule._waiting.silent == set()
