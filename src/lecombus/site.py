@@ -34,7 +34,7 @@ from lecombus.operations.verb_operations import VerbOperations
 from lecombus.operations.wear import Wear
 from lecombus.planning.facts import answers_of, facts_of
 from lecombus.protocol.addressing import Code
-from lecombus.readings import Json
+from lecombus.readings import DriveState, Json
 from lecombus.schedule import Cyclic, Priority, Schedule, Settle
 from lecombus.schedule.stats import ScheduleStats
 from lecombus.state import State
@@ -371,6 +371,9 @@ class Site:
             "roster": facts_of(self.roster, {one.name: one.measured.slow for one in stations}),
             "measured": self.metrics.minutes.as_json(now_s),
             "answers": answers_of({one.name: one.measured.rows() for one in stations}),
+            "away": [
+                name for name in self._entries if self.store.drive(name).state is DriveState.OFFLINE
+            ],
         }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,66 @@ def test_json_is_one_document(roster: Path, capsys: pytest.CaptureFixture[str]) 
     assert json.loads(capsys.readouterr().out)["baud"] == 9600
 
 
+def test_in_a_pipe_too_every_table_says_what_it_is(
+    roster: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["plan", "-c", str(roster)]) == 0
+    tables = dict(
+        table.split("\n", 1) for table in capsys.readouterr().out.strip().split("\n\n")[1:]
+    )
+    assert list(tables) == [
+        "how long one request waits at most", "watchdogs", "exchanges", "at other baud rates",
+        "with drives away",
+    ]  # fmt: skip
+    for rows in tables.values():
+        assert len({row.count("\t") for row in rows.splitlines()}) == 1
+    assert tables["watchdogs"].startswith("drive\twatchdog\ta feed\tleast held\t")
+
+
+def test_what_the_schedule_and_a_slow_adapter_make_of_it_is_said(
+    roster: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["plan", "-c", str(roster)]) == 0
+    out = capsys.readouterr().out
+    assert "run by the schedule: 13% of it is taken (reads 13%, feeds 0%;" in out
+    assert "if the adapter adds its 5ms to every answer: 15% is asked for, every watchdog" in out
+    slow = roster.read_text().replace('"sim:"', '"sim:", adapter_latency: 1s')
+    roster.write_text(slow)
+    assert main(["plan", "-c", str(roster)]) == 0
+    assert "not every watchdog is held: a time of" in capsys.readouterr().out
+    assert main(["check", "-c", str(roster)]) == 0
+    assert "watchdogs act if the adapter adds its 1s to every answer" in capsys.readouterr().out
+
+
+def test_the_roster_is_not_drawn_over(roster: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = roster.read_text()
+    assert main(["plan", "-c", str(roster), "--svg", str(roster)]) == 2
+    assert "is the roster" in capsys.readouterr().err
+    assert roster.read_text() == before
+
+
+def test_every_name_in_the_json_is_documented(daemon: DaemonStub, run: Run, roster: Path) -> None:
+    """Names stay: what is there stands in docs/timing.md, and what stands there is there."""
+    daemon.answers["GET /v1/plan"] = (200, json.dumps(document(roster)))
+    found: set[str] = set()
+    for words in (("--from-daemon",), ("--live",)):
+        found |= names_in(json.loads(run("plan", *words, "--json").out))
+    text = (Path(__file__).parents[2] / "docs" / "timing.md").read_text()
+    section = text.partition("## With --json\n")[2].partition("\n## ")[0]
+    told = set(re.findall(r"`([a-z_]+)(?:\[\])?`", section))
+    assert found - told == set()
+    assert told - found - {"null", "feed", "_s"} == set()
+
+
+def names_in(document: Any) -> set[str]:
+    if isinstance(document, list):
+        return set().union(*(names_in(one) for one in document))
+    if isinstance(document, dict):
+        drives = {"a", "b"}  # under `answers` the names are those of drives
+        return (set(document) - drives).union(*(names_in(one) for one in document.values()))
+    return set()
+
+
 def test_the_picture_is_written(roster: Path, tmp_path: Path) -> None:
     file = tmp_path / "line.svg"
     assert main(["plan", "-c", str(roster), "--svg", str(file)]) == 0
@@ -78,6 +139,7 @@ def test_live_says_what_is_beyond_the_promise(daemon: DaemonStub, run: Run, rost
     ran = run("plan", "--live")
     assert (ran.status, ran.err) == (0, "")
     assert "the last 120 s" in ran.out
+    assert "that is since its start" in ran.out
     assert "beyond the promise: watchdog of b: fed too late: the drive has acted" in ran.out
     assert "beyond the promise: class control: waited longer than promised" in ran.out
     assert "watchdog of a" not in ran.out
@@ -104,6 +166,9 @@ def test_from_daemon_plans_with_what_was_measured(
     other = json.loads(run("plan", "--from-daemon", "-c", str(moved), "--json").out)
     assert read_s(other, "b") == read_s(usual, "b")
     assert list(other["answers"]) == ["a"]
+    moved.write_text(moved.read_text().replace("address: 1", "address: 2"))
+    none = run("plan", "--from-daemon", "-c", str(moved))
+    assert "no drive of the roster is on the daemon's line" in none.out
 
 
 @pytest.mark.parametrize(
@@ -148,6 +213,7 @@ def document(roster: Path) -> dict[str, Any]:
         "roster": facts_of(load_roster(roster), slow),
         "measured": minutes.as_json(120.0),
         "answers": answers_of({"a": [], "b": [row]}),
+        "away": [],
     }
     found = json.loads(encode(facts))
     assert isinstance(found, dict)

@@ -28,7 +28,7 @@ def carried(plant: Plant) -> Any:
 
 def live_of(plant: Plant) -> LivePlan:
     found = carried(plant)
-    return compare(roster_of(found["roster"]), found["measured"])
+    return compare(roster_of(found["roster"]), found["measured"], found["away"])
 
 
 async def work(plant: Plant, seconds: int) -> None:
@@ -76,6 +76,24 @@ def test_a_line_that_works_keeps_what_was_promised() -> None:
     with_plant(test, written(DRIVES, drive=WATCHED))
 
 
+@pytest.mark.parametrize("every", ["2s", "10s"])
+def test_feeding_early_is_not_beyond_the_promise(every: str) -> None:
+    """Drives that are read too seldom are fed beside, and by an idle line sooner than they must."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await work(plant, 330)
+        live = live_of(plant)
+        watchdog = class_of(live, "watchdog")
+        assert watchdog.used > watchdog.load
+        assert watchdog.used <= watchdog.load_most
+        assert live.beyond == ()
+
+    cyclic = f", cyclic: [{{code: C0150, every: {every}}}]"
+    with_plant(test, written([(f"d{at}", at, "smvector") for at in range(1, 9)],
+                             drive=WATCHED + cyclic))  # fmt: skip
+
+
 def test_what_is_beyond_the_promise_is_said() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()
@@ -85,8 +103,11 @@ def test_what_is_beyond_the_promise_is_said() -> None:
         live = live_of(plant)
         said = "\n".join(live.beyond)
         assert "watchdog" not in said
-        assert " of b: seldomer than promised" in said
+        assert "drive b: does not answer" in said
+        assert " of b: " not in said
         assert " of a: " not in said
+        assert {one.verdict for one in live.codes if one.drive == "b"} == {"the drive is away"}
+        assert live.away == ("b",)
         assert live.failed > 0
         assert live.as_json()["beyond"] == list(live.beyond)
 

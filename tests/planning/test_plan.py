@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from lecombus.config import RosterError, line_timing
+from lecombus.config import RosterError, line_timing, parse_roster
 from lecombus.config.feeding import feeding_of
 from lecombus.planning import make_plan
 from lecombus.planning.picture import picture
@@ -97,6 +97,37 @@ def test_a_faster_line_is_asked_for_less_of_itself() -> None:
     assert bauds[-1].held
 
 
+def test_an_adapter_as_slow_as_it_may_be_is_reckoned_beside() -> None:
+    """Five drives within 1.35 s: not with half a second of adapter in every answer."""
+    text = "line: {name: l, port: 'sim:', baud: 19200, adapter_latency: LATENCY}\ndrives:\n"
+    text += "".join(
+        f"  - {{name: d{at}, address: {at}, family: smvector, "
+        "watchdog: {time: 1500ms, action: inhibit}}\n"
+        for at in range(1, 6)
+    )
+    slow = make_plan(parse_roster(text.replace("LATENCY", "500ms"), "r.yaml"))
+    assert slow.adapter.latency_s == 0.5
+    assert not slow.adapter.held
+    assert slow.adapter.load.total > 4.0
+    assert slow.adapter.least_s is not None
+    quick = make_plan(parse_roster(text.replace("LATENCY", "1ms"), "r.yaml"))
+    assert quick.adapter.held
+    assert quick.adapter.load.total == pytest.approx(
+        quick.load.total + 0.001 * sum(1 / one.every_s for one in quick.exchanges
+                                       if one.what != "feed"), rel=1e-3)  # fmt: skip
+
+
+def test_what_the_schedule_takes_lies_between_what_must_be_and_what_may() -> None:
+    for time, cyclic in (("2s", ""), ("2s", ", cyclic: []"), ("4s", FIVE), ("10s", FIVE)):
+        roster = roster_of(12, time=time, cyclic=cyclic)
+        load, shown = make_plan(roster).load, preview(roster, line_timing(roster.line))
+        assert shown.share("cyclic") == pytest.approx(load.cyclic, abs=0.05)
+        assert load.feeding - 0.05 <= shown.share("watchdog") <= load.feeding_most + 0.02
+
+
+FIVE = ", cyclic: [{code: C0150, every: 5s}]"
+
+
 def test_absent_drives_take_their_share_and_leave_their_own() -> None:
     plan = make_plan(roster_of(31, time="4s", baud=19200))
     assert [one.absent for one in plan.absent] == [1, 3, 10]
@@ -109,13 +140,19 @@ def test_absent_drives_take_their_share_and_leave_their_own() -> None:
 def test_the_plan_is_json_with_every_part() -> None:
     found = json.loads(json.dumps(make_plan(roster_of(3)).as_json(), allow_nan=False))
     assert set(found) == {
-        "line", "baud", "load", "exchanges", "waits", "silent_stop", "watchdogs", "bauds", "absent",
+        *("line", "baud", "load", "exchanges", "waits", "silent_stop", "watchdogs", "bauds"),
+        *("adapter", "absent"),
     }  # fmt: skip
     assert [one["name"] for one in found["waits"]] == [
         "stop", "control", "watchdog", "interactive", "cyclic", "background",
     ]  # fmt: skip
     assert found["watchdogs"][0]["verdict"]
-    assert found["load"]["total"] > 0
+    loads = [found["load"], found["adapter"]["load"], found["bauds"][0]["load"],
+             found["absent"][0]["load"]]  # fmt: skip
+    for load in loads:
+        parts = load["cyclic"] + load["feeding"] + load["probing"]
+        assert load["total"] == pytest.approx(parts, abs=2e-6)
+        assert load["stretch"] >= 1.0
 
 
 def test_the_preview_never_shows_two_at_once_and_keeps_every_deadline() -> None:
@@ -141,8 +178,39 @@ def test_the_picture_is_well_formed_and_escapes_names() -> None:
     texts = [element.text for element in tree.iter("{http://www.w3.org/2000/svg}text")]
     assert set(names) <= set(texts)
     assert "<hall> & yard" in texts
+    assert any(text and "hyperperiod of the cyclic reads: 60 s, its first 10 s" in text
+               for text in texts)  # fmt: skip
     boxes = [
         element for element in tree.iter("{http://www.w3.org/2000/svg}rect")
         if len(element)  # an exchange has a title
     ]  # fmt: skip
     assert len(boxes) == sum(1 for span in shown.spans if span.start_s < shown.length_s)
+
+
+@pytest.mark.parametrize(
+    ("every", "said", "ends"),
+    [
+        ("2s", "hyperperiod of the cyclic reads: 2 s, all of it is shown", 1),
+        ("400ms", "hyperperiod of the cyclic reads: 0.4 s, 1 s are shown", 2),
+        ("60s", "hyperperiod of the cyclic reads: 60 s, its first 10 s are shown", 0),
+        ("50ms", "hyperperiod of the cyclic reads: 0.12 s, stretched by 2.32", 8),
+    ],
+)
+def test_the_picture_says_its_hyperperiod_and_marks_its_end(
+    every: str, said: str, ends: int
+) -> None:
+    cyclic = f", cyclic: [{{code: C0150, every: {every}}}]"
+    roster = roster_of(3, time="2s", only="smvector", cyclic=cyclic)
+    shown = preview(roster, line_timing(roster.line))
+    drawn = picture("l", tuple(drive.name for drive in roster.drives), shown)
+    assert said in drawn
+    assert drawn.count('class="round"') == ends + 1  # one in the legend
+    if every != "60s":
+        assert "<title>d1, C0150: " in drawn
+
+
+def test_a_line_that_reads_nothing_has_no_hyperperiod() -> None:
+    roster = roster_of(2, time="1s", cyclic=", cyclic: []")
+    drawn = picture("l", ("d1", "d2"), preview(roster, line_timing(roster.line)))
+    assert "no cyclic reads; 1 s are shown" in drawn
+    assert ", feed: " in drawn

@@ -12,12 +12,13 @@ from lecombus.cli.arguments import daemon_options
 from lecombus.cli.client import connect
 from lecombus.cli.exits import Exit
 from lecombus.cli.plan_live import live_of, measured_roster, show_answers, show_live
-from lecombus.cli.screen import show_rows
+from lecombus.cli.screen import show_table
 from lecombus.config import Roster, line_timing, load_roster
+from lecombus.config.unheld import written_up
 from lecombus.durations import format_duration
 from lecombus.planning import Plan, make_plan
 from lecombus.planning.picture import picture
-from lecombus.planning.preview import preview
+from lecombus.planning.preview import Preview, preview
 
 __all__ = ["command"]
 
@@ -76,14 +77,15 @@ def command(
         raise click.UsageError("--socket and --url need --live or --from-daemon")
     else:
         loaded, answers = load_roster(roster), None
-    plan = make_plan(loaded)
+    plan, shown = make_plan(loaded), preview(loaded, line_timing(loaded.line))
     if svg is not None:
-        _draw(loaded, svg)
+        _draw(loaded, shown, svg, roster)
     if as_json:
         more = {} if answers is None else {"answers": answers}
-        click.echo(json.dumps(plan.as_json() | more, ensure_ascii=False))
+        run = {"run": shown.shares_as_json()}
+        click.echo(json.dumps(plan.as_json() | run | more, ensure_ascii=False))
     else:
-        _show(plan)
+        _show(plan, shown)
         if answers is not None:
             show_answers(answers)
     return Exit.DONE
@@ -103,9 +105,10 @@ def _live(
     return Exit.DONE
 
 
-def _draw(roster: Roster, file: Path) -> None:
+def _draw(roster: Roster, shown: Preview, file: Path, read_from: Path | None) -> None:
+    if read_from is not None and file.exists() and file.samefile(read_from):
+        raise click.UsageError(f"{file} is the roster: draw into another file")
     names = tuple(drive.name for drive in roster.drives)
-    shown = preview(roster, line_timing(roster.line))
     title = f"line {roster.line.name}, {roster.line.baud} baud: who speaks when"
     try:
         file.write_text(picture(title, names, shown), encoding="utf-8")
@@ -113,7 +116,7 @@ def _draw(roster: Roster, file: Path) -> None:
         raise click.UsageError(f"{file} cannot be written: {exc.strerror}") from exc
 
 
-def _show(plan: Plan) -> None:
+def _show(plan: Plan, shown: Preview) -> None:
     load = plan.load
     click.echo(
         f"line {plan.line} at {plan.baud} baud: {load.total:.0%} of it is asked for "
@@ -121,14 +124,35 @@ def _show(plan: Plan) -> None:
     )
     if load.stretch > 1.0:
         click.echo(f"that is too much: every cyclic period is stretched by {load.stretch:.2f}")
+    else:
+        reads, feeds = shown.share("cyclic"), shown.share("watchdog")
+        click.echo(
+            f"run by the schedule: {reads + feeds:.0%} of it is taken (reads {reads:.0%}, feeds "
+            f"{feeds:.0%}; a line that has time feeds early)"
+        )
+    _show_adapter(plan)
     _show_waits(plan)
     _show_watchdogs(plan)
     _show_exchanges(plan)
     _show_effects(plan)
 
 
+def _show_adapter(plan: Plan) -> None:
+    """Say what becomes of the line if the adapter is as slow as the roster lets it be."""
+    one = plan.adapter
+    verdict = "every watchdog is held"
+    if not plan.watchdogs:
+        verdict = "no watchdog is fed"
+    elif not one.held:
+        raised = "no time" if one.least_s is None else f"a time of {written_up(one.least_s)}"
+        verdict = f"not every watchdog is held: {raised} would do"
+    click.echo(
+        f"if the adapter adds its {format_duration(one.latency_s)} to every answer: "
+        f"{one.load.total:.0%} is asked for, {verdict}"
+    )
+
+
 def _show_waits(plan: Plan) -> None:
-    click.echo()
     rows = [
         (one.name, _time(one.quiet_s), _time(one.loaded_s), _time(one.own_s), one.counts)
         for one in plan.waits
@@ -137,7 +161,7 @@ def _show_waits(plan: Plan) -> None:
     text = f"{silent.counts}; {silent.telegrams} telegrams at least"
     times = _time(silent.quiet_s), _time(silent.loaded_s), _time(silent.attempt_s)
     rows.insert(1, ("stop, silent drive", *times, text))
-    show_rows(
+    show_table(
         ("class", "begins within", "under load", "own exchange", "what is counted"), rows,
         title="how long one request waits at most",
     )  # fmt: skip
@@ -146,8 +170,7 @@ def _show_waits(plan: Plan) -> None:
 def _show_watchdogs(plan: Plan) -> None:
     if not plan.watchdogs:
         return
-    click.echo()
-    show_rows(
+    show_table(
         ("drive", "watchdog", "a feed", "least held", "a drive may go", "verdict"),
         [
             (one.drive, format_duration(one.time_s), _time(one.feed_s), _time(one.least_s),
@@ -159,8 +182,7 @@ def _show_watchdogs(plan: Plan) -> None:
 
 
 def _show_exchanges(plan: Plan) -> None:
-    click.echo()
-    show_rows(
+    show_table(
         ("drive", "what", "asked every", "reached", "usual", "one failed attempt", "at most"),
         [
             (one.drive, one.what, format_duration(one.every_s), _time(one.cycle_s),
@@ -172,8 +194,7 @@ def _show_exchanges(plan: Plan) -> None:
 
 
 def _show_effects(plan: Plan) -> None:
-    click.echo()
-    show_rows(
+    show_table(
         ("baud", "asked for", "cycles", "watchdogs", "least time for all"),
         [
             (str(one.baud), f"{one.load.total:.0%}", f"x{one.load.stretch:.2f}",
@@ -183,8 +204,7 @@ def _show_effects(plan: Plan) -> None:
         title="at other baud rates",
     )  # fmt: skip
     if plan.absent:
-        click.echo()
-        show_rows(
+        show_table(
             ("absent", "asked for", "cycle rate of the others"),
             [
                 (str(one.absent), f"{one.load.total:.0%}", f"x{one.cycle_rate:.2f}")

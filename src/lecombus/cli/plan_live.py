@@ -13,11 +13,12 @@ import click
 
 from lecombus.cli.client import Answer, connect
 from lecombus.cli.exits import CommandError, Exit, Problem
-from lecombus.cli.screen import show_rows
+from lecombus.cli.screen import show_table
 from lecombus.config import DriveEntry, Roster, load_roster
 from lecombus.durations import format_duration
+from lecombus.metrics.minutes import WINDOW_S
 from lecombus.planning.facts import roster_of, slow_of
-from lecombus.planning.live import LivePlan, compare
+from lecombus.planning.live import LiveClass, LivePlan, compare
 
 __all__ = ["live_of", "measured_roster", "show_answers", "show_live"]
 
@@ -33,7 +34,7 @@ def live_of(answer: Answer) -> LivePlan:
     """
     with _understood():
         document = json.loads(answer.text)
-        return compare(roster_of(document["roster"]), document["measured"])
+        return compare(roster_of(document["roster"]), document["measured"], document["away"])
 
 
 def measured_roster(
@@ -101,11 +102,13 @@ def show_answers(answers: Answers) -> None:
         for row in of_drive
         if row["slow"]
     ]  # fmt: skip
-    click.echo()
-    if not rows:
-        click.echo("no drive answers later than its manual says")
+    if not answers:
+        click.echo("\nno drive of the roster is on the daemon's line: nothing was measured of it")
         return
-    show_rows(
+    if not rows:
+        click.echo("\nno drive answers later than its manual says")
+        return
+    show_table(
         ("drive", "code", "manual", "measured"), rows, title="answered later than the manual says"
     )
 
@@ -117,6 +120,8 @@ def show_live(live: LivePlan) -> None:
         f"line {live.line} at {live.baud} baud, the last {live.window_s:.0f} s: {live.used:.0%} of "
         f"it was taken, {live.load:.0%} is asked for all the time{slack}"
     )
+    if live.window_s < WINDOW_S:
+        click.echo("that is since its start, when drives are audited: ask again later")
     if live.failed:
         click.echo(
             f"{live.failed} exchanges were not answered; promises hold while drives answer and at "
@@ -133,24 +138,29 @@ def show_live(live: LivePlan) -> None:
 
 
 def _show_classes(live: LivePlan) -> None:
-    click.echo()
-    show_rows(
+    show_table(
         ("class", "promised", "loaded", "half within", "longest", "waits", "asked", "taken", ""),
         [
             (one.name, _time(one.quiet_s), _time(one.loaded_s), _time(one.median_s),
-             _time(one.most_s), str(one.waits), "" if one.load is None else f"{one.load:.1%}",
-             f"{one.used:.1%}", one.verdict)
+             _time(one.most_s), str(one.waits), _asked(one), f"{one.used:.1%}", one.verdict)
             for one in live.classes
         ],
         title="how long requests waited; others of the same class and above come on top",
     )  # fmt: skip
 
 
+def _asked(one: LiveClass) -> str:
+    """Say what share is asked for, and what it may become where an idle line feeds early."""
+    if one.load is None or one.load_most is None:
+        return ""
+    most = "" if one.load_most <= one.load else f" to {one.load_most:.1%}"
+    return f"{one.load:.1%}{most}"
+
+
 def _show_drives(live: LivePlan) -> None:
     if not live.drives:
         return
-    click.echo()
-    show_rows(
+    show_table(
         ("drive", "watchdog", "left, promised", "left, least", ""),
         [
             (one.drive, format_duration(one.time_s), _time(one.promised_s), _time(one.least_s),
@@ -162,8 +172,7 @@ def _show_drives(live: LivePlan) -> None:
 
 
 def _show_codes(live: LivePlan) -> None:
-    click.echo()
-    show_rows(
+    show_table(
         ("drive", "code", "asked every", "promised", "loaded", "longest gap", ""),
         [
             (one.drive, one.code, format_duration(one.asked_s), _time(one.promised_s),

@@ -2,6 +2,7 @@
 
 On a terminal a list of rows becomes a table with headings (rich is imported only then). In a pipe
 the same rows are lines of tab-separated cells without headings, so that cut and awk can use them.
+A report of several tables says which is which in a pipe, too.
 With `--json` exactly one JSON document is printed, with decimals as the daemon wrote them.
 """
 
@@ -12,7 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import click
 
-__all__ = ["age", "harmless", "mark", "on_terminal", "show_rows", "table_text"]
+__all__ = ["age", "harmless", "mark", "on_terminal", "show_rows", "show_table", "table_text"]
 
 _STYLES: Mapping[str, str] = {
     "good": "green", "online": "green", "open": "green", "done": "green", "verified": "green",
@@ -42,6 +43,22 @@ def show_rows(headings: Sequence[str], rows: Iterable[Sequence[str]], *, title: 
         return
     for row in rows:
         click.echo("\t".join(harmless(" ".join(cell.split())) for cell in row))
+
+
+def show_table(headings: Sequence[str], rows: Iterable[Sequence[str]], *, title: str) -> None:
+    """Print one of several tables: with title and headings, also in a pipe, to tell them apart.
+
+    Args:
+        headings: One for each column.
+        rows: As many cells as headings in each.
+        title: Stands above the table.
+    """
+    click.echo()
+    if on_terminal():
+        show_rows(headings, rows, title=title)
+        return
+    click.echo(title)
+    show_rows(headings, (headings, *rows))
 
 
 def table_text(value: object) -> str:

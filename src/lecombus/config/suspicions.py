@@ -17,7 +17,7 @@ from lecombus.config.borders import is_network_port
 from lecombus.config.exchanges import feed_times, read_times, watched_s
 from lecombus.config.feeding import feeding_of, least_time_s
 from lecombus.config.models import DriveEntry, LineEntry, Roster
-from lecombus.config.timing import line_timing
+from lecombus.config.timing import line_timing, with_slow_adapter
 from lecombus.config.unheld import written_up
 from lecombus.drives import LineTiming, WriteClass, family
 from lecombus.durations import format_duration
@@ -44,6 +44,7 @@ def find_warnings(roster: Roster) -> list[str]:
     found.extend(_load(roster, timing))
     found.extend(_gathered(_feeding(roster)))
     found.extend(_slow_codes(roster, timing))
+    found.extend(_adapter(roster, timing))
     found.extend(_unwatched(roster))
     found.extend(_leases(roster))
     found.extend(_gathered(text for drive in roster.drives for text in _watchdog(drive)))
@@ -122,6 +123,19 @@ def _feeding(roster: Roster) -> Iterator[tuple[str, str]]:
             outlast = "" if least_s is None else f"; {written_up(least_s)} would outlast that"
             text = f"a watchdog of {format_duration(time_s)} may act when two answers are lost"
             yield drive.name, text + outlast
+
+
+def _adapter(roster: Roster, timing: LineTiming) -> Iterator[str]:
+    """Warn of watchdogs that are held only while the adapter adds less than it may."""
+    feeding = feeding_of(roster, with_slow_adapter(timing))
+    if feeding.holds():
+        return
+    least_s = least_time_s(feeding)
+    raised = "" if least_s is None else f"{written_up(least_s)} would outlast that, or "
+    yield (
+        f"watchdogs act if the adapter adds its {format_duration(timing.adapter_latency_s)} to "
+        f"every answer: {raised}give the adapter_latency that yours really has"
+    )
 
 
 def _slow_codes(roster: Roster, timing: LineTiming) -> Iterator[str]:

@@ -5,13 +5,14 @@ The one place that knows what an adapter adds where the roster does not say.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 from lecombus.config.borders import is_network_port
 from lecombus.config.models import LineEntry
 from lecombus.drives import LineTiming
 
-__all__ = ["adapter_latency_s", "line_timing"]
+__all__ = ["adapter_latency_s", "line_timing", "with_slow_adapter"]
 
 USB_LATENCY_S: Final = 0.016
 """The latency timer of FTDI adapters as shipped; other adapters stay below."""
@@ -48,3 +49,13 @@ def line_timing(line: LineEntry) -> LineTiming:
         adapter_latency_s=latency_s,
         quarantine_s=min(line.late_answer_s, LEAST_QUARANTINE_S + 2.0 * latency_s),
     )
+
+
+def with_slow_adapter(timing: LineTiming) -> LineTiming:
+    """Give the times of a line whose adapter adds all that it may to every answer.
+
+    Usual costs count the wire and the drive only: an adapter in its low latency mode adds a
+    millisecond. What it may add stands in the time-outs, and here in the pause after each exchange.
+    """
+    pause_s = timing.turnaround_s + timing.adapter_latency_s
+    return replace(timing, turnaround_s=pause_s, adapter_latency_s=0.0)

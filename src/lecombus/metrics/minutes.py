@@ -188,13 +188,15 @@ class Minutes:
         counts = [sum(column) for column in zip(*(slot.waits for slot in lately), strict=True)]
         waits = sum(counts)
         line_s = sum(slot.line_s for slot in lately)
+        covered_s = min(window_s, WINDOW_S) if window_s < WINDOW_S else now_s - first * SLOT_S
+        most_s = max((slot.most_s for slot in lately), default=0.0)
         return {
             "exchanges": sum(slot.exchanges for slot in lately),
             "failed": sum(slot.failed for slot in lately),
-            "utilisation": rounded(line_s / window_s if window_s > 0.0 else 0.0),
+            "utilisation": rounded(line_s / covered_s if covered_s > 0.0 else 0.0),
             "waits": waits,
-            "wait_median_s": rounded(_median_s(counts)) if waits else None,
-            "wait_most_s": rounded(max(slot.most_s for slot in lately)) if waits else None,
+            "wait_median_s": rounded(min(_median_s(counts), most_s)) if waits else None,
+            "wait_most_s": rounded(most_s) if waits else None,
         }
 
 

@@ -11,7 +11,7 @@ What must not live here: how a promise is reckoned (`plan`, `waits`), how it is 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
@@ -42,6 +42,8 @@ class LiveClass:
         exchanges: How many exchanges it had.
         failed: How many of them were not answered.
         load: The share of the line that is asked for all the time; None: it is up to clients.
+        load_most: The share that it may take; more than is asked for where a line that is idle
+            feeds early. None: it is up to clients.
         used: The share of the line that it took.
     """
 
@@ -54,13 +56,15 @@ class LiveClass:
     exchanges: int
     failed: int
     load: float | None
+    load_most: float | None
     used: float
 
     @property
     def verdict(self) -> str:
         """Say how the longest wait and the load lie to what was promised."""
-        if self.load is not None and self.used > self.load + LOAD_ROOM:
-            return f"takes more of the line than promised ({self.used:.0%} of {self.load:.0%})"
+        most = self.load_most
+        if most is not None and self.used > most + LOAD_ROOM:
+            return f"takes more of the line than promised ({self.used:.0%} of {most:.0%})"
         if self.most_s is None:
             return "nothing measured"
         if self.most_s <= self.quiet_s + ROUNDING_S:
@@ -107,6 +111,7 @@ class LiveCode:
         promised_s: Its good values are promised to be no further apart, clients being quiet.
         loaded_s: The same with every lower class full, as while drives are audited.
         longest_s: The longest they were, the time since the last one included; None: never read.
+        away: The drive does not answer now; promises are for drives that do.
     """
 
     drive: str
@@ -115,10 +120,13 @@ class LiveCode:
     promised_s: float
     loaded_s: float
     longest_s: float | None
+    away: bool = False
 
     @property
     def verdict(self) -> str:
         """Say how the longest gap lies to what was promised."""
+        if self.away:
+            return "the drive is away"
         if self.longest_s is None:
             return "not read yet"
         if not math.isfinite(self.promised_s):
@@ -146,6 +154,7 @@ class LivePlan:
         classes: By class, the highest first.
         drives: The watched drives.
         codes: The cyclic codes.
+        away: The drives that do not answer now.
     """
 
     line: str
@@ -158,6 +167,7 @@ class LivePlan:
     classes: tuple[LiveClass, ...]
     drives: tuple[LiveDrive, ...]
     codes: tuple[LiveCode, ...]
+    away: tuple[str, ...] = ()
 
     @property
     def failed(self) -> int:
@@ -169,14 +179,15 @@ class LivePlan:
         """What is beyond what was promised, in words."""
         fine = {
             *("within", "within, under load", "nothing was promised", "nothing measured"),
-            *("not fed", "not read yet"),
+            *("not fed", "not read yet", "the drive is away"),
         }
         rows = [
             *((f"class {one.name}", one.verdict) for one in self.classes),
             *((f"watchdog of {one.drive}", one.verdict) for one in self.drives),
             *((f"{one.code} of {one.drive}", one.verdict) for one in self.codes),
         ]
-        return tuple(f"{what}: {verdict}" for what, verdict in rows if verdict not in fine)
+        away = tuple(f"drive {name}: does not answer" for name in self.away)
+        return away + tuple(f"{what}: {verdict}" for what, verdict in rows if verdict not in fine)
 
     def as_json(self) -> dict[str, Any]:
         """Give it for `--json`; a promise that cannot be given is null."""
@@ -190,12 +201,13 @@ class LivePlan:
         return found | {"failed": self.failed, "beyond": list(self.beyond)}
 
 
-def compare(roster: Roster, measured: Mapping[str, Any]) -> LivePlan:
+def compare(roster: Roster, measured: Mapping[str, Any], away: Collection[str] = ()) -> LivePlan:
     """Lay promise and measure side by side.
 
     Args:
         roster: The running line.
         measured: What its last minutes showed, as `Minutes.as_json` gives it.
+        away: The drives that do not answer now.
     """
     plan = make_plan(roster)
     pause_s = roster.line.turnaround_s
@@ -210,7 +222,8 @@ def compare(roster: Roster, measured: Mapping[str, Any]) -> LivePlan:
         woken_late_s=measured["scheduler_lateness_s"],
         classes=classes,
         drives=tuple(_drives(roster, measured["margins_s"])),
-        codes=tuple(_codes(roster, plan, measured["gaps_s"])),
+        codes=tuple(_codes(roster, plan, measured["gaps_s"], away)),
+        away=tuple(drive.name for drive in roster.drives if drive.name in away),
     )
 
 
@@ -218,7 +231,9 @@ def _class(wait: ClassWait, plan: Plan, measured: Mapping[str, Any], pause_s: fl
     found = measured["classes"][wait.name]
     window_s = measured["window_s"]
     pauses = found["exchanges"] * pause_s / window_s if window_s > 0.0 else 0.0
-    asked = {"cyclic": plan.load.cyclic, "watchdog": plan.load.feeding}
+    load = plan.load
+    asked = {"cyclic": load.cyclic, "watchdog": load.feeding}
+    most = {"cyclic": load.cyclic, "watchdog": load.feeding_most}
     return LiveClass(
         name=wait.name,
         quiet_s=wait.quiet_s,
@@ -229,6 +244,7 @@ def _class(wait: ClassWait, plan: Plan, measured: Mapping[str, Any], pause_s: fl
         exchanges=found["exchanges"],
         failed=found["failed"],
         load=asked.get(wait.name),
+        load_most=most.get(wait.name),
         used=found["utilisation"] + pauses,
     )
 
@@ -242,7 +258,10 @@ def _drives(roster: Roster, margins: Mapping[str, float | None]) -> list[LiveDri
 
 
 def _codes(
-    roster: Roster, plan: Plan, gaps: Mapping[str, Mapping[str, float | None]]
+    roster: Roster,
+    plan: Plan,
+    gaps: Mapping[str, Mapping[str, float | None]],
+    away: Collection[str],
 ) -> list[LiveCode]:
     """A slot may be late; that of a watched drive may also be run early, to feed it."""
     late = plan.wait("cyclic")
@@ -255,7 +274,7 @@ def _codes(
             own_s = early * period_s
             found.append(
                 LiveCode(drive.name, str(entry.code), entry.every_s, own_s + late.quiet_s,
-                         own_s + late.loaded_s, longest_s)
+                         own_s + late.loaded_s, longest_s, drive.name in away)
             )  # fmt: skip
     return found
 

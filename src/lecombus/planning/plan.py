@@ -16,9 +16,11 @@ from lecombus.config.exchanges import Times, feed_times, read_times, stop_s, wat
 from lecombus.drives import LineTiming
 from lecombus.planning.loads import (
     AbsentEffect,
+    AdapterEffect,
     BaudEffect,
     Load,
     absent_effects,
+    adapter_effect,
     baud_effects,
     load_on,
 )
@@ -63,6 +65,7 @@ class Plan:
         silent_stop: What a stop of a drive that does not answer is promised.
         watchdogs: Each watched drive's, and how short it could be.
         bauds: The same line at every baud rate.
+        adapter: The same line with an adapter that is as slow as it may be.
         absent: The same line while drives are away.
     """
 
@@ -74,6 +77,7 @@ class Plan:
     silent_stop: SilentStop
     watchdogs: tuple[WatchdogPlan, ...]
     bauds: tuple[BaudEffect, ...]
+    adapter: AdapterEffect
     absent: tuple[AbsentEffect, ...]
 
     def wait(self, name: str) -> ClassWait:
@@ -84,7 +88,11 @@ class Plan:
         """Give the plan for `--json`."""
         found = _finite(dataclasses.asdict(self))
         assert isinstance(found, dict)
-        found["load"] |= {"total": self.load.total, "stretch": self.load.stretch}
+        found["load"] = self.load.as_json()
+        found["adapter"]["load"] = self.adapter.load.as_json()
+        for name in ("bauds", "absent"):
+            for effect, row in zip(getattr(self, name), found[name], strict=True):
+                row["load"] = effect.load.as_json()
         for one, row in zip(self.watchdogs, found["watchdogs"], strict=True):
             row["verdict"] = one.verdict
         return found
@@ -113,6 +121,7 @@ def make_plan(roster: Roster, timing: LineTiming | None = None) -> Plan:
         silent_stop=silent_stop(roster, timing),
         watchdogs=tuple(watchdog_plans(roster, timing)),
         bauds=tuple(baud_effects(roster)),
+        adapter=adapter_effect(roster, timing),
         absent=tuple(absent_effects(roster, timing)),
     )
 

@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from lecombus.config import Roster
 from lecombus.config.exchanges import Times, feed_times, read_times, watched_s
 from lecombus.drives import LineTiming
+from lecombus.planning.loads import load_on
 from lecombus.schedule import Cyclic, Feeding, Outcome, Priority, Request, Schedule
 from lecombus.schedule.feeds import HARD_PART
 
-__all__ = ["Preview", "Span", "preview"]
+__all__ = ["Preview", "Span", "hyperperiod_s", "preview"]
 
 LONGEST_S: Final = 10.0
 """More than this is not seen in a picture."""
@@ -33,12 +34,14 @@ class Span:
     Args:
         drive: With whom.
         kind: `cyclic` or `watchdog`.
+        what: The code that is read; for a feed beside the cyclic reads, `feed`.
         start_s: When it begins, seconds from the picture's left.
         end_s: When the line is free again.
     """
 
     drive: str
     kind: str
+    what: str
     start_s: float
     end_s: float
 
@@ -49,13 +52,32 @@ class Preview:
 
     Args:
         length_s: How long it is: the hyperperiod of the cyclic reads, within bounds.
+        whole_s: That hyperperiod itself, stretched as the reads are; 0: nothing is read cyclically.
+        stretch: By how much the cyclic periods are stretched; 1: not.
         spans: The exchanges, in order.
         deadlines: For each watched drive, when its feed has to be over.
     """
 
     length_s: float
+    whole_s: float
+    stretch: float
     spans: tuple[Span, ...]
     deadlines: dict[str, tuple[float, ...]]
+
+    def share(self, kind: str) -> float:
+        """Give the share of the line that exchanges of a kind take in that stretch."""
+        taken_s = sum(
+            min(span.end_s, self.length_s) - span.start_s
+            for span in self.spans
+            if span.kind == kind and span.start_s < self.length_s
+        )
+        return taken_s / self.length_s
+
+    def shares_as_json(self) -> dict[str, float]:
+        """Give what the exchanges take, for `--json`."""
+        shares = {"cyclic": self.share("cyclic"), "feeding": self.share("watchdog")}
+        found = shares | {"total": sum(shares.values()), "hyperperiod_s": self.whole_s}
+        return {name: round(value, 6) for name, value in found.items()}
 
 
 def preview(roster: Roster, timing: LineTiming) -> Preview:
@@ -65,18 +87,22 @@ def preview(roster: Roster, timing: LineTiming) -> Preview:
         schedule.add_drive(drive.name)
         for entry in drive.cyclic:
             times = read_times(drive, entry.code, timing)
-            make = _maker(drive.name, Priority.CYCLIC, times)
+            make = _maker(drive.name, Priority.CYCLIC, times, str(entry.code))
             schedule.add_cyclic(Cyclic(drive.name, entry.every_s, make), 0.0)
         time_s = watched_s(drive)
         if time_s is not None:
-            make = _maker(drive.name, Priority.WATCHDOG, feed_times(drive, timing))
+            make = _maker(drive.name, Priority.WATCHDOG, feed_times(drive, timing), "feed")
             schedule.set_feeding(drive.name, Feeding(time_s, make), 0.0)
-    length_s = _length_s(roster)
-    return _cut(_run(schedule, SETTLED_S + length_s), roster, length_s)
+    stretch = load_on(roster.drives, timing).stretch
+    whole_s = hyperperiod_s(roster) * stretch
+    length_s = min(max(whole_s, SHORTEST_S), LONGEST_S)
+    spans = _run(schedule, SETTLED_S + length_s)
+    shown = [_moved(one) for one in spans if one.end_s > SETTLED_S]
+    return Preview(length_s, whole_s, stretch, tuple(shown), _due(spans, roster, length_s))
 
 
-def _maker(drive: str, priority: Priority, times: Times) -> Callable[[], Request]:
-    return lambda: Request(drive, priority, times.usual_s, times.worst_s, _ended)
+def _maker(drive: str, priority: Priority, times: Times, what: str) -> Callable[[], Request]:
+    return lambda: Request(drive, priority, times.usual_s, times.worst_s, _ended, work=what)
 
 
 def _ended(outcome: Outcome, reason: str) -> None:
@@ -96,34 +122,33 @@ def _run(schedule: Schedule, until_s: float) -> list[Span]:
             continue
         end_s = now_s + request.cost_s
         kind = "watchdog" if request.priority is Priority.WATCHDOG else "cyclic"
-        spans.append(Span(request.drive, kind, now_s, end_s))
+        spans.append(Span(request.drive, kind, str(request.work), now_s, end_s))
         schedule.finished(request, now_s, end_s, reached=True)
         request.end(Outcome.DONE)
         now_s = end_s
     return spans
 
 
-def _cut(spans: list[Span], roster: Roster, length_s: float) -> Preview:
-    """Take the stretch after the start has settled, and the deadlines that fall into it."""
-    deadlines: dict[str, list[float]] = {}
+def _moved(span: Span) -> Span:
+    """Reckon from the picture's left; what was under way then is shown from there on."""
+    return replace(span, start_s=max(span.start_s - SETTLED_S, 0.0), end_s=span.end_s - SETTLED_S)
+
+
+def _due(spans: list[Span], roster: Roster, length_s: float) -> dict[str, tuple[float, ...]]:
+    """Find the deadlines that fall into the picture, also those that were set before it."""
     hard_s = {
         drive.name: HARD_PART * time_s for drive in roster.drives if (time_s := watched_s(drive))
     }
+    due: dict[str, list[float]] = {}
     for span in spans:
         if span.drive in hard_s:
             at_s = span.start_s + hard_s[span.drive] - SETTLED_S
             if 0.0 <= at_s <= length_s:
-                deadlines.setdefault(span.drive, []).append(at_s)
-    shown = tuple(
-        Span(one.drive, one.kind, one.start_s - SETTLED_S, one.end_s - SETTLED_S)
-        for one in spans
-        if one.start_s >= SETTLED_S
-    )
-    return Preview(length_s, shown, {name: tuple(times) for name, times in deadlines.items()})
+                due.setdefault(span.drive, []).append(at_s)
+    return {name: tuple(times) for name, times in due.items()}
 
 
-def _length_s(roster: Roster) -> float:
-    """The hyperperiod: after it everything comes again in the same order."""
+def hyperperiod_s(roster: Roster) -> float:
+    """Give the time after which the cyclic reads come again in the same order; 0: none."""
     periods = {round(entry.every_s * 1000) for drive in roster.drives for entry in drive.cyclic}
-    whole_ms = math.lcm(*periods) if periods else 0
-    return min(max(whole_ms / 1000, SHORTEST_S), LONGEST_S)
+    return math.lcm(*periods) / 1000 if periods else 0.0
