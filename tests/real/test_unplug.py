@@ -85,8 +85,8 @@ def pull_again_and_again(
     # A read is never refused by a drive; what waited for a lost line says that it was that.
     assert traffic.ends["fresh"].statuses.keys() <= {200, 503, 504}, said
     assert {200, 503} <= traffic.ends["fresh"].statuses.keys(), said
-    reopened = daemon.log().count("event=port-open")
-    assert reopened == TIMES + 1, daemon.log()
+    (opened,) = daemon.metric("lecombus_line_opens_total").values()
+    assert opened == TIMES + 1, daemon.log()
     assert daemon.end() == 0
     print(said)  # noqa: T201 - shown by pytest -rP
 

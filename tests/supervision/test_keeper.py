@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import random
 
 import anyio
@@ -12,7 +13,7 @@ from lecombus.protocol.addressing import Code
 from lecombus.readings import DriveState
 from lecombus.simulator.faults import Faults
 from lecombus.simulator.parameters import CommError, ExtendedFault, Refusal
-from lecombus.store import DriveChanged
+from lecombus.store import DriveChanged, LineState
 from support.site_host import Plant, plainly, roster_of, until, with_plant
 
 ONE = [("a", 11, "8200vector")]
@@ -216,6 +217,72 @@ def test_a_line_that_was_lost_often_is_not_waited_for_longer_when_it_is_back() -
         assert plant.now_s - opened_s < 6.0
 
     with_plant(test, roster_of(ONE, watchdog=GUARD))
+
+
+@pytest.mark.parametrize("open_s", [0.0, 5.0])
+def test_a_line_that_flaps_fills_no_log_and_its_states_stay_right(
+    caplog: pytest.LogCaptureFixture, open_s: float
+) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await anyio.sleep(60.0)
+        caplog.clear()
+        store, began_s = plant.site.store, plant.now_s
+        while plant.now_s - began_s < 600.0:
+            plant.end.unplug()
+            await until(lambda: store.line().state is LineState.LOST)
+            plant.end.replug()
+            await until(lambda: store.line().state is LineState.OPEN)
+            assert {plant.state(name) for name in "abcde"} == {DriveState.STARTING}
+            await anyio.sleep(open_s)
+            if open_s:
+                assert DriveState.ONLINE in {plant.state(name) for name in "abcde"}
+        said = [record.getMessage() for record in caplog.records]
+        assert len(said) < 20, said
+        assert "event=port-lost" in said[0]
+        assert "event=port-open" in said[1]
+        sums = [text for text in said if "event=port-unsteady" in text]
+        assert "losses=3" in sums[0]
+        assert [float(text.partition("silent_for_s=")[2].split()[0]) for text in sums] == [
+            60.0, 120.0, 240.0, 480.0,
+        ]  # fmt: skip
+        caplog.clear()
+        await plant.online()
+        await anyio.sleep(70.0)
+        (steady,) = [record.getMessage() for record in caplog.records if "port-" in record.msg]
+        assert "event=port-open" in steady
+        assert ", after " in steady
+        plant.end.unplug()
+        await until(lambda: store.line().state is LineState.LOST)
+        assert "event=port-lost" in caplog.records[-1].getMessage()
+
+    with caplog.at_level(logging.INFO):
+        with_plant(test, roster_of(FIVE, watchdog=GUARD))
+
+
+def test_a_drive_that_stays_away_when_a_flapping_line_is_back_is_told(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        for turn in range(10):
+            plant.end.unplug()
+            await anyio.sleep(0.2)
+            if turn == 5:
+                plant.line.drive_faults[11] = Faults(lost=1.0)
+            plant.end.replug()
+            await until(lambda: plant.site.worker.is_open)
+            await anyio.sleep(5.0)
+        assert plant.state("a") is DriveState.OFFLINE
+        told = [
+            one.getMessage()
+            for one in caplog.records
+            if "drive=a event=state" in one.msg % one.args
+        ]
+        assert ["to=offline" in text for text in told[1:]] == [True]
+
+    with caplog.at_level(logging.INFO):
+        with_plant(test, roster_of(FIVE, watchdog=GUARD))
 
 
 def test_an_audit_asked_for_while_the_rest_is_learnt_is_not_forgotten() -> None:

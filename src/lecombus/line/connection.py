@@ -1,15 +1,18 @@
 """The port's coming and going: opening with backoff, and the reason it is not there.
 
 Opened always by the name the roster gives (a stable one, if its writer was wise), never by the
-device number it happened to have. What a loss means for requests is the worker's business.
+device number it happened to have. Its changes are logged as far as `steadiness` says. What a loss
+means for requests is the worker's business.
 """
 
 from __future__ import annotations
 
+import asyncio
 import logging
 
 from ..errors import LineLostError
 from .port import Port, PortOpener, PortSettings, Receiver
+from .steadiness import Steadiness, Tell
 
 __all__ = ["Connection"]
 
@@ -35,9 +38,9 @@ class Connection:
         self._failures = 0
         self._reason = "the port has not been opened yet"
         self._last_logged = ""
+        self._steadiness = Steadiness()
         self.port: Port | None = None
         self.is_lost = False
-        self.losses_total = 0
 
     async def open(self) -> bool:
         """Try to open the port once; on failure `why_not` says why."""
@@ -46,7 +49,8 @@ class Connection:
             port = await self._opener(self._settings, self._receiver)
         except LineLostError as exc:
             self._failures += 1
-            self._note(str(exc))
+            self._reason = str(exc)
+            self._tell_not_open(self._steadiness.looked(now_s()))
             return False
         if self.is_lost:
             port.abort()
@@ -54,12 +58,14 @@ class Connection:
         port.discard_input()
         self.port = port
         self._last_logged = ""
-        logger.info("line=%s event=port-open port=%s", self._settings.line, port.describe())
+        self._tell_open(self._steadiness.opened(now_s()))
         return True
 
     def say(self, telegram: bytes) -> LineLostError | None:
         """Hand a telegram to the port; gives the loss, if that is how it is found out."""
         assert self.port is not None
+        if not self._steadiness.is_steady:
+            self._tell_open(self._steadiness.looked(now_s()))
         try:
             self.port.write(telegram)
         except LineLostError as exc:
@@ -79,9 +85,9 @@ class Connection:
         if self.is_lost:
             return
         self.is_lost = True
-        self.losses_total += 1
         self._failures += 1
-        self._note(str(exc) if exc is not None else "the port was closed at the other end")
+        self._reason = str(exc) if exc is not None else "the port was closed at the other end"
+        self._tell_not_open(self._steadiness.lost(now_s()))
 
     def drop(self) -> None:
         """Close the port, if there is one."""
@@ -97,9 +103,42 @@ class Connection:
         """Name the port for people."""
         return self.port.describe() if self.port is not None else self._settings.url
 
-    def _note(self, reason: str) -> None:
-        """Remember the reason and log it once per change, not at every try."""
-        self._reason = reason
-        if reason != self._last_logged:
-            self._last_logged = reason
-            logger.warning("line=%s event=port-lost reason=%s", self._settings.line, reason)
+    def _tell_not_open(self, tell: Tell) -> None:
+        """Log why there is no port, once per reason, not at every try."""
+        if tell is Tell.SUM:
+            self._tell_sum()
+        elif tell is Tell.STEADY or (tell is Tell.CHANGE and self._reason != self._last_logged):
+            self._last_logged = self._reason
+            logger.warning(
+                "line=%s event=port-lost reason=%s%s",
+                self._settings.line, self._reason, self._losses(tell),
+            )  # fmt: skip
+
+    def _tell_open(self, tell: Tell) -> None:
+        """Log that the port is open."""
+        assert self.port is not None
+        if tell is Tell.SUM:
+            self._tell_sum()
+        elif tell is not Tell.NOTHING:
+            logger.info(
+                "line=%s event=port-open port=%s%s",
+                self._settings.line, self.port.describe(), self._losses(tell),
+            )  # fmt: skip
+
+    def _losses(self, tell: Tell) -> str:
+        """Say what was left out before, where something was."""
+        return f", after {self._steadiness.losses} losses" if tell is Tell.STEADY else ""
+
+    def _tell_sum(self) -> None:
+        """Log how often the port was lost, and for how long nothing more is said of it."""
+        steadiness = self._steadiness
+        logger.warning(
+            "line=%s event=port-unsteady losses=%d in_s=%.0f silent_for_s=%.0f reason=%s",
+            self._settings.line, steadiness.losses, now_s() - steadiness.since_s,
+            steadiness.pause_s, self._reason,
+        )  # fmt: skip
+
+
+def now_s() -> float:
+    """The loop's time, seconds."""
+    return asyncio.get_running_loop().time()

@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
-from lecombus.errors import ExchangeError, OperationError
+from lecombus.errors import CutReplyError, ExchangeError, LecombusError, LineError, OperationError
 from lecombus.line.jobs import ReadJob
 from lecombus.line.station import Station
 from lecombus.line.worker import LineWorker
@@ -19,7 +19,7 @@ from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 from lecombus.schedule import Outcome, Priority, Request
 
-__all__ = ["Ending", "Requests"]
+__all__ = ["Ending", "Requests", "is_of_the_line"]
 
 
 class Ending:
@@ -202,6 +202,12 @@ def never_sent(outcome: Outcome, reason: str, station: Station, code: Code) -> O
         f"{station.name}, {code}: {text}", kind=kind, drive=station.name, code=str(code),
         remedy=remedy,
     )  # fmt: skip
+
+
+def is_of_the_line(exc: LecombusError) -> bool:
+    """Whether what was asked failed because the line went, and for nothing of the drive's."""
+    of_kind = isinstance(exc, OperationError) and exc.kind == "line-lost"
+    return of_kind or isinstance(exc, CutReplyError | LineError)
 
 
 def is_line_lost(reason: str) -> bool:

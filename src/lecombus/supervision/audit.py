@@ -18,7 +18,7 @@ from contextlib import AbstractAsyncContextManager
 from lecombus.config import DriveEntry
 from lecombus.errors import LecombusError, RefusedError, UnknownCodeError
 from lecombus.line.station import Station
-from lecombus.operations.requests import Requests
+from lecombus.operations.requests import Requests, is_of_the_line
 from lecombus.schedule import Priority
 from lecombus.supervision.gates import Gates
 from lecombus.supervision.watchdogs import PATIENCE_S, WatchdogAudit
@@ -121,4 +121,5 @@ class Audit:
                     station, shortened, Priority.BACKGROUND, timeout_s=PATIENCE_S
                 )
         except LecombusError as exc:
-            logger.info("drive=%s event=not-learnt reason=%s", entry.name, exc)
+            if not is_of_the_line(exc):
+                logger.info("drive=%s event=not-learnt reason=%s", entry.name, exc)

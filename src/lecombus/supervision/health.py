@@ -45,6 +45,10 @@ SWAP_S = 5.0
 longer and is not offline only because it is seldom asked is not written to before its audit."""
 
 
+AGAIN_S = 60.0
+"""A line that is opened again so soon flaps: that its drives start anew each time is not logged."""
+
+
 @dataclass(slots=True)
 class _Record:
     state: DriveState
@@ -53,6 +57,8 @@ class _Record:
     silent_from_s: float = 0.0
     heard: bool = False
     audit_due: bool = False
+    told: DriveState = DriveState.STARTING
+    """The state that the log shows."""
 
 
 class Health:
@@ -77,6 +83,7 @@ class Health:
         self._wants_audit = wants_audit
         self._clock = clock
         self._records: dict[str, _Record] = {}
+        self._opened_s = -AGAIN_S
 
     def add_drive(self, name: str, make_probe: Callable[[], Request]) -> None:
         """Watch a drive from now on; it starts as STARTING."""
@@ -94,13 +101,15 @@ class Health:
     def line_opened(self) -> None:
         """Begin anew with every drive: nobody knows what happened while the line was away."""
         now = self._clock()
+        is_news, self._opened_s = now - self._opened_s >= AGAIN_S, now
         for name, record in self._records.items():
             if record.state is DriveState.OFFLINE:
                 self._schedule.set_probe(name, None, now)
                 self._schedule.unpark(name, now)
             record.misses = 0
             record.heard = False
-            self._set(name, record, DriveState.STARTING, "the line was opened: to be audited")
+            reason = "the line was opened: to be audited"
+            self._set(name, record, DriveState.STARTING, reason, is_news=is_news)
             self._wants_audit(name)
 
     def exchange_ended(self, name: str, kind: ResultKind, fault: str) -> None:
@@ -188,9 +197,12 @@ class Health:
         elif not starting:
             self._set(name, record, DriveState.DEGRADED, fault)
 
-    def _set(self, name: str, record: _Record, state: DriveState, reason: str) -> None:
-        if state is not record.state:
+    def _set(
+        self, name: str, record: _Record, state: DriveState, reason: str, *, is_news: bool = True
+    ) -> None:
+        if is_news and state is not record.told:
             log = logger.warning if state is DriveState.OFFLINE else logger.info
-            log("drive=%s event=state from=%s to=%s reason=%s", name, record.state, state, reason)
+            log("drive=%s event=state from=%s to=%s reason=%s", name, record.told, state, reason)
+            record.told = state
         record.state = state
         self._store.drive_state(name, state, reason)

@@ -27,7 +27,7 @@ import anyio
 from lecombus.config import DriveEntry
 from lecombus.errors import LecombusError
 from lecombus.line.station import Station
-from lecombus.operations.requests import Requests
+from lecombus.operations.requests import Requests, is_of_the_line
 from lecombus.readings import DriveState
 from lecombus.schedule import Feeding, FeedStats, Schedule
 from lecombus.store import Store
@@ -217,7 +217,8 @@ class Keeper:
     def _audit_failed(self, name: str, exc: LecombusError) -> None:
         if name in self._entries:
             self._health.audit_failed(name, str(exc))
-        logger.info("drive=%s event=audit-failed reason=%s", name, exc)
+        if not is_of_the_line(exc):  # `port-lost` says it once for all drives
+            logger.info("drive=%s event=audit-failed reason=%s", name, exc)
 
     def _feed(self, name: str, time_s: float | None) -> None:
         feeding = None
