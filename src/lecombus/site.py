@@ -371,6 +371,7 @@ class Site:
             "roster": facts_of(self.roster, {one.name: one.measured.slow for one in stations}),
             "measured": self.metrics.minutes.as_json(now_s),
             "answers": answers_of({one.name: one.measured.rows() for one in stations}),
+            "state": str(self.store.line().state),
             "away": [
                 name for name in self._entries if self.store.drive(name).state is DriveState.OFFLINE
             ],

@@ -90,7 +90,7 @@ def test_the_roster_is_not_drawn_over(roster: Path, capsys: pytest.CaptureFixtur
 
 def test_every_name_in_the_json_is_documented(daemon: DaemonStub, run: Run, roster: Path) -> None:
     """Names stay: what is there stands in docs/timing.md, and what stands there is there."""
-    daemon.answers["GET /v1/plan"] = (200, json.dumps(document(roster)))
+    daemon.answers["GET /v1/plan"] = (200, json.dumps(too_slow(roster)))
     found: set[str] = set()
     for words in (("--from-daemon",), ("--live",)):
         found |= names_in(json.loads(run("plan", *words, "--json").out))
@@ -171,6 +171,26 @@ def test_from_daemon_plans_with_what_was_measured(
     assert "no drive of the roster is on the daemon's line" in none.out
 
 
+def test_from_daemon_says_what_cannot_be_held_with_what_was_measured(
+    daemon: DaemonStub, run: Run, roster: Path
+) -> None:
+    daemon.answers["GET /v1/plan"] = (200, json.dumps(too_slow(roster)))
+    ran = run("plan", "--from-daemon")
+    assert ran.status == 0
+    assert "b: a watchdog of 400ms cannot be held at 9600 baud: within 360ms" in ran.out
+    told = json.loads(run("plan", "--from-daemon", "--json").out)
+    assert [one["drive"] for one in told["unheld"]] == ["a", "b"]
+    assert "a time of" in told["unheld"][0]["right"]
+
+
+def test_live_says_that_the_line_is_not_open(daemon: DaemonStub, run: Run, roster: Path) -> None:
+    found = document(roster) | {"state": "lost", "away": ["a", "b"]}
+    daemon.answers["GET /v1/plan"] = (200, json.dumps(found))
+    ran = run("plan", "--live")
+    assert "beyond the promise: line l: is lost, no drive can be asked" in ran.out
+    assert "drive a: does not answer" not in ran.out
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -201,6 +221,15 @@ def read_s(plan: dict[str, Any], drive: str) -> float:
     return usual_s
 
 
+def too_slow(roster: Path) -> dict[str, Any]:
+    """What a daemon gives whose drives take eight times as long as their manual says."""
+    roster.write_text(ROSTER.replace("TIME", "400ms"))
+    found = document(roster)
+    for one in found["roster"]["drives"]:
+        one["slow"]["ratio"] = 8.0
+    return found
+
+
 def document(roster: Path) -> dict[str, Any]:
     """What a daemon of the roster gives: b is slow, and was fed too late."""
     minutes = Minutes(0.0)
@@ -214,6 +243,7 @@ def document(roster: Path) -> dict[str, Any]:
         "measured": minutes.as_json(120.0),
         "answers": answers_of({"a": [], "b": [row]}),
         "away": [],
+        "state": "open",
     }
     found = json.loads(encode(facts))
     assert isinstance(found, dict)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import asdict
 from pathlib import Path
 
 import click
@@ -11,10 +12,10 @@ import click
 from lecombus.cli.arguments import daemon_options
 from lecombus.cli.client import connect
 from lecombus.cli.exits import Exit
-from lecombus.cli.plan_live import live_of, measured_roster, show_answers, show_live
+from lecombus.cli.plan_live import live_of, measured_roster, show_answers, show_live, show_unheld
 from lecombus.cli.screen import show_table
 from lecombus.config import Roster, line_timing, load_roster
-from lecombus.config.unheld import written_up
+from lecombus.config.unheld import find_unheld, written_up
 from lecombus.durations import format_duration
 from lecombus.planning import Plan, make_plan
 from lecombus.planning.picture import picture
@@ -80,14 +81,16 @@ def command(
     plan, shown = make_plan(loaded), preview(loaded, line_timing(loaded.line))
     if svg is not None:
         _draw(loaded, shown, svg, roster)
+    unheld = [] if answers is None else find_unheld(loaded)
     if as_json:
-        more = {} if answers is None else {"answers": answers}
+        more = {} if answers is None else {"answers": answers, "unheld": list(map(asdict, unheld))}
         run = {"run": shown.shares_as_json()}
         click.echo(json.dumps(plan.as_json() | run | more, ensure_ascii=False))
     else:
         _show(plan, shown)
         if answers is not None:
             show_answers(answers)
+            show_unheld(unheld)
     return Exit.DONE
 
 

@@ -15,12 +15,13 @@ from lecombus.cli.client import Answer, connect
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.screen import show_table
 from lecombus.config import DriveEntry, Roster, load_roster
+from lecombus.config.unheld import Unheld
 from lecombus.durations import format_duration
 from lecombus.metrics.minutes import WINDOW_S
 from lecombus.planning.facts import roster_of, slow_of
 from lecombus.planning.live import LiveClass, LivePlan, compare
 
-__all__ = ["live_of", "measured_roster", "show_answers", "show_live"]
+__all__ = ["live_of", "measured_roster", "show_answers", "show_live", "show_unheld"]
 
 Answers = Mapping[str, Sequence[Mapping[str, Any]]]
 """By drive: what was measured of each code, as `planning.facts.answers_of` gives it."""
@@ -34,7 +35,8 @@ def live_of(answer: Answer) -> LivePlan:
     """
     with _understood():
         document = json.loads(answer.text)
-        return compare(roster_of(document["roster"]), document["measured"], document["away"])
+        roster, measured = roster_of(document["roster"]), document["measured"]
+        return compare(roster, measured, document["away"], document["state"])
 
 
 def measured_roster(
@@ -111,6 +113,12 @@ def show_answers(answers: Answers) -> None:
     show_table(
         ("drive", "code", "manual", "measured"), rows, title="answered later than the manual says"
     )
+
+
+def show_unheld(unheld: Sequence[Unheld]) -> None:
+    """Write which watchdogs cannot be held with the answer times that were measured."""
+    for one in unheld:
+        click.echo(f"\n{one.drive}: {one.what}; {one.right}")
 
 
 def show_live(live: LivePlan) -> None:

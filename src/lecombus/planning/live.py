@@ -26,6 +26,7 @@ __all__ = ["LiveClass", "LiveCode", "LiveDrive", "LivePlan", "compare"]
 LOAD_ROOM: Final = 0.02
 """Of the line: by less a measured load is not beyond what was promised."""
 ROUNDING_S: Final = 1e-6
+OPEN: Final = "open"
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,6 +156,7 @@ class LivePlan:
         drives: The watched drives.
         codes: The cyclic codes.
         away: The drives that do not answer now.
+        state: `open`, or how else the line is now.
     """
 
     line: str
@@ -168,6 +170,7 @@ class LivePlan:
     drives: tuple[LiveDrive, ...]
     codes: tuple[LiveCode, ...]
     away: tuple[str, ...] = ()
+    state: str = OPEN
 
     @property
     def failed(self) -> int:
@@ -187,6 +190,8 @@ class LivePlan:
             *((f"{one.code} of {one.drive}", one.verdict) for one in self.codes),
         ]
         away = tuple(f"drive {name}: does not answer" for name in self.away)
+        if self.state != OPEN:
+            away = (f"line {self.line}: is {self.state}, no drive can be asked",)
         return away + tuple(f"{what}: {verdict}" for what, verdict in rows if verdict not in fine)
 
     def as_json(self) -> dict[str, Any]:
@@ -201,13 +206,19 @@ class LivePlan:
         return found | {"failed": self.failed, "beyond": list(self.beyond)}
 
 
-def compare(roster: Roster, measured: Mapping[str, Any], away: Collection[str] = ()) -> LivePlan:
+def compare(
+    roster: Roster,
+    measured: Mapping[str, Any],
+    away: Collection[str] = (),
+    state: str = OPEN,
+) -> LivePlan:
     """Lay promise and measure side by side.
 
     Args:
         roster: The running line.
         measured: What its last minutes showed, as `Minutes.as_json` gives it.
         away: The drives that do not answer now.
+        state: `open`, or how else the line is now.
     """
     plan = make_plan(roster)
     pause_s = roster.line.turnaround_s
@@ -224,6 +235,7 @@ def compare(roster: Roster, measured: Mapping[str, Any], away: Collection[str] =
         drives=tuple(_drives(roster, measured["margins_s"])),
         codes=tuple(_codes(roster, plan, measured["gaps_s"], away)),
         away=tuple(drive.name for drive in roster.drives if drive.name in away),
+        state=state,
     )
 
 

@@ -25,6 +25,7 @@ class PlanDocument(Document):
     answers: Annotated[
         dict[str, Any], Field(description="Answer times measured, by drive, the slowest first")
     ]
+    state: Annotated[str, Field(description="How the line is: open, closed or lost")]
     away: Annotated[list[str], Field(description="The drives that do not answer now")]
 
 
