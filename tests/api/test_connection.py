@@ -183,6 +183,42 @@ async def test_requests_beyond_the_limit_wait_unread_and_none_is_lost(
         assert (await client.answer())[0] == 200
 
 
+async def test_the_loop_turns_between_the_answers_of_a_flood_and_others_are_served(
+    line: Line, tmp_path: Path
+) -> None:
+    """Between any two answers the line may speak: the worker waits for nothing but the loop."""
+    page, each, floods = b"GET /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n", 100, 8
+    turns = reads = 0
+    ended: list[int] = []
+
+    async def count_turns() -> None:
+        nonlocal turns
+        while len(ended) < floods:
+            turns += 1
+            await asyncio.sleep(0)
+
+    async def flood(client: Client) -> None:
+        statuses = [(await client.answer())[0] for _ in range(each)]
+        assert statuses == [200] * each
+        ended.append(turns)
+        client.writer.close()
+        await client.writer.wait_closed()
+
+    async with connected(line, tmp_path) as looking, anyio.create_task_group() as tasks:
+        for _ in range(floods):
+            reader, writer = await asyncio.open_unix_connection(tmp_path / "s")
+            client = Client(reader, writer)
+            await client.say(page * each)
+            tasks.start_soon(flood, client)
+        tasks.start_soon(count_turns)
+        while len(ended) < floods:
+            await looking.say(GET)
+            assert (await looking.answer())[0] == 200
+            reads += len(ended) < floods
+    assert turns >= floods * each
+    assert reads >= each / 2, "whoever asks once is not behind those who ask again and again"
+
+
 @pytest.mark.parametrize("tcp", [False, True])
 @pytest.mark.parametrize("count", [1, 3, 40])
 async def test_a_client_that_says_no_more_gets_every_answer(
