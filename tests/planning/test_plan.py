@@ -117,15 +117,35 @@ def test_an_adapter_as_slow_as_it_may_be_is_reckoned_beside() -> None:
                                        if one.what != "feed"), rel=1e-3)  # fmt: skip
 
 
-def test_what_the_schedule_takes_lies_between_what_must_be_and_what_may() -> None:
+def test_the_schedule_takes_what_must_be_and_some_more() -> None:
     for time, cyclic in (("2s", ""), ("2s", ", cyclic: []"), ("4s", FIVE), ("10s", FIVE)):
         roster = roster_of(12, time=time, cyclic=cyclic)
         load, shown = make_plan(roster).load, preview(roster, line_timing(roster.line))
-        assert shown.share("cyclic") == pytest.approx(load.cyclic, abs=0.05)
-        assert load.feeding - 0.05 <= shown.share("watchdog") <= load.feeding_most + 0.02
+        assert shown.cyclic == pytest.approx(load.cyclic, abs=0.05)
+        assert load.feeding - 0.02 <= shown.feeding < 2.0 * load.feeding + 0.15
 
 
 FIVE = ", cyclic: [{code: C0150, every: 5s}]"
+
+
+def test_reads_that_are_stretched_leave_more_to_feed() -> None:
+    """One drive that its reads would feed, beside ten that ask for three lines."""
+    text = "line: {name: l, port: 'sim:', baud: 19200}\ndrives:\n"
+    text += (
+        "  - {name: d1, address: 1, family: smvector, watchdog: {time: 500ms, action: inhibit}, "
+    )
+    text += "cyclic: [{code: C0150, every: 400ms}]}\n"
+    text += "".join(
+        f"  - {{name: e{at}, address: {at}, family: smvector, "
+        "cyclic: [{code: C0150, every: 100ms}]}\n"
+        for at in range(11, 21) if at != 20
+    )  # fmt: skip
+    roster = parse_roster(text, "r.yaml")
+    load, shown = make_plan(roster).load, preview(roster, line_timing(roster.line))
+    assert load.stretch > load.cyclic > 2.0
+    assert load.feeding > 0.03
+    assert load.feeding == pytest.approx(shown.feeding, rel=0.3)
+    assert load.cyclic / load.stretch + load.feeding == pytest.approx(1.0)
 
 
 def test_absent_drives_take_their_share_and_leave_their_own() -> None:

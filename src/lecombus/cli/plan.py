@@ -84,7 +84,7 @@ def command(
     unheld = [] if answers is None else find_unheld(loaded)
     if as_json:
         more = {} if answers is None else {"answers": answers, "unheld": list(map(asdict, unheld))}
-        run = {"run": shown.shares_as_json()}
+        run = {"run": shown.as_json()}
         click.echo(json.dumps(plan.as_json() | run | more, ensure_ascii=False))
     else:
         _show(plan, shown)
@@ -127,12 +127,10 @@ def _show(plan: Plan, shown: Preview) -> None:
     )
     if load.stretch > 1.0:
         click.echo(f"that is too much: every cyclic period is stretched by {load.stretch:.2f}")
-    else:
-        reads, feeds = shown.share("cyclic"), shown.share("watchdog")
-        click.echo(
-            f"run by the schedule: {reads + feeds:.0%} of it is taken (reads {reads:.0%}, feeds "
-            f"{feeds:.0%}; a line that has time feeds early)"
-        )
+    click.echo(
+        f"run by the schedule: {shown.total:.0%} of it is taken (reads {shown.cyclic:.0%}, feeds "
+        f"{shown.feeding:.0%}; a line that has time feeds early)"
+    )
     _show_adapter(plan)
     _show_waits(plan)
     _show_watchdogs(plan)

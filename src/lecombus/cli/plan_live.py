@@ -19,7 +19,7 @@ from lecombus.config.unheld import Unheld
 from lecombus.durations import format_duration
 from lecombus.metrics.minutes import WINDOW_S
 from lecombus.planning.facts import roster_of, slow_of
-from lecombus.planning.live import LiveClass, LivePlan, compare
+from lecombus.planning.live import LivePlan, compare
 
 __all__ = ["live_of", "measured_roster", "show_answers", "show_live", "show_unheld"]
 
@@ -150,19 +150,12 @@ def _show_classes(live: LivePlan) -> None:
         ("class", "promised", "loaded", "half within", "longest", "waits", "asked", "taken", ""),
         [
             (one.name, _time(one.quiet_s), _time(one.loaded_s), _time(one.median_s),
-             _time(one.most_s), str(one.waits), _asked(one), f"{one.used:.1%}", one.verdict)
+             _time(one.most_s), str(one.waits), "" if one.load is None else f"{one.load:.1%}",
+             f"{one.used:.1%}", one.verdict)
             for one in live.classes
         ],
         title="how long requests waited; others of the same class and above come on top",
     )  # fmt: skip
-
-
-def _asked(one: LiveClass) -> str:
-    """Say what share is asked for, and what it may become where an idle line feeds early."""
-    if one.load is None or one.load_most is None:
-        return ""
-    most = "" if one.load_most <= one.load else f" to {one.load_most:.1%}"
-    return f"{one.load:.1%}{most}"
 
 
 def _show_drives(live: LivePlan) -> None:

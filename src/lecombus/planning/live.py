@@ -27,6 +27,7 @@ LOAD_ROOM: Final = 0.02
 """Of the line: by less a measured load is not beyond what was promised."""
 ROUNDING_S: Final = 1e-6
 OPEN: Final = "open"
+READS: Final = "cyclic"
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,9 +43,8 @@ class LiveClass:
         waits: How many were measured.
         exchanges: How many exchanges it had.
         failed: How many of them were not answered.
-        load: The share of the line that is asked for all the time; None: it is up to clients.
-        load_most: The share that it may take; more than is asked for where a line that is idle
-            feeds early. None: it is up to clients.
+        load: The share of the line that is asked for all the time; None: it is up to clients. That
+            of the feeds is what must be: a line that has time feeds early.
         used: The share of the line that it took.
     """
 
@@ -57,15 +57,13 @@ class LiveClass:
     exchanges: int
     failed: int
     load: float | None
-    load_most: float | None
     used: float
 
     @property
     def verdict(self) -> str:
         """Say how the longest wait and the load lie to what was promised."""
-        most = self.load_most
-        if most is not None and self.used > most + LOAD_ROOM:
-            return f"takes more of the line than promised ({self.used:.0%} of {most:.0%})"
+        if self.name == READS and self.load is not None and self.used > self.load + LOAD_ROOM:
+            return f"takes more of the line than promised ({self.used:.0%} of {self.load:.0%})"
         if self.most_s is None:
             return "nothing measured"
         if self.most_s <= self.quiet_s + ROUNDING_S:
@@ -243,9 +241,7 @@ def _class(wait: ClassWait, plan: Plan, measured: Mapping[str, Any], pause_s: fl
     found = measured["classes"][wait.name]
     window_s = measured["window_s"]
     pauses = found["exchanges"] * pause_s / window_s if window_s > 0.0 else 0.0
-    load = plan.load
-    asked = {"cyclic": load.cyclic, "watchdog": load.feeding}
-    most = {"cyclic": load.cyclic, "watchdog": load.feeding_most}
+    asked = {READS: plan.load.cyclic, "watchdog": plan.load.feeding}
     return LiveClass(
         name=wait.name,
         quiet_s=wait.quiet_s,
@@ -256,7 +252,6 @@ def _class(wait: ClassWait, plan: Plan, measured: Mapping[str, Any], pause_s: fl
         exchanges=found["exchanges"],
         failed=found["failed"],
         load=asked.get(wait.name),
-        load_most=most.get(wait.name),
         used=found["utilisation"] + pauses,
     )
 

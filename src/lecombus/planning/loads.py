@@ -2,14 +2,15 @@
 
 The load is the cyclic reads plus the feeds that they do not stand for: a drive that is read often
 enough is fed by that. Above all of the line every period is stretched by the same factor, which is
-how the schedule's cadence treats it.
+how the schedule's cadence treats it; reads that come seldomer by that leave more to feed, which
+stretches again, until both agree.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Final
 
 from lecombus.config import DriveEntry, Roster, line_timing
@@ -17,7 +18,7 @@ from lecombus.config.exchanges import feed_times, read_times, watched_s
 from lecombus.config.feeding import BAUDS, feeding_of, least_time_s
 from lecombus.config.timing import with_slow_adapter
 from lecombus.drives import LineTiming
-from lecombus.schedule.feeds import HARD_PART, SOFT_PART
+from lecombus.schedule.feeds import HARD_PART, SOFT_PART, SPARE_ATTEMPTS
 from lecombus.schedule.shares import BACKOFF_MOST_S
 
 __all__ = [
@@ -32,6 +33,8 @@ __all__ = [
 ]
 
 ABSENT: Final = (1, 3, 10)
+MOST_ROUNDS: Final = 100
+ROUNDING: Final = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,15 +43,13 @@ class Load:
 
     Args:
         cyclic: The cyclic reads.
-        feeding: The feeds beside them that must be.
+        feeding: The feeds beside them that must be; a line that has time feeds more.
         probing: The probes of absent drives.
-        feeding_most: The feeds beside them at most, where the line has time to feed early.
     """
 
     cyclic: float
     feeding: float
     probing: float = 0.0
-    feeding_most: float = 0.0
 
     @property
     def total(self) -> float:
@@ -117,31 +118,69 @@ class AbsentEffect:
     cycle_rate: float
 
 
-def load_on(drives: Sequence[DriveEntry], timing: LineTiming) -> Load:
-    """Reckon what drives that are all there ask of the line."""
-    cyclic = feeding = most = 0.0
-    for drive in drives:
-        rate = 0.0
-        for entry in drive.cyclic:
-            cyclic += read_times(drive, entry.code, timing).usual_s / entry.every_s
-            rate += 1.0 / entry.every_s
-        time_s = watched_s(drive)
-        if time_s is not None:
-            missing = max(0.0, 1.0 / (HARD_PART * time_s) - rate)
-            feed_s = feed_times(drive, timing).usual_s
-            feeding += missing * feed_s
-            most += max(missing, _early_rate(drive, time_s)) * feed_s
-    return Load(cyclic, feeding, feeding_most=most)
+def load_on(drives: Sequence[DriveEntry], timing: LineTiming, probing: float = 0.0) -> Load:
+    """Reckon what drives that are all there ask of the line.
 
-
-def _early_rate(drive: DriveEntry, time_s: float) -> float:
-    """Give how often a drive is fed beside its reads at most, 1/s.
-
-    The schedule feeds from half the watchdog time on if the line has nothing better to do; a code
-    that is read more often than that leaves it nothing.
+    Args:
+        drives: The drives.
+        timing: The line's times.
+        probing: The share that looking for others takes.
     """
-    shortest_s = min((entry.every_s for entry in drive.cyclic), default=math.inf)
-    return 0.0 if shortest_s <= SOFT_PART * time_s else 1.0 / (SOFT_PART * time_s)
+    parts = [_part(drive, timing) for drive in drives]
+    cyclic = sum(one.cyclic for one in parts)
+    load = Load(cyclic, _needed(parts, 1.0), probing)
+    for _ in range(MOST_ROUNDS if load.stretch > 1.0 else 0):
+        stretched = Load(cyclic, _needed(parts, load.stretch), probing)
+        if stretched.stretch <= load.stretch * (1.0 + ROUNDING):
+            break
+        load = stretched
+    return load
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """What one drive asks of the line.
+
+    Args:
+        cyclic: The share of its cyclic reads.
+        rate: How many of them there are, 1/s.
+        feed_s: What one feed costs.
+        worst_s: What one costs that is not answered.
+        watched_s: Its watchdog time; infinite: it is not watched.
+    """
+
+    cyclic: float
+    rate: float
+    feed_s: float
+    worst_s: float
+    watched_s: float
+
+    def apart_s(self, stretch: float) -> float:
+        """How far apart its feeds must be, or, where reads wait for them, are."""
+        hard_s = HARD_PART * self.watched_s
+        if stretch <= 1.0 or math.isinf(hard_s):
+            return hard_s
+        return max(SOFT_PART * self.watched_s, hard_s - SPARE_ATTEMPTS * self.worst_s)
+
+
+def _part(drive: DriveEntry, timing: LineTiming) -> _Part:
+    costs = [read_times(drive, entry.code, timing).usual_s for entry in drive.cyclic]
+    periods = [entry.every_s for entry in drive.cyclic]
+    feed = feed_times(drive, timing)
+    return _Part(
+        cyclic=sum(cost / every_s for cost, every_s in zip(costs, periods, strict=True)),
+        rate=sum(1.0 / every_s for every_s in periods),
+        feed_s=feed.usual_s,
+        worst_s=feed.worst_s,
+        watched_s=watched_s(drive) or math.inf,
+    )
+
+
+def _needed(parts: Sequence[_Part], stretch: float) -> float:
+    """Give the share of the feeds that reads with stretched periods do not stand for."""
+    return sum(
+        max(0.0, 1.0 / one.apart_s(stretch) - one.rate / stretch) * one.feed_s for one in parts
+    )
 
 
 def baud_effects(roster: Roster) -> list[BaudEffect]:
@@ -174,7 +213,7 @@ def absent_effects(roster: Roster, timing: LineTiming) -> list[AbsentEffect]:
     for absent in (count for count in ABSENT if count < len(roster.drives)):
         gone = roster.drives[-absent:]
         probes = sum(feed_times(drive, timing).worst_s for drive in gone) / BACKOFF_MOST_S
-        left = load_on(roster.drives[:-absent], timing)
-        load = replace(left, probing=min(probes, roster.line.absent_share))
+        probing = min(probes, roster.line.absent_share)
+        load = load_on(roster.drives[:-absent], timing, probing)
         effects.append(AbsentEffect(absent, load, whole.stretch / load.stretch))
     return effects

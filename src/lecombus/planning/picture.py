@@ -42,7 +42,6 @@ def picture(title: str, drives: tuple[str, ...], shown: Preview) -> str:
     """
     height = TOP + ROW * (len(drives) + 1) + 30
     rows = {name: TOP + ROW * number for number, name in enumerate(drives, 1)}
-    spans = [span for span in shown.spans if span.start_s < shown.length_s]
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" height="{height}" '
         f'viewBox="0 0 {WIDTH} {height}" role="img">',
@@ -54,9 +53,9 @@ def picture(title: str, drives: tuple[str, ...], shown: Preview) -> str:
         *_grid(shown.length_s, height),
         *_rounds(shown, height),
         _name("the line", TOP),
-        *(_box(span, TOP, shown.length_s, "") for span in spans),
+        *(_box(span, TOP, shown.length_s, "") for span in shown.spans),
         *(_name(name, y) for name, y in rows.items()),
-        *(_box(span, rows[span.drive], shown.length_s, _told(span)) for span in spans),
+        *(_box(span, rows[span.drive], shown.length_s, _told(span)) for span in shown.spans),
         *_deadlines(shown, rows),
         "</svg>",
     ]  # fmt: skip
@@ -65,8 +64,10 @@ def picture(title: str, drives: tuple[str, ...], shown: Preview) -> str:
 
 def _about(shown: Preview) -> str:
     """Say how much of the hyperperiod is shown, and how full it is."""
-    reads, feeds = shown.share("cyclic"), shown.share("watchdog")
-    taken = f"{reads + feeds:.0%} of the time is taken: reads {reads:.0%}, feeds {feeds:.0%}"
+    taken = (
+        f"{shown.total:.0%} of the time is taken: reads {shown.cyclic:.0%}, feeds "
+        f"{shown.feeding:.0%}"
+    )
     if not shown.whole_s:
         return f"no cyclic reads; {shown.length_s:g} s are shown; {taken}"
     whole = f"{shown.whole_s:g} s"

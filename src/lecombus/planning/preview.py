@@ -23,6 +23,8 @@ __all__ = ["Preview", "Span", "hyperperiod_s", "preview"]
 LONGEST_S: Final = 10.0
 """More than this is not seen in a picture."""
 SHORTEST_S: Final = 1.0
+LOOKED_AT_S: Final = 20.0
+"""So much is run to say what share of the line is taken: a picture may be too short for a feed."""
 SETTLED_S: Final = 5.0
 """After this a line goes its way: the spread of a start is over."""
 
@@ -56,6 +58,8 @@ class Preview:
         stretch: By how much the cyclic periods are stretched; 1: not.
         spans: The exchanges, in order.
         deadlines: For each watched drive, when its feed has to be over.
+        cyclic: The share of the line that cyclic reads take, also beyond the picture.
+        feeding: The share that feeds beside them take.
     """
 
     length_s: float
@@ -63,20 +67,18 @@ class Preview:
     stretch: float
     spans: tuple[Span, ...]
     deadlines: dict[str, tuple[float, ...]]
+    cyclic: float
+    feeding: float
 
-    def share(self, kind: str) -> float:
-        """Give the share of the line that exchanges of a kind take in that stretch."""
-        taken_s = sum(
-            min(span.end_s, self.length_s) - span.start_s
-            for span in self.spans
-            if span.kind == kind and span.start_s < self.length_s
-        )
-        return taken_s / self.length_s
+    @property
+    def total(self) -> float:
+        """The share of the line that is taken."""
+        return self.cyclic + self.feeding
 
-    def shares_as_json(self) -> dict[str, float]:
+    def as_json(self) -> dict[str, float]:
         """Give what the exchanges take, for `--json`."""
-        shares = {"cyclic": self.share("cyclic"), "feeding": self.share("watchdog")}
-        found = shares | {"total": sum(shares.values()), "hyperperiod_s": self.whole_s}
+        found = {"cyclic": self.cyclic, "feeding": self.feeding, "total": self.total}
+        found |= {"hyperperiod_s": self.whole_s}
         return {name: round(value, 6) for name, value in found.items()}
 
 
@@ -96,9 +98,17 @@ def preview(roster: Roster, timing: LineTiming) -> Preview:
     stretch = load_on(roster.drives, timing).stretch
     whole_s = hyperperiod_s(roster) * stretch
     length_s = min(max(whole_s, SHORTEST_S), LONGEST_S)
-    spans = _run(schedule, SETTLED_S + length_s)
-    shown = [_moved(one) for one in spans if one.end_s > SETTLED_S]
-    return Preview(length_s, whole_s, stretch, tuple(shown), _due(spans, roster, length_s))
+    spans = _run(schedule, SETTLED_S + LOOKED_AT_S)
+    run = [_moved(one) for one in spans if one.end_s > SETTLED_S]
+    return Preview(
+        length_s, whole_s, stretch, tuple(one for one in run if one.start_s < length_s),
+        _due(spans, roster, length_s), _share(run, "cyclic"), _share(run, "watchdog"),
+    )  # fmt: skip
+
+
+def _share(spans: list[Span], kind: str) -> float:
+    taken_s = sum(min(one.end_s, LOOKED_AT_S) - one.start_s for one in spans if one.kind == kind)
+    return taken_s / LOOKED_AT_S
 
 
 def _maker(drive: str, priority: Priority, times: Times, what: str) -> Callable[[], Request]:
