@@ -47,13 +47,13 @@ class Clients:
 
     async def run(self) -> None:
         """Ask until stopped."""
-        loaded = self._line.kind == "loaded"
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(self._one_thing_after_the_other)
-            if loaded:
+            if self._line.kind == "loaded":
                 for _ in range(READERS):
-                    tasks.start_soon(self._reads, Priority.INTERACTIVE)
                     tasks.start_soon(self._reads, Priority.BACKGROUND)
+                    if self._line.is_crowded:
+                        tasks.start_soon(self._reads, Priority.INTERACTIVE)
             if self._line.kind == "absent":
                 tasks.start_soon(self._come_and_go)
 

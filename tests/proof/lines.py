@@ -50,6 +50,11 @@ class RandomLine:
     faults: str
     length_s: float
 
+    @property
+    def is_crowded(self) -> bool:
+        """Whether many clients ask for reads at once, and not only for idle time; of `loaded`."""
+        return self.kind == "loaded" and self.seed % 12 != 9
+
     def __str__(self) -> str:
         line = self.roster.line
         return (

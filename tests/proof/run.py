@@ -72,6 +72,9 @@ def main() -> int:
     if asked.seed is not None:
         found = prove(asked.seed, asked.length)
         print(f"{found.line}: {found.exchanges} exchanges in {found.line_s:.0f} s of line time")
+        print(f"  digest of all that was said and heard: {found.digest}")
+        near = ", ".join(f"{row} {part:.0%}" for row, part in sorted(found.most.items()))
+        print(f"  nearest to what was promised: {near or 'nothing is judged on such a line'}")
         for text in found.broken:
             print(f"  {text}")
         return 1 if found.broken else 0

@@ -6,7 +6,6 @@ The same as `make proof` (docs/timing.md), which goes on where it stopped, for a
 from __future__ import annotations
 
 from concurrent.futures import ProcessPoolExecutor
-from itertools import islice
 
 import pytest
 
@@ -62,13 +61,3 @@ def test_a_wrong_schedule_is_found_out(name: str) -> None:
 def test_the_lines_that_show_mutants_are_clean_without_them() -> None:
     for seed in sorted({seed for seeds in SEEDS.values() for seed in seeds}):
         assert prove(seed).broken == ()
-
-
-def test_a_seed_replays_the_same() -> None:
-    seed = next(
-        islice((seed for seed in range(100) if len(line_of(seed, 1.0).roster.drives) < 4), 1)
-    )
-    first, again = prove(seed), prove(seed)
-    assert (first.exchanges, first.line_s, first.broken) == (
-        again.exchanges, again.line_s, again.broken
-    )  # fmt: skip

@@ -8,16 +8,14 @@ makes it fast. `run_line` gives what was seen to break; an empty list is what is
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import time
-from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 
 import anyio
 
-from lecombus.line.observer import ExchangeReport, Observer
 from lecombus.line.port import Port, PortSettings, Receiver
 from lecombus.readings import DriveState
+from lecombus.schedule import Priority
 from lecombus.simulator.line import SimLine
 from lecombus.simulator.memory import MemoryEnd
 from lecombus.simulator.world import build
@@ -25,13 +23,15 @@ from lecombus.site import Site
 from proof.clients import Clients
 from proof.invariants import Invariants
 from proof.lines import RandomLine
+from support.taps import WALL_S, ObserverTap, PortTap, ReceiverTap, running
 from support.virtual_loop import VirtualLoop
 
 ADAPTER_S = 0.008
 """Bytes are handed over in pieces of so much time, as by an adapter's latency timer."""
 START_S = 1500.0
 """Longest time granted for all drives to come online, seconds of line time."""
-WALL_S = 1_795_000_000.0
+PATIENCE_S = 300.0
+"""So long after the last was asked for everything must have its outcome."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,8 @@ class Finding:
         exchanges: How many there were.
         line_s: How long it ran, seconds of line time.
         took_s: Processor time it took.
+        digest: Of every byte that was said and heard, and when.
+        most: By what was promised: how near the longest came to it, 1 is as promised.
     """
 
     line: RandomLine
@@ -51,6 +53,8 @@ class Finding:
     exchanges: int
     line_s: float
     took_s: float
+    digest: str
+    most: dict[str, float]
 
 
 class World:
@@ -58,81 +62,48 @@ class World:
 
     Args:
         line: What to run.
-        change: Called with the site before it starts; for mutants.
     """
 
-    def __init__(self, line: RandomLine, change: Callable[[Site], None] | None = None) -> None:
+    def __init__(self, line: RandomLine) -> None:
         self.line = line
         self.sim = _simulated(line)
-        self.invariants = Invariants(line, self.sim)
         self._memory = MemoryEnd(self.sim, latency_s=ADAPTER_S)
         clock = asyncio.get_running_loop().time
         self.site = Site(line.roster, self._open, clock, lambda: WALL_S + clock())
-        self.site.worker._observer = _Watched(self.site.worker._observer, self.invariants)
-        if change is not None:
-            change(self.site)
-        self.exchanges = 0
+        self.invariants = Invariants(line, self.sim, self.site)
+        observer = self.site.worker._observer
+        self.site.worker._observer = ObserverTap(observer, self.invariants.ended)
 
     async def _open(self, settings: PortSettings, receiver: Receiver) -> Port:
-        return _WatchedPort(await self._memory.open(settings, receiver), self.invariants)
+        tap = ReceiverTap(receiver, self.invariants.heard)
+        return PortTap(await self._memory.open(settings, tap), self.invariants.said)
 
     async def run(self) -> None:
         """Wait until the drives are there, then let clients and trouble loose on them."""
-        async with _running(self.site):
+        async with running(self.site):
             await self._settle()
-            self.invariants.begin(self.site)
-            async with anyio.create_task_group() as tasks:
-                clients = Clients(self.site, self.line, self.invariants, self.sim)
-                tasks.start_soon(clients.run)
-                await anyio.sleep(self.line.length_s)
-                clients.stop()
-            self.invariants.end(self.site)
+            self.invariants.begin(settled=self._is_settled())
+            with anyio.CancelScope() as patience:
+                async with anyio.create_task_group() as tasks:
+                    clients = Clients(self.site, self.line, self.invariants, self.sim)
+                    tasks.start_soon(clients.run)
+                    await anyio.sleep(self.line.length_s)
+                    clients.stop()
+                    patience.deadline = anyio.current_time() + PATIENCE_S
+            self.invariants.end()
 
     async def _settle(self) -> None:
-        names = [drive.name for drive in self.line.roster.drives]
-        started_s = asyncio.get_running_loop().time()
-        while any(self.site.store.drive(name).state is not DriveState.ONLINE for name in names):
-            await anyio.sleep(1.0)
-            if asyncio.get_running_loop().time() - started_s > START_S:
-                break
+        with anyio.move_on_after(START_S):
+            while not self._is_settled():  # noqa: ASYNC110 - any state of the site
+                await anyio.sleep(1.0)
         await anyio.sleep(2.0)
 
-
-class _Watched:
-    """Stands before the books."""
-
-    def __init__(self, inner: Observer, invariants: Invariants) -> None:
-        self._inner = inner
-        self._invariants = invariants
-
-    def exchange_ended(self, report: ExchangeReport) -> None:
-        self._invariants.ended(report)
-        self._inner.exchange_ended(report)
-
-    def line_changed(self, up: bool, reason: str) -> None:
-        self._inner.line_changed(up, reason)
-
-    def thinking(self, for_s: float) -> None:
-        self._inner.thinking(for_s)
-
-    def stray_bytes(self, data: bytes, late_answer: bool) -> None:
-        self._inner.stray_bytes(data, late_answer)
-
-
-class _WatchedPort:
-    """Shows every telegram to the invariants."""
-
-    def __init__(self, inner: Port, invariants: Invariants) -> None:
-        self._inner = inner
-        self._invariants = invariants
-        self.carries_parity = inner.carries_parity
-        self.discard_input = inner.discard_input
-        self.abort = inner.abort
-        self.describe = inner.describe
-
-    def write(self, data: bytes) -> None:
-        self._invariants.said(data, asyncio.get_running_loop().time())
-        self._inner.write(data)
+    def _is_settled(self) -> bool:
+        """Whether all drives are there and what the daemon wants to know of them is known."""
+        names = [drive.name for drive in self.line.roster.drives]
+        online = all(self.site.store.drive(name).state is DriveState.ONLINE for name in names)
+        waiting = self.site.schedule.stats(asyncio.get_running_loop().time()).depth
+        return online and not waiting[Priority.BACKGROUND]
 
 
 def _simulated(line: RandomLine) -> SimLine:
@@ -154,28 +125,18 @@ def _simulated(line: RandomLine) -> SimLine:
     )  # fmt: skip
 
 
-@contextlib.asynccontextmanager
-async def _running(site: Site) -> AsyncIterator[None]:
-    async with anyio.create_task_group() as tasks:
-        tasks.start_soon(site.keeper.run)
-        tasks.start_soon(site.worker.run)
-        yield
-        tasks.cancel_scope.cancel()
-
-
-def run_line(line: RandomLine, change: Callable[[Site], None] | None = None) -> Finding:
+def run_line(line: RandomLine) -> Finding:
     """Run a line to its end and say what did not hold.
 
     Args:
         line: The line.
-        change: Changes the site before it starts; for mutants.
     """
     started_s = time.process_time()
     world: World | None = None
 
     async def main() -> None:
         nonlocal world
-        world = World(line, change)
+        world = World(line)
         await world.run()
 
     with asyncio.Runner(loop_factory=lambda: VirtualLoop(1e6)) as runner:
@@ -184,5 +145,6 @@ def run_line(line: RandomLine, change: Callable[[Site], None] | None = None) -> 
     assert world is not None
     found = world.invariants
     return Finding(
-        line, tuple(found.broken), found.exchanges, line_s, time.process_time() - started_s
-    )
+        line, tuple(found.broken), found.exchanges, line_s, time.process_time() - started_s,
+        found.wire.digest, found.promises.most,
+    )  # fmt: skip

@@ -199,7 +199,7 @@ def test_a_drive_told_to_acknowledge_early_is_left_alone_after_its_next_write() 
         report = await write("a", Code(46), 20, verify=True)
         assert report.outcome is Outcome.VERIFIED
         await until(lambda: station("a").answers_early, within_s=10.0)
-        assert plant.tap.reports[-1].result.kind is ResultKind.ANSWERED
+        assert plant.reports[-1].result.kind is ResultKind.ANSWERED
         assert (await write("a", C1921, 0)).outcome is Outcome.DONE
         await until(lambda: station("a").hold_s == 0.0, within_s=10.0)
         assert all(one.result.kind is ResultKind.ANSWERED for one in plant.reports)

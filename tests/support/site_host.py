@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterable
+from collections.abc import Awaitable, Callable, Coroutine, Iterable
 from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import Any
@@ -17,7 +17,7 @@ import anyio
 
 from lecombus.config import Roster, parse_roster
 from lecombus.drives import LineTiming, StopAction, family
-from lecombus.line.observer import ExchangeReport, Observer
+from lecombus.line.observer import ExchangeReport
 from lecombus.line.port import Port, PortSettings, Receiver
 from lecombus.line.station import Station
 from lecombus.line.worker import LineWorker, WorkerOptions
@@ -32,6 +32,7 @@ from lecombus.simulator.memory import MemoryEnd
 from lecombus.simulator.world import build
 from lecombus.site import Site
 from lecombus.state import State
+from support.taps import STRIPPED, WALL_S, ObserverTap, PortTap, ReceiverTap, running
 from support.virtual_loop import run
 
 __all__ = [
@@ -46,7 +47,6 @@ __all__ = [
     "until",
 ]
 
-WALL_S = 1_795_000_000.0
 PORT = PortSettings("sim:", 19200, "adapter", "line", "test")
 
 
@@ -99,43 +99,8 @@ class Telegram:
     data: bytes
 
 
-class _TappedPort:
-    """A port that notes every telegram."""
-
-    def __init__(self, inner: Port, sent: list[Telegram]) -> None:
-        self._inner = inner
-        self._sent = sent
-        self.carries_parity = inner.carries_parity
-
-    def write(self, data: bytes) -> None:
-        stripped = bytes(byte & 0x7F for byte in data)
-        self._sent.append(Telegram(asyncio.get_running_loop().time(), stripped))
-        self._inner.write(data)
-
-    def discard_input(self) -> None:
-        self._inner.discard_input()
-
-    def abort(self) -> None:
-        self._inner.abort()
-
-    def describe(self) -> str:
-        return self._inner.describe()
-
-
-class _TappedReceiver:
-    """A receiver that notes when the last byte came."""
-
-    def __init__(self, inner: Receiver, heard: list[Telegram]) -> None:
-        self._inner = inner
-        self._heard = heard
-
-    def received(self, data: bytes) -> None:
-        stripped = bytes(byte & 0x7F for byte in data)
-        self._heard.append(Telegram(asyncio.get_running_loop().time(), stripped))
-        self._inner.received(data)
-
-    def lost(self, exc: Exception | None) -> None:
-        self._inner.lost(exc)
+def _telegram(data: bytes) -> Telegram:
+    return Telegram(asyncio.get_running_loop().time(), data.translate(STRIPPED))
 
 
 class TappedEnd:
@@ -155,8 +120,9 @@ class TappedEnd:
 
     async def open(self, settings: PortSettings, receiver: Receiver) -> Port:
         self.tries.append(asyncio.get_running_loop().time())
-        port = await self.memory.open(settings, _TappedReceiver(receiver, self.heard))
-        return _TappedPort(port, self.sent)
+        tap = ReceiverTap(receiver, lambda data: self.heard.append(_telegram(data)))
+        port = await self.memory.open(settings, tap)
+        return PortTap(port, lambda data: self.sent.append(_telegram(data)))
 
     def unplug(self) -> None:
         self.memory.unplug()
@@ -306,36 +272,6 @@ def reader(rig: Rig, drive: str, code: int, priority: Priority) -> Callable[[], 
     return lambda: rig.maker.read(rig.stations[drive], Code(code), priority, retries=0)
 
 
-@contextlib.asynccontextmanager
-async def _run(site: Site) -> AsyncIterator[None]:
-    async with anyio.create_task_group() as tasks:
-        tasks.start_soon(site.keeper.run)
-        tasks.start_soon(site.worker.run)
-        yield
-        tasks.cancel_scope.cancel()
-
-
-class _Tap:
-    """Stands before the books and keeps every report."""
-
-    def __init__(self, inner: Observer) -> None:
-        self._inner = inner
-        self.reports: list[ExchangeReport] = []
-
-    def exchange_ended(self, report: ExchangeReport) -> None:
-        self.reports.append(report)
-        self._inner.exchange_ended(report)
-
-    def line_changed(self, up: bool, reason: str) -> None:
-        self._inner.line_changed(up, reason)
-
-    def thinking(self, for_s: float) -> None:
-        self._inner.thinking(for_s)
-
-    def stray_bytes(self, data: bytes, late_answer: bool) -> None:
-        self._inner.stray_bytes(data, late_answer)
-
-
 class Plant:
     """A whole site of a roster over simulated drives: `async with Plant(roster) as plant`.
 
@@ -346,6 +282,9 @@ class Plant:
         options: How the line is worked, instead of by the roster.
         also: Drives on the line that the roster does not name.
         state: What was kept from before.
+
+    Attributes:
+        reports: Every exchange so far.
     """
 
     def __init__(
@@ -367,6 +306,7 @@ class Plant:
         )  # fmt: skip
         self.end = TappedEnd(self.line)
         self._options = options
+        self.reports: list[ExchangeReport] = []
         self.site: Site
 
     async def __aenter__(self) -> Plant:
@@ -379,8 +319,8 @@ class Plant:
             options=self._options,
             state=self._state,
         )
-        self.tap = self.site.worker._observer = _Tap(self.site.worker._observer)
-        self._running = _run(self.site)
+        self.site.worker._observer = ObserverTap(self.site.worker._observer, self.reports.append)
+        self._running = running(self.site)
         await self._running.__aenter__()
         return self
 
@@ -395,11 +335,6 @@ class Plant:
     @property
     def now_s(self) -> float:
         return asyncio.get_running_loop().time()
-
-    @property
-    def reports(self) -> list[ExchangeReport]:
-        """Every exchange so far."""
-        return self.tap.reports
 
     def trip(self, drive: str, number: int, *, stays: bool = False) -> None:
         """Let a fault occur by its LECOM number; one whose cause stays cannot be reset yet."""

@@ -1,0 +1,132 @@
+"""What the plan printed, held against what was measured: no wait, gap or margin is beyond it.
+
+What is promised to whom depends on who else asks. On a `quiet` line one client asks for one thing
+at a time: every class is held to `begins within`. On a `loaded` line the lower classes are full:
+control is held to `under load`, and where no crowd asks in its own class, interactive and cyclic
+are, too. Watched drives are fed within nine tenths of their times wherever all drives answer, and
+the good values of a cyclic code are no further apart than its period, reached and kept early for a
+feed, and the lateness of its slot.
+
+The promises hold while all drives answer: lines with trouble are not judged here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from lecombus.config.exchanges import watched_s
+from lecombus.line.observer import ExchangeReport
+from lecombus.planning import Plan
+from lecombus.protocol.exchange import ResultKind
+from lecombus.protocol.telegrams import ValueAnswer
+from lecombus.schedule import Priority
+from lecombus.schedule.feeds import HARD_PART
+from lecombus.simulator.line import SimLine
+from proof.lines import RandomLine
+
+__all__ = ["Promises"]
+
+ROUNDING_S = 1e-6
+QUIET = {
+    Priority.CONTROL: "control",
+    Priority.INTERACTIVE: "interactive",
+    Priority.CYCLIC: "cyclic",
+    Priority.BACKGROUND: "background",
+}
+LOADED = {Priority.CONTROL: "control"}
+UNCROWDED = LOADED | {Priority.INTERACTIVE: "interactive", Priority.CYCLIC: "cyclic"}
+
+
+class Promises:
+    """Judges what is promised by class, cyclic code and watchdog.
+
+    Args:
+        line: The line.
+        plan: What was printed for it.
+        sim: The drives: they know when they were spoken to.
+        say: Told what did not hold.
+    """
+
+    def __init__(
+        self, line: RandomLine, plan: Plan, sim: SimLine, say: Callable[[str], None]
+    ) -> None:
+        self._say = say
+        self._sim = sim
+        quiet = line.kind == "quiet"
+        self._judged = quiet or line.kind == "loaded"
+        classes = QUIET if quiet else LOADED if line.is_crowded else UNCROWDED
+        waits = {which: plan.wait(name) for which, name in classes.items()}
+        self._waits = {
+            which: (wait.name, wait.quiet_s if quiet else wait.loaded_s)
+            for which, wait in waits.items()
+        }
+        self._own_s = {wait.name: wait.own_s for wait in waits.values()}
+        self._gaps: dict[tuple[str, str], float] = {}
+        if Priority.CYCLIC in self._waits:
+            self._promise_gaps(line, plan, self._waits[Priority.CYCLIC][1])
+        self._good: dict[tuple[str, str], float] = {}
+        self._guards = {
+            drive.address: (drive.name, time_s)
+            for drive in line.roster.drives
+            if (time_s := watched_s(drive))
+        }
+        self._fed: dict[int, float] = {}
+        self.most: dict[str, float] = {}
+
+    def _promise_gaps(self, line: RandomLine, plan: Plan, late_s: float) -> None:
+        for drive in line.roster.drives:
+            periods = 2.0 if watched_s(drive) else 1.0
+            for entry in drive.cyclic:
+                period_s = periods * entry.every_s * plan.load.stretch
+                self._gaps[drive.name, str(entry.code)] = period_s + late_s
+
+    def begin(self, now_s: float, *, settled: bool) -> None:
+        """Judge from here on; what the daemon itself asks in idle time goes before clients'."""
+        if not settled:
+            self._waits.pop(Priority.BACKGROUND, None)
+        if self._judged:
+            self._good = dict.fromkeys(self._gaps, now_s)
+            self._fed = {self._sim[name].address: now_s for name, _ in self._guards.values()}
+            self._sim.on_request = lambda at_s, heard: self._heard(heard.address, at_s)
+
+    def ended(self, report: ExchangeReport) -> None:
+        """Judge how long an exchange had waited, and what it brought."""
+        if not self._judged or report.result.kind is ResultKind.LOST:
+            return
+        name, promised_s = self._waits.get(report.priority, ("", 0.0))
+        if name:
+            self._judge(f"{name} to {report.drive} waited", report.waited_s, promised_s, name)
+            took_s, own_s = report.result.ended_s - report.result.started_s, self._own_s[name]
+            self._judge(f"{name} to {report.drive} took", took_s, own_s, f"{name} itself")
+        if isinstance(report.result.answer, ValueAnswer):
+            self._value(report.drive, str(report.step.code), report.result.ended_s)
+
+    def _value(self, drive: str, code: str, at_s: float) -> None:
+        since_s = self._good.get((drive, code))
+        if since_s is not None:
+            self._good[drive, code] = at_s
+            promised_s = self._gaps[drive, code]
+            self._judge(f"{code} of {drive} was not read for", at_s - since_s, promised_s, "gap")
+
+    def _heard(self, address: int, at_s: float) -> None:
+        since_s = self._fed.get(address)
+        if since_s is not None:
+            self._fed[address] = at_s
+            name, time_s = self._guards[address]
+            self._judge(f"{name} was not fed for", at_s - since_s, HARD_PART * time_s, "feed")
+
+    def _judge(self, what: str, measured_s: float, promised_s: float, row: str) -> None:
+        self.most[row] = max(self.most.get(row, 0.0), measured_s / promised_s)
+        if measured_s > promised_s + ROUNDING_S:
+            self._say(f"{what} {measured_s:.3f} s, promised {promised_s:.3f} s")
+
+    def end(self, now_s: float) -> None:
+        """Judge what has not come again."""
+        for (drive, code), since_s in self._good.items():
+            self._judge(
+                f"{code} of {drive} was not read for", now_s - since_s, self._gaps[drive, code],
+                "gap",
+            )  # fmt: skip
+        for address, since_s in self._fed.items():
+            name, time_s = self._guards[address]
+            self._judge(f"{name} was not fed for", now_s - since_s, HARD_PART * time_s, "feed")

@@ -1,0 +1,169 @@
+"""What passes on the wire of one line, looked at with other means than the daemon's.
+
+Every telegram that is handed to the port opens an exchange here, every byte that comes in is put to
+the one that is open, and every report of the daemon must fit the exchange that it tells of:
+
+* No two telegrams overlap: while the host speaks, its last telegram is out, and no drive speaks,
+  thinks or has bytes on their way. After an exchange that was given up, a drive may.
+* At most one exchange is open: the one before had its whole answer, or is reported as failed.
+* No answer is taken for another exchange's: what is reported is what that drive did upon that
+  telegram, as the drive itself remembers it. Noise alone may turn an answer into that of a drive
+  without the code (see `simulator.spoiling`).
+
+Must not live here: who should have spoken (`invariants`), how long anything may wait (`promises`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from lecombus.line.observer import ExchangeReport
+from lecombus.line.station import StepKind
+from lecombus.protocol.exchange import ResultKind
+from lecombus.protocol.telegrams import AckAnswer, NakAnswer, UnknownCodeAnswer, ValueAnswer
+from lecombus.simulator.drive import SimDrive
+from lecombus.simulator.line import SimLine
+from support.taps import STRIPPED
+
+__all__ = ["Wire", "is_whole"]
+
+CHARACTER_BITS = 10
+UNREPORTED = 2
+"""At the end one exchange may be under way, and one's report put off until the next is said."""
+STX, ETX, EOT, ACK, NAK = 2, 3, 4, 6, 21
+
+
+@dataclass(slots=True)
+class _Exchange:
+    """A telegram and what came before the next one.
+
+    Args:
+        said_s: When it was handed to the port.
+        drive: Whom it speaks to; None: a group, or nobody there.
+        spoken_over: A drive was not through with it when the next telegram was said.
+    """
+
+    said_s: float
+    drive: SimDrive | None
+    heard: bytearray = field(default_factory=bytearray)
+    spoken_over: bool = False
+
+
+class Wire:
+    """Watches the wire.
+
+    Args:
+        sim: The drives.
+        clean: Whether every answer comes undamaged and in time.
+        say: Told what did not hold.
+    """
+
+    def __init__(self, sim: SimLine, clean: bool, say: Callable[[str], None]) -> None:
+        self._sim = sim
+        self._clean = clean
+        self._say = say
+        self._open: _Exchange | None = None
+        self._unreported: deque[_Exchange] = deque()
+        self._drives = {drive.address: drive for drive in sim.drives}
+        self._host_free_s = 0.0
+        self._log = hashlib.sha256()
+
+    @property
+    def digest(self) -> str:
+        """Everything that was said and heard, and when, as one number."""
+        return self._log.hexdigest()[:16]
+
+    def said(self, data: bytes, now_s: float) -> None:
+        """A telegram is handed to the port."""
+        self._log.update(b"%a>%b" % (now_s, data))
+        if now_s < self._host_free_s:
+            self._say("a telegram was said while the one before was still going out")
+        self._host_free_s = now_s + len(data) * CHARACTER_BITS / self._sim.host_baud
+        before, busy = self._open, self._sim.under_way(now_s)
+        if before is not None:
+            before.spoken_over = busy
+        if busy and self._clean:
+            self._say("a telegram was said while a drive was not through with the one before")
+        text = data.translate(STRIPPED)
+        self._open = _Exchange(now_s, self._drives.get(int(text[1:3])))
+        self._unreported.append(self._open)
+
+    def heard(self, data: bytes, now_s: float) -> None:
+        """Bytes come in."""
+        self._log.update(b"%a<%b" % (now_s, data))
+        if self._open is not None:
+            self._open.heard += data
+
+    def ended(self, report: ExchangeReport) -> None:
+        """The daemon reports an exchange: the oldest that it has not reported yet."""
+        result = report.result
+        one = self._unreported.popleft() if self._unreported else None
+        if one is None or one.said_s != result.started_s:
+            self._say(f"an exchange with {report.drive} was reported that was not said then")
+            return
+        following = self._unreported[0] if self._unreported else None
+        if following is not None and following.said_s < result.ended_s:
+            self._say(f"the exchange with {report.drive} was open when the next one began")
+        if result.kind is ResultKind.ANSWERED:
+            self._judge_answer(one, report)
+
+    def _judge_answer(self, one: _Exchange, report: ExchangeReport) -> None:
+        whole = not one.spoken_over and is_whole(bytes(one.heard))
+        if not (whole if self._clean else _has_come(one, report.result.answer)):
+            self._say(f"{report.drive} is said to have answered, and it was not through")
+        if one.drive is None or one.drive.address != report.address:
+            self._say(f"an answer of nobody was taken for that of {report.drive}")
+            return
+        trap = not self._clean and isinstance(report.result.answer, UnknownCodeAnswer)
+        if not trap and not _is_told(one, report):
+            self._say(f"{report.drive} did not answer {report.result.answer} to {report.step}")
+
+    def end(self) -> None:
+        """Look whether an exchange was forgotten."""
+        if len(self._unreported) > UNREPORTED:
+            self._say(f"{len(self._unreported)} exchanges were said and never reported")
+
+
+def _is_told(one: _Exchange, report: ExchangeReport) -> bool:
+    """Whether a drive remembers to have done upon this telegram what it is reported to have done.
+
+    A drive that could not understand a telegram remembers nothing; it says so, and that is told
+    apart from every answer judged here.
+    """
+    step, answer = report.step, report.result.answer
+    assert one.drive is not None
+    last = one.drive.log[-1] if one.drive.log else None
+    if last is None or not one.said_s < last.time_s <= report.result.ended_s:
+        return False
+    same = (last.code, last.subcode) == (step.code.number, step.code.subcode)
+    if isinstance(answer, ValueAnswer):
+        return same and last.kind == "read" and last.accepted and last.text == answer.value.raw
+    if isinstance(answer, AckAnswer | NakAnswer):
+        accepted = isinstance(answer, AckAnswer)
+        return same and last.kind == "write" and last.accepted is accepted
+    if isinstance(answer, UnknownCodeAnswer):
+        return same and step.kind is StepKind.READ and not last.accepted
+    return False
+
+
+def _has_come(one: _Exchange, answer: object) -> bool:
+    """Whether the bytes that came hold an answer; noise may stand before and behind it."""
+    text = bytes(one.heard).translate(STRIPPED)
+    if isinstance(answer, ValueAnswer):
+        return answer.field + answer.value.raw.encode("ascii") + bytes((ETX,)) in text
+    return any(byte in text for byte in (ACK, NAK, EOT))
+
+
+def is_whole(heard: bytes) -> bool:
+    """Whether bytes are one whole answer and nothing else, by position alone."""
+    text = heard.translate(STRIPPED)
+    if text in (bytes((ACK,)), bytes((NAK,))):
+        return True
+    if text[:1] != bytes((STX,)):
+        return False
+    if text[-1:] == bytes((EOT,)) and ETX not in text:
+        return True
+    return text.find(ETX) == len(text) - 2
