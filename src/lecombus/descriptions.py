@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from lecombus.drives import CodeInfo, ControlWordInfo, Family, Text, WordInfo
+from lecombus.drives import CodeInfo, ControlWordInfo, Family, Text, WordInfo, german_name
 from lecombus.readings import Json
 
 __all__ = ["code_document", "family_document"]
@@ -84,12 +84,12 @@ def control_bits(word: ControlWordInfo) -> Iterator[tuple[int, dict[str, Json]]]
 
 
 def status_bits(word: WordInfo) -> Iterator[tuple[int, dict[str, Json]]]:
-    """Give the bits of a status word with their number; the manual's names are English only."""
+    """Give the bits of a status word with their number."""
     for name, mask in word.bits:
         number = mask.bit_length() - 1
         yield number, bit_document(number, number, "bit", name, {})
     for field in word.fields:
-        meanings = {number: text_document(Text(text, text)) for number, text in field.texts.items()}
+        meanings = {number: text_document(text) for number, text in field.texts.items()}
         yield field.low, bit_document(field.low, field.high, "field", field.name, meanings)
     for number in word.free:
         yield number, bit_document(number, number, "free", "", {})
@@ -104,6 +104,7 @@ def bit_document(
         "high": high,
         "kind": kind,
         "name": name or None,
+        "name_de": german_name(name) or None,
         "meanings": [{"value": number, **text} for number, text in meanings.items()],
     }
 

@@ -7,7 +7,11 @@ import json
 import pytest
 
 from cli.conftest import Run
+from lecombus.cli import describe
+from lecombus.cli.describe_words import GERMAN
 from lecombus.drives import FAMILY_NAMES, family
+
+ENGLISH = {english for english, german in GERMAN.items() if english != german}
 
 
 @pytest.mark.parametrize("name", FAMILY_NAMES)
@@ -21,8 +25,38 @@ def test_every_code_of_a_family_has_a_line(name: str, run: Run) -> None:
 
 def test_names_and_ranges_come_in_german(run: Run) -> None:
     out = run("describe", "821x", "--lang", "de").out
-    assert "C0046\tFrequenzsollwert\tVD\t0 bis 480 Hz\tread write\tvolatile\t" in out
+    assert "C0046\tFrequenzsollwert\tVD\t0 bis 480 Hz\tlesen schreiben\tflüchtig\t" in out
     assert "C1922\tÜberwachungsreaktion\tVD\t0 (nicht aktiv), 1 (Reglersperre), " in out
+
+
+def test_in_german_nothing_is_left_in_english(run: Run) -> None:
+    out = run("describe", "8200vector", "C0150", "--lang", "de").out
+    rows = dict(line.split("\t") for line in out.splitlines())
+    assert (rows["Bit 1"], rows["Bit 7"]) == ("Impulssperre", "Reglersperre")
+    assert rows["Bit 0"] == "frei: die Bedeutung wird im Antrieb eingestellt"
+    assert rows["Bits 8 bis 11"].startswith("Gerätezustand: 0 Geräteinitialisierung, 1 Einschaltsp")
+    assert (rows["Zugriff"], rows["Speicherort"]) == ("lesen", "flüchtig")
+    assert rows["Format"] == "VH, 4 Hexadezimalziffern"
+    out = run("describe", "821x", "C0135", "--lang", "de").out
+    assert "Bit 3\tQuickstop: 0 Quickstop nicht aktiv, 1 Quickstop aktiv" in out
+    assert "Bit 8\treserviert" in out
+
+
+@pytest.mark.parametrize("name", FAMILY_NAMES)
+def test_every_code_of_a_family_is_told_in_german(name: str, run: Run) -> None:
+    """A word without German would be an error, not English."""
+    assert run("describe", name, "--lang", "de").status == 0
+    for info in family(name).described():
+        ran = run("describe", name, str(info.code), "--lang", "de")
+        assert (ran.status, ran.err) == (0, "")
+        assert not ENGLISH & {line.split("\t")[0] for line in ran.out.splitlines()}
+
+
+def test_headings_on_a_terminal_are_german(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[list[str]] = []
+    monkeypatch.setattr(describe, "show_rows", lambda headings, rows: seen.append([*headings]))
+    assert run("describe", "generic", "--lang", "de").status == 0
+    assert seen == [["Code", "Name", "Format", "Werte", "Zugriff", "Speicherort", "Quelle"]]
 
 
 def test_one_code_is_told_with_its_selection(run: Run) -> None:

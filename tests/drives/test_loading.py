@@ -43,7 +43,7 @@ stops:
 
 SHARED = """\
 fields:
-  - {name: state, bits: [8, 11], texts: {0: fine, 8: fault}, fault: [8]}
+  - {name: state, bits: [8, 11], texts: {0: [fine, gut], 8: [fault, Fehler]}, fault: [8]}
 codes:
   - {code: C0150, name: status, format: VH, hex_digits: 4, source: "1"}
 """

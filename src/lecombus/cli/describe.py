@@ -8,6 +8,7 @@ import click
 
 from lecombus.api.exact import encode
 from lecombus.cli.arguments import CODE, json_option
+from lecombus.cli.describe_words import Say, words_in
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.reports import Document
 from lecombus.cli.screen import on_terminal, show_rows
@@ -28,7 +29,7 @@ HEADINGS = ("code", "name", "format", "values", "access", "kept", "source")
     type=click.Choice([one.value for one in Language]),
     default=Language.EN.value,
     show_default=True,
-    help="Names and selections in this language.",
+    help="In this language.",
 )
 @click.option(
     "--configuration",
@@ -99,69 +100,74 @@ def show_family(described: Family, language: Language, *, as_json: bool) -> None
         return
     if on_terminal():
         click.echo(described.title)
+    say = words_in(language)
     rows = [
         (
             str(info.code),
             info.name_in(language),
             info.format.value,
             info.allowed_in(language),
-            access(info),
-            info.storage.value,
+            access(info, say),
+            say(info.storage.value),
             info.source,
         )
         for info in described.described()
     ]
-    show_rows(HEADINGS, rows)
+    show_rows([say(heading) for heading in HEADINGS], rows)
 
 
 def properties(described: Family, info: CodeInfo, language: Language) -> Iterator[tuple[str, str]]:
     """Give what is known of a code, one property after the other."""
-    digits = f", {info.hex_digits} hexadecimal digits" if info.hex_digits else ""
-    yield "code", str(info.code)
-    yield "name", info.name_in(language)
-    yield "format", f"{info.format.value}{digits}"
+    say = words_in(language)
+    digits = f", {info.hex_digits} {say('hexadecimal digits')}" if info.hex_digits else ""
+    yield say("code"), str(info.code)
+    yield say("name"), info.name_in(language)
+    yield say("format"), f"{info.format.value}{digits}"
     if info.unit:
-        yield "unit", info.unit
+        yield say("unit"), info.unit
     if info.low is not None:
-        yield "values", info.allowed_in(language)
+        yield say("values"), info.allowed_in(language)
     for number, text in info.selection.items():
-        yield f"value {number}", text.in_language(language)
+        yield f"{say('value')} {number}", text.in_language(language)
     if info.default is not None:
-        yield "default", info.default
-    yield "access", access(info)
-    yield "kept", info.storage.value
+        yield say("default"), info.default
+    yield say("access"), access(info, say)
+    yield say("kept"), say(info.storage.value)
     if len(described.set_offsets) > 1:
-        yield "parameter set", str(info.parameter_set)
+        yield say("parameter set"), str(info.parameter_set)
     for bit in bits_document(described, info):
         assert isinstance(bit, dict)
-        yield bit_place(bit), bit_text(bit, language)
-    yield "source", info.source
+        yield bit_place(bit, say), bit_text(bit, language)
+    yield say("source"), info.source
 
 
-def access(info: CodeInfo) -> str:
+def access(info: CodeInfo, say: Say) -> str:
     """Say what may be done with a code."""
-    parts = [word for word, may in (("read", info.readable), ("write", info.writable)) if may]
+    may = (("read", info.readable), ("write", info.writable))
+    parts = [say(word) for word, is_so in may if is_so]
     if info.write_class is not WriteClass.PLAIN:
-        parts.append(f"({info.write_class})")
+        parts.append(f"({say(info.write_class.value)})")
     if info.needs_inhibit:
-        parts.append("while inhibited")
+        parts.append(say("while inhibited"))
     return " ".join(parts)
 
 
-def bit_place(bit: Document) -> str:
+def bit_place(bit: Document, say: Say) -> str:
     """Name the place of a bit or a field."""
     low, high = bit["low"], bit["high"]
-    return f"bit {low}" if low == high else f"bits {low} to {high}"
+    return f"{say('bit')} {low}" if low == high else f"{say('bits')} {low} {say('to')} {high}"
 
 
 def bit_text(bit: Document, language: Language) -> str:
-    """Say what a bit or a field is."""
+    """Say what a bit or a field is; in English by the name that programs know it by."""
+    say = words_in(language)
     if bit["kind"] == "free":
-        return "free: its meaning is set in the drive"
+        return say("free: its meaning is set in the drive")
     if bit["kind"] == "reserved":
-        return "reserved"
+        return say("reserved")
+    name = bit["name_de" if language is Language.DE else "name"]
     meanings = ", ".join(f"{one['value']} {one[language.value]}" for one in bit["meanings"])
-    return f"{bit['name']}: {meanings}" if meanings else str(bit["name"])
+    return f"{name}: {meanings}" if meanings else str(name)
 
 
 def neighbours(described: Family, code: Code) -> Sequence[CodeInfo]:

@@ -11,6 +11,7 @@ Pure: no input or output but the packaged data files, no clock, nothing of the l
 
 from __future__ import annotations
 
+from .bit_names import german_name
 from .codes import CodeInfo, PlainWhen, Storage, WriteClass
 from .commands import ControlBit, ControlField, ControlWordInfo
 from .costs import Cost, LineTiming, multicast_cost, read_cost, write_cost
@@ -88,6 +89,7 @@ __all__ = [
     "confirm_codes",
     "encode_for",
     "family",
+    "german_name",
     "is_last",
     "join_states",
     "knows_stop",

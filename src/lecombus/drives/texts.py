@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Final
 
-__all__ = ["Language", "Text"]
+__all__ = ["NOTHING", "Language", "Text"]
 
 
 class Language(StrEnum):
@@ -38,3 +39,6 @@ class Text:
     def in_language(self, language: Language) -> str:
         """Return the text in a language."""
         return self.de if language is Language.DE else self.en
+
+
+NOTHING: Final = Text("", "")

@@ -46,7 +46,9 @@ from .readers import (
     read_numbers,
     read_source,
     read_span,
+    read_text,
 )
+from .texts import Text
 from .words import WordField, WordInfo
 
 __all__ = ["CONFIGURATION", "WordBook"]
@@ -208,7 +210,7 @@ def _read_field(table: Table) -> WordField:
         name=table.take("name").text(),
         low=low,
         high=high,
-        texts=_numbered(texts.table(), LONGEST_WORD) if texts else {},
+        texts=_texts(texts.table()) if texts else {},
         fault=frozenset(item.integer(0, LONGEST_WORD) for item in fault.items())
         if fault
         else frozenset(),
@@ -261,6 +263,10 @@ def _taken(bits: Iterable[tuple[str, int]], fields: Iterable[WordField]) -> set[
     """Give the numbers of the bits that have a meaning."""
     named = {mask.bit_length() - 1 for _, mask in bits}
     return named | {bit for field in fields for bit in range(field.low, field.high + 1)}
+
+
+def _texts(table: Table) -> dict[int, Text]:
+    return {key.integer(0, LONGEST_WORD): read_text(value) for key, value in table.pairs()}
 
 
 def _numbered(table: Table, high: int) -> dict[int, str]:

@@ -17,6 +17,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from .operating import OperatingState, StateRule
+from .texts import NOTHING, Text
 
 __all__ = ["FieldReading", "WordField", "WordInfo"]
 
@@ -31,7 +32,7 @@ class FieldReading:
     """
 
     number: int
-    text: str
+    text: Text
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +50,7 @@ class WordField:
     name: str
     low: int
     high: int
-    texts: Mapping[int, str]
+    texts: Mapping[int, Text]
     fault: frozenset[int] = frozenset()
 
     @property
@@ -60,7 +61,7 @@ class WordField:
     def read(self, word: int) -> FieldReading:
         """Take this field out of a word."""
         number = (word & self.mask) >> self.low
-        return FieldReading(number, self.texts.get(number, ""))
+        return FieldReading(number, self.texts.get(number, NOTHING))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,6 +122,7 @@ class WordInfo:
         """
         shown = self.flags(word)
         state = self.readings(word).get("controller_status")
-        if shown.get("message") or (state is not None and state.text.startswith("message active")):
+        is_message = state is not None and state.text.en.startswith("message active")
+        if shown.get("message") or is_message:
             return "message"
         return "warning" if shown.get("warning") else ""

@@ -25,7 +25,8 @@ class BitDocument(Document):
     low: int
     high: int
     kind: Annotated[str, Field(description="bit, field, free (its user assigns it) or reserved")]
-    name: str | None
+    name: Annotated[str | None, Field(description="A word that stays the same in every language")]
+    name_de: str | None
     meanings: list[MeaningDocument]
 
 

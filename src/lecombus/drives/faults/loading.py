@@ -17,7 +17,7 @@ from lecombus.errors import DescriptionError
 
 from ..document import Item, Origin, Table, read_document
 from ..readers import read_code_number, read_source, read_text
-from ..texts import Text
+from ..texts import NOTHING, Text
 from .model import (
     CommunicationError,
     ExtendedFault,
@@ -43,8 +43,6 @@ TABLES: Final = ("82xx", "93xx", "smvector")
 HIGHEST_NUMBER: Final = 9999
 HIGHEST_EXTENDED: Final = 255
 HIGHEST_ERROR: Final = 15
-
-NOTHING: Final = Text("", "")
 
 ReadFile = Callable[[str], str]
 
