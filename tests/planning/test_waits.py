@@ -115,6 +115,6 @@ def test_a_higher_class_never_waits_longer_under_the_same_load() -> None:
 
 
 def test_where_feeding_takes_all_there_is_no_promise() -> None:
-    roster = roster_of(60, time="4s", baud=9600)
+    roster = roster_of(60, time="3.4s", baud=9600)
     assert math.isinf(make_plan(roster).wait("control").loaded_s)
     assert make_plan(roster).as_json()["waits"][1]["loaded_s"] is None

@@ -26,6 +26,7 @@ from lecombus.protocol.values import Value
 
 __all__ = [
     "Times",
+    "dearest_read_times",
     "feed_times",
     "form_for",
     "own_longest_s",
@@ -67,6 +68,23 @@ def read_times(
     cost = read_cost(timing, of, code, form, answer_s)
     pause_s = timing.turnaround_s
     return Times(cost.expected_s + pause_s, cost.whole_s + pause_s, cost.worst_s + pause_s)
+
+
+def dearest_read_times(drive: DriveEntry, code: Code, timing: LineTiming) -> Times:
+    """Give the times of reading a code in the longest form in which the drive is asked for it.
+
+    While an old answer could pass for one in the usual form, the other one is used.
+    """
+    of = family(drive.family)
+    answer_s = drive.slow.time_s(of, code, write=False, answer_time_s=drive.answer_time_s)
+    forms = [form for form in drive.forms if code.knows(form)] or [Form.EXTENDED]
+    costs = [read_cost(timing, of, code, form, answer_s) for form in forms]
+    pause_s = timing.turnaround_s
+    return Times(
+        max(cost.expected_s for cost in costs) + pause_s,
+        max(cost.whole_s for cost in costs) + pause_s,
+        max(cost.worst_s for cost in costs) + pause_s,
+    )
 
 
 def write_times(

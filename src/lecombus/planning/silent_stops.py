@@ -15,7 +15,8 @@ from typing import Final
 from lecombus.config import Roster
 from lecombus.config.exchanges import feed_times, stop_attempt_s, watched_s
 from lecombus.drives import LineTiming, family
-from lecombus.planning.waits import LATENESS_S, longest_exchange
+from lecombus.planning.ahead import ahead_on
+from lecombus.planning.waits import LATENESS_S
 
 __all__ = ["PATIENCE_S", "PAUSE_S", "SilentStop", "silent_stop"]
 
@@ -54,16 +55,15 @@ def silent_stop(roster: Roster, timing: LineTiming) -> SilentStop:
         roster: The line.
         timing: Its times.
     """
-    usual = longest_exchange(roster, timing, any_code=False)
-    longest = longest_exchange(roster, timing, any_code=True)
+    ahead = ahead_on(roster, timing)
     watched = [drive for drive in roster.drives if watched_s(drive) is not None]
     round_s = sum(feed_times(drive, timing).usual_s + LATENESS_S for drive in watched)
     alone_s = max((family(drive.family).hold_after_write_s for drive in watched), default=0.0)
     more_s = round_s + alone_s + LATENESS_S
     attempt_s = max(stop_attempt_s(drive, timing) for drive in roster.drives)
-    loaded_s = longest.times.worst_s + more_s
+    loaded_s = ahead.any_exchange.times.worst_s + more_s
     telegrams = 1 + int(PATIENCE_S / (attempt_s + PAUSE_S + loaded_s))
     return SilentStop(
-        usual.times.worst_s + more_s, loaded_s, attempt_s, max(telegrams, LEAST_TELEGRAMS),
+        ahead.own.times.worst_s + more_s, loaded_s, attempt_s, max(telegrams, LEAST_TELEGRAMS),
         "as above, and feeds that would come too late, one round of the line at most",
     )  # fmt: skip

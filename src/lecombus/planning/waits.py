@@ -1,15 +1,27 @@
 """How long each class of requests waits at worst on one line.
 
-Method: non-preemptive response-time analysis (`schedule.demand`, with its papers). What counts
-against a request is what the schedule may really do before it: the exchange under way with its
-time-out and the silence after it; every feed that can come meanwhile, at the shortest distance at
-which the schedule repeats feeds; and what other classes may take by their shares, the credit they
-have saved up included.
+Method: non-preemptive response-time analysis for fixed priorities (`schedule.demand`, with its
+papers): a request waits for the exchange under way and for the work that goes before it, and the
+smallest fixed point of that sum bounds its wait. What goes before it follows from the schedule's
+own rules (`schedule.choice`, `schedule.shares`), class by class:
+
+* *Stop*: the exchange under way, until its answer is given up.
+* *Control and interactive*: the exchange under way, and feeds. A lone request lets no share go
+  first. Feeds go before it where the watchdogs' slack is short: all of those that may be due
+  together, each as often as its watchdog asks for within the wait; for control none at all where
+  the spare outlasts a lost answer. An interactive request also takes turns with one feed more.
+* *Cyclic*: slots go in the order in which they are due, so one waits for the exchange under way and
+  for every other slot once, all due together, and for the feeds that reads do not stand for. (In
+  that order the backlog is greatest at the first instant at which all are due; a load below
+  the line's time lets it only shrink afterwards.)
+* *Background*: behind all cyclic reads and feeds that come meanwhile, or, if that is sooner, until
+  its share has been earned.
 
 Two bounds are given. *Quiet*: one request at a time, nobody else asking, no drive being audited.
-*Loaded*: every lower class is full, and the exchange under way is the longest that the drives'
-descriptions know, such as a module's own codes during an audit. Requests of the same class and of
-classes above come on top in both: how many there are is up to the clients.
+*Loaded*: lower classes are full, and the exchange under way is the longest that the drives'
+descriptions know, such as a module's own codes; for background, which is the lowest, all classes
+are full. Requests of the same class come on top, and of classes above (but for background): how
+many there are is up to the clients.
 
 The bounds hold while the drives answer and at most the exchange under way is lost.
 """
@@ -17,36 +29,25 @@ The bounds hold while the drives answer and at most the exchange under way is lo
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from lecombus.config import DriveEntry, Roster
-from lecombus.config.exchanges import Times, feed_times, read_times, watched_s
-from lecombus.drives import LineTiming, family
-from lecombus.protocol.addressing import Code
+from lecombus.config import Roster
+from lecombus.config.exchanges import watched_s
+from lecombus.drives import LineTiming
+from lecombus.planning.ahead import Ahead, Blocking, ahead_on
 from lecombus.schedule import Priority
-from lecombus.schedule.demand import Stream, response_s
-from lecombus.schedule.feeds import HARD_PART, SOFT_PART, SPARE_ATTEMPTS
+from lecombus.schedule.demand import FULL, Stream, load_of, response_s
+from lecombus.schedule.feeds import HARD_PART
 from lecombus.schedule.shares import CLASS_SHARES, CREDIT_EXCHANGES
 
-__all__ = ["ClassWait", "Longest", "class_waits", "longest_exchange"]
+__all__ = ["LATENESS_S", "ClassWait", "class_waits"]
 
 LATENESS_S: Final = 0.002
-"""What an idle machine adds between two telegrams, p99."""
+"""What an idle machine adds to one wait, p99."""
 
-
-@dataclass(frozen=True, slots=True)
-class Longest:
-    """The longest exchange a line can be asked for.
-
-    Args:
-        what: Such as `C1923 of feeder`.
-        times: Its line time.
-    """
-
-    what: str
-    times: Times
+BACKGROUND_SHARE: Final = CLASS_SHARES[Priority.BACKGROUND]
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,48 +69,6 @@ class ClassWait:
     counts: str
 
 
-@dataclass(frozen=True, slots=True)
-class _Ahead:
-    """What goes before a class.
-
-    Args:
-        above: Streams that go first whenever they are there.
-        quiet: Classes that take their share even if no client asks.
-        loaded: Classes that take their share when clients ask for more than the line can do.
-        counts: In words.
-    """
-
-    above: tuple[Stream, ...]
-    quiet: tuple[Priority, ...]
-    loaded: tuple[Priority, ...]
-    counts: str
-
-
-def longest_exchange(roster: Roster, timing: LineTiming, *, any_code: bool) -> Longest:
-    """Find the longest exchange a line can be asked for.
-
-    Args:
-        roster: The line.
-        timing: Its times.
-        any_code: Of all codes the drives are described to have; else of those that the line
-            reads and feeds by anyhow.
-    """
-    found = [
-        Longest(f"{code} of {drive.name}", read_times(drive, code, timing))
-        for drive in roster.drives
-        for code in _codes(drive, any_code)
-    ]
-    return max(found, key=lambda one: one.times.worst_s)
-
-
-def _codes(drive: DriveEntry, any_code: bool) -> set[Code]:
-    of = family(drive.family)
-    codes = {of.feed_code, *(entry.code for entry in drive.cyclic)}
-    if any_code:
-        codes.update(info.code for info in of.described() if info.readable)
-    return {code for code in codes if any(code.knows(form) for form in drive.forms)}
-
-
 def class_waits(roster: Roster, timing: LineTiming, stop_line_s: float) -> list[ClassWait]:
     """Give the promise to every class, the highest first.
 
@@ -118,48 +77,50 @@ def class_waits(roster: Roster, timing: LineTiming, stop_line_s: float) -> list[
         timing: Its times.
         stop_line_s: The line time of one stop with its proof, seconds.
     """
-    usual = longest_exchange(roster, timing, any_code=False)
-    longest = longest_exchange(roster, timing, any_code=True)
-    feeds = tuple(_feeds(roster, timing))
-    cyclic = (*_cyclic(roster, timing), *_feeds_beside(roster, timing))
-    piece_s = max((stream.cost_s for stream in (*feeds, *cyclic)), default=0.0)
-    waits = [_stop(usual, longest, timing, stop_line_s)]
-    for name, ahead in _ahead(feeds, cyclic).items():
-        quiet_s = _wait(usual.times.worst_s, piece_s, ahead.above, ahead.quiet)
-        loaded_s = _wait(longest.times.worst_s, piece_s, ahead.above, ahead.loaded)
-        waits.append(ClassWait(name, quiet_s, loaded_s, usual.times.worst_s, ahead.counts))
-    waits.insert(2, _watchdog(roster))
-    return waits
+    ahead = ahead_on(roster, timing)
+    return [
+        _stop(ahead, timing, stop_line_s),
+        _control(ahead),
+        _watchdog(roster),
+        _interactive(ahead),
+        _cyclic(ahead),
+        _background(ahead),
+    ]
 
 
-def _ahead(feeds: tuple[Stream, ...], cyclic: tuple[Stream, ...]) -> dict[str, _Ahead]:
-    asked, read, idle = Priority.INTERACTIVE, Priority.CYCLIC, Priority.BACKGROUND
-    return {
-        "control": _Ahead(
-            feeds, (read,), (asked, read, idle),
-            "the exchange under way, feeds, and what lower classes take by their shares",
-        ),
-        "interactive": _Ahead(
-            feeds, (read,), (read, idle),
-            "the exchange under way, feeds, and what lower classes take by their shares",
-        ),
-        "cyclic": _Ahead(
-            cyclic, (), (idle,),
-            "how late a slot may be: the exchange under way and all other reads and feeds once",
-        ),
-        "background": _Ahead(
-            cyclic, (), (),
-            "as for cyclic; behind clients it has a twentieth of the line",
-        ),
-    }  # fmt: skip
-
-
-def _stop(usual: Longest, longest: Longest, timing: LineTiming, stop_line_s: float) -> ClassWait:
+def _stop(ahead: Ahead, timing: LineTiming, stop_line_s: float) -> ClassWait:
     more_s = timing.turnaround_s + LATENESS_S
+    longest = max(ahead.own, ahead.read, ahead.write, key=lambda one: one.times.given_up_s)
     return ClassWait(
-        "stop", usual.times.given_up_s + more_s, longest.times.given_up_s + more_s, stop_line_s,
+        "stop", ahead.own.times.given_up_s + more_s, longest.times.given_up_s + more_s, stop_line_s,
         f"the exchange under way until it is given up (at most {longest.what}); other drives' "
         "stops that came before add theirs",
+    )  # fmt: skip
+
+
+def _control(ahead: Ahead) -> ClassWait:
+    own_s = ahead.control.times.worst_s
+    text = "the exchange under way, not answered, and no feed: the watchdogs' spare outlasts it"
+    if not ahead.feeds:
+        text = "the exchange under way, not answered"
+    quiet_s = ahead.own.times.worst_s
+    if not _spare_outlasts(ahead, quiet_s + own_s):
+        quiet_s = response_s(0.0, quiet_s, _pressing(ahead, quiet_s + own_s))
+        text = "the exchange under way, not answered, and feeds that may be due just then"
+    loaded_s = response_s(0.0, ahead.any_exchange.times.worst_s, ahead.feeds)
+    return ClassWait("control", quiet_s + LATENESS_S, loaded_s + LATENESS_S, own_s, text)
+
+
+def _interactive(ahead: Ahead) -> ClassWait:
+    turn_s = max((one.cost_s for one in ahead.feeds), default=0.0)
+    once_s = ahead.own.times.worst_s + turn_s
+    quiet_s = response_s(0.0, once_s, _pressing(ahead, once_s + ahead.read.times.worst_s))
+    loaded_s = response_s(0.0, ahead.any_exchange.times.worst_s + turn_s, ahead.feeds)
+    return ClassWait(
+        "interactive", quiet_s + LATENESS_S, loaded_s + LATENESS_S, ahead.read.times.worst_s,
+        "the exchange under way, not answered, and feeds that may be due just then"
+        if ahead.feeds
+        else "the exchange under way, not answered",
     )  # fmt: skip
 
 
@@ -173,37 +134,111 @@ def _watchdog(roster: Roster) -> ClassWait:
     return ClassWait("watchdog", over_s, over_s, 0.0, text)
 
 
-def _wait(
-    under_way_s: float, piece_s: float, above: Sequence[Stream], sharing: Sequence[Priority]
-) -> float:
-    """Bound a wait beside classes that take their shares of the line for as long as it lasts."""
-    left = 1.0 - sum(CLASS_SHARES[one] for one in sharing)
-    once_s = under_way_s + len(sharing) * CREDIT_EXCHANGES * piece_s
-    slower = [Stream(one.name, one.cost_s / left, one.every_s) for one in above]
-    return response_s(0.0, once_s / left, slower)
+def _cyclic(ahead: Ahead) -> ClassWait:
+    longest = ahead.any_exchange.times
+    saved_s = min(CREDIT_EXCHANGES, float(len(ahead.cyclic))) * longest.usual_s
+    quiet_s = _lateness(ahead, ahead.blocking, 0.0)
+    loaded_s = _lateness(ahead, [Blocking(longest.worst_s + saved_s, 0.0)], BACKGROUND_SHARE)
+    own_s = max((one.worst_s for one in ahead.blocking), default=0.0)
+    return ClassWait(
+        "cyclic", quiet_s + LATENESS_S, max(quiet_s, loaded_s) + LATENESS_S, own_s,
+        "how late a slot may be: the exchange under way, not answered, all other reads once, and "
+        "feeds that reads do not stand for",
+    )  # fmt: skip
 
 
-def _feeds(roster: Roster, timing: LineTiming) -> Iterator[Stream]:
-    """Give the feeds at the shortest distance at which the schedule repeats them."""
-    for drive in roster.drives:
-        time_s = watched_s(drive)
-        if time_s is not None:
-            times = feed_times(drive, timing)
-            early_s = HARD_PART * time_s - SPARE_ATTEMPTS * times.worst_s
-            yield Stream(drive.name, times.usual_s, max(SOFT_PART * time_s, early_s))
+def _background(ahead: Ahead) -> ClassWait:
+    coming = [*ahead.cyclic, *ahead.beside]
+    usual_s = max((one.cost_s for one in coming), default=0.0)
+    lost_s = max((one.worst_s for one in ahead.blocking), default=0.0)
+    quiet_s = max(
+        (
+            response_s(0.0, one.worst_s - one.saved_s - ahead.once_read_s, coming)
+            for one in ahead.blocking
+        ),
+        default=0.0,
+    )
+    quiet_s = min(quiet_s, _until_earned(ahead, usual_s, lost_s))
+    longest = ahead.any_exchange.times
+    loaded_s = _until_earned(ahead, ahead.read.times.usual_s, longest.worst_s)
+    return ClassWait(
+        "background", quiet_s + LATENESS_S, loaded_s + LATENESS_S, ahead.read.times.worst_s,
+        "all reads and feeds that come meanwhile; under load, clients of all classes: until a "
+        "twentieth of the line has been earned",
+    )  # fmt: skip
 
 
-def _feeds_beside(roster: Roster, timing: LineTiming) -> Iterator[Stream]:
-    """Give the feeds that the cyclic reads of the same drive do not stand for."""
-    for drive in roster.drives:
-        time_s = watched_s(drive)
-        rate = sum(1.0 / entry.every_s for entry in drive.cyclic)
-        if time_s is not None and (missing := 1.0 / (HARD_PART * time_s) - rate) > 0.0:
-            yield Stream(drive.name, feed_times(drive, timing).usual_s, 1.0 / missing)
+def _lateness(ahead: Ahead, blocking: Sequence[Blocking], share: float) -> float:
+    """Bound how late a slot is when all are due at once, behind an exchange and beside a share."""
+    if ahead.load >= (1.0 - share) * FULL:
+        return math.inf
+    if not ahead.cyclic:
+        return 0.0
+    costs_s = sorted(one.cost_s for one in ahead.cyclic)
+    # As long as an old answer may come, reads take longer, perhaps more than the line has time.
+    overrun_s = max(load_of(ahead.cyclic) - 1.0, 0.0) * ahead.doubt_s
+    slower = [Stream(one.name, one.cost_s / (1.0 - share), one.every_s) for one in ahead.beside]
+    # One of a drive's slots that are due stands for its first feed.
+    overrun_s -= ahead.once_read_s
+    found_s = 0.0
+    for one in blocking:
+        # The slot that is last costs itself nothing; it is another than the one under way.
+        last_s = costs_s[1:2] if one.saved_s == costs_s[0] else costs_s[:1]
+        if last_s:
+            once_s = one.worst_s - one.saved_s + sum(costs_s) - last_s[0] + overrun_s
+            once_s = max(once_s, one.worst_s + _put_off_s(ahead))
+            found_s = max(found_s, response_s(0.0, once_s / (1.0 - share), slower))
+    return found_s
 
 
-def _cyclic(roster: Roster, timing: LineTiming) -> Iterator[Stream]:
-    for drive in roster.drives:
-        for entry in drive.cyclic:
-            usual_s = read_times(drive, entry.code, timing).usual_s
-            yield Stream(f"{entry.code} of {drive.name}", usual_s, entry.every_s)
+def _put_off_s(ahead: Ahead) -> float:
+    """Bound how long reads wait for the end of a doubt, and then for each other; 0: there are none.
+
+    They keep their place, so that only the exchange that is under way then goes before them.
+    """
+    if not ahead.one_form:
+        return 0.0
+    under_way_s = max(one.cost_s for one in ahead.cyclic)
+    others_s = max(
+        sum(one.cost_s for one in alike) - min(one.cost_s for one in alike)
+        for alike in ahead.one_form
+    )
+    return ahead.doubt_s + under_way_s + others_s
+
+
+def _until_earned(ahead: Ahead, usual_s: float, blocked_s: float) -> float:
+    """Bound the time until a background request goes by its share, all classes being full.
+
+    The credit grows with the line's time. Once it is earned, the exchange under way, the feeds and
+    one exchange of each of the other classes that have earned theirs may go first, each of those
+    after one of the highest class.
+    """
+    earned_s = usual_s / BACKGROUND_SHARE
+    turns_s = 2.0 * (len(CLASS_SHARES) - 1) * usual_s
+    feeds_s = sum(one.cost_s for one in ahead.feeds)
+    return earned_s + blocked_s + turns_s + feeds_s
+
+
+def _pressing(ahead: Ahead, wait_s: float) -> tuple[Stream, ...]:
+    """Leave out the feeds of drives that their reads feed so often that they never press."""
+    feeds_s = sum(one.cost_s for one in ahead.feeds)
+    late_s = _lateness(ahead, ahead.blocking, 0.0)
+
+    def presses(one: Stream) -> bool:
+        read_s = ahead.reads_s.get(one.name, math.inf)
+        return one.every_s - read_s - late_s <= wait_s + 2.0 * feeds_s + ahead.spare_s
+
+    return tuple(one for one in ahead.feeds if presses(one))
+
+
+def _spare_outlasts(ahead: Ahead, lost_s: float) -> bool:
+    """Tell whether the slack that feeds keep is enough for a lost answer and the request.
+
+    Feeds press when less than the spare is left, and take turns with the requests of one client
+    that asks again and again; each turn takes as long as such a request does when it is answered.
+    """
+    if not ahead.feeds:
+        return True
+    turn_s = ahead.control.times.usual_s
+    left_s = ahead.spare_s - max(one.cost_s for one in ahead.feeds) - len(ahead.feeds) * turn_s
+    return left_s >= lost_s

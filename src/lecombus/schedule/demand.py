@@ -163,7 +163,8 @@ def response_s(
 
     Args:
         own_s: Its own line time.
-        blocking_s: What can be under way or go ahead once, whatever its class.
+        blocking_s: What can be under way or go ahead once, whatever its class; less what of the
+            work above does not come the first time.
         above: The work that goes first whenever it is there.
         most_s: Give up beyond this.
 
@@ -172,7 +173,7 @@ def response_s(
     """
     if load_of(above) > FULL:
         return math.inf
-    wait_s = blocking_s
+    wait_s = max(blocking_s, 0.0)
     while wait_s <= most_s:
         again_s = blocking_s + sum(stream.coming(wait_s) for stream in above)
         if again_s <= wait_s + ROUNDING_S:

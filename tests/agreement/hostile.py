@@ -1,0 +1,77 @@
+"""A simulated line whose drives, when told to, hold an exchange up for as long as they can.
+
+Drives answer at their family's longest time. An answer that is to be lost begins at the last
+moment at which it may, drips in with the longest pauses that are granted, and never ends.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lecombus.config import Roster
+from lecombus.drives import family
+from lecombus.simulator import SimLine
+from lecombus.simulator.drive import Overrides, SimDrive
+from lecombus.simulator.faults import Faults
+from lecombus.simulator.receiver import Heard
+
+__all__ = ["Drip", "HostileLine", "hostile_line"]
+
+PAUSE_PART = 0.7
+"""Of the longest pause that is granted inside an answer."""
+
+
+@dataclass(frozen=True)
+class Drip:
+    """How an answer is to be lost.
+
+    Args:
+        first_s: When its first character arrives, on the line's clock.
+        end_s: By when it would have to be complete.
+        gap_s: The longest pause that is granted in it, seconds.
+    """
+
+    first_s: float
+    end_s: float
+    gap_s: float
+
+
+class HostileLine(SimLine):
+    """The line."""
+
+    def __init__(self, drives: list[SimDrive], baud: int) -> None:
+        super().__init__(drives, baud=baud)
+        self._drips: dict[int, Drip] = {}
+
+    def lose(self, address: int, drip: Drip) -> None:
+        """Lose the next answer of a drive."""
+        self._drips[address] = drip
+
+    def _ask(self, drive: SimDrive, heard: Heard, at_s: float, faults: Faults) -> None:
+        drip = self._drips.pop(drive.address, None)
+        if drip is None:
+            super()._ask(drive, heard, at_s, faults)
+            return
+        reply = drive.hear(heard, at_s, self._spoiler.rng)
+        if reply is None or len(reply.data) < 4:  # an acknowledgement: it does not come at all
+            return
+        byte_s = drip.first_s
+        for byte in reply.data[:-2]:
+            if byte_s >= drip.end_s:
+                break
+            self._outbox.put(byte_s, bytes((byte | (byte.bit_count() & 1) << 7,)), None)
+            byte_s += PAUSE_PART * drip.gap_s
+
+
+def hostile_line(roster: Roster) -> HostileLine:
+    """Put a roster's drives on a line, their watchdogs set as it wants them."""
+    drives = []
+    for entry in roster.drives:
+        presets: dict[int | tuple[int, int], str] = {}
+        traits = family(entry.family).watchdog
+        if entry.watchdog is not None and traits is not None:
+            presets[traits.time_code.number] = str(round(entry.watchdog.time_s * 1000))
+            presets[traits.action_code.number] = str(traits.actions[entry.watchdog.action])
+        values: Overrides = presets
+        drives.append(SimDrive(entry.address, entry.family, entry.name, values, log_size=1))
+    return HostileLine(drives, roster.line.baud)

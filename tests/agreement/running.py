@@ -1,0 +1,107 @@
+"""One line under attack on the virtual clock, and what was promised beside what was measured."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+
+import anyio
+
+from agreement.adversary import Adversary, Measured
+from agreement.cases import Case
+from agreement.hostile import hostile_line
+from lecombus.config import Roster
+from lecombus.config.exchanges import watched_s
+from lecombus.drives import family
+from lecombus.planning import make_plan
+from lecombus.readings import DriveState
+from lecombus.schedule.feeds import HARD_PART
+from lecombus.simulator.memory import MemoryEnd
+from lecombus.site import Site
+from support.site_host import until
+from support.virtual_loop import VirtualLoop
+
+__all__ = ["Agreed", "agree", "attack_in_virtual_time", "attacked"]
+
+WALL_S = 1_795_000_000.0
+START_S = 900.0
+
+
+@dataclass(frozen=True)
+class Agreed:
+    """One promise and its measure.
+
+    Args:
+        what: Of what.
+        promised_s: The bound, seconds.
+        measured_s: The worst that was seen, seconds.
+    """
+
+    what: str
+    promised_s: float
+    measured_s: float
+
+    @property
+    def ratio(self) -> float:
+        """How much of the promise was used."""
+        return self.measured_s / self.promised_s
+
+
+def agree(roster: Roster, measured: Measured) -> list[Agreed]:
+    """Lay promise and measure side by side."""
+    plan = make_plan(roster)
+    found = []
+    feed_codes = {drive.name: str(family(drive.family).feed_code) for drive in roster.drives}
+    codes = {
+        one: feed_codes[one.drive] if one.what == "feed" else one.what for one in plan.exchanges
+    }
+    longest = max(
+        ((one, measured.failed.get((one.drive, codes[one]), 0.0)) for one in plan.exchanges),
+        key=lambda pair: pair[1] / pair[0].times.worst_s,
+    )
+    found.append(Agreed("failed exchange", longest[0].times.worst_s, longest[1]))
+    for what, wait_s in measured.waits.items():
+        name, loaded = what.removesuffix(", loaded"), what.endswith(", loaded")
+        wait = plan.wait(name)
+        found.append(Agreed(what, wait.loaded_s if loaded else wait.quiet_s, wait_s))
+    fed = [
+        Agreed("feed distance", HARD_PART * time_s, measured.fed[drive.name])
+        for drive in roster.drives
+        if (time_s := watched_s(drive)) and drive.name in measured.fed
+    ]
+    if fed:
+        found.append(max(fed, key=lambda one: one.ratio))
+    return found
+
+
+async def attacked(site: Site, adversary: Adversary, length_s: float) -> Measured:
+    """Run a line, wait until all its drives are there, and attack it."""
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(site.keeper.run)
+        tasks.start_soon(site.worker.run)
+        await until(lambda: _all_there(site), within_s=START_S)
+        await adversary.quiet()
+        measured = await adversary.run(length_s)
+        tasks.cancel_scope.cancel()
+    return measured
+
+
+def _all_there(site: Site) -> bool:
+    names = [drive.name for drive in site.roster.drives]
+    return all(site.store.drive(name).state is DriveState.ONLINE for name in names)
+
+
+def attack_in_virtual_time(case: Case, length_s: float = 60.0) -> Measured:
+    """Attack a line on the virtual clock."""
+    roster = case.roster()
+
+    async def main() -> Measured:
+        sim = hostile_line(roster)
+        memory = MemoryEnd(sim, latency_s=0.001)
+        clock = asyncio.get_running_loop().time
+        site = Site(roster, memory.open, clock, lambda: WALL_S + clock())
+        adversary = Adversary(site, sim, lambda act: act())
+        return await attacked(site, adversary, length_s)
+
+    with asyncio.Runner(loop_factory=lambda: VirtualLoop(1e6)) as runner:
+        return runner.run(main())
