@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from typing import Any
 
 import anyio
 import pytest
 
 from lecombus.api.exact import encode
+from lecombus.config import parse_roster
+from lecombus.metrics.minutes import Minutes
 from lecombus.planning import make_plan
 from lecombus.planning.facts import facts_of, roster_of
 from lecombus.planning.live import LOAD_ROOM, LivePlan, compare
 from lecombus.protocol.addressing import Code
+from lecombus.schedule import Priority
 from support.site_host import Plant, with_plant
 from support.site_host import roster_of as written
 
@@ -91,6 +95,24 @@ def test_feeding_early_is_not_beyond_the_promise(every: str) -> None:
     cyclic = f", cyclic: [{{code: C0150, every: {every}}}]"
     with_plant(test, written([(f"d{at}", at, "smvector") for at in range(1, 9)],
                              drive=WATCHED + cyclic))  # fmt: skip
+
+
+@pytest.mark.parametrize(("added_s", "said"), [(0.0, "within"), (0.006, "as with an adapter")])
+def test_an_adapter_that_adds_to_every_answer_is_suspected(added_s: float, said: str) -> None:
+    """Reads that take longer by less than the adapter may add, and by nothing else."""
+    text = "line: {name: l, port: 'sim:', adapter_latency: 10ms}\ndrives:\n" + "".join(
+        f"  - {{name: d{at}, address: {at}, family: smvector, "
+        "cyclic: [{code: C0150, every: 500ms}]}\n" for at in range(1, 9)
+    )  # fmt: skip
+    roster = parse_roster(text, "r.yaml")
+    cost_s = make_plan(roster).exchanges[0].times.usual_s - roster.line.turnaround_s + added_s
+    minutes = Minutes(0.0)
+    for number in range(16 * 100):
+        minutes.exchange(Priority.CYCLIC, cost_s, 0.001, number / 16, good=True)
+    found = class_of(compare(roster, json.loads(encode(minutes.as_json(100.0)))), "cyclic")
+    assert said in found.verdict
+    much = replace(found, used=2.0)
+    assert much.verdict.endswith(")")
 
 
 def test_what_is_beyond_the_promise_is_said() -> None:

@@ -45,6 +45,7 @@ class LiveClass:
         failed: How many of them were not answered.
         load: The share of the line that is asked for all the time; None: it is up to clients. That
             of the feeds is what must be: a line that has time feeds early.
+        load_slow: The same if the adapter adds to every answer all that it may.
         used: The share of the line that it took.
     """
 
@@ -57,13 +58,16 @@ class LiveClass:
     exchanges: int
     failed: int
     load: float | None
+    load_slow: float | None
     used: float
 
     @property
     def verdict(self) -> str:
         """Say how the longest wait and the load lie to what was promised."""
         if self.name == READS and self.load is not None and self.used > self.load + LOAD_ROOM:
-            return f"takes more of the line than promised ({self.used:.0%} of {self.load:.0%})"
+            text = f"takes more of the line than promised ({self.used:.0%} of {self.load:.0%})"
+            slow = self.load_slow is not None and self.used <= self.load_slow + LOAD_ROOM
+            return f"{text}, as with an adapter that adds to every answer" if slow else text
         if self.most_s is None:
             return "nothing measured"
         if self.most_s <= self.quiet_s + ROUNDING_S:
@@ -242,6 +246,7 @@ def _class(wait: ClassWait, plan: Plan, measured: Mapping[str, Any], pause_s: fl
     window_s = measured["window_s"]
     pauses = found["exchanges"] * pause_s / window_s if window_s > 0.0 else 0.0
     asked = {READS: plan.load.cyclic, "watchdog": plan.load.feeding}
+    slow = {READS: plan.adapter.load.cyclic, "watchdog": plan.adapter.load.feeding}
     return LiveClass(
         name=wait.name,
         quiet_s=wait.quiet_s,
@@ -252,6 +257,7 @@ def _class(wait: ClassWait, plan: Plan, measured: Mapping[str, Any], pause_s: fl
         exchanges=found["exchanges"],
         failed=found["failed"],
         load=asked.get(wait.name),
+        load_slow=slow.get(wait.name),
         used=found["utilisation"] + pauses,
     )
 
