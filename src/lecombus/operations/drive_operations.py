@@ -1,8 +1,8 @@
 """What users ask of one drive: read a code, write one. Every face calls this.
 
-Here stands what is true of such wishes whoever has them: which codes may be written, that a
-drive which is offline or not yet audited is not written to, and how a user's value becomes the
-wire's. The stop stands in `stop_operations`, writes to several drives in `group_operations`.
+Here stands how such wishes become requests and reports, whoever has them. Whether a write may be
+made is asked of `permissions`. The stop stands in `stop_operations`, writes to several drives in
+`group_operations`.
 
 What must not live here: HTTP, telegrams, waiting lists.
 """
@@ -10,42 +10,34 @@ What must not live here: HTTP, telegrams, waiting lists.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from decimal import Decimal
 
 from lecombus.config import DriveEntry, GroupEntry
 from lecombus.drives import (
-    Family,
     WriteClass,
-    check_allowed,
-    encode_for,
-    moves_drive,
-    shifts_addressing,
 )
 from lecombus.drives.stops import asks_to_stop
 from lecombus.errors import (
-    CodeValueError,
-    CutReplyError,
     ExchangeError,
     LecombusError,
-    LineClosedError,
-    NakError,
     OperationError,
     RefusedError,
 )
 from lecombus.line.station import Station
 from lecombus.operations.address_reads import Heard, check_address, read_address
 from lecombus.operations.control_words import ControlWords
+from lecombus.operations.endings import CUT_REMEDY, REMEDIES, kind_of
 from lecombus.operations.findings import WhyReport
+from lecombus.operations.permissions import Permissions
 from lecombus.operations.refusals import Refusals
 from lecombus.operations.reports import RestoreRights, WriteReport
-from lecombus.operations.requests import Ending, Requests, is_line_lost
-from lecombus.operations.restores import check_restored, rights_of
+from lecombus.operations.requests import Ending, Requests
 from lecombus.operations.wear import Wear, wears
 from lecombus.operations.why import Why
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value
-from lecombus.readings import DriveState, LineState, Reading
+from lecombus.readings import Reading
 from lecombus.schedule import Outcome, Priority
 from lecombus.store import Store
 
@@ -82,7 +74,7 @@ class Operations:
         self._words = words
         self._refusals = Refusals(requests, store, clock)
         self._why = Why(requests, store, clock)
-        self._closing = False
+        self._permissions = Permissions(requests, store)
         self._clock = clock
         self._disturbances = disturbances
         self._entries: dict[str, DriveEntry] = {}
@@ -92,12 +84,13 @@ class Operations:
 
     def close(self) -> None:
         """Take no more writes: the daemon is ending; stops are still said."""
-        self._closing = True
+        self._permissions.close()
 
     def set_roster(self, entries: Sequence[DriveEntry], groups: Mapping[str, GroupEntry]) -> None:
         """Take the roster's drives and groups, at the start and at every reload."""
         self._entries = {entry.name: entry for entry in entries}
         self._groups = dict(groups)
+        self._permissions.entries = self._entries
 
     async def read(
         self,
@@ -196,7 +189,7 @@ class Operations:
             QueueFullError: Too many requests wait; nothing was sent.
         """
         station = self._requests.station(drive)
-        wire = self.permitted(drive, station, code, value, restoring=restoring)
+        wire = self._permissions.permitted(drive, station, code, value, restoring=restoring)
         expires_at_s = None if expires_s is None else self._clock() + expires_s
         if wears(station.family, code):
             there = await self.already_there(
@@ -206,7 +199,7 @@ class Operations:
                 return there
             # Much may have become of the drive meanwhile.
             station = self._requests.station(drive)
-            wire = self.permitted(drive, station, code, value, restoring=restoring)
+            wire = self._permissions.permitted(drive, station, code, value, restoring=restoring)
             self._wear.take(drive, code)
         self.note_stop(station, code, wire)
         ending = self.submit_write(
@@ -294,101 +287,13 @@ class Operations:
             raise
         return ending
 
-    # ---- checks -----------------------------------------------------------------------------
-
-    def permitted(
-        self,
-        drive: str,
-        station: Station,
-        code: Code,
-        value: Decimal | int | str,
-        *,
-        restoring: bool = False,
-    ) -> Value:
-        """Give the wire's value for a write that may be made now."""
-        if self._closing:
-            raise LineClosedError(f"{drive} is not written to: the daemon is being ended")
-        refuse_moving(drive, station.family, code)
-        if restoring:
-            check_restored(self.restore_rights(drive), station.family, code, value)
-        else:
-            self.check_writable(drive, code)
-        self.check_ready(drive, code)
-        remedy = "give a number, or the text as on the wire such as H0008"
-        try:
-            wire = encode_for(station.family, code, value)
-            if not restoring and code not in self._entries[drive].unchecked:
-                remedy = (
-                    f"give such a value; if this drive takes more, list {code} under `unchecked` "
-                    "of the drive in the roster"
-                )
-                check_allowed(station.family, code, wire)
-        except CodeValueError as exc:
-            raise OperationError(
-                f"{code} of {drive} cannot take {value!s}: {exc}",
-                kind="bad-value",
-                drive=drive,
-                code=str(code),
-                remedy=remedy,
-            ) from exc
-        return wire
-
     def restore_rights(self, drive: str) -> RestoreRights:
         """Say whether a backup may be restored into a drive.
 
         Raises:
             OperationError: `no-such-drive`.
         """
-        station = self._requests.station(drive)
-        locked = self._store.drive(drive).write_lock
-        return rights_of(self._entries[drive], station.family, locked)
-
-    def check_ready(self, drive: str, code: Code | None = None) -> None:
-        """Refuse to write to a drive that is away, not audited yet, or locked.
-
-        Raises:
-            OperationError: `offline`, `starting` or `locked`.
-        """
-        told = "" if code is None else str(code)
-        state = self._store.drive(drive)
-        # Without a line no drive answers: the worker says so when it is asked, and why.
-        is_open = self._store.line().state is LineState.OPEN
-        if is_open and state.state in (DriveState.OFFLINE, DriveState.STARTING):
-            raise OperationError(
-                f"{drive} is {state.state.value}: {state.reason}",
-                kind="offline" if state.state is DriveState.OFFLINE else "starting",
-                drive=drive,
-                code=told,
-                remedy="nothing was sent; a drive is written to once it answers and was audited",
-            )
-        if state.write_lock is not None:
-            raise OperationError(
-                f"nothing is written to {drive}: {state.write_lock}",
-                kind="locked",
-                drive=drive,
-                code=told,
-            )
-
-    def check_writable(self, drive: str, code: Code) -> None:
-        """Refuse a code that the roster does not let be written.
-
-        Raises:
-            OperationError: `not-writable`.
-        """
-        writable = self._entries[drive].writable
-        if code in writable:
-            return
-        family = self._requests.station(drive).family
-        info = family.info(code)
-        text = f"{code} of {drive} is not writable"
-        remedy = (
-            f"add {code} to this drive's `writable` list in the roster, where now "
-            f"{listed(writable)}"
-        )
-        if info is not None and not info.writable:
-            text = f"{code} of {drive} is read only: {info.name}"
-            remedy = f"`lecombus describe {family.name}` lists what can be written"
-        raise OperationError(text, kind="not-writable", drive=drive, code=str(code), remedy=remedy)
+        return self._permissions.restore_rights(drive)
 
     def report(
         self, drive: str, code: Code, ending: Ending, outcome: Outcome, reason: str
@@ -401,60 +306,3 @@ class Operations:
             remedy = CUT_REMEDY
         reading = self._store.reading(drive, code)
         return WriteReport(drive, code, outcome, reason, kind=kind, remedy=remedy, reading=reading)
-
-
-def refuse_moving(drive: str, family: Family, code: Code) -> None:
-    """Refuse codes after whose write the drive, or its codes, would be elsewhere.
-
-    Raises:
-        OperationError: `not-writable`.
-    """
-    moved = moves_drive(family, code)
-    remedy = (
-        f"change an address by `lecombus readdress {drive} NEW`, a baud rate by `lecombus rebaud` "
-        "with the daemon stopped"
-    )
-    if moved is None and shifts_addressing(family, code):
-        moved = "moves what every later telegram in standard addressing reaches"
-        remedy = "name a subcode after the code instead, as in C0039/1"
-    if moved is not None:
-        raise OperationError(
-            f"{code} of {drive} {moved}: it is never written like other codes",
-            kind="not-writable",
-            drive=drive,
-            code=str(code),
-            remedy=remedy,
-        )
-
-
-def listed(writable: Collection[Code]) -> str:
-    """Say what may be written to a drive, to stand after "where now"."""
-    if not writable:
-        return "there is nothing"
-    return f"there {'is' if len(writable) == 1 else 'are'} {', '.join(map(str, sorted(writable)))}"
-
-
-REMEDIES = {
-    "nak": "check that the code may be written now: inhibited, in range, the control source set "
-    "to LECOM",
-    "no-answer": "check the drive's supply and the wires, then read the code to see what it holds",
-    "not-in-effect": "the drive took the telegram but not the value: look at what it reads",
-    "line-lost": "the port is being reopened; ask again when the line is open",
-    "expired": "allow more time, or ask less of the line",
-}
-CUT_REMEDY = "the port is being reopened; read the code then to see what it holds"
-"""Where it may have happened, asking again blindly is not the thing to do."""
-
-
-def kind_of(ending: Ending, outcome: Outcome, reason: str) -> str:
-    """Give the stable word for why a write was not done."""
-    if outcome in (Outcome.EXPIRED, Outcome.SUPERSEDED):
-        return outcome.value
-    error = ending.error
-    if error is None and is_line_lost(reason):
-        return "line-lost"
-    if error is None:
-        return "not-in-effect" if ending.was_sent else "offline"
-    if isinstance(error, NakError):
-        return "nak"
-    return "line-lost" if isinstance(error, CutReplyError) else "no-answer"

@@ -26,7 +26,7 @@ from lecombus.errors import (
     ScheduleError,
 )
 from lecombus.line.station import Station
-from lecombus.operations.drive_operations import REMEDIES, kind_of
+from lecombus.operations.endings import REMEDIES, kind_of
 from lecombus.operations.multicasts import shared_form
 from lecombus.operations.reports import GroupInfo, GroupReport, WriteReport, group_report
 from lecombus.operations.requests import Ending
@@ -109,7 +109,9 @@ class GroupOperations(StopOperations):
         """Give a group's members, and for each the wire's value that may be written to it now."""
         members = self._group(group).members
         stations = tuple(self._requests.station(name) for name in members)
-        return stations, [self.permitted(one.name, one, code, value) for one in stations]
+        return stations, [
+            self._permissions.permitted(one.name, one, code, value) for one in stations
+        ]
 
     async def _already_there(
         self,

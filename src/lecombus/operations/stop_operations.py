@@ -20,7 +20,8 @@ from lecombus.errors import OperationError
 from lecombus.line.station import Station
 from lecombus.line.stop_job import STOP_PATIENCE_S, StopJob
 from lecombus.operations.control_words import ControlWords
-from lecombus.operations.drive_operations import Operations, kind_of
+from lecombus.operations.drive_operations import Operations
+from lecombus.operations.endings import kind_of
 from lecombus.operations.multicasts import said_by, shared_form
 from lecombus.operations.reports import GroupReport, WriteReport, group_report
 from lecombus.operations.request_maker import ignore_end

@@ -1,0 +1,40 @@
+"""What became of a write that was not done: the stable word for it, and what to do then.
+
+What must not live here: likely causes in the drive (`refusals`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+from lecombus.errors import CutReplyError, NakError
+from lecombus.operations.requests import Ending, is_line_lost
+from lecombus.schedule import Outcome
+
+__all__ = ["CUT_REMEDY", "REMEDIES", "kind_of"]
+
+REMEDIES: Final[Mapping[str, str]] = {
+    "nak": "check that the code may be written now: inhibited, in range, the control source set "
+    "to LECOM",
+    "no-answer": "check the drive's supply and the wires, then read the code to see what it holds",
+    "not-in-effect": "the drive took the telegram but not the value: look at what it reads",
+    "line-lost": "the port is being reopened; ask again when the line is open",
+    "expired": "allow more time, or ask less of the line",
+}
+CUT_REMEDY = "the port is being reopened; read the code then to see what it holds"
+"""Where it may have happened, asking again blindly is not the thing to do."""
+
+
+def kind_of(ending: Ending, outcome: Outcome, reason: str) -> str:
+    """Give the stable word for why a write was not done."""
+    if outcome in (Outcome.EXPIRED, Outcome.SUPERSEDED):
+        return outcome.value
+    error = ending.error
+    if error is None and is_line_lost(reason):
+        return "line-lost"
+    if error is None:
+        return "not-in-effect" if ending.was_sent else "offline"
+    if isinstance(error, NakError):
+        return "nak"
+    return "line-lost" if isinstance(error, CutReplyError) else "no-answer"

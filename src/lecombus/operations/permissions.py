@@ -1,0 +1,174 @@
+"""Whether a write may be made now, and what goes on the wire for it.
+
+Here stands what is true of every write whoever asks for it: which codes the roster lets be written,
+that a drive which is offline, not yet audited or locked is not written to, and how a user's value
+becomes the wire's. Stops are asked none of this.
+
+What must not live here: sending anything, what came of a write (`endings`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from decimal import Decimal
+
+from lecombus.config import DriveEntry
+from lecombus.drives import Family, check_allowed, encode_for, moves_drive, shifts_addressing
+from lecombus.errors import CodeValueError, LineClosedError, OperationError
+from lecombus.line.station import Station
+from lecombus.operations.reports import RestoreRights
+from lecombus.operations.requests import Requests
+from lecombus.operations.restores import check_restored, rights_of
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+from lecombus.readings import DriveState, LineState
+from lecombus.store import Store
+
+__all__ = ["Permissions"]
+
+
+class Permissions:
+    """Says what may be written to the drives of one line.
+
+    Args:
+        requests: Knows the stations.
+        store: How the drives are doing.
+
+    Attributes:
+        entries: The roster's drives by their names.
+    """
+
+    def __init__(self, requests: Requests, store: Store) -> None:
+        self._requests = requests
+        self._store = store
+        self._closing = False
+        self.entries: Mapping[str, DriveEntry] = {}
+
+    def close(self) -> None:
+        """Permit nothing more."""
+        self._closing = True
+
+    def permitted(
+        self,
+        drive: str,
+        station: Station,
+        code: Code,
+        value: Decimal | int | str,
+        *,
+        restoring: bool = False,
+    ) -> Value:
+        """Give the wire's value for a write that may be made now."""
+        if self._closing:
+            raise LineClosedError(f"{drive} is not written to: the daemon is being ended")
+        refuse_moving(drive, station.family, code)
+        if restoring:
+            check_restored(self.restore_rights(drive), station.family, code, value)
+        else:
+            self.check_writable(drive, code)
+        self.check_ready(drive, code)
+        remedy = "give a number, or the text as on the wire such as H0008"
+        try:
+            wire = encode_for(station.family, code, value)
+            if not restoring and code not in self.entries[drive].unchecked:
+                remedy = (
+                    f"give such a value; if this drive takes more, list {code} under `unchecked` "
+                    "of the drive in the roster"
+                )
+                check_allowed(station.family, code, wire)
+        except CodeValueError as exc:
+            raise OperationError(
+                f"{code} of {drive} cannot take {value!s}: {exc}",
+                kind="bad-value",
+                drive=drive,
+                code=str(code),
+                remedy=remedy,
+            ) from exc
+        return wire
+
+    def restore_rights(self, drive: str) -> RestoreRights:
+        """Say whether a backup may be restored into a drive.
+
+        Raises:
+            OperationError: `no-such-drive`.
+        """
+        station = self._requests.station(drive)
+        locked = self._store.drive(drive).write_lock
+        return rights_of(self.entries[drive], station.family, locked)
+
+    def check_ready(self, drive: str, code: Code | None = None) -> None:
+        """Refuse to write to a drive that is away, not audited yet, or locked.
+
+        Raises:
+            OperationError: `offline`, `starting` or `locked`.
+        """
+        told = "" if code is None else str(code)
+        state = self._store.drive(drive)
+        # Without a line no drive answers: the worker says so when it is asked, and why.
+        is_open = self._store.line().state is LineState.OPEN
+        if is_open and state.state in (DriveState.OFFLINE, DriveState.STARTING):
+            raise OperationError(
+                f"{drive} is {state.state.value}: {state.reason}",
+                kind="offline" if state.state is DriveState.OFFLINE else "starting",
+                drive=drive,
+                code=told,
+                remedy="nothing was sent; a drive is written to once it answers and was audited",
+            )
+        if state.write_lock is not None:
+            raise OperationError(
+                f"nothing is written to {drive}: {state.write_lock}",
+                kind="locked",
+                drive=drive,
+                code=told,
+            )
+
+    def check_writable(self, drive: str, code: Code) -> None:
+        """Refuse a code that the roster does not let be written.
+
+        Raises:
+            OperationError: `not-writable`.
+        """
+        writable = self.entries[drive].writable
+        if code in writable:
+            return
+        family = self._requests.station(drive).family
+        info = family.info(code)
+        text = f"{code} of {drive} is not writable"
+        remedy = (
+            f"add {code} to this drive's `writable` list in the roster, where now "
+            f"{listed(writable)}"
+        )
+        if info is not None and not info.writable:
+            text = f"{code} of {drive} is read only: {info.name}"
+            remedy = f"`lecombus describe {family.name}` lists what can be written"
+        raise OperationError(text, kind="not-writable", drive=drive, code=str(code), remedy=remedy)
+
+
+def refuse_moving(drive: str, family: Family, code: Code) -> None:
+    """Refuse codes after whose write the drive, or its codes, would be elsewhere.
+
+    Raises:
+        OperationError: `not-writable`.
+    """
+    moved = moves_drive(family, code)
+    remedy = (
+        f"change an address by `lecombus readdress {drive} NEW`, a baud rate by `lecombus rebaud` "
+        "with the daemon stopped"
+    )
+    if moved is None and shifts_addressing(family, code):
+        moved = "moves what every later telegram in standard addressing reaches"
+        remedy = "name a subcode after the code instead, as in C0039/1"
+    if moved is not None:
+        raise OperationError(
+            f"{code} of {drive} {moved}: it is never written like other codes",
+            kind="not-writable",
+            drive=drive,
+            code=str(code),
+            remedy=remedy,
+        )
+
+
+def listed(writable: Collection[Code]) -> str:
+    """Say what may be written to a drive, to stand after "where now"."""
+    if not writable:
+        return "there is nothing"
+    return f"there {'is' if len(writable) == 1 else 'are'} {', '.join(map(str, sorted(writable)))}"
