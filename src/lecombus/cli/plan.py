@@ -20,6 +20,7 @@ from lecombus.durations import format_duration
 from lecombus.planning import Plan, make_plan
 from lecombus.planning.picture import picture
 from lecombus.planning.preview import Preview, preview
+from lecombus.schedule.shares import LISTEN_EVERY_S, LISTEN_S
 
 __all__ = ["command"]
 
@@ -205,8 +206,9 @@ def _show_effects(plan: Plan) -> None:
         title="at other baud rates",
     )  # fmt: skip
     if plan.absent:
+        listening = f"{format_duration(LISTEN_S)} in {format_duration(LISTEN_EVERY_S)}"
         show_table(
-            ("absent", "asked for", "cycle rate of the others"),
+            ("absent", f"asked for, with {listening} of listening", "cycle rate of the others"),
             [
                 (str(one.absent), f"{one.load.total:.0%}", f"x{one.cycle_rate:.2f}")
                 for one in plan.absent

@@ -4,8 +4,9 @@ Strategy: of every code that is read or written, the two longest answers of this
 one before are kept, and the second longest counts: once may be this computer. What is not clearly
 slower than the manual changes nothing, so that costs and time-outs of ordinary drives are those of
 the manual to the digit. What is slower is reckoned with from then on, in steps of a quarter, never
-with less than the manual's time and never with more than ten times that or one second: a stop
-waits for the time-out of what is under way, and that is twice as long.
+with less than the manual's time and never with more than ten times that (or half a second, if that
+is more) or one second: a stop waits for the time-out of what is under way, and that is twice as
+long.
 
 A drive of which every code that was measured is slow is slow as a whole: codes not yet measured are
 reckoned with by the least of the ratios found, except where the manual tells the most it can be.
@@ -36,6 +37,9 @@ WHOLE_CODES: Final = 2
 """So many codes, all slow, make a drive slow as a whole."""
 SLOW_FACTOR: Final = 1.25
 MOST_FACTOR: Final = 10.0
+MOST_LEAST_S: Final = 0.5
+"""So much may be reckoned with however quick the manual says a drive is: it is waited for twice as
+long, and what begins to answer within a second is heard."""
 MOST_S: Final = 1.0
 STEP: Final = 1.25
 
@@ -162,6 +166,11 @@ class MeasuredTimes:
         if longest.note(time_s, now_s):
             self._judge(now_s)
 
+    def answered_s(self, code: Code) -> float | None:
+        """Tell when a read of a code was last answered; None: not remembered."""
+        longest = self._codes.get((code, False))
+        return None if longest is None else longest.last_s
+
     def note_late(self, code: Code, told_s: float, thought_s: float, now_s: float) -> None:
         """Take a read's answer that came after it was given up: it was too slow in any case."""
         least_s = 1.001 * slow_from_s(told_s) + self._latency_s
@@ -219,7 +228,7 @@ def slow_from_s(told_s: float) -> float:
 def bounded(time_s: float, told_s: float) -> float:
     """Round a time up by steps and keep it between what is told and the most, seconds."""
     steps = math.ceil(round(math.log(max(time_s, 0.001) / 0.001, STEP), 6))
-    most_s = max(told_s, min(MOST_FACTOR * told_s, MOST_S))
+    most_s = max(told_s, min(max(MOST_FACTOR * told_s, MOST_LEAST_S), MOST_S))
     return float(min(max(round(0.001 * STEP**steps, 6), told_s), most_s))
 
 

@@ -71,6 +71,10 @@ class Doubts:
             return None
         return self._asked.get(field)
 
+    def asked(self, field: bytes, now_s: float) -> Asked | None:
+        """Tell what an old answer with this code field answers; None: not known for certain."""
+        return self._asked.get(field) if self.blocked_until_s(field, now_s) > now_s else None
+
     def answered(self, field: bytes, now_s: float) -> None:
         """Note that an answer came: an acknowledgement may be the old one that was in doubt."""
         if field == ACK_FIELD and self.blocked_until_s(field, now_s) > now_s:

@@ -12,7 +12,7 @@ Source: EDB2102EN 8.3.5; 3.5 for the times.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..drives import Cost, LineTiming, read_cost, write_cost
 from ..drives.measured import SlowAnswers
@@ -41,6 +41,8 @@ class Question:
         hold_s: How long the drive is left alone after it, seconds.
         thinking_s: For how long nothing can arrive after it was handed over, seconds.
         told_s: The longest that manual and roster let the drive think, seconds.
+        in_haste: A read of a drive that turned out to be slower than they tell, with the time-outs
+            of one that is not: a stop need not wait for a slow drive's reading.
     """
 
     ask: Ask
@@ -48,6 +50,7 @@ class Question:
     hold_s: float
     thinking_s: float
     told_s: float
+    in_haste: Ask | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +142,12 @@ class Questions:
         cost = read_cost(self._timing, station.family, code, form, station.answer_s(code))
         sent = self._on_the_wire(read_telegram(station.address, code, form))
         told_s = station.told_s(code)
-        return self._question(sent, encode_code(code, form), cost, hold_s=0.0, told_s=told_s)
+        made = self._question(sent, encode_code(code, form), cost, hold_s=0.0, told_s=told_s)
+        told = read_cost(self._timing, station.family, code, form, station.answer_time_s)
+        if told.first_byte_s >= cost.first_byte_s:
+            return made
+        ask = replace(made.ask, first_byte_s=told.first_byte_s, whole_s=told.whole_s)
+        return replace(made, in_haste=ask)
 
     def _write(self, station: Station, step: Step) -> Question:
         assert step.value is not None

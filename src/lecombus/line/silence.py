@@ -33,6 +33,7 @@ class Silence:
     def __init__(self, turnaround_s: float) -> None:
         self._turnaround_s = turnaround_s
         self._chatter_ends_s = 0.0
+        self._least_until_s = 0.0  # without what it was drawn out by
         self._heard_s = -LONGEST_CHATTER_S
         self.free_at_s = 0.0
         self.quiet_until_s = 0.0
@@ -53,8 +54,17 @@ class Silence:
         """It ended without its answer."""
         self._quarantine(ended_s, quarantine_s)
 
+    def draw_out(self, until_s: float) -> None:
+        """Be silent longer, to hear an answer that is very late."""
+        self.quiet_until_s = until_s
+        self._chatter_ends_s = until_s + LONGEST_CHATTER_S
+
+    def cut_short(self, at_s: float) -> None:
+        """Draw it out no longer than until a time."""
+        self.quiet_until_s = min(self.quiet_until_s, max(at_s, self._least_until_s))
+
     def _quarantine(self, from_s: float, for_s: float) -> None:
-        self.quiet_until_s = from_s + for_s
+        self.quiet_until_s = self._least_until_s = from_s + for_s
         self._chatter_ends_s = self.quiet_until_s + LONGEST_CHATTER_S
 
     def heard(self, now_s: float, gap_s: float, *, nothing_in_doubt: bool) -> None:
@@ -71,3 +81,4 @@ class Silence:
         over_s = now_s + gap_s
         wanted_s = over_s if nothing_in_doubt else max(self.quiet_until_s, over_s)
         self.quiet_until_s = min(wanted_s, self._chatter_ends_s)
+        self._least_until_s = min(max(self._least_until_s, over_s), self.quiet_until_s)

@@ -14,7 +14,7 @@ from ..protocol.telegrams import (
     UnknownCodeAnswer,
     ValueAnswer,
 )
-from .doubts import Doubts
+from .doubts import Asked, Doubts
 
 __all__ = ["Strays"]
 
@@ -30,6 +30,7 @@ class Strays:
         self._doubts = doubts
         self._parser = AnswerParser(parity=True)
         self._parity = True
+        self.awaited: tuple[bytes, Asked] | None = None  # asked last, and listened for since
         self.bytes_total = 0
         self.late_answers_total = 0
 
@@ -76,6 +77,8 @@ class Strays:
         The end of the answer is taken for its beginning: a time-out may rather be too long.
         """
         asked = self._doubts.sole(field, now_s)
+        if self.awaited is not None:  # nothing was said since, however long ago that was
+            asked = self.awaited[1] if self.awaited[0] == field else None
         if asked is not None:
             station, code = asked.station, asked.code
             late_s = now_s - asked.said_s

@@ -39,6 +39,7 @@ from .aftermath import Aftermath
 from .connection import Connection
 from .doubts import Asked, Doubts
 from .jobs import MulticastJob, ReadJob
+from .listening import Listening
 from .observer import ExchangeReport, Observer
 from .options import WorkerOptions
 from .port import PortOpener, PortSettings
@@ -47,7 +48,6 @@ from .silence import Silence
 from .stall import StallWatch
 from .station import Job
 from .stop_job import StopJob
-from .strays import Strays
 from .waits import Deadline, Lateness, Nap
 
 __all__ = ["ExchangeReport", "LineWorker", "Observer", "WorkerOptions"]
@@ -88,7 +88,6 @@ class LineWorker:
         self._talkative = logger.isEnabledFor(logging.DEBUG)
         self._doubts = Doubts(options.late_answer_s if options.quarantine else 0.0)
         self._questions = Questions(timing, self._doubts)
-        self._strays = Strays(self._doubts)
         self._connection = Connection(settings, opener, self)
         self._exchange = Exchange(parity=True, echo=options.echo)
         self._aftermath = Aftermath()
@@ -100,6 +99,7 @@ class LineWorker:
         self.lateness = Lateness()
         self._nap = Nap(self.lateness)
         self._silence = Silence(options.turnaround_s)
+        self._listening = Listening(schedule, self._silence, self._doubts, self.nudge)
         self._stall = StallWatch(options.stall_s)
         self._closing = False
 
@@ -128,6 +128,7 @@ class LineWorker:
             raise LineLostError(f"{self._connection.why_not()}: nothing was sent")
         self.schedule.submit(request, asyncio.get_running_loop().time())
         if request.priority is Priority.STOP and self._under_way is not None:
+            self._hasten(*self._under_way)
             self._rehearse()
         self.nudge()
 
@@ -163,10 +164,8 @@ class LineWorker:
             if result is not None:
                 self._end_exchange(result)
             return
-        late = self._strays.feed(data, now)
+        late = self._listening.stray(data, now, self._questions.gap_s)
         self._observer.stray_bytes(data, late)
-        over = late and not self._doubts.any(now)
-        self._silence.heard(now, self._questions.gap_s, nothing_in_doubt=over)
 
     def lost(self, exc: Exception | None) -> None:
         """Take note that the port is gone."""
@@ -214,9 +213,9 @@ class LineWorker:
         port = self._connection.port
         assert port is not None
         self._exchange = Exchange(parity=port.carries_parity, echo=self.options.echo)
-        self._strays.parity = self._questions.parity = port.carries_parity
+        self._questions.parity = port.carries_parity
         self._stall.opened()
-        self._silence.opened(loop.time())
+        self._listening.opened(loop.time(), parity=port.carries_parity)
         self._observer.line_changed(True, port.describe())
         return True
 
@@ -231,9 +230,9 @@ class LineWorker:
         loop = asyncio.get_running_loop()
         while not self._closing and not self._connection.is_lost:
             now = loop.time()
-            if (now < self._silence.free_at_s or now < self._silence.quiet_until_s) and (
-                await self._stay_quiet(now)
-            ):
+            silence = self._silence
+            silent = now < silence.free_at_s or now < silence.quiet_until_s or self._listening.is_on
+            if silent and await self._stay_quiet(now):
                 continue
             if self._say_next(now):
                 await self._run_ends()
@@ -266,9 +265,11 @@ class LineWorker:
         if now < self._silence.free_at_s:
             await self._nap.until(self._silence.free_at_s, deaf=True)
             return True
-        if self.schedule.stop_goes(now):
+        stop_goes = self.schedule.stop_goes(now)
+        look_at_s = self._listening.quiet_until_s(now, stop_goes=stop_goes)
+        if stop_goes or self._silence.is_over(now):
             return False
-        await self._nap.until(self._silence.quiet_until_s)
+        await self._nap.until(look_at_s)
         return True
 
     # ---- one exchange after the other, without leaving the receive path ---------------------
@@ -322,6 +323,12 @@ class LineWorker:
         question = self._questions.ask(job, now, urgent=request.priority is Priority.STOP)
         if isinstance(question, Question):
             self._ready = (request, job, question)
+
+    def _hasten(self, request: Request, job: Job, question: Question) -> None:
+        """Wait for a slow drive's reading no longer than its manual says: a stop is there."""
+        if question.in_haste is not None and request.priority is not Priority.STOP:
+            self._exchange.hasten(question.in_haste)
+            self._deadline.set(self._exchange.deadline_s())
 
     def _is_ready(self, at_s: float) -> bool:
         """Whether the telegram that was written out is the one to be said at that time."""
@@ -436,7 +443,7 @@ class LineWorker:
         self.exchanges += 1
         if type(result.answer) is not ValueAnswer:
             self._ready = None  # a doubt, an echo, a lost line: look at it anew
-        quarantined_s = self._after(job, question, result)
+        quarantined_s = self._after(request, job, question, result)
         self.schedule.finished(request, result.started_s, ended + quarantined_s, answered)
         if type(result.answer) is ValueAnswer and type(job) is ReadJob:
             self._aftermath.put_off(request, job, question, result)
@@ -459,7 +466,7 @@ class LineWorker:
         else:
             request.end(*verdict)
 
-    def _after(self, job: Job, question: Question, result: Result) -> float:
+    def _after(self, request: Request, job: Job, question: Question, result: Result) -> float:
         """Set from when the line is free again; returns the quarantine in seconds."""
         ended = result.ended_s
         self._silence.exchange_ended(ended)
@@ -478,8 +485,7 @@ class LineWorker:
             )
         if not self.options.quarantine or result.kind is ResultKind.LOST:
             return 0.0
-        self._strays.begin()
-        self._silence.answer_missing(ended, question.quarantine_s)
+        self._listening.missed(request, job, question, result)
         return question.quarantine_s
 
     def _heard(self) -> None:

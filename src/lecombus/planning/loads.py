@@ -19,7 +19,7 @@ from lecombus.config.feeding import BAUDS, feeding_of, least_time_s
 from lecombus.config.timing import with_slow_adapter
 from lecombus.drives import LineTiming
 from lecombus.schedule.feeds import HARD_PART, SOFT_PART, SPARE_ATTEMPTS
-from lecombus.schedule.shares import BACKOFF_MOST_S
+from lecombus.schedule.shares import BACKOFF_MOST_S, LISTEN_EVERY_S, LISTEN_S
 
 __all__ = [
     "AbsentEffect",
@@ -44,7 +44,7 @@ class Load:
     Args:
         cyclic: The cyclic reads.
         feeding: The feeds beside them that must be; a line that has time feeds more.
-        probing: The probes of absent drives.
+        probing: The probes of absent drives, and listening for ones that are merely very slow.
     """
 
     cyclic: float
@@ -213,7 +213,7 @@ def absent_effects(roster: Roster, timing: LineTiming) -> list[AbsentEffect]:
     for absent in (count for count in ABSENT if count < len(roster.drives)):
         gone = roster.drives[-absent:]
         probes = sum(feed_times(drive, timing).worst_s for drive in gone) / BACKOFF_MOST_S
-        probing = min(probes, roster.line.absent_share)
+        probing = min(probes, roster.line.absent_share) + LISTEN_S / LISTEN_EVERY_S
         load = load_on(roster.drives[:-absent], timing, probing)
         effects.append(AbsentEffect(absent, load, whole.stretch / load.stretch))
     return effects

@@ -222,6 +222,11 @@ class Exchange:
         # Never later, however slowly characters drip in: costs and promises reckon with it.
         return max(first, min(self._last_byte_s + ask.gap_s, self.started_s + ask.whole_s))
 
+    def hasten(self, ask: Ask) -> None:
+        """Wait no longer than by another ask for the same, unless the answer is coming in."""
+        if self._phase is not _ANSWER:
+            self._ask = ask
+
     def expire(self, now_s: float) -> Result | None:
         """End the exchange if its deadline has passed.
 

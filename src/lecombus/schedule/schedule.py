@@ -32,6 +32,7 @@ from lecombus.schedule.cadence import Cadence, Cyclic, Entry
 from lecombus.schedule.choice import Choice, to_feed
 from lecombus.schedule.feed_choice import FeedChoice
 from lecombus.schedule.feeds import Feed, Feeding, Feeds
+from lecombus.schedule.idling import presses_at_s
 from lecombus.schedule.rehearsal import Foreseen, Rehearsal
 from lecombus.schedule.request import OUT, QUEUED, UNDER_WAY, Outcome, Priority, Request, Turn
 from lecombus.schedule.shares import Probe, Probes, Shares
@@ -348,6 +349,17 @@ class Schedule:
                 self._probes.next_s(now_s),
             )
         return min((at_s for at_s in times if at_s is not None), default=None)
+
+    def may_idle(self, now_s: float, for_s: float) -> bool:
+        """Whether the line may be left idle for so long: no watchdog suffers, nothing presses."""
+        return self._feeds.fits(now_s, for_s, "") and self.presses_at_s(now_s) > now_s
+
+    def presses_at_s(self, now_s: float) -> float:
+        """Tell when anything but cyclic and background work may want the line (`idling`)."""
+        self._rehearsal.spoil()
+        if self._waiting.timers and self._waiting.timers[0][0] <= now_s:
+            self._run_timers(now_s)
+        return presses_at_s(self._waiting, self._feeds, self._feed_choice, now_s)
 
     # -- what the line reports --------------------------------------------------------------------
 

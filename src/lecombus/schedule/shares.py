@@ -27,7 +27,7 @@ from typing import Final
 
 from lecombus.schedule.request import Priority, Request, Turn
 
-__all__ = ["CLASS_SHARES", "Probe", "Probes", "Shares"]
+__all__ = ["CLASS_SHARES", "LISTEN_EVERY_S", "LISTEN_S", "Probe", "Probes", "Shares"]
 
 CLASS_SHARES: Final = {
     Priority.INTERACTIVE: 0.15,
@@ -39,6 +39,8 @@ CREDIT_EXCHANGES: Final = 4.0  # most credit, in exchanges of the size at hand
 WINDOW_S: Final = 30.0
 BACKOFF_LEAST_S: Final = 1.0
 BACKOFF_MOST_S: Final = 30.0
+LISTEN_S: Final = 1.0  # the line is left idle for so long at most, to hear a very slow drive
+LISTEN_EVERY_S: Final = 60.0  # and so often
 ROUNDING_S: Final = 1e-6
 
 

@@ -1,0 +1,44 @@
+"""When a line that is left idle on purpose is wanted again.
+
+Cyclic and background work do not count: they are what may wait. Everything else ends the idling,
+also a stop that must itself wait for a feed.
+
+What must not live here: why a line is left idle.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from lecombus.schedule.feed_choice import FeedChoice
+from lecombus.schedule.feeds import Feeds
+from lecombus.schedule.request import Priority
+from lecombus.schedule.waiting import Waiting
+
+__all__ = ["presses_at_s"]
+
+PRESSING: Final = (Priority.CONTROL, Priority.WATCHDOG, Priority.INTERACTIVE)
+LOOK_AGAIN_S: Final = 0.01
+"""An idle line looks no sooner again for a feed that could not go, seconds."""
+
+
+def presses_at_s(waiting: Waiting, feeds: Feeds, choice: FeedChoice, now_s: float) -> float:
+    """Tell when to look again whether anything but cyclic and background work wants the line.
+
+    Args:
+        waiting: What waits; what has come due by now stands in its lanes.
+        feeds: The watchdogs.
+        choice: Says which feed goes.
+        now_s: The time.
+
+    Returns:
+        `now_s`: something does. Submitting may make it so at any time.
+    """
+    if waiting.stop() is not None or choice.urgent(now_s) is not None:
+        return now_s
+    if any(waiting.head(one, now_s) is not None for one in PRESSING):
+        return now_s
+    timer_s = waiting.timers[0][0] if waiting.timers else math.inf
+    feed_s = feeds.next_s(now_s)
+    return min(timer_s, math.inf if feed_s is None else max(feed_s, now_s + LOOK_AGAIN_S))
