@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import pytest
@@ -235,3 +237,15 @@ def test_a_line_that_reads_nothing_has_no_hyperperiod() -> None:
     drawn = picture("l", ("d1", "d2"), preview(roster, line_timing(roster.line)))
     assert "no cyclic reads; 1 s are shown" in drawn
     assert ", feed: " in drawn
+
+
+def test_a_long_name_is_whole_and_does_not_reach_into_the_picture() -> None:
+    roster = roster_of(2, only="smvector")
+    shown = preview(roster, line_timing(roster.line))
+    names = {"d1": "w" * 32, "d2": "short"}
+    spans = tuple(replace(one, drive=names[one.drive]) for one in shown.spans)
+    drawn = picture("l", tuple(names.values()), replace(shown, spans=spans, deadlines={}))
+    size = re.search(r'style="font-size:([0-9.]+)px">w{32}</text>', drawn)
+    assert size is not None
+    assert 32 * 0.8 * float(size[1]) < 140.0
+    assert drawn.count("font-size:") == 1 + drawn.count(".head{font-size:")

@@ -20,6 +20,9 @@ NAMES: Final = 150
 ROW: Final = 18
 TOP: Final = 86
 BOX: Final = 12
+ROOM: Final = NAMES - 18
+SIZE: Final = 11
+USUAL, WIDE = 6.2, 9.5  # of a character at that size, about
 COLOURS: Final = {"cyclic": "#3b6ea5", "watchdog": "#c2662d"}
 STYLE: Final = (
     "text{font:11px sans-serif;fill:#222}.head{font-size:14px}.grid{stroke:#ddd}"
@@ -117,7 +120,10 @@ def _rounds(shown: Preview, height: int) -> Iterator[str]:
 
 
 def _name(name: str, y: float) -> str:
-    return f'<text x="10" y="{y + BOX - 2}">{escape(name[:24])}</text>'
+    """Write a row's name, smaller where it would reach into the picture."""
+    wide = sum(WIDE if one in "mwMW" else USUAL for one in name)
+    fitted = "" if wide <= ROOM else f' style="font-size:{SIZE * ROOM / wide:.1f}px"'
+    return f'<text x="10" y="{y + BOX - 2}"{fitted}>{escape(name)}</text>'
 
 
 def _told(span: Span) -> str:
