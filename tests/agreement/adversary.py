@@ -102,16 +102,16 @@ class Adversary:
         self._turn = 0
         self._others_s = math.inf  # when somebody else asked for something
         self._ahead = ahead_on(site.roster, line_timing(site.roster.line))
-        site.worker._observer = _Told(site.worker._observer, self)
+        site.worker.talk.observer = _Told(site.worker.talk.observer, self)
 
     # -- what the line tells ----------------------------------------------------------------------
 
     def telegram(self) -> None:
         """A telegram has gone out."""
-        under_way = self._worker._under_way
+        under_way = self._worker.talk._under_way
         if under_way is None:
             return
-        request, exchange = under_way[0], self._worker._exchange
+        request, exchange = under_way[0], self._worker.talk._exchange
         found = self._asked.pop(request, None)
         if found is not None:
             what, since_s = found

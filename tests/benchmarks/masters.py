@@ -126,6 +126,10 @@ class Again:
         self._request.settled = False
         return self._request
 
+    def stop_goes(self, now_s: float) -> bool:
+        """There is none."""
+        return False
+
     def rehearse(self, under_way: Request | None, started_s: float, at_s: float) -> Request:
         """It is always the same."""
         return self._request

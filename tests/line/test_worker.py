@@ -52,7 +52,7 @@ def test_a_stop_goes_out_right_after_the_exchange_it_was_submitted_in() -> None:
             rig.read("b", 150)
         await anyio.sleep(0.010)
         said = len(rig.sent)
-        assert rig.worker._under_way is not None, "it must be submitted during an exchange"
+        assert rig.worker.talk._under_way is not None, "it must be submitted during an exchange"
         ended = stop(rig, "a")
         await until(lambda: len(rig.sent) > said)
         telegram = rig.sent[said]
@@ -68,7 +68,7 @@ def test_a_stop_breaks_the_silence_after_a_failed_exchange_and_nothing_else_does
     async def test(rig: Rig) -> None:
         rig.line.drive_faults[2] = Faults(unheard=1.0)
         failed = rig.read("b", 150, Priority.INTERACTIVE)
-        await until(lambda: bool(rig.seen.reports) or len(rig.worker._aftermath.reports) > 0)
+        await until(lambda: bool(rig.seen.reports) or len(rig.worker.talk._aftermath.reports) > 0)
         given_up_s = rig.now_s
         other = rig.read("a", 50)
         await anyio.sleep(0.004)
@@ -316,7 +316,7 @@ def test_an_observer_that_fails_ends_the_worker_loudly() -> None:
 
     async def main() -> None:
         async with Rig() as rig:
-            rig.worker._observer = Broken()
+            rig.worker.talk.observer = Broken()
             rig.read("a", 150)
             await anyio.sleep(5.0)
 
@@ -346,7 +346,7 @@ def test_debug_logs_show_every_telegram_and_every_byte_that_comes(
     async def test(rig: Rig) -> None:
         await rig.read("a", 150).done.wait()
 
-    with caplog.at_level("DEBUG", logger="lecombus.line.worker"):
+    with caplog.at_level("DEBUG", logger="lecombus.line.talk"):
         with_rig(test)
     said = [one.getMessage() for one in caplog.records if one.levelname == "DEBUG"]
     assert "event=sent bytes=84 30 b1 3f 30 05" in said[0]

@@ -16,7 +16,7 @@ from typing import Any
 from lecombus import site
 from lecombus.config import Roster
 from lecombus.line.silence import Silence
-from lecombus.line.worker import LineWorker
+from lecombus.line.talk import Talk
 from lecombus.planning import Plan, make_plan
 from lecombus.protocol.exchange import Ask, Exchange, Result
 from lecombus.protocol.telegrams import ValueAnswer
@@ -52,16 +52,16 @@ def _impatient() -> list[Patch]:
 
 def _twice() -> list[Patch]:
     """Says a second telegram while an exchange is open."""
-    begin = LineWorker._begin
+    begin = Talk._begin
 
-    def begin_twice(self: LineWorker, question: Any, now: float, loss: Any) -> None:
+    def begin_twice(self: Talk, question: Any, now: float, loss: Any) -> None:
         begin(self, question, now, loss)
         if self.exchanges % EVERY == 0 and self._connection.port is not None:
             asyncio.get_running_loop().call_later(
                 question.ask.request_s + IMPATIENCE_S, self._connection.say, question.ask.sent
             )
 
-    return [(LineWorker, "_begin", begin_twice)]
+    return [(Talk, "_begin", begin_twice)]
 
 
 def _old_answers() -> list[Patch]:

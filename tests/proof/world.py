@@ -71,8 +71,8 @@ class World:
         clock = asyncio.get_running_loop().time
         self.site = Site(line.roster, self._open, clock, lambda: WALL_S + clock())
         self.invariants = Invariants(line, self.sim, self.site)
-        observer = self.site.worker._observer
-        self.site.worker._observer = ObserverTap(observer, self.invariants.ended)
+        observer = self.site.worker.talk.observer
+        self.site.worker.talk.observer = ObserverTap(observer, self.invariants.ended)
 
     async def _open(self, settings: PortSettings, receiver: Receiver) -> Port:
         tap = ReceiverTap(receiver, self.invariants.heard)

@@ -319,7 +319,9 @@ class Plant:
             options=self._options,
             state=self._state,
         )
-        self.site.worker._observer = ObserverTap(self.site.worker._observer, self.reports.append)
+        self.site.worker.talk.observer = ObserverTap(
+            self.site.worker.talk.observer, self.reports.append
+        )
         self._running = running(self.site)
         await self._running.__aenter__()
         return self

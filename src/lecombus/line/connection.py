@@ -28,13 +28,11 @@ class Connection:
     Args:
         settings: What to open.
         opener: Opens it.
-        receiver: Gets the bytes.
     """
 
-    def __init__(self, settings: PortSettings, opener: PortOpener, receiver: Receiver) -> None:
+    def __init__(self, settings: PortSettings, opener: PortOpener) -> None:
         self._settings = settings
         self._opener = opener
-        self._receiver = receiver
         self._failures = 0
         self._reason = "the port has not been opened yet"
         self._last_logged = ""
@@ -42,11 +40,11 @@ class Connection:
         self.port: Port | None = None
         self.is_lost = False
 
-    async def open(self) -> bool:
-        """Try to open the port once; on failure `why_not` says why."""
+    async def open(self, receiver: Receiver) -> bool:
+        """Try to open the port once for whoever gets the bytes; on failure `why_not` says why."""
         self.is_lost = False
         try:
-            port = await self._opener(self._settings, self._receiver)
+            port = await self._opener(self._settings, receiver)
         except LineLostError as exc:
             self._failures += 1
             self._reason = str(exc)

@@ -1,9 +1,10 @@
 """What the worker waits for besides bytes: a time, a nudge, a deadline that moves.
 
-Both kinds of wait belong to one line and its event loop thread. `Nap` lets the worker's task sleep
-until a time or until somebody has something for it. `Deadline` calls back at a time that moves on
-with every exchange: its timer is left alone as long as it is early enough and looks again when it
-fires, because making and cancelling one timer for each exchange costs more than the rare look.
+All belong to one line and its event loop thread. `Nap` lets the worker's task sleep until a time or
+until somebody has something for it, and `Pause` is the same for whoever lives in callbacks: waking
+a task costs twice as much. `Deadline` calls back at a time that moves on with every exchange: its
+timer is left alone as long as it is early enough and looks again when it fires, because making and
+cancelling one timer for each exchange costs more than the rare look.
 
 What must not live here: what is waited for, and why.
 """
@@ -13,7 +14,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
-__all__ = ["Deadline", "Lateness", "Nap"]
+__all__ = ["Deadline", "Lateness", "Nap", "Pause"]
 
 
 class Lateness:
@@ -66,6 +67,56 @@ class Nap:
         finally:
             self._future = None
             timer.cancel()
+
+
+class Pause:
+    """Calls back once: at a time, or when nudged before it.
+
+    Args:
+        over: Called.
+        lateness: Told how late that was, where it was the time.
+    """
+
+    __slots__ = ("_handle", "_lateness", "_listens", "_over", "_until_s")
+
+    def __init__(self, over: Callable[[], None], lateness: Lateness) -> None:
+        self._over = over
+        self._lateness = lateness
+        self._handle: asyncio.Handle | None = None
+        self._listens = False
+        self._until_s = 0.0
+
+    @property
+    def is_on(self) -> bool:
+        """Whether it will call back."""
+        return self._handle is not None
+
+    def until(self, at_s: float, *, deaf: bool = False) -> None:
+        """Call back at `at_s` or, unless `deaf`, when nudged."""
+        assert self._handle is None, "one pause at a time"
+        self._until_s, self._listens = at_s, not deaf
+        self._handle = asyncio.get_running_loop().call_at(at_s, self._passed)
+
+    def nudge(self) -> None:
+        """Call back soon, but not from inside this call, if it is on and listens."""
+        if self._handle is not None and self._listens:
+            self._handle.cancel()
+            self._listens = False
+            self._handle = asyncio.get_running_loop().call_soon(self._end)
+
+    def clear(self) -> None:
+        """Call back no more."""
+        if self._handle is not None:
+            self._handle.cancel()
+            self._handle = None
+
+    def _passed(self) -> None:
+        self._lateness.note(asyncio.get_running_loop().time() - self._until_s)
+        self._end()
+
+    def _end(self) -> None:
+        self._handle = None
+        self._over()
 
 
 class Deadline:
