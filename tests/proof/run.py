@@ -1,6 +1,7 @@
 """`make proof`: many hours of many lines, resumable, and one seed again.
 
     python -m proof.run --hours 1000        goes on where it stopped
+    python -m proof.run --first 500         seeds that CI does not run
     python -m proof.run --seed 1234         one line again, with what broke
 
 Every line that was run stands in `.proof/done.jsonl`, with the digest of the program it was of.
@@ -25,11 +26,12 @@ LENGTH_S = 120.0
 
 
 def program() -> str:
-    """The digest of everything that is proven here."""
+    """The digest of everything that is proven here, and of what proves it."""
     digest = hashlib.sha256()
-    home = Path(lecombus.__file__).parent
-    for file in sorted([*home.rglob("*.py"), *home.rglob("*.yaml")]):
-        digest.update(file.read_bytes())
+    proof = Path(__file__).parent
+    for home in (Path(lecombus.__file__).parent, proof, proof.parent / "support"):
+        for file in sorted([*home.rglob("*.py"), *home.rglob("*.yaml")]):
+            digest.update(file.read_bytes())
     return digest.hexdigest()[:12]
 
 
@@ -43,6 +45,7 @@ def _hours() -> argparse.ArgumentParser:
     parser.add_argument("--hours", type=float, default=10.0, help="hours of line time in all")
     parser.add_argument("--seed", type=int, help="run this line alone")
     parser.add_argument("--length", type=float, default=LENGTH_S, help="seconds a line is run")
+    parser.add_argument("--first", type=int, default=0, help="seeds from this one on")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     return parser
 
@@ -78,14 +81,14 @@ def main() -> int:
         for text in found.broken:
             print(f"  {text}")
         return 1 if found.broken else 0
-    return _many(asked.hours * 3600.0, asked.length, asked.jobs)
+    return _many(asked.hours * 3600.0, asked.length, asked.jobs, asked.first)
 
 
-def _many(wanted_s: float, length_s: float, jobs: int) -> int:
+def _many(wanted_s: float, length_s: float, jobs: int, first: int) -> int:
     of = program()
     done = _done(of)
     line_s, broken, took_s = sum(done.values()), 0, 0.0
-    seeds = (seed for seed in count() if seed not in done)
+    seeds = (seed for seed in count(first) if seed not in done)
     with ProcessPoolExecutor(jobs) as pool:
         while line_s < wanted_s:
             batch = list(islice(seeds, 8 * jobs))
