@@ -179,7 +179,7 @@ BROKEN = {
     "forgets requests": Broken(_no_outcome, "was forgotten"),
     "overtakes stops": Broken(_late_stops, "went before the stop of", (0, 1)),
     "promises short waits": Broken(_short_waits, " waited ", (12, 36)),
-    "promises short exchanges": Broken(_short_exchanges, " took "),
+    "promises short exchanges": Broken(_short_exchanges, "it took"),
     "reads seldom": Broken(_seldom, "was not read for", (64, 72)),
     "feeds at the last moment": Broken(_last_moment, "was not fed for", (0, 17)),
 }

@@ -34,6 +34,10 @@ QUIET = {
     Priority.BACKGROUND: "background",
 }
 LOADED = {Priority.CONTROL: "control"}
+OWN = {name: f"{name} itself" for name in QUIET.values()}
+SAID = {"gap": "was not read for", "feed": "was not fed for"} | {
+    row: f"was spoken to, {name}, and it took" for name, row in OWN.items()
+}
 UNCROWDED = LOADED | {Priority.INTERACTIVE: "interactive", Priority.CYCLIC: "cyclic"}
 
 
@@ -95,9 +99,9 @@ class Promises:
             return
         name, promised_s = self._waits.get(report.priority, ("", 0.0))
         if name:
-            self._judge(f"{name} to {report.drive} waited", report.waited_s, promised_s, name)
+            self._judge(name, report.drive, report.waited_s, promised_s)
             took_s, own_s = report.result.ended_s - report.result.started_s, self._own_s[name]
-            self._judge(f"{name} to {report.drive} took", took_s, own_s, f"{name} itself")
+            self._judge(OWN[name], report.drive, took_s, own_s)
         if isinstance(report.result.answer, ValueAnswer):
             self._value(report.drive, str(report.step.code), report.result.ended_s)
 
@@ -105,28 +109,27 @@ class Promises:
         since_s = self._good.get((drive, code))
         if since_s is not None:
             self._good[drive, code] = at_s
-            promised_s = self._gaps[drive, code]
-            self._judge(f"{code} of {drive} was not read for", at_s - since_s, promised_s, "gap")
+            self._judge("gap", drive, at_s - since_s, self._gaps[drive, code])
 
     def _heard(self, address: int, at_s: float) -> None:
         since_s = self._fed.get(address)
         if since_s is not None:
             self._fed[address] = at_s
             name, time_s = self._guards[address]
-            self._judge(f"{name} was not fed for", at_s - since_s, HARD_PART * time_s, "feed")
+            self._judge("feed", name, at_s - since_s, HARD_PART * time_s)
 
-    def _judge(self, what: str, measured_s: float, promised_s: float, row: str) -> None:
-        self.most[row] = max(self.most.get(row, 0.0), measured_s / promised_s)
+    def _judge(self, row: str, drive: str, measured_s: float, promised_s: float) -> None:
+        part = measured_s / promised_s
+        if part > self.most.get(row, 0.0):
+            self.most[row] = part
         if measured_s > promised_s + ROUNDING_S:
+            what = f"{drive} {SAID[row]}" if row in SAID else f"{row} to {drive} waited"
             self._say(f"{what} {measured_s:.3f} s, promised {promised_s:.3f} s")
 
     def end(self, now_s: float) -> None:
         """Judge what has not come again."""
         for (drive, code), since_s in self._good.items():
-            self._judge(
-                f"{code} of {drive} was not read for", now_s - since_s, self._gaps[drive, code],
-                "gap",
-            )  # fmt: skip
+            self._judge("gap", drive, now_s - since_s, self._gaps[drive, code])
         for address, since_s in self._fed.items():
             name, time_s = self._guards[address]
-            self._judge(f"{name} was not fed for", now_s - since_s, HARD_PART * time_s, "feed")
+            self._judge("feed", name, now_s - since_s, HARD_PART * time_s)

@@ -16,6 +16,7 @@ Must not live here: who should have spoken (`invariants`), how long anything may
 from __future__ import annotations
 
 import hashlib
+import struct
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -33,6 +34,7 @@ __all__ = ["Wire", "is_whole"]
 CHARACTER_BITS = 10
 UNREPORTED = 2
 """At the end one exchange may be under way, and one's report put off until the next is said."""
+_TIME = struct.Struct("<d")
 STX, ETX, EOT, ACK, NAK = 2, 3, 4, 6, 21
 
 
@@ -78,7 +80,7 @@ class Wire:
 
     def said(self, data: bytes, now_s: float) -> None:
         """A telegram is handed to the port."""
-        self._log.update(b"%a>%b" % (now_s, data))
+        self._log.update(_TIME.pack(now_s) + b">" + data)
         if now_s < self._host_free_s:
             self._say("a telegram was said while the one before was still going out")
         self._host_free_s = now_s + len(data) * CHARACTER_BITS / self._sim.host_baud
@@ -93,7 +95,7 @@ class Wire:
 
     def heard(self, data: bytes, now_s: float) -> None:
         """Bytes come in."""
-        self._log.update(b"%a<%b" % (now_s, data))
+        self._log.update(_TIME.pack(now_s) + b"<" + data)
         if self._open is not None:
             self._open.heard += data
 

@@ -31,9 +31,9 @@ _SHORT_S: Final = 0.002
 """A shortened response comes at once; the manual gives no figure."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class LogEntry:
-    """A request that reached the drive.
+    """A request that reached the drive; nobody changes it (freezing would double what it costs).
 
     Attributes:
         time_s: When its last character arrived.
@@ -109,8 +109,10 @@ class SimDrive:
         self.generic = family == "generic"
         self.moved: Callable[[], None] = lambda: None
         self._where: tuple[int, int] | None = None
+        self._bank: tuple[int, int] | None = None
         codes = (self.model.address_code, self.model.baud_code)
         self.model.params.watch(codes, self._look_again)
+        self.model.params.watch((248, 249), self._turn_page)
         if not self.generic:
             self.model.params.set(self.model.address_code, str(address))
         self._preset: set[int | tuple[int, int]] = set()
@@ -139,6 +141,9 @@ class SimDrive:
             baud = _BAUDS[params.text(self.model.baud_code)]
         self._where = address, baud
         return self._where
+
+    def _turn_page(self) -> None:
+        self._bank = None
 
     def _look_again(self) -> None:
         self._where = None
@@ -294,8 +299,11 @@ class SimDrive:
         number, subcode, extended = code
         if extended or not self.model.banked or number in (248, 249):
             return number, subcode
-        params = self.model.params
-        return number + 250 * int(params.text(249)), int(params.text(248))
+        if self._bank is None:
+            params = self.model.params
+            self._bank = 250 * int(params.text(249)), int(params.text(248))
+        offset, selected = self._bank
+        return number + offset, selected
 
     def _complain(self, heard: Heard) -> Reply:
         """Parity or block check wrong: `?` to a read, NAK to a write. Source: EDB2102EN 8.3."""
