@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import anyio
 import pytest
 
 from lecombus.config import DriveEntry
 from lecombus.drives import StopAction
 from lecombus.errors import OperationError
+from lecombus.line.station import Station
 from lecombus.operations.reports import WriteReport
 from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome
 from lecombus.simulator.drive import SimDrive
@@ -282,3 +287,61 @@ def test_a_code_bank_of_another_makers_device_is_a_code_like_any_other() -> None
         assert (await plant.site.operations.write("g", Code(249), 1)).outcome is Outcome.DONE
 
     with_plant(test, roster_of([("g", 31, "generic")], drive=", writable: [C0249]"))
+
+
+KEEPS = [("a", 11, "93xx"), ("s", 12, "820x")]
+KEEPS_ROSTER = roster_of(KEEPS, drive=ALLOW)
+
+
+def test_a_drive_that_must_be_told_to_save_is_told_and_is_there_after_its_next_start() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online(within_s=60.0)
+        await plant.site.operations.stop(StopAction.INHIBIT, "all")
+        report = await change(plant, 35)
+        assert report.outcome is Outcome.VERIFIED
+        assert report.reason.endswith("it saved that")
+        plant.power_cycle("a")
+        await anyio.sleep(20.0)
+        assert plant.line["a"].address == 35
+
+    with_plant(test, KEEPS_ROSTER)
+
+
+def test_one_that_does_not_say_that_it_saved_is_found_all_the_same_and_that_is_said() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online(within_s=60.0)
+        await plant.site.operations.stop(StopAction.INHIBIT, "all")
+        write = plant.site.requests.write
+
+        async def deaf(station: Station, code: Code, value: Value, **more: Any) -> Any:
+            if code == Code(3):
+                return Outcome.UNKNOWN, "no answer in time"
+            return await write(station, code, value, **more)
+
+        plant.site.requests.write = deaf  # type: ignore[method-assign]
+        report = await change(plant, 35)
+        assert report.outcome is Outcome.VERIFIED
+        assert "did not say that it did" in report.reason
+        assert "C0003 = 1" in report.remedy
+        assert "address: 35" in report.remedy
+
+    with_plant(test, KEEPS_ROSTER)
+
+
+def test_an_820x_must_be_inhibited_for_it_stores_nothing_in_quick_stop() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online(within_s=60.0)
+        await plant.site.operations.write("s", Code(135), "H0000")
+        await plant.site.operations.write("s", Code(40), 1)
+        await plant.site.operations.stop(StopAction.QUICK_STOP, "s")
+        error = await refused(plant, 35, "s")
+        assert error.kind == "not-stopped"
+        assert "would not store its address" in str(error)
+        await plant.site.operations.stop(StopAction.INHIBIT, "s")
+        report = await change(plant, 35, "s")
+        assert report.outcome is Outcome.VERIFIED
+        plant.power_cycle("s")
+        await anyio.sleep(20.0)
+        assert plant.line["s"].address == 35
+
+    with_plant(test, KEEPS_ROSTER)

@@ -8,7 +8,8 @@ can still end well:
    should be, and stands still; the new address is silent when it is asked. Nothing was changed yet.
 2. *the write*, once, never repeated blindly.
 3. *after*: the new address is asked for its own address and identity. Found: the line follows at
-   once, and a remark stands until the roster says the same.
+   once, a drive that must be told to save is told, and a remark stands until the roster says the
+   same.
 4. *the way back*: not found there, the old address is asked. There with the old value: nothing has
    happened. There with the new value (it would move at its next start): the old is written back.
    Found at neither: that is said, with what to do, and stands as a remark that outlives the daemon.
@@ -30,8 +31,10 @@ from contextlib import asynccontextmanager
 import anyio
 
 from lecombus.config import DriveEntry
-from lecombus.drives import StopAction, address_code
+from lecombus.drives import address_code
 from lecombus.drives.identity import text_of
+from lecombus.drives.restoring import saving_rule
+from lecombus.drives.standing import standing
 from lecombus.errors import ExchangeError, NoReplyError, OperationError
 from lecombus.line.station import Station
 from lecombus.operations.identities import Identities
@@ -50,8 +53,6 @@ logger = logging.getLogger(__name__)
 
 MOVED = "address"
 """The remark on a drive whose address is not the roster's."""
-
-OUTPUT_FREQUENCY = Code(50)
 
 PAUSES_S = (0.1, 0.4, 1.0, 2.0)
 """Before each look for the drive at its new address: some take a moment."""
@@ -150,7 +151,8 @@ class Readdress:
                     return WriteReport(drive, code, outcome, reason, kind="nak")
                 found = await self._find(drive, there, address)
             if found:
-                return self._moved(drive, station, address)
+                report = self._moved(drive, station, address)
+                return await self._save(drive, report)
             return await self._look_back(drive, station, address)
 
     # ---- before -----------------------------------------------------------------------------
@@ -182,31 +184,24 @@ class Readdress:
 
     async def _see_that_it_stands(self, station: Station) -> None:
         """A drive that turns must be reachable all the time."""
-        stops = station.family.stops
-        if not stops:
-            return  # a device of which nothing is known: whoever asks for this knows it
-        if await self._shows(station, StopAction.INHIBIT):
-            return
-        if await self._shows(station, StopAction.QUICK_STOP):
-            if station.family.info(OUTPUT_FREQUENCY) is None:
-                return
-            if (await self._read(station, OUTPUT_FREQUENCY)).number == 0:
-                return
-        raise OperationError(
-            f"{station.name} is neither inhibited nor stopped",
-            kind="not-stopped",
-            drive=station.name,
-            remedy=f"`lecombus stop {station.name} --action inhibit` first: while its address "
-            "changes it cannot be stopped over the line",
-        )
-
-    async def _shows(self, station: Station, action: StopAction) -> bool:
-        """Whether a drive's first proof of a stop holds now."""
-        rule = station.family.stops.get(action)
-        if rule is None or not rule.proofs:
-            return False
-        code, proof = next(iter(rule.proofs.items()))
-        return proof.holds(await self._read(station, code))
+        code = address_code(station.family)
+        asking = standing(station.family, code, "its address")
+        why = ""
+        try:
+            asked = next(asking)
+            while True:
+                asked = asking.send(await self._read(station, asked))
+        except StopIteration as end:
+            why = str(end.value)
+        if why:
+            raise OperationError(
+                f"{station.name} {why}",
+                kind="not-stopped",
+                drive=station.name,
+                code=str(code),
+                remedy=f"`lecombus inhibit {station.name}` first: while its address changes it "
+                "cannot be stopped over the line",
+            )
 
     async def _see_silence(self, drive: str, there: Station) -> None:
         """Any answer at the new address, also a damaged one, is another device."""
@@ -263,6 +258,26 @@ class Readdress:
         return WriteReport(
             drive, address_code(station.family), Outcome.VERIFIED, text, remedy=remedy
         )
+
+    async def _save(self, drive: str, report: WriteReport) -> WriteReport:
+        """Tell a drive to keep its address, where its family must be told: a 93XX."""
+        station = self._requests.station(drive)
+        rule = saving_rule(station.family)
+        if rule is None or rule.value is None:
+            return report
+        outcome, reason = await self._requests.write(
+            station, rule.codes[0], Value.decimal(rule.value), verify=False
+        )
+        if outcome is Outcome.DONE:
+            return dataclasses.replace(report, reason=f"{report.reason}; it saved that")
+        logger.warning("drive=%s event=readdress-unsaved reason=%s", drive, reason)
+        text = f"{report.reason}; it was told to save that and did not say that it did ({reason})"
+        unsaved = (
+            f"save it at the drive ({rule.codes[0]} = {rule.value}): unsaved, it is at "
+            f"the address that it had before when it is switched on again"
+        )
+        remedy = f"{unsaved}; {report.remedy}" if report.remedy else unsaved
+        return dataclasses.replace(report, reason=text, remedy=remedy)
 
     async def _look_back(self, drive: str, station: Station, address: int) -> WriteReport:
         """Not at the new address: is it still at the old, and what does it hold there?"""

@@ -15,8 +15,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from decimal import Decimal
 
-from lecombus.drives import Family, StopAction, confirm_codes, knows_stop, stop_confirmed
+from lecombus.drives import Family
 from lecombus.drives.identity import is_identity, text_of
+from lecombus.drives.standing import standing
 from lecombus.durations import format_duration
 from lecombus.protocol.addressing import Code, Form
 from lecombus.rebaud.drives import Drive, Place
@@ -24,7 +25,6 @@ from lecombus.rebaud.talk import Came, Steps, Talk
 
 __all__ = ["Obstacle", "check", "is_same_drive", "stands"]
 
-OUTPUT_FREQUENCY = Code(50)
 NETWORK_LEVEL = Code(1420)
 REDIRECTING = (Code(248), Code(249))
 
@@ -194,34 +194,15 @@ def _standing(talk: Talk, drive: Drive, rate: int) -> Steps[list[Obstacle]]:
 
 
 def stands(talk: Talk, drive: Drive, rate: int) -> Steps[str]:
-    """Ask whether a drive stands and is not enabled; gives why not, empty when it does.
-
-    Of a device that is not described nothing is known: whoever asks for this knows it.
-    """
-    family = drive.subject.family
-    if not family.stops or (yield from _shows(talk, drive, rate, StopAction.INHIBIT)):
-        return ""
-    info = family.info(drive.subject.code)
-    if info is not None and info.needs_inhibit:
-        return "is not inhibited, so it would not store its baud rate"
-    if not (yield from _shows(talk, drive, rate, StopAction.QUICK_STOP)):
-        return "is neither inhibited nor in quick stop"
-    if family.info(OUTPUT_FREQUENCY) is None:
-        return ""
-    said = yield from talk.read(drive, rate, OUTPUT_FREQUENCY)
-    if said.value is not None and said.value.number == 0:
-        return ""
-    return "is in quick stop, but does not stand yet"
-
-
-def _shows(talk: Talk, drive: Drive, rate: int, action: StopAction) -> Steps[bool]:
-    """Whether a drive's first proof of a stop holds now."""
-    family = drive.subject.family
-    if not knows_stop(family, action):
-        return False
-    code = confirm_codes(family, action)[0]
-    said = yield from talk.read(drive, rate, code)
-    return said.value is not None and stop_confirmed(family, action, code, said.value)
+    """Ask whether a drive stands and is not enabled; gives why not, empty when it does."""
+    asking = standing(drive.subject.family, drive.subject.code, "its baud rate")
+    try:
+        code = next(asking)
+        while True:
+            said = yield from talk.read(drive, rate, code)
+            code = asking.send(said.value)
+    except StopIteration as end:
+        return str(end.value)
 
 
 def _watchdog(talk: Talk, drive: Drive, rate: int) -> Steps[None]:
