@@ -19,6 +19,7 @@ import pytest
 from cli.conftest import Run
 from cli.daemon_stub import DaemonStub
 from cli.test_simulate import simulated
+from lecombus.cli import scan
 from lecombus.config import load_roster
 from lecombus.protocol import bcc
 
@@ -42,6 +43,11 @@ drives:
   - {name: d, address: 13, family: smvector}
 """
 ADDRESSES = "1-3,11-15,21,57,58,99"
+
+
+@pytest.fixture(autouse=True)
+def _no_state_of_this_machine(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(scan, "STATE_DIR", tmp_path / "lib")
 
 
 @contextmanager
@@ -85,7 +91,9 @@ def test_the_roster_runs(run: Run, tmp_path: Path, short_dir: Path) -> None:
     with drives(tmp_path, FEW) as port:
         words = ("--port", port, "--bauds", "19200", "--addresses", "12-14", "--name")
         assert run("scan", *words, short_dir.name, "-o", str(wanted)).status == 0
-        assert load_roster(wanted).api.socket.endswith(f"{short_dir.name}.sock")
+        roster = load_roster(wanted)
+        assert roster.api.socket.endswith(f"{short_dir.name}.sock")
+        assert roster.state == str(wanted.resolve().with_name(f"{short_dir.name}.state.json"))
         with subprocess.Popen(
             [sys.executable, "-m", "lecombus", "run", "-c", str(wanted), "--log-format", "json"],
             stderr=subprocess.PIPE,

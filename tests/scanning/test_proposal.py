@@ -90,9 +90,10 @@ def test_more_than_31_drives_need_repeaters() -> None:
 
 
 def test_parity_direction_and_socket_are_kept_and_late_drives_given_time() -> None:
-    place = Place("x", "socket://192.0.2.7:4001", "port", "adapter", "/tmp/x.sock")
+    place = Place("x", "socket://192.0.2.7:4001", "port", "adapter", "/tmp/x.sock", "/tmp/x.json")
     _, roster = propose(place, 1200, [Finding(11, 1200, "822x", True, "", late=True)])
     assert (roster.line.parity, roster.api.socket) == ("port", "/tmp/x.sock")
+    assert roster.state == "/tmp/x.json"
     assert roster.drives[0].answer_time_s == 0.3
 
 

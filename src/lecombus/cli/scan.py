@@ -19,6 +19,7 @@ from lecombus.cli.scan_lines import Ears, echo_of, scan_by_daemon, scan_own_port
 from lecombus.cli.scan_progress import ScanProgress
 from lecombus.cli.screen import on_terminal, show_rows
 from lecombus.config import LineEntry, line_timing
+from lecombus.config.building import STATE_DIR
 from lecombus.drives import family, read_cost
 from lecombus.line.loop import run
 from lecombus.protocol import BAUDS, Code, Form, is_drive_address
@@ -151,7 +152,10 @@ def command(
 
 
 def _on_own_port(wish: Wish, line: LineEntry) -> int:
-    place = Place(line.name, line.port, line.parity, line.direction, _socket(line.name))
+    place = Place(
+        line.name, line.port, line.parity, line.direction, _socket(line.name),
+        _state(line.name, wish.output),
+    )  # fmt: skip
     check_place(place)
     scan, ears = Scan(Plan(wish.addresses, wish.bauds, wish.thorough)), Ears()
     with ScanProgress(scan, _look_s(line, wish.bauds[0])) as progress:
@@ -223,6 +227,14 @@ def _socket(name: str) -> str:
     if client.RUNTIME_DIR.is_dir():
         return ""
     return str(Path(tempfile.gettempdir()) / f"{name}.sock")
+
+
+def _state(name: str, roster: Path | None) -> str:
+    """Return a state file, beside the roster, where nobody has made the folder of such files."""
+    if os.access(STATE_DIR, os.W_OK | os.X_OK):
+        return ""
+    folder = roster.parent if roster is not None else Path()
+    return str(folder.resolve() / f"{name}.state.json")
 
 
 # ---- what comes of it ---------------------------------------------------------------------------

@@ -6,6 +6,7 @@ Only called for a roster without mistakes, so every value is there or has a defa
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 from lecombus.config.checks import default_socket, drives_of
@@ -27,7 +28,10 @@ from lecombus.config.shapes import Entry, Items
 from lecombus.drives import family
 from lecombus.protocol.addressing import Code, Form
 
-__all__ = ["build_roster", "multicast_address"]
+__all__ = ["STATE_DIR", "build_roster", "multicast_address"]
+
+STATE_DIR = Path("/var/lib/lecombus")
+"""Where a line keeps its state file unless the roster says another place; the unit makes it."""
 
 _RENAMED = {
     "turnaround": "turnaround_s", "adapter_latency": "adapter_latency_s",
@@ -55,7 +59,7 @@ def _state(given: str | None, line: LineEntry) -> str | None:
     """Return the state file; what simulated drives say is worth nothing after the end."""
     if given is not None or line.port.startswith("sim:"):
         return given
-    return f"/var/lib/lecombus/{line.name}.json"
+    return str(STATE_DIR / f"{line.name}.json")
 
 
 def _fields(entry: Entry) -> dict[str, Any]:

@@ -37,6 +37,7 @@ class Place:
         parity: Who makes parity, `line` or `port`.
         direction: Who switches the transceiver.
         socket: Where the daemon makes its socket; empty: where it does by itself.
+        state: Where it keeps what must outlive it; empty: where it does by itself.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Place:
     parity: str = "line"
     direction: str = "adapter"
     socket: str = ""
+    state: str = ""
 
 
 def check_place(place: Place) -> None:
@@ -128,6 +130,9 @@ def _lines(
     if place.socket:
         yield "# Without /run/lecombus, which the systemd unit makes:"
         yield f"api: {{socket: {_quoted(place.socket)}}}"
+    if place.state:
+        yield "# Who the drives are and how often they were written, without /var/lib/lecombus:"
+        yield f"state: {_quoted(place.state)}"
 
 
 def entries(found: Sequence[Finding], unheld: Mapping[str, str]) -> Iterator[str]:
