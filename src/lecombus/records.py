@@ -1,4 +1,4 @@
-"""What the store keeps of a drive and of each of its codes, and changes as the line works.
+"""What the store keeps of line, drives and each of their codes, and changes as the line works.
 
 Mutable on purpose: these stand behind every exchange. Nobody but the store holds on to one; what
 others are given are the frozen snapshots of `readings`.
@@ -11,14 +11,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from lecombus.readings import ActiveFault, DriveState
+from lecombus.readings import ActiveFault, DriveState, LineState
 
 if TYPE_CHECKING:
     from lecombus.drives import CodeInfo, Family
     from lecombus.protocol.addressing import Code
     from lecombus.protocol.values import Value
 
-__all__ = ["Cell", "DriveRecord", "make_cell", "set_remark"]
+__all__ = ["Cell", "DriveRecord", "LineRecord", "make_cell", "set_remark"]
 
 
 @dataclass(slots=True, eq=False)
@@ -51,6 +51,17 @@ class DriveRecord:
     cells: dict[Code, Cell] = field(default_factory=dict)
     on_demand: dict[Code, None] = field(default_factory=dict)
     fault: ActiveFault | None = None
+
+
+@dataclass(slots=True, eq=False)
+class LineRecord:
+    """How the line is doing."""
+
+    since_s: float
+    state: LineState = LineState.CLOSED
+    reason: str = ""
+    stretch: float = 1.0
+    remarks: dict[str, str] = field(default_factory=dict)
 
 
 def make_cell(family: Family, code: Code) -> Cell:

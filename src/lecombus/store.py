@@ -3,19 +3,8 @@
 The line worker writes here (`value_read`, `value_failed`), health and keeper write states and
 remarks, and every face reads. Strategy: one mutable cell per drive and code, so that the write
 behind every exchange is two dictionary look-ups and three assignments; quality, age and time of
-day are worked out only when somebody asks, from the state as it is then. So a value cannot be
-silently old: nobody has to remember to mark it.
-
-How quality is decided, the first that fits:
-
-1. the line is not open: `BAD`, because a dead line never shows fresh values;
-2. never read: `BAD`, "not read yet", or why the attempt failed;
-3. the last attempt failed, or what the drive answers is not what was asked for: `BAD` with its
-   reason; the last value stays visible beside it;
-4. the drive is offline: `STALE`;
-5. older than allowed: `STALE`. A cyclic code may be twice its period (times the present stretch
-   of the cadence) plus 1 s old; any other code 10 s, or what `fresh_for_s` says;
-6. otherwise `GOOD`.
+day are worked out only when somebody asks, from the state as it is then (`judging`). So a value
+cannot be silently old: nobody has to remember to mark it.
 
 Everything runs on one event loop thread: there are no locks. Memory is bounded: besides the
 cyclic codes a drive keeps at most `ON_DEMAND_LIMIT` codes, the first asked for going first.
@@ -27,14 +16,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from difflib import get_close_matches
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
-from lecombus.drives import OperatingState, join_states
 from lecombus.errors import OperationError
+from lecombus.judging import ON_DEMAND_FRESH_S, Judge
 from lecombus.readings import (
-    ADDRESSING_LOCK,
-    NOT_CYCLIC,
     WRITTEN_SINCE,
     ActiveFault,
     DriveInfo,
@@ -44,10 +30,10 @@ from lecombus.readings import (
     Quality,
     Reading,
 )
-from lecombus.records import Cell, DriveRecord, make_cell, set_remark
+from lecombus.records import Cell, DriveRecord, LineRecord, make_cell, set_remark
 
 if TYPE_CHECKING:
-    from lecombus.drives import CodeInfo, Family
+    from lecombus.drives import Family
     from lecombus.protocol.addressing import Code
     from lecombus.protocol.values import Value
 
@@ -68,15 +54,6 @@ __all__ = [
 
 ON_DEMAND_LIMIT: Final = 1000
 """Codes kept per drive beyond its cyclic ones: a whole backup of a drive fits, a scan does not."""
-
-ON_DEMAND_FRESH_S: Final = 10.0
-"""A value read once is called stale after this: about as long as a person looks at a screen."""
-
-CYCLIC_GRACE_S: Final = 1.0
-"""On top of two periods: a retry and a quarantine do not make a value stale."""
-
-CLOCK_STEP_S: Final = 0.02
-"""The time of day is followed in steps of this, so that a value's time does not flicker."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,14 +98,9 @@ class Store:
     ) -> None:
         self._clock = clock
         self._wall = wall
-        self._offset_s = wall() - clock()
-        self._fresh_for_s = fresh_for_s
-        self._stretch = 1.0
         self._drives: dict[str, DriveRecord] = {}
-        self._line_state = LineState.CLOSED
-        self._line_reason = ""
-        self._line_since_s = wall()
-        self._line_remarks: dict[str, str] = {}
+        self._line = LineRecord(wall())
+        self._judge = Judge(self._line, clock, wall, fresh_for_s=fresh_for_s)
         self._subscribers: tuple[Subscriber, ...] = ()
         self.changes = 0
         """Counts what makes a page wrong that was written before: all but a value read anew."""
@@ -177,7 +149,7 @@ class Store:
 
     def set_stretch(self, stretch: float) -> None:
         """Say how far the cyclic cadence is stretched at present, 1 or more."""
-        self._stretch = max(1.0, stretch)
+        self._line.stretch = max(1.0, stretch)
 
     # -- what the line worker says ---------------------------------------------------------------
 
@@ -236,12 +208,13 @@ class Store:
 
     def line_state(self, state: LineState, reason: str = "") -> None:
         """Set how the line is doing; `since` moves only when the state changes."""
-        if (self._line_state, self._line_reason) == (state, reason):
+        line = self._line
+        if (line.state, line.reason) == (state, reason):
             return
-        if self._line_state is not state:
-            self._line_since_s = self._wall()
-        self._line_state = state
-        self._line_reason = reason
+        if line.state is not state:
+            line.since_s = self._wall()
+        line.state = state
+        line.reason = reason
         self._publish(LineChanged())
 
     def note(self, drive: str, key: str, text: str | None) -> None:
@@ -263,7 +236,7 @@ class Store:
 
     def note_line(self, key: str, text: str | None) -> None:
         """Set or clear a standing remark about the line, such as a stretched cadence."""
-        if set_remark(self._line_remarks, key, text):
+        if set_remark(self._line.remarks, key, text):
             self._publish(LineChanged())
 
     # -- what the faces ask ------------------------------------------------------------------------
@@ -276,7 +249,7 @@ class Store:
         """
         record = self._record(drive)
         cell = record.cells.get(code)
-        return None if cell is None else self._judge(record, cell, self._clock())
+        return None if cell is None else self._judge.reading(record, cell, self._clock())
 
     def unread(self, drive: str, code: Code) -> Reading:
         """Return the reading of a code that was never asked for, without keeping it.
@@ -285,7 +258,7 @@ class Store:
             OperationError: `no-such-drive`.
         """
         record = self._record(drive)
-        return self._judge(record, make_cell(record.family, code), self._clock())
+        return self._judge.reading(record, make_cell(record.family, code), self._clock())
 
     def readings(self, drive: str, *, cyclic_only: bool = False) -> list[Reading]:
         """Return everything known of a drive's values, cyclic codes first.
@@ -301,7 +274,7 @@ class Store:
         now_s = self._clock()
         cyclic = [cell for cell in record.cells.values() if cell.every_s is not None]
         rest = [] if cyclic_only else [record.cells[code] for code in record.on_demand]
-        return [self._judge(record, cell, now_s) for cell in cyclic + rest]
+        return [self._judge.reading(record, cell, now_s) for cell in cyclic + rest]
 
     def codes(self, drive: str) -> tuple[Code, ...]:
         """Return the codes something is known of, cyclic ones first.
@@ -321,11 +294,11 @@ class Store:
         Raises:
             OperationError: `no-such-drive`.
         """
-        return self._describe(self._record(drive))
+        return self._judge.drive(self._record(drive))
 
     def drives(self) -> list[DriveInfo]:
         """Return how every drive is doing, in the order they were added."""
-        return [self._describe(record) for record in self._drives.values()]
+        return [self._judge.drive(record) for record in self._drives.values()]
 
     def names(self) -> tuple[str, ...]:
         """Return the names of the drives, in the order they were added."""
@@ -341,13 +314,7 @@ class Store:
 
     def line(self) -> LineInfo:
         """Return how the line is doing."""
-        return LineInfo(
-            self._line_state,
-            self._line_reason,
-            self._line_since_s,
-            self._stretch,
-            MappingProxyType(dict(self._line_remarks)),
-        )
+        return self._judge.line()
 
     def subscribe(self, subscriber: Subscriber) -> None:
         """Call `subscriber` after every change; it must return at once and never raise."""
@@ -380,105 +347,6 @@ class Store:
         record.cells[code] = cell
         record.on_demand[code] = None
         return cell
-
-    def _judge(self, record: DriveRecord, cell: Cell, now_s: float) -> Reading:
-        value = cell.value
-        age_s = None if value is None else max(0.0, now_s - cell.at_s)
-        quality, reason = self._quality(record, cell, age_s)
-        return Reading(
-            record.name,
-            cell.code,
-            cell.name,
-            cell.unit,
-            cell.format if value is None else value.format.value,
-            value,
-            quality,
-            reason,
-            None if value is None else self._time_of(cell.at_s, now_s),
-            age_s,
-            None if value is None or cell.info is None else meaning_of(cell.info, value),
-        )
-
-    def _describe(self, record: DriveRecord) -> DriveInfo:
-        """Return a snapshot of a drive: no drive looks well over a line that is not there."""
-        state, reason, since_s = record.state, record.reason, record.since_s
-        if self._line_state is not LineState.OPEN:
-            state, reason = DriveState.OFFLINE, self._why_no_line()
-            since_s = max(since_s, self._line_since_s)
-        return DriveInfo(
-            record.name,
-            record.address,
-            record.family.name,
-            state,
-            reason,
-            since_s,
-            MappingProxyType(dict(record.remarks)),
-            MappingProxyType(dict(record.identity)),
-            record.fault,
-            self._states(record),
-        )
-
-    def _states(self, record: DriveRecord) -> tuple[OperatingState, ...] | None:
-        """Join what the status words show, each only while its value is good.
-
-        None where the first of them is not: the others alone would leave a fault or an inhibit
-        out, and a list without them looks like a drive without them.
-        """
-        shown: list[tuple[OperatingState, ...]] = []
-        now_s = self._clock()
-        for code, word in record.family.words.items():
-            cell = record.cells.get(code)
-            reading = None if cell is None else self._judge(record, cell, now_s)
-            number = None if reading is None or reading.value is None else reading.value.number
-            if reading is not None and reading.quality is Quality.GOOD and type(number) is int:
-                shown.append(word.shown_states(number))
-            elif not shown:
-                return None
-        return join_states(shown) if shown else None
-
-    def _why_no_line(self) -> str:
-        return with_cause(f"line {self._line_state.value}", self._line_reason)
-
-    def _quality(
-        self, record: DriveRecord, cell: Cell, age_s: float | None
-    ) -> tuple[Quality, str | None]:
-        """Decide by the rules of the module's docstring, in their order."""
-        if self._line_state is not LineState.OPEN:
-            return Quality.BAD, self._why_no_line()
-        if ADDRESSING_LOCK in record.remarks:
-            return Quality.BAD, "not what was asked for: see the drive's remarks"
-        if cell.failure is not None:
-            return Quality.BAD, cell.failure
-        if age_s is None:
-            return Quality.BAD, "not read yet"
-        if record.state is DriveState.OFFLINE:
-            return Quality.STALE, with_cause("drive offline", record.reason)
-        if cell.every_s is None:
-            if age_s > self._fresh_for_s:
-                return Quality.STALE, f"read {age_s:.1f} s ago, {NOT_CYCLIC}"
-            return Quality.GOOD, None
-        allowed_s = 2 * cell.every_s * self._stretch + CYCLIC_GRACE_S
-        if age_s > allowed_s:
-            return Quality.STALE, f"read {age_s:.1f} s ago, {allowed_s:.1f} s allowed"
-        return Quality.GOOD, None
-
-    def _time_of(self, at_s: float, now_s: float) -> float:
-        """Return the time of day of a moment on the monotonic clock, following clock steps."""
-        offset_s = self._wall() - now_s
-        if abs(offset_s - self._offset_s) > CLOCK_STEP_S:
-            self._offset_s = offset_s
-        return at_s + self._offset_s
-
-
-def meaning_of(info: CodeInfo, value: Value) -> str | None:
-    """Return what a value means in words, where its description says so."""
-    text = info.meaning(value)
-    return None if text is None else text.en
-
-
-def with_cause(what: str, cause: str) -> str:
-    """Join what is the case and why, where there is a why."""
-    return f"{what}: {cause}" if cause else what
 
 
 def no_such_drive(name: str, known: tuple[str, ...]) -> OperationError:

@@ -1,0 +1,183 @@
+"""How good what is known is at this moment: the quality of values, and how drives look.
+
+How quality is decided, the first that fits:
+
+1. the line is not open: `BAD`, because a dead line never shows fresh values;
+2. never read: `BAD`, "not read yet", or why the attempt failed;
+3. the last attempt failed, or what the drive answers is not what was asked for: `BAD` with its
+   reason; the last value stays visible beside it;
+4. the drive is offline: `STALE`;
+5. older than allowed: `STALE`. A cyclic code may be twice its period (times the present stretch
+   of the cadence) plus 1 s old; any other code 10 s, or what `fresh_for_s` says;
+6. otherwise `GOOD`.
+
+Nothing is marked beforehand: all of it is worked out when somebody asks, so that nothing can be
+good because nobody came round to calling it old.
+
+What must not live here: who writes what is known, and who is told of a change (`store`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final
+
+from lecombus.drives import OperatingState, join_states
+from lecombus.readings import (
+    ADDRESSING_LOCK,
+    NOT_CYCLIC,
+    DriveInfo,
+    DriveState,
+    LineInfo,
+    LineState,
+    Quality,
+    Reading,
+)
+from lecombus.records import Cell, DriveRecord, LineRecord
+
+if TYPE_CHECKING:
+    from lecombus.drives import CodeInfo
+    from lecombus.protocol.values import Value
+
+__all__ = ["ON_DEMAND_FRESH_S", "Judge"]
+
+ON_DEMAND_FRESH_S: Final = 10.0
+"""A value read once is called stale after this: about as long as a person looks at a screen."""
+
+CYCLIC_GRACE_S: Final = 1.0
+"""On top of two periods: a retry and a quarantine do not make a value stale."""
+
+CLOCK_STEP_S: Final = 0.02
+"""The time of day is followed in steps of this, so that a value's time does not flicker."""
+
+
+class Judge:
+    """Judges what is known of one line.
+
+    Args:
+        line: How the line is doing.
+        clock: The monotonic clock that values are dated by, seconds.
+        wall: The time of day, Unix seconds.
+        fresh_for_s: How long a value that is not read cyclically counts as fresh, seconds.
+    """
+
+    def __init__(
+        self,
+        line: LineRecord,
+        clock: Callable[[], float],
+        wall: Callable[[], float],
+        *,
+        fresh_for_s: float,
+    ) -> None:
+        self._line = line
+        self._clock = clock
+        self._wall = wall
+        self._offset_s = wall() - clock()
+        self._fresh_for_s = fresh_for_s
+
+    def line(self) -> LineInfo:
+        """Return a snapshot of the line."""
+        line = self._line
+        remarks = MappingProxyType(dict(line.remarks))
+        return LineInfo(line.state, line.reason, line.since_s, line.stretch, remarks)
+
+    def reading(self, record: DriveRecord, cell: Cell, now_s: float) -> Reading:
+        """Return what is known of a code, as good as it is now."""
+        value = cell.value
+        age_s = None if value is None else max(0.0, now_s - cell.at_s)
+        quality, reason = self._quality(record, cell, age_s)
+        return Reading(
+            record.name,
+            cell.code,
+            cell.name,
+            cell.unit,
+            cell.format if value is None else value.format.value,
+            value,
+            quality,
+            reason,
+            None if value is None else self._time_of(cell.at_s, now_s),
+            age_s,
+            None if value is None or cell.info is None else meaning_of(cell.info, value),
+        )
+
+    def drive(self, record: DriveRecord) -> DriveInfo:
+        """Return a snapshot of a drive: no drive looks well over a line that is not there."""
+        state, reason, since_s = record.state, record.reason, record.since_s
+        if self._line.state is not LineState.OPEN:
+            state, reason = DriveState.OFFLINE, self._why_no_line()
+            since_s = max(since_s, self._line.since_s)
+        return DriveInfo(
+            record.name,
+            record.address,
+            record.family.name,
+            state,
+            reason,
+            since_s,
+            MappingProxyType(dict(record.remarks)),
+            MappingProxyType(dict(record.identity)),
+            record.fault,
+            self._states(record),
+        )
+
+    def _states(self, record: DriveRecord) -> tuple[OperatingState, ...] | None:
+        """Join what the status words show, each only while its value is good.
+
+        None where the first of them is not: the others alone would leave a fault or an inhibit
+        out, and a list without them looks like a drive without them.
+        """
+        shown: list[tuple[OperatingState, ...]] = []
+        now_s = self._clock()
+        for code, word in record.family.words.items():
+            cell = record.cells.get(code)
+            reading = None if cell is None else self.reading(record, cell, now_s)
+            number = None if reading is None or reading.value is None else reading.value.number
+            if reading is not None and reading.quality is Quality.GOOD and type(number) is int:
+                shown.append(word.shown_states(number))
+            elif not shown:
+                return None
+        return join_states(shown) if shown else None
+
+    def _why_no_line(self) -> str:
+        return with_cause(f"line {self._line.state.value}", self._line.reason)
+
+    def _quality(
+        self, record: DriveRecord, cell: Cell, age_s: float | None
+    ) -> tuple[Quality, str | None]:
+        """Decide by the rules of the module's docstring, in their order."""
+        if self._line.state is not LineState.OPEN:
+            return Quality.BAD, self._why_no_line()
+        if ADDRESSING_LOCK in record.remarks:
+            return Quality.BAD, "not what was asked for: see the drive's remarks"
+        if cell.failure is not None:
+            return Quality.BAD, cell.failure
+        if age_s is None:
+            return Quality.BAD, "not read yet"
+        if record.state is DriveState.OFFLINE:
+            return Quality.STALE, with_cause("drive offline", record.reason)
+        if cell.every_s is None:
+            if age_s > self._fresh_for_s:
+                return Quality.STALE, f"read {age_s:.1f} s ago, {NOT_CYCLIC}"
+            return Quality.GOOD, None
+        allowed_s = 2 * cell.every_s * self._line.stretch + CYCLIC_GRACE_S
+        if age_s > allowed_s:
+            return Quality.STALE, f"read {age_s:.1f} s ago, {allowed_s:.1f} s allowed"
+        return Quality.GOOD, None
+
+    def _time_of(self, at_s: float, now_s: float) -> float:
+        """Return the time of day of a moment on the monotonic clock, following clock steps."""
+        offset_s = self._wall() - now_s
+        if abs(offset_s - self._offset_s) > CLOCK_STEP_S:
+            self._offset_s = offset_s
+        return at_s + self._offset_s
+
+
+def meaning_of(info: CodeInfo, value: Value) -> str | None:
+    """Return what a value means in words, where its description says so."""
+    text = info.meaning(value)
+    return None if text is None else text.en
+
+
+def with_cause(what: str, cause: str) -> str:
+    """Join what is the case and why, where there is a why."""
+    return f"{what}: {cause}" if cause else what
