@@ -6,7 +6,9 @@ import json
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -14,10 +16,10 @@ import pytest
 from cli.conftest import Run
 
 
-@pytest.fixture
-def process(short_dir: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[subprocess.Popen[str]]:
-    """A daemon on simulated drives; LECOMBUS_SOCKET points at it once all are online."""
-    roster, socket = short_dir / "hall-3.yaml", short_dir / "hall-3.sock"
+@contextmanager
+def running(folder: Path) -> Iterator[subprocess.Popen[str]]:
+    """Run a daemon on simulated drives in a folder with a short path; all of them are online."""
+    roster, socket = folder / "hall-3.yaml", folder / "hall-3.sock"
     roster.write_text(f"""\
 line: {{name: hall-3, port: "sim:", baud: 19200}}
 drives:
@@ -27,27 +29,48 @@ groups:
   conveyors: {{members: [feeder, belt]}}
 api: {{socket: {socket}}}
 """)
-    monkeypatch.setenv("LECOMBUS_SOCKET", str(socket))
     with subprocess.Popen(
         [sys.executable, "-m", "lecombus", "run", "-c", str(roster), "--log-format", "json"],
         stderr=subprocess.PIPE,
         text=True,
-    ) as running:
-        assert running.stderr is not None
+    ) as daemon:
+        assert daemon.stderr is not None
         try:
             missing = {"feeder", "belt"}
-            for line in running.stderr:
+            for line in daemon.stderr:
                 event = json.loads(line)
                 if event.get("event") == "state" and event.get("to") == "online":
                     missing.discard(event["drive"])
                 if not missing:
                     break
-            yield running
+            yield daemon
         finally:
-            running.kill()
+            daemon.kill()
 
 
-@pytest.mark.usefixtures("process")
+@pytest.fixture(scope="module")
+def shared() -> Iterator[Path]:
+    """The folder of a daemon for all tests that leave it as it was, or do not mind."""
+    with tempfile.TemporaryDirectory(prefix="lb-") as name, running(Path(name)):
+        yield Path(name)
+
+
+@pytest.fixture
+def daemon_of_all(shared: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """LECOMBUS_SOCKET points at the daemon that these tests share; gives its folder."""
+    monkeypatch.setenv("LECOMBUS_SOCKET", str(shared / "hall-3.sock"))
+    return shared
+
+
+@pytest.fixture
+def process(short_dir: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[subprocess.Popen[str]]:
+    """A daemon of one test's own; LECOMBUS_SOCKET points at it."""
+    monkeypatch.setenv("LECOMBUS_SOCKET", str(short_dir / "hall-3.sock"))
+    with running(short_dir) as daemon:
+        yield daemon
+
+
+@pytest.mark.usefixtures("daemon_of_all")
 def test_every_command_speaks_with_the_daemon(run: Run) -> None:
     reading = json.loads(run("read", "feeder", "C0050", "--json").out)
     assert (reading["drive"], reading["code"], reading["quality"]) == ("feeder", "C0050", "good")
@@ -79,7 +102,7 @@ def test_every_command_speaks_with_the_daemon(run: Run) -> None:
     assert {"line", "drives"} == set(both)
 
 
-@pytest.mark.usefixtures("process")
+@pytest.mark.usefixtures("daemon_of_all")
 def test_what_the_daemon_refuses_has_the_status_that_fits(run: Run) -> None:
     assert run("read", "feedr", "C0050").status == 2
     assert "feeder" in run("read", "feedr", "C0050").err
@@ -90,9 +113,8 @@ def test_what_the_daemon_refuses_has_the_status_that_fits(run: Run) -> None:
     assert run("stop", "nobody").status == 2
 
 
-@pytest.mark.usefixtures("process")
-def test_a_second_daemon_names_the_first_and_never_opens_the_port(short_dir: Path) -> None:
-    roster = short_dir / "hall-3.yaml"
+def test_a_second_daemon_names_the_first_and_never_opens_the_port(daemon_of_all: Path) -> None:
+    roster = daemon_of_all / "hall-3.yaml"
     second = subprocess.run(
         [sys.executable, "-m", "lecombus", "run", "-c", str(roster), "--log-level", "debug"],
         capture_output=True,
@@ -101,7 +123,9 @@ def test_a_second_daemon_names_the_first_and_never_opens_the_port(short_dir: Pat
         check=False,
     )
     assert second.returncode == 1
-    assert f"another lecombus serves {short_dir}/hall-3.sock; one daemon per line" in second.stderr
+    assert (
+        f"another lecombus serves {daemon_of_all}/hall-3.sock; one daemon per line" in second.stderr
+    )
     assert "event=port-open" not in second.stderr
 
 

@@ -141,7 +141,7 @@ def test_prometheus_sees_which_drives_are_up(daemon: Daemon, tmp_path: Path) -> 
     port = free_port()
     target = http_url(daemon).removeprefix("http://")
     (tmp_path / "prometheus.yml").write_text(
-        "global: {scrape_interval: 1s}\n"
+        "global: {scrape_interval: 250ms}\n"
         f"scrape_configs: [{{job_name: l, static_configs: [{{targets: ['{target}']}}]}}]\n"
     )
     words = [
@@ -161,9 +161,9 @@ def test_prometheus_sees_which_drives_are_up(daemon: Daemon, tmp_path: Path) -> 
 
     with api, started(words, tmp_path / "log", env=dict(os.environ)):
         until(lambda: ask("count_over_time(lecombus_drive_up[1m]) >= 5"), "five scrapes")
+        rates = until(lambda: ask("rate(lecombus_telegrams_total[1m]) > 0"), "telegrams between")
         up = {one["metric"]["drive"]: one["value"][1] for one in ask("lecombus_drive_up")}
         scraped = api.get("/targets").json()["data"]["activeTargets"][0]
-        rates = ask("rate(lecombus_telegrams_total[1m]) > 0")
     assert up == {"belt": "1", "winder": "1", "ghost": "0"}
     assert (scraped["health"], scraped["lastError"]) == ("up", "")
     assert rates
