@@ -13,6 +13,7 @@ What must not live here: in what order all that goes (`waits`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -244,8 +245,8 @@ def _beside(roster: Roster, timing: LineTiming) -> Iterator[Stream]:
 
 
 def _needs_feeds(drive: DriveEntry, time_s: float) -> bool:
-    """Whether its reads alone would feed it too seldom."""
-    return 1.0 / (HARD_PART * time_s) > sum(1.0 / entry.every_s for entry in drive.cyclic)
+    """Whether its reads alone may feed it too seldom: all of them may be due at once."""
+    return HARD_PART * time_s < min((entry.every_s for entry in drive.cyclic), default=math.inf)
 
 
 def _cyclic(roster: Roster, timing: LineTiming) -> Iterator[Stream]:

@@ -144,6 +144,7 @@ class _Part:
     Args:
         cyclic: The share of its cyclic reads.
         rate: How many of them there are, 1/s.
+        shortest_s: The shortest of their periods; infinite: there are none.
         feed_s: What one feed costs.
         worst_s: What one costs that is not answered.
         watched_s: Its watchdog time; infinite: it is not watched.
@@ -151,6 +152,7 @@ class _Part:
 
     cyclic: float
     rate: float
+    shortest_s: float
     feed_s: float
     worst_s: float
     watched_s: float
@@ -162,6 +164,17 @@ class _Part:
             return hard_s
         return max(SOFT_PART * self.watched_s, hard_s - SPARE_ATTEMPTS * self.worst_s)
 
+    def feeds(self, stretch: float) -> float:
+        """How many feeds it needs that its reads do not stand for, 1/s.
+
+        Several codes may be due at once and then leave a gap as long as the shortest period: where
+        that is longer than feeds may be apart, the other codes cannot be counted on.
+        """
+        apart_s = self.apart_s(stretch)
+        shortest_s = self.shortest_s * stretch
+        rate = self.rate / stretch if shortest_s <= apart_s else 1.0 / shortest_s
+        return max(0.0, 1.0 / apart_s - rate)
+
 
 def _part(drive: DriveEntry, timing: LineTiming) -> _Part:
     costs = [read_times(drive, entry.code, timing).usual_s for entry in drive.cyclic]
@@ -170,6 +183,7 @@ def _part(drive: DriveEntry, timing: LineTiming) -> _Part:
     return _Part(
         cyclic=sum(cost / every_s for cost, every_s in zip(costs, periods, strict=True)),
         rate=sum(1.0 / every_s for every_s in periods),
+        shortest_s=min(periods, default=math.inf),
         feed_s=feed.usual_s,
         worst_s=feed.worst_s,
         watched_s=watched_s(drive) or math.inf,
@@ -178,9 +192,7 @@ def _part(drive: DriveEntry, timing: LineTiming) -> _Part:
 
 def _needed(parts: Sequence[_Part], stretch: float) -> float:
     """Give the share of the feeds that reads with stretched periods do not stand for."""
-    return sum(
-        max(0.0, 1.0 / one.apart_s(stretch) - one.rate / stretch) * one.feed_s for one in parts
-    )
+    return sum(one.feeds(stretch) * one.feed_s for one in parts)
 
 
 def baud_effects(roster: Roster) -> list[BaudEffect]:

@@ -215,8 +215,7 @@ def _until_earned(ahead: Ahead, usual_s: float, blocked_s: float) -> float:
     """
     earned_s = usual_s / BACKGROUND_SHARE
     turns_s = 2.0 * (len(CLASS_SHARES) - 1) * usual_s
-    feeds_s = sum(one.cost_s for one in ahead.feeds)
-    return earned_s + blocked_s + turns_s + feeds_s
+    return response_s(0.0, earned_s + blocked_s + turns_s, ahead.feeds)
 
 
 def _pressing(ahead: Ahead, wait_s: float) -> tuple[Stream, ...]:
