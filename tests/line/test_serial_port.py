@@ -27,33 +27,10 @@ from lecombus.line import devices, serial_device, serial_port
 from lecombus.line.loop import run
 from lecombus.line.port import Direction, Parity, Port, PortSettings
 from lecombus.line.serial_port import PseudoPort, RtsSerialPort, SerialPort, open_serial
+from support.heard import Heard
 
 EVERY_BYTE = bytes(range(256))
 TIOCGEXCL = 0x80045440
-
-
-class Recorder:
-    """A receiver that keeps what it was told, and can be waited for."""
-
-    def __init__(self) -> None:
-        self.data = bytearray()
-        self.losses: list[Exception | None] = []
-        self._changed = asyncio.Event()
-
-    def received(self, data: bytes) -> None:
-        assert data, "a port never gives on nothing"
-        self.data += data
-        self._changed.set()
-
-    def lost(self, exc: Exception | None) -> None:
-        self.losses.append(exc)
-        self._changed.set()
-
-    async def until(self, condition: Callable[[], bool], within_s: float = 5.0) -> None:
-        with anyio.fail_after(within_s):
-            while not condition():
-                self._changed.clear()
-                await self._changed.wait()
 
 
 class Pty:
@@ -103,13 +80,11 @@ def settings(
     return PortSettings(url=pty.path, parity=parity, direction=direction, line="hall-3")
 
 
-def with_port(
-    pty: Pty, body: Callable[[SerialPort, Recorder], Awaitable[None]], **how: Any
-) -> Recorder:
+def with_port(pty: Pty, body: Callable[[SerialPort, Heard], Awaitable[None]], **how: Any) -> Heard:
     """Run `body` with an open port, abort it, and give the loop time to say something false."""
 
-    async def main() -> Recorder:
-        recorder = Recorder()
+    async def main() -> Heard:
+        recorder = Heard()
         port = await open_serial(settings(pty, **how), recorder)
         try:
             await body(port, recorder)
@@ -125,7 +100,7 @@ def with_port(
 def test_every_byte_passes_both_ways_unchanged(pty: Pty, parity: Parity) -> None:
     """Among them XON, XOFF, CR, NUL and FF: any of them may be a BCC."""
 
-    async def body(port: SerialPort, recorder: Recorder) -> None:
+    async def body(port: SerialPort, recorder: Heard) -> None:
         for byte in EVERY_BYTE:
             port.write(bytes([byte]))
         assert await pty.take(256) == EVERY_BYTE
@@ -137,7 +112,7 @@ def test_every_byte_passes_both_ways_unchanged(pty: Pty, parity: Parity) -> None
 
 
 def test_output_goes_on_after_an_xoff_came(pty: Pty) -> None:
-    async def body(port: SerialPort, recorder: Recorder) -> None:
+    async def body(port: SerialPort, recorder: Heard) -> None:
         pty.send(b"\x13")
         await recorder.until(lambda: recorder.data == b"\x13")
         port.write(b"\x0411460\x05")
@@ -156,7 +131,7 @@ def test_a_device_left_cooked_by_another_program_is_made_raw(pty: Pty) -> None:
     attributes[3] |= termios.ICANON | termios.ECHO | termios.ISIG
     termios.tcsetattr(slave, termios.TCSANOW, attributes)
 
-    async def body(_port: SerialPort, _recorder: Recorder) -> None:
+    async def body(_port: SerialPort, _recorder: Heard) -> None:
         iflag, oflag, cflag, lflag, _, _, cc = termios.tcgetattr(slave)
         assert not iflag & (termios.IXON | termios.IXOFF | termios.ISTRIP | termios.ICRNL)
         assert not iflag & (termios.BRKINT | termios.IGNPAR)
@@ -174,7 +149,7 @@ def test_a_device_left_cooked_by_another_program_is_made_raw(pty: Pty) -> None:
 
 @pytest.mark.parametrize(("parity", "carries"), [("line", True), ("port", False)])
 def test_who_makes_parity_is_told(pty: Pty, parity: Parity, carries: bool) -> None:
-    async def body(port: Port, _recorder: Recorder) -> None:
+    async def body(port: Port, _recorder: Heard) -> None:
         assert port.carries_parity is carries
 
     with_port(pty, body, parity=parity)
@@ -183,7 +158,7 @@ def test_who_makes_parity_is_told(pty: Pty, parity: Parity, carries: bool) -> No
 def test_a_pty_that_is_raw_already_opens_for_a_device_that_frames(pty: Pty) -> None:
     """A second setting of 7E1 on a pty fails with EINVAL: opening again must not run into it."""
 
-    async def body(port: SerialPort, _recorder: Recorder) -> None:
+    async def body(port: SerialPort, _recorder: Heard) -> None:
         port.write(b"\x04")
 
     for _ in range(3):
@@ -191,7 +166,7 @@ def test_a_pty_that_is_raw_already_opens_for_a_device_that_frames(pty: Pty) -> N
 
 
 def test_a_closed_master_is_a_loss_told_once_within_a_second(pty: Pty) -> None:
-    async def body(port: SerialPort, recorder: Recorder) -> None:
+    async def body(port: SerialPort, recorder: Heard) -> None:
         pty.close_master()
         await recorder.until(lambda: bool(recorder.losses), within_s=1.0)
         await anyio.sleep(0.02)
@@ -208,7 +183,7 @@ def test_a_closed_master_is_a_loss_told_once_within_a_second(pty: Pty) -> None:
 
 
 def test_a_write_that_finds_the_device_gone_raises_and_the_loss_follows_once(pty: Pty) -> None:
-    async def body(port: SerialPort, recorder: Recorder) -> None:
+    async def body(port: SerialPort, recorder: Heard) -> None:
         pty.close_master()
         with pytest.raises(LineLostError, match="writing failed"):
             port.write(b"\x0411460\x05")
@@ -219,7 +194,7 @@ def test_a_write_that_finds_the_device_gone_raises_and_the_loss_follows_once(pty
 
 
 def test_abort_after_a_found_loss_keeps_it_quiet(pty: Pty) -> None:
-    async def body(port: SerialPort, _recorder: Recorder) -> None:
+    async def body(port: SerialPort, _recorder: Heard) -> None:
         pty.close_master()
         with pytest.raises(LineLostError):
             port.write(b"\x04")
@@ -228,7 +203,7 @@ def test_abort_after_a_found_loss_keeps_it_quiet(pty: Pty) -> None:
 
 
 def test_nothing_is_told_after_abort(pty: Pty) -> None:
-    async def body(port: SerialPort, recorder: Recorder) -> None:
+    async def body(port: SerialPort, recorder: Heard) -> None:
         pty.send(b"late")
         port.abort()
         port.abort()
@@ -247,7 +222,7 @@ def test_a_receiver_may_abort_while_bytes_arrive(pty: Pty) -> None:
         got: list[bytes] = []
         gone = asyncio.Event()
 
-        class Quitter(Recorder):
+        class Quitter(Heard):
             def received(self, data: bytes) -> None:
                 got.append(data)
                 port.abort()
@@ -270,7 +245,7 @@ def test_the_same_device_opens_again_after_a_loss(pty: Pty, tmp_path: Path) -> N
     name.symlink_to(pty.path)
 
     async def main() -> None:
-        first = Recorder()
+        first = Heard()
         port = await open_serial(PortSettings(url=str(name)), first)
         assert port.describe() == f"{name} -> {pty.path}, 9600 8N1"
         pty.close_master()
@@ -280,7 +255,7 @@ def test_the_same_device_opens_again_after_a_loss(pty: Pty, tmp_path: Path) -> N
         other = Pty()
         name.unlink()
         name.symlink_to(other.path)
-        port = await open_serial(PortSettings(url=str(name)), Recorder())
+        port = await open_serial(PortSettings(url=str(name)), Heard())
         port.write(b"again")
         assert await other.take(5) == b"again"
         port.abort()
@@ -290,9 +265,9 @@ def test_the_same_device_opens_again_after_a_loss(pty: Pty, tmp_path: Path) -> N
 
 
 def test_a_second_opening_is_refused_and_the_holder_is_named(pty: Pty) -> None:
-    async def body(port: SerialPort, _recorder: Recorder) -> None:
+    async def body(port: SerialPort, _recorder: Heard) -> None:
         with pytest.raises(LineLostError, match=rf"in use by .*\(pid {os.getpid()}\)") as caught:
-            await open_serial(settings(pty), Recorder())
+            await open_serial(settings(pty), Heard())
         assert pty.path in str(caught.value)
         port.write(b"still")
         assert await pty.take(5) == b"still"
@@ -312,13 +287,13 @@ def test_a_program_that_holds_a_real_device_without_a_lock_is_named(
         holder.stdout.readline()
 
         async def main() -> None:
-            await open_serial(settings(pty), Recorder())
+            await open_serial(settings(pty), Heard())
 
         with pytest.raises(LineLostError, match=rf"in use by python\S* \(pid {holder.pid}\)"):
             run(main)
         holder.communicate()
 
-    async def body(port: SerialPort, _recorder: Recorder) -> None:
+    async def body(port: SerialPort, _recorder: Heard) -> None:
         exclusive = fcntl.ioctl(port.serial.fileno(), TIOCGEXCL, bytes(4))
         assert exclusive == b"\x01\0\0\0", "whoever comes later is kept out, locking or not"
 
@@ -333,7 +308,7 @@ def test_200_openings_all_hear_and_leave_no_descriptor_behind(pty: Pty) -> None:
     async def main() -> tuple[int, int]:
         counts = []
         for turn in range(201):
-            recorder = Recorder()
+            recorder = Heard()
             port = await open_serial(settings(pty), recorder)
             if turn % 3 == 0:
                 port.write(b"\x04")
@@ -350,18 +325,18 @@ def test_200_openings_all_hear_and_leave_no_descriptor_behind(pty: Pty) -> None:
 
 
 def test_a_failed_opening_leaves_no_descriptor_behind(pty: Pty) -> None:
-    async def body(_port: SerialPort, _recorder: Recorder) -> None:
+    async def body(_port: SerialPort, _recorder: Heard) -> None:
         before = open_descriptors()
         for direction in ("adapter", "kernel"):
             with pytest.raises(LineLostError):
-                await open_serial(settings(pty, direction=direction), Recorder())
+                await open_serial(settings(pty, direction=direction), Heard())
         assert open_descriptors() == before
 
     with_port(pty, body)
 
 
 def test_what_a_full_device_does_not_take_follows_in_order(pty: Pty) -> None:
-    async def body(port: SerialPort, _recorder: Recorder) -> None:
+    async def body(port: SerialPort, _recorder: Heard) -> None:
         sent = bytes(range(256)) * 1000
         for start in range(0, len(sent), 1000):
             port.write(sent[start : start + 1000])
@@ -382,7 +357,7 @@ def fill(port: SerialPort, piece: bytes) -> bytes:
 
 
 def test_a_write_does_not_overtake_what_waits(pty: Pty) -> None:
-    async def body(port: SerialPort, _recorder: Recorder) -> None:
+    async def body(port: SerialPort, _recorder: Heard) -> None:
         sent = fill(port, EVERY_BYTE)
         with pytest.raises(BlockingIOError):  # noqa: PT012
             taken = b""
@@ -400,7 +375,7 @@ def test_a_device_that_was_full_for_a_moment_is_no_loss(
 ) -> None:
     monkeypatch.setattr("lecombus.line.serial_port._STUCK_S", 0.2)
 
-    async def body(port: SerialPort, _recorder: Recorder) -> None:
+    async def body(port: SerialPort, _recorder: Heard) -> None:
         sent = fill(port, b"x")
         await pty.take(len(sent))
         await anyio.sleep(0.25)  # past the moment at which it would have been given up
@@ -412,7 +387,7 @@ def test_a_device_that_was_full_for_a_moment_is_no_loss(
 def test_a_device_that_takes_nothing_is_a_loss(pty: Pty, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lecombus.line.serial_port._STUCK_S", 0.05)
 
-    async def body(port: SerialPort, recorder: Recorder) -> None:
+    async def body(port: SerialPort, recorder: Heard) -> None:
         for _ in range(1000):
             port.write(bytes(100))
         await recorder.until(lambda: bool(recorder.losses))
@@ -422,7 +397,7 @@ def test_a_device_that_takes_nothing_is_a_loss(pty: Pty, monkeypatch: pytest.Mon
 
 
 def test_unplugging_while_bytes_wait_to_be_sent_is_one_loss(pty: Pty) -> None:
-    async def body(port: SerialPort, recorder: Recorder) -> None:
+    async def body(port: SerialPort, recorder: Heard) -> None:
         for _ in range(1000):
             port.write(bytes(100))
         pty.close_master()
@@ -443,7 +418,7 @@ def test_only_a_pseudo_terminal_is_let_go_of_after_each_telegram(
         calls.append("write")
         return plain(descriptor, data)
 
-    async def test(port: Port, recorder: Recorder) -> None:
+    async def test(port: Port, recorder: Heard) -> None:
         assert (type(port) is PseudoPort) is pseudo
         with monkeypatch.context() as watched:
             watched.setattr(os, "write", write)
@@ -461,7 +436,7 @@ def test_only_a_pseudo_terminal_is_let_go_of_after_each_telegram(
 def test_abort_drops_what_was_not_sent(pty: Pty) -> None:
     """The kernel would wait for it to go out, up to 30 s on a stalled adapter."""
 
-    async def body(port: SerialPort, _recorder: Recorder) -> None:
+    async def body(port: SerialPort, _recorder: Heard) -> None:
         handed_over = len(fill(port, bytes(1000))) - port.get_write_buffer_size()
         port.abort()
         arrived = 0
@@ -474,7 +449,7 @@ def test_abort_drops_what_was_not_sent(pty: Pty) -> None:
 
 
 def test_discarded_input_is_never_given_on(pty: Pty) -> None:
-    async def body(port: SerialPort, recorder: Recorder) -> None:
+    async def body(port: SerialPort, recorder: Heard) -> None:
         pty.send(b"old")
         until = time.monotonic() + 5
         while port.serial.in_waiting < 3:  # the loop stands still: nothing can be given on yet
@@ -489,7 +464,7 @@ def test_discarded_input_is_never_given_on(pty: Pty) -> None:
 
 def test_a_device_that_does_not_exist_says_so() -> None:
     async def main() -> None:
-        await open_serial(PortSettings(url="/dev/serial/by-id/none", line="hall-3"), Recorder())
+        await open_serial(PortSettings(url="/dev/serial/by-id/none", line="hall-3"), Heard())
 
     with pytest.raises(LineLostError, match="no such device; is the adapter plugged in") as caught:
         run(main)
@@ -501,7 +476,7 @@ def test_a_file_that_is_no_device_says_so(tmp_path: Path) -> None:
     path.touch()
 
     async def main() -> None:
-        await open_serial(PortSettings(url=str(path)), Recorder())
+        await open_serial(PortSettings(url=str(path)), Heard())
 
     with pytest.raises(LineLostError, match="cannot be used as a serial port"):
         run(main)
@@ -516,7 +491,7 @@ def test_a_device_that_may_not_be_opened_names_the_group(
     monkeypatch.setattr(serial.Serial, "open", refuse)
 
     async def main() -> None:
-        await open_serial(settings(pty), Recorder())
+        await open_serial(settings(pty), Heard())
 
     with pytest.raises(LineLostError, match=f"in group {Path(pty.path).group()}"):
         run(main)
@@ -524,7 +499,7 @@ def test_a_device_that_may_not_be_opened_names_the_group(
 
 def test_a_driver_without_rs485_mode_is_refused_with_what_to_do(pty: Pty) -> None:
     async def main() -> None:
-        await open_serial(settings(pty, direction="kernel"), Recorder())
+        await open_serial(settings(pty, direction="kernel"), Heard())
 
     with pytest.raises(LineLostError, match=r"direction: kernel.*`direction: adapter`"):
         run(main)
@@ -547,7 +522,7 @@ def test_the_kernel_is_asked_to_raise_rts_while_sending(
     names = {name: getattr(fcntl, name) for name in dir(fcntl)}
     monkeypatch.setattr(serial.serialposix, "fcntl", SimpleNamespace(**(names | {"ioctl": ioctl})))
 
-    async def body(port: SerialPort, _recorder: Recorder) -> None:
+    async def body(port: SerialPort, _recorder: Heard) -> None:
         assert not isinstance(port, RtsSerialPort), "nothing is left for us to switch"
         assert not port.serial.rts
         port.write(b"\x04")
@@ -568,8 +543,8 @@ def test_a_device_that_does_not_frame_7e1_is_refused_with_what_to_do(
 
     async def main() -> None:
         if raw_already:
-            (await open_serial(settings(pty), Recorder())).abort()
-        await open_serial(settings(pty, parity="port"), Recorder())
+            (await open_serial(settings(pty), Heard())).abort()
+        await open_serial(settings(pty, parity="port"), Heard())
 
     with pytest.raises(LineLostError, match="does not frame 7E1; use `parity: line`"):
         run(main)
@@ -590,7 +565,7 @@ def test_a_caller_cancelled_while_a_driver_opens_slowly_can_still_close(
             return serial_device.open_device(how)
 
         async def opening() -> None:
-            port = await open_serial(settings(pty), Recorder())
+            port = await open_serial(settings(pty), Heard())
             try:
                 await anyio.sleep_forever()
             finally:
@@ -610,7 +585,7 @@ def test_a_caller_cancelled_while_a_driver_opens_slowly_can_still_close(
 
 def test_a_device_without_rts_is_refused_for_rts(pty: Pty) -> None:
     async def main() -> None:
-        await open_serial(settings(pty, direction="rts"), Recorder())
+        await open_serial(settings(pty, direction="rts"), Heard())
 
     with pytest.raises(LineLostError, match="no RTS line; use `direction: adapter`"):
         run(main)
@@ -650,7 +625,7 @@ def rts_line(monkeypatch: pytest.MonkeyPatch) -> RtsLine:
 def test_rts_is_on_from_before_the_telegram_until_it_left(
     pty: Pty, rts_line: RtsLine, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async def body(port: SerialPort, _recorder: Recorder) -> None:
+    async def body(port: SerialPort, _recorder: Heard) -> None:
         assert isinstance(port, RtsSerialPort)
         assert {on for _, on in rts_line.moves} == {False}, (
             "it listens until it has something to say"
@@ -670,7 +645,7 @@ def test_rts_is_on_from_before_the_telegram_until_it_left(
 
 
 def test_rts_stays_on_over_telegrams_that_follow_at_once(pty: Pty, rts_line: RtsLine) -> None:
-    async def body(port: SerialPort, _recorder: Recorder) -> None:
+    async def body(port: SerialPort, _recorder: Heard) -> None:
         rts_line.forget()
         port.write(bytes(10))
         second_at = time.monotonic()
@@ -684,7 +659,7 @@ def test_rts_stays_on_over_telegrams_that_follow_at_once(pty: Pty, rts_line: Rts
 
 
 def test_rts_stays_on_while_the_device_is_full(pty: Pty, rts_line: RtsLine) -> None:
-    async def body(port: SerialPort, _recorder: Recorder) -> None:
+    async def body(port: SerialPort, _recorder: Heard) -> None:
         sent = fill(port, b"x" * 10)
         rts_line.forget()
         await anyio.sleep(0.05)  # five times the wire time of the last ten characters
@@ -698,7 +673,7 @@ def test_rts_stays_on_while_the_device_is_full(pty: Pty, rts_line: RtsLine) -> N
 def test_a_device_that_loses_its_rts_is_a_loss(
     pty: Pty, rts_line: RtsLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async def body(port: SerialPort, recorder: Recorder) -> None:
+    async def body(port: SerialPort, recorder: Heard) -> None:
         port.write(bytes(10))
 
         def fail(self: Any) -> None:
@@ -714,7 +689,7 @@ def test_a_device_that_loses_its_rts_is_a_loss(
 def test_a_kernel_name_is_warned_about_where_a_stable_one_exists(
     pty: Pty, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async def body(_port: SerialPort, _recorder: Recorder) -> None:
+    async def body(_port: SerialPort, _recorder: Heard) -> None:
         assert devices.stable_name("/dev/null") is None
 
     stable = tmp_path / "usb-FTDI_1234"
@@ -735,7 +710,7 @@ def test_a_stable_name_is_not_warned_about(
     monkeypatch.setattr(devices, "BY_ID", tmp_path)
 
     async def main() -> None:
-        (await open_serial(PortSettings(url=str(stable)), Recorder())).abort()
+        (await open_serial(PortSettings(url=str(stable)), Heard())).abort()
 
     with caplog.at_level(logging.WARNING):
         run(main)
@@ -745,7 +720,7 @@ def test_a_stable_name_is_not_warned_about(
 def test_a_driver_without_low_latency_is_used_and_noted(
     pty: Pty, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async def body(_port: SerialPort, _recorder: Recorder) -> None:
+    async def body(_port: SerialPort, _recorder: Heard) -> None:
         pass
 
     with caplog.at_level(logging.INFO):

@@ -17,32 +17,9 @@ from lecombus.line import tcp_port
 from lecombus.line.loop import run
 from lecombus.line.port import Parity, PortSettings
 from lecombus.line.tcp_port import TcpPort, host_and_port, open_tcp
+from support.heard import Heard
 
 EVERY_BYTE = bytes(range(256))
-
-
-class Recorder:
-    """A receiver that keeps what it was told, and can be waited for."""
-
-    def __init__(self) -> None:
-        self.data = bytearray()
-        self.losses: list[Exception | None] = []
-        self._changed = asyncio.Event()
-
-    def received(self, data: bytes) -> None:
-        assert data
-        self.data += data
-        self._changed.set()
-
-    def lost(self, exc: Exception | None) -> None:
-        self.losses.append(exc)
-        self._changed.set()
-
-    async def until(self, condition: Callable[[], bool], within_s: float = 5.0) -> None:
-        with anyio.fail_after(within_s):
-            while not condition():
-                self._changed.clear()
-                await self._changed.wait()
 
 
 class Server:
@@ -94,14 +71,14 @@ def nothing_reaches_the_loop_handler(caplog: pytest.LogCaptureFixture) -> Iterat
 
 def with_port(
     server: Server,
-    body: Callable[[TcpPort, Recorder], Awaitable[None]],
+    body: Callable[[TcpPort, Heard], Awaitable[None]],
     *,
     parity: Parity = "line",
-) -> Recorder:
+) -> Heard:
     """Run `body` with an open port, abort it, and give the loop time to say something false."""
 
-    async def main() -> Recorder:
-        recorder = Recorder()
+    async def main() -> Heard:
+        recorder = Heard()
         port = await open_tcp(PortSettings(server.url, parity=parity, line="hall-3"), recorder)
         server.accept()
         try:
@@ -118,7 +95,7 @@ def refused(url: str) -> str:
     """Give the message with which opening fails."""
 
     async def main() -> None:
-        await open_tcp(PortSettings(url, line="hall-3"), Recorder())
+        await open_tcp(PortSettings(url, line="hall-3"), Heard())
 
     with pytest.raises(LineLostError) as caught:
         run(main)
@@ -127,7 +104,7 @@ def refused(url: str) -> str:
 
 
 def test_every_byte_passes_both_ways_unchanged(server: Server) -> None:
-    async def body(port: TcpPort, recorder: Recorder) -> None:
+    async def body(port: TcpPort, recorder: Heard) -> None:
         port.write(EVERY_BYTE)
         assert await server.take(256) == EVERY_BYTE
         server.peer.sendall(EVERY_BYTE)
@@ -140,7 +117,7 @@ def test_every_byte_passes_both_ways_unchanged(server: Server) -> None:
 def test_an_ipv6_address_in_brackets_is_reached() -> None:
     server = Server(socket.AF_INET6)
 
-    async def body(port: TcpPort, _recorder: Recorder) -> None:
+    async def body(port: TcpPort, _recorder: Heard) -> None:
         port.write(b"\x04")
         assert await server.take(1) == b"\x04"
         assert f"([::1]:{server.number})" in port.describe()
@@ -155,7 +132,7 @@ def test_an_ipv6_address_in_brackets_is_reached() -> None:
 def test_who_makes_parity_is_told(
     server: Server, parity: Parity, carries: bool, framing: str
 ) -> None:
-    async def body(port: TcpPort, _recorder: Recorder) -> None:
+    async def body(port: TcpPort, _recorder: Heard) -> None:
         assert port.carries_parity is carries
         assert port.describe().startswith(f"{server.url} (127.0.0.1:{server.number})")
         assert framing in port.describe()
@@ -164,7 +141,7 @@ def test_who_makes_parity_is_told(
 
 
 def test_a_server_that_closes_is_a_loss_told_once(server: Server) -> None:
-    async def body(port: TcpPort, recorder: Recorder) -> None:
+    async def body(port: TcpPort, recorder: Heard) -> None:
         server.peer.close()
         await recorder.until(lambda: bool(recorder.losses), within_s=1.0)
         await anyio.sleep(0.02)
@@ -180,7 +157,7 @@ def test_a_server_that_closes_is_a_loss_told_once(server: Server) -> None:
 
 
 def test_what_came_before_the_end_is_given_on(server: Server) -> None:
-    async def body(_port: TcpPort, recorder: Recorder) -> None:
+    async def body(_port: TcpPort, recorder: Heard) -> None:
         server.peer.sendall(b"last words")
         server.peer.close()
         await recorder.until(lambda: bool(recorder.losses))
@@ -190,7 +167,7 @@ def test_what_came_before_the_end_is_given_on(server: Server) -> None:
 
 
 def test_a_reset_connection_is_a_loss_told_once(server: Server) -> None:
-    async def body(_port: TcpPort, recorder: Recorder) -> None:
+    async def body(_port: TcpPort, recorder: Heard) -> None:
         server.reset()
         await recorder.until(lambda: bool(recorder.losses), within_s=1.0)
 
@@ -199,7 +176,7 @@ def test_a_reset_connection_is_a_loss_told_once(server: Server) -> None:
 
 
 def test_writing_to_a_killed_server_ends_in_one_loss(server: Server) -> None:
-    async def body(port: TcpPort, recorder: Recorder) -> None:
+    async def body(port: TcpPort, recorder: Heard) -> None:
         server.reset()
         while not recorder.losses:
             try:
@@ -212,7 +189,7 @@ def test_writing_to_a_killed_server_ends_in_one_loss(server: Server) -> None:
 
 
 def test_a_server_that_takes_no_bytes_is_a_loss(server: Server) -> None:
-    async def body(port: TcpPort, recorder: Recorder) -> None:
+    async def body(port: TcpPort, recorder: Heard) -> None:
         with pytest.raises(LineLostError, match="closed"):  # noqa: PT012
             while True:
                 port.write(bytes(1 << 20))
@@ -223,7 +200,7 @@ def test_a_server_that_takes_no_bytes_is_a_loss(server: Server) -> None:
 
 
 def test_nothing_is_told_after_abort(server: Server) -> None:
-    async def body(port: TcpPort, recorder: Recorder) -> None:
+    async def body(port: TcpPort, recorder: Heard) -> None:
         server.peer.sendall(b"late")
         port.abort()
         port.abort()
@@ -236,7 +213,7 @@ def test_nothing_is_told_after_abort(server: Server) -> None:
 
 
 def test_discarded_input_is_never_given_on(server: Server) -> None:
-    async def body(port: TcpPort, recorder: Recorder) -> None:
+    async def body(port: TcpPort, recorder: Heard) -> None:
         server.peer.sendall(b"old")  # on the loopback it has arrived when this returns
         port.discard_input()
         server.peer.sendall(b"new")
@@ -247,7 +224,7 @@ def test_discarded_input_is_never_given_on(server: Server) -> None:
 
 
 def test_discarding_at_the_end_of_the_connection_still_ends_in_a_loss(server: Server) -> None:
-    async def body(port: TcpPort, recorder: Recorder) -> None:
+    async def body(port: TcpPort, recorder: Heard) -> None:
         server.reset()
         port.discard_input()
         await recorder.until(lambda: bool(recorder.losses), within_s=1.0)
@@ -270,7 +247,7 @@ def test_the_kernel_watches_a_silent_server(
 
     monkeypatch.setattr(tcp_port, "_watch", note)
 
-    async def body(_port: TcpPort, _recorder: Recorder) -> None:
+    async def body(_port: TcpPort, _recorder: Heard) -> None:
         pass
 
     with_port(server, body)
@@ -284,7 +261,7 @@ def test_200_openings_leave_no_descriptor_behind(server: Server) -> None:
     async def main() -> tuple[int, int]:
         counts = []
         for _ in range(200):
-            port = await open_tcp(PortSettings(server.url), Recorder())
+            port = await open_tcp(PortSettings(server.url), Heard())
             server.accept()
             port.abort()
             await asyncio.sleep(0.0)
@@ -342,7 +319,7 @@ def test_host_and_port_are_taken_apart() -> None:
 
 def test_a_connection_that_ends_while_it_is_made_is_a_failed_opening_and_no_loss() -> None:
     async def main() -> list[Exception | None]:
-        recorder = Recorder()
+        recorder = Heard()
         port = TcpPort(recorder, PortSettings("socket://server:4001"))
         port.data_received(b"Port already in use")
         port.connection_lost(ConnectionResetError(104, "Connection reset by peer"))
@@ -357,7 +334,7 @@ def test_a_connection_that_ends_while_it_is_made_is_a_failed_opening_and_no_loss
 def test_cancelling_an_opening_leaves_no_connection(server: Server) -> None:
     async def main() -> None:
         with anyio.move_on_after(0) as scope:
-            await open_tcp(PortSettings(server.url), Recorder())
+            await open_tcp(PortSettings(server.url), Heard())
         assert scope.cancelled_caught
 
     before = len(os.listdir("/proc/self/fd"))  # noqa: PTH208
