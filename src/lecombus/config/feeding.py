@@ -117,17 +117,22 @@ class Feeding:
         )
         return fits and self.overload(lost=lost) is None
 
-    def with_times(self, change: Callable[[int, float], float]) -> Feeding:
+    def with_times(self, change: Callable[[float], float]) -> Feeding:
         """Give the same with other watchdog times.
 
         Args:
-            change: Makes the new watchdog time from a drive's number and its old one, seconds.
+            change: Makes the new watchdog time from the old one, seconds.
         """
         streams = tuple(
-            replace(one, every_s=HARD_PART * change(number, one.every_s / HARD_PART))
-            for number, one in enumerate(self.streams)
+            replace(one, every_s=HARD_PART * change(one.every_s / HARD_PART))
+            for one in self.streams
         )
         return replace(self, streams=streams)
+
+    def with_time(self, number: int, time_s: float) -> Feeding:
+        """Give the same with another watchdog time for one drive, by its number."""
+        one = replace(self.streams[number], every_s=HARD_PART * time_s)
+        return replace(self, streams=(*self.streams[:number], one, *self.streams[number + 1 :]))
 
     def without_reads(self, longer_than_s: float) -> Feeding:
         """Give the same with the longer cyclic reads in nobody's way."""
@@ -225,7 +230,7 @@ def least_time_s(feeding: Feeding, *, lost: int = 0, all_alike: bool = False) ->
         return None
 
     def holds(time_s: float) -> bool:
-        def change(number: int, old_s: float) -> float:
+        def change(old_s: float) -> float:
             return time_s if all_alike else max(old_s, time_s)
 
         return feeding.with_times(change).holds(lost=lost)

@@ -73,10 +73,7 @@ def watchdog_plans(roster: Roster, timing: LineTiming) -> list[WatchdogPlan]:
 
 def _least(feeding: Feeding, number: int, low_s: float, lost: int) -> float | None:
     def holds(time_s: float) -> bool:
-        def change(at: int, old_s: float) -> float:
-            return time_s if at == number else old_s
-
-        return feeding.with_times(change).holds(lost=lost)
+        return feeding.with_time(number, time_s).holds(lost=lost)
 
     now_s = feeding.streams[number].every_s / HARD_PART
     return smallest(holds, low_s, now_s if holds(now_s) else LONGEST_S)

@@ -21,9 +21,8 @@ Pure numbers: no drive, no code and no clock here. What is put in is `planning`'
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from heapq import merge
 from typing import Final
 
 __all__ = ["Overload", "Stream", "find_overload", "load_of", "response_s"]
@@ -97,12 +96,19 @@ def find_overload(streams: Sequence[Stream], blocking_s: float) -> Overload | No
     """
     ordered = sorted(streams, key=_every)
     longest_later_s = _longest_later(ordered)
-    demand_s, reached = 0.0, 0
-    for t_s, numbers in _ends(ordered, blocking_s):
+    ends = _ends(ordered, blocking_s)
+    demand_s, reached, at, count = 0.0, 0, 0, len(ends)
+    while at < count:
+        t_s, number = ends[at]
+        last = ordered[number]
+        while at < count and ends[at][0] <= t_s + ROUNDING_S:  # in any order: all before each
+            one = ordered[ends[at][1]]
+            demand_s += one.cost_s
+            if one.blocked_s > last.blocked_s:
+                last = one
+            at += 1
         while reached < len(ordered) and ordered[reached].every_s <= t_s + ROUNDING_S:
             reached += 1
-        demand_s += sum(ordered[number].cost_s for number in numbers)
-        last = max((ordered[number] for number in numbers), key=_blocked)
         before_s = max(blocking_s + last.blocked_s, longest_later_s[reached])
         if demand_s + before_s > t_s + ROUNDING_S:
             return Overload(t_s, sum(one.before(t_s) for one in ordered), before_s, last.name)
@@ -117,10 +123,8 @@ def _longest_later(ordered: Sequence[Stream]) -> list[float]:
     return longest_s[::-1]
 
 
-def _ends(ordered: Sequence[Stream], blocking_s: float) -> Iterator[tuple[float, list[int]]]:
-    """Give each moment at which pieces end, and of which streams, as far as a look is needed.
-
-    Pieces that end together may come in any order, so each of them has all others before it.
+def _ends(ordered: Sequence[Stream], blocking_s: float) -> list[tuple[float, int]]:
+    """Give the end of every piece of every stream in order, as far as a look is needed.
 
     Beyond the horizon demand grows by less than time does, so a stretch there can hold its work
     if all shorter ones can. Streams that take all of the line have none, and are found out soon.
@@ -133,27 +137,12 @@ def _ends(ordered: Sequence[Stream], blocking_s: float) -> Iterator[tuple[float,
         horizon_s = max(horizon_s, blocked_s / (1.0 - load))
     else:
         horizon_s = horizon_s * OVERLOADED_PERIODS
-    ends = merge(
-        *(
-            [(stream.every_s * piece, number) for piece in range(1, pieces + 1)]
-            for number, stream in enumerate(ordered)
-            if (pieces := min(int(horizon_s / stream.every_s) + 1, MOST_PIECES))
-        )
-    )
-    return _together(ends)
-
-
-def _together(ends: Iterable[tuple[float, int]]) -> Iterator[tuple[float, list[int]]]:
-    at_s, numbers = 0.0, list[int]()
-    for t_s, number in ends:
-        if numbers and t_s > at_s + ROUNDING_S:
-            yield at_s, numbers
-            numbers = []
-        if not numbers:
-            at_s = t_s
-        numbers.append(number)
-    if numbers:
-        yield at_s, numbers
+    found: list[tuple[float, int]] = []
+    for number, stream in enumerate(ordered):
+        pieces = min(int(horizon_s / stream.every_s) + 1, MOST_PIECES)
+        found.extend((stream.every_s * piece, number) for piece in range(1, pieces + 1))
+    found.sort()
+    return found
 
 
 def response_s(
@@ -184,7 +173,3 @@ def response_s(
 
 def _every(stream: Stream) -> float:
     return stream.every_s
-
-
-def _blocked(stream: Stream) -> float:
-    return stream.blocked_s
