@@ -210,6 +210,7 @@ class Site:
         """Say how far the cadence is stretched, and which watchdogs ran out; once a second."""
         stats = self._gather(self._clock())
         self._slow.look(map(self.requests.station, self._entries))
+        self.health.note_overdue()
         self.keeper.note_lapses(stats.feeds)
         stretch = stats.stretch
         self.store.set_stretch(stretch)

@@ -175,3 +175,30 @@ def test_a_drive_silent_long_enough_to_be_another_is_not_written_to_before_its_a
     assert ward.audits == 1
     ward.health.audited("a")
     assert ward.exchange(MISSED, GOOD) is ONLINE, "one failure alone is none of this"
+
+
+def test_a_drive_whose_audit_takes_too_long_is_written_to_no_longer() -> None:
+    ward = Ward().online()
+    assert ward.exchange(MISSED, MISSED, GOOD) is DEGRADED
+    for later_s in (4.0, 5.0):
+        ward.now_s += later_s
+        ward.exchange(MISSED, MISSED, GOOD)  # once more: it is due since the first time
+        ward.health.audit_failed("a", "no answer in time")
+        ward.health.note_overdue()
+        assert ward.health.state("a") is DEGRADED
+    ward.now_s += 1.0
+    ward.health.note_overdue()
+    assert ward.health.state("a") is STARTING
+    assert "not audited yet" in ward.store.drive("a").reason
+    ward.health.audited("a")
+    ward.now_s += 100.0
+    ward.health.note_overdue()
+    assert ward.health.state("a") is ONLINE
+
+
+def test_one_missed_answer_makes_no_audit_due() -> None:
+    ward = Ward().online()
+    ward.exchange(MISSED, GOOD)
+    ward.now_s += 100.0
+    ward.health.note_overdue()
+    assert ward.health.state("a") is ONLINE

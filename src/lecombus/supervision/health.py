@@ -45,6 +45,10 @@ SWAP_S = 5.0
 longer and is not offline only because it is seldom asked is not written to before its audit."""
 
 
+UNAUDITED_S = 10.0
+"""A drive that was silent for less is written to while its audit is due, but for no longer than
+this, seconds: what it may have lost with its supply, its watchdog's settings, is not known."""
+
 AGAIN_S = 60.0
 """A line that is opened again so soon flaps: that its drives start anew each time is not logged."""
 
@@ -57,6 +61,7 @@ class _Record:
     silent_from_s: float = 0.0
     heard: bool = False
     audit_due: bool = False
+    due_from_s: float = 0.0
     told: DriveState = DriveState.STARTING
     """The state that the log shows."""
 
@@ -154,6 +159,15 @@ class Health:
             record.audit_due = False
             self._set(name, record, DriveState.ONLINE, "")
 
+    def note_overdue(self) -> None:
+        """Have nothing but stops written to drives whose audit takes too long; once a second."""
+        late_s = self._clock() - UNAUDITED_S
+        for name, record in self._records.items():
+            writable = record.state in (DriveState.ONLINE, DriveState.DEGRADED)
+            if record.audit_due and writable and record.due_from_s <= late_s:
+                reason = f"it answered again {UNAUDITED_S:.0f} s ago and is not audited yet"
+                self._set(name, record, DriveState.STARTING, reason)
+
     def audit_failed(self, name: str, reason: str) -> None:
         """The keeper could not finish its audit; it will try again."""
         record = self._records.get(name)
@@ -177,7 +191,8 @@ class Health:
             state = DriveState.STARTING if away_s >= SWAP_S else DriveState.DEGRADED
             self._set(name, record, state, "it answers again: being audited")
             if misses >= AUDIT_AFTER:
-                record.audit_due = True
+                if not record.audit_due:
+                    record.audit_due, record.due_from_s = True, self._clock()
                 self._wants_audit(name)
 
     def _missed(self, name: str, record: _Record, fault: str) -> None:

@@ -34,6 +34,7 @@ from lecombus.store import Store
 from lecombus.supervision.audit import Audit
 from lecombus.supervision.gates import Gates
 from lecombus.supervision.health import Health
+from lecombus.supervision.rechecks import Rechecks
 from lecombus.supervision.watchdogs import WatchdogAudit
 
 __all__ = ["Keeper"]
@@ -89,6 +90,7 @@ class Keeper:
         self._schedule = schedule
         watchdogs = WatchdogAudit(requests, store, self._feed)
         self._audits = Audit(requests, gates, watchdogs)
+        self._rechecks = Rechecks(requests, watchdogs, health, lambda: self._entries)
         self._gates = gates
         self._clock = clock
         self._entries: dict[str, DriveEntry] = {}
@@ -108,6 +110,7 @@ class Keeper:
         Audits are asked for by the line's callbacks too, which are no tasks and cannot start one.
         """
         async with anyio.create_task_group() as tasks:
+            tasks.start_soon(self._rechecks.run)
             while True:
                 await self._wanted.wait()
                 self._wanted.clear()

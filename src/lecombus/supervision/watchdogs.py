@@ -81,6 +81,27 @@ class WatchdogAudit:
         """It may be another device now: look at everything again."""
         self._known.pop(name, None)
 
+    def known(self, name: str) -> WatchdogSetting | None:
+        """Give what a drive's watchdog was set to when it was last put in order."""
+        return self._known.get(name)
+
+    async def changed(self, name: str, station: Station, traits: WatchdogTraits) -> str:
+        """Look, when the line has time, whether a watchdog is still set as it was.
+
+        Returns:
+            How it changed, in words; empty where it did not, or was never seen.
+
+        Raises:
+            LecombusError: It could not be read.
+        """
+        known = self._known.get(name)
+        if known is None:
+            return ""
+        found = await self._read_setting(station, traits, Priority.BACKGROUND)
+        if found == known or self._known.get(name) != known:
+            return ""
+        return f"from {describe(traits, known)} to {describe(traits, found)}"
+
     async def look(self, name: str, station: Station, traits: WatchdogTraits) -> int | None:
         """Read what the watchdog does; None: it cannot be seen, and a remark says so."""
         action: int | None = None

@@ -1,0 +1,84 @@
+"""A watchdog that lost its settings while its drive stayed online is found, and put in order."""
+
+from __future__ import annotations
+
+import anyio
+
+from lecombus.protocol.addressing import Code
+from lecombus.readings import DriveState
+from lecombus.schedule import Priority
+from support.site_host import Plant, roster_of, until, with_plant
+
+SMVECTOR, VECTOR = [("a", 1, "smvector")], [("a", 1, "8200vector")]
+ACTION = {"smvector": Code(1426), "8200vector": Code(1922)}
+ROUND_S = 300.0
+
+
+def watched(configure: str) -> str:
+    return f", watchdog: {{time: 2s, action: quick-stop, configure: {configure}}}"
+
+
+def asked(plant: Plant, code: Code, since_s: float) -> list[float]:
+    return [
+        one.result.started_s
+        for one in plant.reports
+        if one.step.code == code and one.result.started_s > since_s
+        and one.priority is Priority.BACKGROUND
+    ]  # fmt: skip
+
+
+def test_a_watchdog_that_was_switched_off_at_the_keypad_is_set_again() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online(within_s=60.0)
+        params = plant.line["a"].model.params
+        await anyio.sleep(1.0)
+        assert params.text(1426) == "2"
+        params.set(1426, "0")
+        await until(lambda: plant.state("a") is DriveState.STARTING, within_s=2.5 * ROUND_S)
+        assert "its watchdog was changed from quick-stop after 2 s to off" in (
+            plant.site.store.drive("a").reason
+        )
+        await plant.online(within_s=60.0)
+        assert params.text(1426) == "2"
+
+    with_plant(test, roster_of(SMVECTOR, drive=watched("true")))
+
+
+def test_one_that_the_roster_does_not_let_be_set_is_remarked() -> None:
+    async def test(plant: Plant) -> None:
+        params = plant.line["a"].model.params
+        params.set(1426, "2")
+        params.set(1425, "2000")
+        await plant.online(within_s=60.0)
+        assert "watchdog" not in plant.site.store.drive("a").remarks
+        params.set(1425, "4000")
+        await until(
+            lambda: "watchdog" in plant.site.store.drive("a").remarks, within_s=2.5 * ROUND_S
+        )
+        assert "quick-stop after 4 s" in plant.site.store.drive("a").remarks["watchdog"]
+        await plant.online(within_s=60.0)
+        found_s = plant.now_s
+        await anyio.sleep(3.0 * ROUND_S)
+        assert plant.state("a") is DriveState.ONLINE, "it is said once, and not doubted for ever"
+        assert asked(plant, ACTION["smvector"], found_s)
+
+    with_plant(test, roster_of(SMVECTOR, drive=watched("false")))
+
+
+def test_modules_whose_codes_take_long_are_asked_for_a_hundredth_of_the_line() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online(within_s=600.0)
+        began_s = plant.now_s
+        await anyio.sleep(4000.0)
+        starts = asked(plant, ACTION["8200vector"], began_s)
+        took_s = sum(
+            one.result.ended_s - one.result.started_s
+            for one in plant.reports
+            if one.priority is Priority.BACKGROUND and one.result.started_s > began_s + ROUND_S
+        )
+        assert len(starts) >= 4
+        assert took_s < 0.015 * 4000.0
+        assert plant.site.schedule.stats(plant.now_s).feeds["v1"].lapses == 0
+
+    drives = [(f"v{number}", number, "8200vector") for number in range(1, 7)]
+    with_plant(test, roster_of(drives, drive=", cyclic: []" + watched("true")))
