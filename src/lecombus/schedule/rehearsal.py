@@ -32,9 +32,9 @@ from lecombus.schedule.waiting import DriveState, Waiting
 __all__ = ["Foreseen", "Rehearsal"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Foreseen:
-    """A choice made beforehand.
+    """A choice made beforehand; nobody changes it (not frozen: one is made for each exchange).
 
     Args:
         request: What goes next.
@@ -155,8 +155,9 @@ class Rehearsal:
     def _heads(self, at_s: float, entry: Entry | None) -> dict[Priority, Request]:
         """The first of each lower class, where there is one; `entry` is the slot that is due."""
         heads: dict[Priority, Request] = {}
+        waiting = self._waiting
         for priority in CLASS_SHARES:
-            head = self._waiting.head(priority, at_s)
+            head = waiting.head(priority, at_s) if waiting.queues[priority].depth else None
             if head is None and priority is Priority.CYCLIC and entry is not None:
                 head = entry.made()
             if head is not None:

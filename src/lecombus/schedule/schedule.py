@@ -3,8 +3,9 @@
 Theory of operation. `next` answers which request goes now, and marks it as under way; `finished`
 books the exchange. Both are O(log n), whatever is queued. A stop goes always, whatever its drive is
 doing (what else a stop does: waiting.py), but feeds may go before one of a silent drive
-(silent_stops.py). Then come, in strict order, control, urgent feeds,
-interactive, cyclic and background, each letting others go first as choice.py says.
+(silent_stops.py). Then come, in strict order, control, urgent feeds, interactive, cyclic and
+background, each letting others go first as choice.py says. Which drives there are, and how each is
+doing, stands in members.py.
 
 Whatever is chosen, a stop apart, must pass the slack check (feeds.py): it is begun only if every
 watchdog can still be fed in time should it take its longest. If it does not, the feed that stands
@@ -13,8 +14,7 @@ in its way runs first, due or not. If it never could, it is refused, with the fi
 Which telegram feeds a drive stands in feed_choice.py. While an answer is coming in the choice can
 be made beforehand (rehearsal.py); whatever changes the schedule spoils it, so every way in says so.
 
-Lanes of held drives leave their queue when they come to the head, and are given back when the hold
-ends. Deferred requests, holds and slots put off share one heap of times. Expired requests are
+Deferred requests, holds and slots put off share one heap of times. Expired requests are
 ended in batches, so that a hundred thousand of them do not block the line; one that comes to the
 head of its class before its batch is ended there, never sent.
 
@@ -24,21 +24,19 @@ Pure: no clock, no I/O; `now_s` is monotonic seconds. What the requests say is n
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Final
 
-from lecombus.schedule.cadence import Cadence, Cyclic, Entry
+from lecombus.schedule.cadence import Entry
 from lecombus.schedule.choice import Choice, to_feed
 from lecombus.schedule.feed_choice import FeedChoice
-from lecombus.schedule.feeds import Feed, Feeding, Feeds
 from lecombus.schedule.idling import presses_at_s
+from lecombus.schedule.members import Members
 from lecombus.schedule.rehearsal import Foreseen, Rehearsal
 from lecombus.schedule.request import OUT, QUEUED, UNDER_WAY, Outcome, Priority, Request, Turn
-from lecombus.schedule.shares import Probe, Probes, Shares
+from lecombus.schedule.shares import Probe, Shares
 from lecombus.schedule.silent_stops import SilentStops
 from lecombus.schedule.stats import ScheduleStats, snapshot
-from lecombus.schedule.waiting import DriveState, Waiting
 
 __all__ = ["Schedule"]
 
@@ -47,7 +45,7 @@ REFUSE_BATCH: Final = 16  # requests refused per choice for want of slack
 ROOMS_PER_FEED: Final = 4
 
 
-class Schedule:
+class Schedule(Members):
     """Everything that waits for one line.
 
     Args:
@@ -59,11 +57,7 @@ class Schedule:
     def __init__(
         self, *, limits: Mapping[Priority, int] | None = None, absent_share: float = 0.10
     ) -> None:
-        self._waiting = Waiting(limits)
-        self._drives = self._waiting.drives
-        self._feeds = Feeds()
-        self._cadence = Cadence()
-        self._probes = Probes(absent_share)
+        super().__init__(limits, absent_share)
         self._shares = Shares()
         self._feed_choice = FeedChoice(self._waiting, self._feeds, self._cadence)
         self._choice = Choice(
@@ -76,70 +70,8 @@ class Schedule:
         self._speaking_to: str | None = None
         self._more = False  # the last choice stopped early: there is more to do at once
 
-    # -- what the line has ------------------------------------------------------------------------
-
-    def add_drive(self, name: str) -> None:
-        """Make a drive known."""
-        assert name not in self._drives, f"{name} is known already"
-        self._drives[name] = DriveState()
-        self._waiting.set_silent(name, silent=False)
-
-    def remove_drive(self, name: str, now_s: float, reason: str) -> None:
-        """Forget a drive: its waiting requests end as refused; stops still go out."""
-        silent = name in self._waiting.silent
-        self.park(name, now_s, reason)
-        self._waiting.set_silent(name, silent=silent)
-        self.set_feeding(name, None, now_s)
-        self.set_probe(name, None, now_s)
-        for entry in list(self._cadence.by_drive.pop(name, ())):
-            self._cadence.leave(entry)
-        self._release(self._drives.pop(name), now_s)
-
-    def set_feeding(self, name: str, feeding: Feeding | None, now_s: float) -> None:
-        """Keep a drive's watchdog from now on, or no longer.
-
-        Its time is counted from the last exchange that fed it; from now, if it is a new one.
-        `feeding.make` is called once at once, for the cost; that request becomes the first feed.
-        """
+    def _spoil(self) -> None:
         self._rehearsal.spoil()
-        drive = self._drives[name]
-        old = self._feeds.by_drive.pop(name, None)
-        if feeding is not None:
-            feed = self._feeds.by_drive[name] = Feed(name, feeding, now_s)
-            if old is not None:
-                feed.follow(old)
-            feed.active = drive.parked is None
-            if drive.held:
-                feed.held_until_s = drive.held_until_s
-        self._feeds.changed()
-
-    def add_cyclic(self, cyclic: Cyclic, now_s: float) -> Entry:
-        """Ask something of a drive every period; entries added together are spread evenly.
-
-        Returns:
-            The handle for `remove_cyclic`.
-        """
-        self._rehearsal.spoil()
-        entry = self._cadence.add(cyclic)
-        if self._drives[cyclic.drive].parked is not None:
-            self._cadence.leave(entry)
-        return entry
-
-    def remove_cyclic(self, handle: Entry) -> None:
-        """Ask it no longer."""
-        self._rehearsal.spoil()
-        self._cadence.remove(handle)
-
-    def set_probe(self, name: str, make: Callable[[], Request] | None, now_s: float) -> None:
-        """Say how to look whether a drive is back; probes run only while it is parked."""
-        self._rehearsal.spoil()
-        old = self._probes.by_drive.pop(name, None)
-        if old is not None:
-            self._probes.stop(old)
-        if make is not None:
-            probe = self._probes.by_drive[name] = Probe(name, make)
-            if self._drives[name].parked is not None:
-                self._probes.start(probe, now_s)
 
     # -- requests coming in -----------------------------------------------------------------------
 
@@ -396,91 +328,6 @@ class Schedule:
                 feed.reached(started_s)
                 if feed.left_out:  # it counts in the slack check again
                     self._feeds.changed()
-
-    def hold(self, name: str, until_s: float, now_s: float) -> None:
-        """Leave a drive alone until a time, stops apart; others go on."""
-        self._rehearsal.spoil()
-        drive = self._drives.get(name)
-        if drive is None:  # taken out of the roster while it was spoken to
-            return
-        if until_s <= max(now_s, drive.held_until_s if drive.held else now_s):
-            return
-        drive.held_until_s = until_s
-        feed = self._feeds.by_drive.get(name)
-        if feed is not None:
-            feed.held_until_s = until_s
-        if not drive.held:
-            drive.held = True
-            self._waiting.at(until_s, drive)
-
-    def _release(self, drive: DriveState, now_s: float) -> None:
-        drive.held = False
-        lanes, drive.lanes = drive.lanes, []
-        for queue, lane in lanes:
-            queue.release(lane)
-        entries, drive.entries = drive.entries, []
-        for entry in entries:
-            self._cadence.rejoin(entry, now_s)
-
-    def park(self, name: str, now_s: float, reason: str) -> None:
-        """Take a drive as offline: what waits for it is refused, stops apart; probing begins."""
-        self._rehearsal.spoil()
-        drive = self._drives[name]
-        if drive.parked is not None:
-            drive.parked = reason
-            return
-        drive.parked = reason
-        self._waiting.set_silent(name, silent=True)
-        feed = self._feeds.by_drive.get(name)
-        if feed is not None:
-            feed.active = False
-            self._feeds.changed()
-        for entry in self._cadence.by_drive.get(name, ()):
-            self._cadence.leave(entry)
-        drive.entries.clear()
-        probe = self._probes.by_drive.get(name)
-        if probe is not None:
-            self._probes.start(probe, now_s)
-        self._waiting.end_all(self._waiting.listed(drive=name), Outcome.REFUSED, reason)
-
-    def unpark(self, name: str, now_s: float) -> None:
-        """Take a drive as back: its cyclic requests and feeding resume, its probing ends."""
-        self._rehearsal.spoil()
-        drive = self._drives[name]
-        if drive.parked is None:
-            return
-        drive.parked = None
-        self._waiting.set_silent(name, silent=False)
-        feed = self._feeds.by_drive.get(name)
-        if feed is not None:
-            feed.restart(now_s)
-            if drive.held:
-                feed.held_until_s = drive.held_until_s
-            self._feeds.changed()
-        for entry in self._cadence.by_drive.get(name, ()):
-            self._cadence.join(entry)
-        probe = self._probes.by_drive.get(name)
-        if probe is not None:
-            self._probes.stop(probe)
-
-    def fail_all(self, now_s: float, reason: str) -> None:
-        """End all that waits, stops too, as refused: the line is lost.
-
-        Cyclic requests and feeding stay and resume; holds end.
-        """
-        self._rehearsal.spoil()
-        for drive in self._drives.values():
-            self._release(drive, now_s)
-        for feed in self._feeds.by_drive.values():
-            feed.held_until_s = feed.retry_at_s = -math.inf
-        for name in [one for one in self._waiting.silent if not self._is_parked(one)]:
-            self._waiting.set_silent(name, silent=False)
-        self._feeds.changed()
-        self._waiting.end_all(self._waiting.listed(stops=True), Outcome.REFUSED, reason)
-
-    def _is_parked(self, name: str) -> bool:
-        drive = self._drives.get(name)
-        return drive is not None and drive.parked is not None
 
     def stats(self, now_s: float) -> ScheduleStats:
         """Take a snapshot; it begins new measures (see `stats`)."""

@@ -1,0 +1,199 @@
+"""Which drives a line has, what recurs for each, and how each is doing.
+
+A drive is made known, given a watchdog to be kept, cyclic requests and a probe, and taken away
+again. Meanwhile it may be held (left alone until a time; stops go all the same, others go on), or
+parked (offline: what waits for it is refused, and only its probe runs); and the line may be lost,
+which ends all that waits and every hold.
+
+Lanes of held drives leave their queue when they come to the head, and are given back when the hold
+ends; cyclic entries likewise leave the cadence.
+
+What must not live here: who speaks next, and requests coming in (schedule.py). Whatever changes
+here spoils a choice made beforehand, and says so through `_spoil`.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+
+from lecombus.schedule.cadence import Cadence, Cyclic, Entry
+from lecombus.schedule.feeds import Feed, Feeding, Feeds
+from lecombus.schedule.request import Outcome, Priority, Request
+from lecombus.schedule.shares import Probe, Probes
+from lecombus.schedule.waiting import DriveState, Waiting
+
+__all__ = ["Members"]
+
+
+class Members(ABC):
+    """The drives of one line, as the schedule sees them; `Schedule` is made of it.
+
+    Args:
+        limits: Most waiting requests by class; see `Schedule`.
+        absent_share: The part of line time that probes of absent drives may take, 0..1.
+    """
+
+    def __init__(self, limits: Mapping[Priority, int] | None, absent_share: float) -> None:
+        self._waiting = Waiting(limits)
+        self._drives = self._waiting.drives
+        self._feeds = Feeds()
+        self._cadence = Cadence()
+        self._probes = Probes(absent_share)
+
+    @abstractmethod
+    def _spoil(self) -> None:
+        """Forget a choice made beforehand: something changed."""
+
+    # -- what the line has ------------------------------------------------------------------------
+
+    def add_drive(self, name: str) -> None:
+        """Make a drive known."""
+        assert name not in self._drives, f"{name} is known already"
+        self._drives[name] = DriveState()
+        self._waiting.set_silent(name, silent=False)
+
+    def remove_drive(self, name: str, now_s: float, reason: str) -> None:
+        """Forget a drive: its waiting requests end as refused; stops still go out."""
+        silent = name in self._waiting.silent
+        self.park(name, now_s, reason)
+        self._waiting.set_silent(name, silent=silent)
+        self.set_feeding(name, None, now_s)
+        self.set_probe(name, None, now_s)
+        for entry in list(self._cadence.by_drive.pop(name, ())):
+            self._cadence.leave(entry)
+        self._release(self._drives.pop(name), now_s)
+
+    def set_feeding(self, name: str, feeding: Feeding | None, now_s: float) -> None:
+        """Keep a drive's watchdog from now on, or no longer.
+
+        Its time is counted from the last exchange that fed it; from now, if it is a new one.
+        `feeding.make` is called once at once, for the cost; that request becomes the first feed.
+        """
+        self._spoil()
+        drive = self._drives[name]
+        old = self._feeds.by_drive.pop(name, None)
+        if feeding is not None:
+            feed = self._feeds.by_drive[name] = Feed(name, feeding, now_s)
+            if old is not None:
+                feed.follow(old)
+            feed.active = drive.parked is None
+            if drive.held:
+                feed.held_until_s = drive.held_until_s
+        self._feeds.changed()
+
+    def add_cyclic(self, cyclic: Cyclic, now_s: float) -> Entry:
+        """Ask something of a drive every period; entries added together are spread evenly.
+
+        Returns:
+            The handle for `remove_cyclic`.
+        """
+        self._spoil()
+        entry = self._cadence.add(cyclic)
+        if self._drives[cyclic.drive].parked is not None:
+            self._cadence.leave(entry)
+        return entry
+
+    def remove_cyclic(self, handle: Entry) -> None:
+        """Ask it no longer."""
+        self._spoil()
+        self._cadence.remove(handle)
+
+    def set_probe(self, name: str, make: Callable[[], Request] | None, now_s: float) -> None:
+        """Say how to look whether a drive is back; probes run only while it is parked."""
+        self._spoil()
+        old = self._probes.by_drive.pop(name, None)
+        if old is not None:
+            self._probes.stop(old)
+        if make is not None:
+            probe = self._probes.by_drive[name] = Probe(name, make)
+            if self._drives[name].parked is not None:
+                self._probes.start(probe, now_s)
+
+    # -- how they are doing -----------------------------------------------------------------------
+
+    def hold(self, name: str, until_s: float, now_s: float) -> None:
+        """Leave a drive alone until a time, stops apart; others go on."""
+        self._spoil()
+        drive = self._drives.get(name)
+        if drive is None:  # taken out of the roster while it was spoken to
+            return
+        if until_s <= max(now_s, drive.held_until_s if drive.held else now_s):
+            return
+        drive.held_until_s = until_s
+        feed = self._feeds.by_drive.get(name)
+        if feed is not None:
+            feed.held_until_s = until_s
+        if not drive.held:
+            drive.held = True
+            self._waiting.at(until_s, drive)
+
+    def _release(self, drive: DriveState, now_s: float) -> None:
+        drive.held = False
+        lanes, drive.lanes = drive.lanes, []
+        for queue, lane in lanes:
+            queue.release(lane)
+        entries, drive.entries = drive.entries, []
+        for entry in entries:
+            self._cadence.rejoin(entry, now_s)
+
+    def park(self, name: str, now_s: float, reason: str) -> None:
+        """Take a drive as offline: what waits for it is refused, stops apart; probing begins."""
+        self._spoil()
+        drive = self._drives[name]
+        if drive.parked is not None:
+            drive.parked = reason
+            return
+        drive.parked = reason
+        self._waiting.set_silent(name, silent=True)
+        feed = self._feeds.by_drive.get(name)
+        if feed is not None:
+            feed.active = False
+            self._feeds.changed()
+        for entry in self._cadence.by_drive.get(name, ()):
+            self._cadence.leave(entry)
+        drive.entries.clear()
+        probe = self._probes.by_drive.get(name)
+        if probe is not None:
+            self._probes.start(probe, now_s)
+        self._waiting.end_all(self._waiting.listed(drive=name), Outcome.REFUSED, reason)
+
+    def unpark(self, name: str, now_s: float) -> None:
+        """Take a drive as back: its cyclic requests and feeding resume, its probing ends."""
+        self._spoil()
+        drive = self._drives[name]
+        if drive.parked is None:
+            return
+        drive.parked = None
+        self._waiting.set_silent(name, silent=False)
+        feed = self._feeds.by_drive.get(name)
+        if feed is not None:
+            feed.restart(now_s)
+            if drive.held:
+                feed.held_until_s = drive.held_until_s
+            self._feeds.changed()
+        for entry in self._cadence.by_drive.get(name, ()):
+            self._cadence.join(entry)
+        probe = self._probes.by_drive.get(name)
+        if probe is not None:
+            self._probes.stop(probe)
+
+    def fail_all(self, now_s: float, reason: str) -> None:
+        """End all that waits, stops too, as refused: the line is lost.
+
+        Cyclic requests and feeding stay and resume; holds end.
+        """
+        self._spoil()
+        for drive in self._drives.values():
+            self._release(drive, now_s)
+        for feed in self._feeds.by_drive.values():
+            feed.held_until_s = feed.retry_at_s = -math.inf
+        for name in [one for one in self._waiting.silent if not self._is_parked(one)]:
+            self._waiting.set_silent(name, silent=False)
+        self._feeds.changed()
+        self._waiting.end_all(self._waiting.listed(stops=True), Outcome.REFUSED, reason)
+
+    def _is_parked(self, name: str) -> bool:
+        drive = self._drives.get(name)
+        return drive is not None and drive.parked is not None
