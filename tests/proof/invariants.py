@@ -4,7 +4,7 @@
   exchange's (`wire`); nor by a client, every drive being asked for its own address.
 * Nothing overtakes a stop, and it begins in time (`stops`).
 * Every request ends in exactly one outcome (`outcomes`).
-* On a line whose drives all answer or are away, no watchdog acts.
+* On a line whose drives all answer or are away, no watchdog acts (`watchdogs`).
 * No wait, gap or margin is beyond what the plan promised (`promises`).
 
 Here is who hands on to these what the world and the clients tell, and what is said to be broken.
@@ -23,6 +23,7 @@ from proof.lines import RandomLine
 from proof.outcomes import Outcomes
 from proof.promises import Promises
 from proof.stops import Stops
+from proof.watchdogs import Watchdogs
 from proof.wire import Wire
 from support.taps import STRIPPED
 
@@ -50,13 +51,12 @@ class Invariants:
         self.wire = Wire(sim, line.kind != "faulty", self.say)
         self.promises = Promises(line, plan, sim, self.say)
         self._stops = Stops(line, plan, site, self.say)
+        self.watchdogs = Watchdogs(line, plan, sim, self.say)
         self._requests = Outcomes(site.worker, self.say)
         self._addresses = {drive.address: drive.name for drive in line.roster.drives}
         self._asked = 0
         self._answered = 0
-        self._fired: dict[str, int] = {}
         self._begun = False
-        self._gone: set[str] = set()
         self._now = asyncio.get_running_loop().time
 
     # -- what the world tells ----------------------------------------------------------------
@@ -64,31 +64,23 @@ class Invariants:
     def begin(self, *, settled: bool) -> None:
         """Count from here: all drives that will come are there (`settled`: all, and looked at)."""
         self.sim.advance(self._now())
-        self._fired = {drive.name: drive.watchdog_fired for drive in self.sim.drives}
+        self.watchdogs.begin()
         self._begun = True
         self.promises.begin(self._now(), settled=settled)
 
     def end(self) -> None:
         """Look at what can only be judged at the end."""
         self.sim.advance(self._now())
-        if self.line.kind != "faulty":
-            self._judge_watchdogs()
+        self.watchdogs.look(self._now())
         self.wire.end()
         self.promises.end(self._now())
         self._requests.end()
         if self._asked != self._answered:
             self.say(f"{self._asked} requests had {self._answered} outcomes")
 
-    def _judge_watchdogs(self) -> None:
-        feeds = self._site.schedule.stats(self._now()).feeds
-        for drive in self.sim.drives:
-            fired = drive.watchdog_fired - self._fired[drive.name]
-            if fired and drive.name in feeds and drive.name not in self._gone:
-                self.say(f"the watchdog of {drive.name} acted {fired} times")
-
     def left(self, drive: str) -> None:
         """A drive goes away: its watchdog may act, and nobody can help it."""
-        self._gone.add(drive)
+        self.watchdogs.left(drive)
 
     def said(self, data: bytes) -> None:
         """A telegram goes out."""
@@ -108,6 +100,7 @@ class Invariants:
         self.wire.ended(report)
         if self._begun:
             self._stops.reported(report)
+            self.watchdogs.ended(report)
             self.promises.ended(report)
 
     # -- what the clients tell ---------------------------------------------------------------

@@ -80,9 +80,16 @@ class Stops:
 
     def said(self, drive: str, now_s: float) -> None:
         """A telegram goes out."""
+        self._sort_out_silent(now_s)
         waiting = self._waiting_silent()
         if waiting and drive not in self._silent:
             self._before[now_s] = waiting
+
+    def _sort_out_silent(self, now_s: float) -> None:
+        """A drive may turn out to be silent before its stop could be said at all."""
+        for name in self._site.schedule._waiting.silent & self._unsaid.keys():
+            del self._unsaid[name]
+            self._silent[name] = _Waiting(now_s, self._others_s, self._others)
 
     def _waiting_silent(self) -> str:
         """Name a silent drive whose stop could go out now, if there is one."""

@@ -105,6 +105,19 @@ def test_where_no_slack_is_ever_enough_it_goes_after_one_feed_of_every_drive() -
     assert max(b - a - 1 for a, b in pairwise(at)) <= 2
 
 
+def test_it_does_not_wait_longer_because_others_fail_to_answer_too() -> None:
+    world = full_line()
+    world.run(5.0)
+    world.silent = {f"d{number}" for number in range(3, 20)}
+    stop = world.submit("d3", P.STOP)
+    repeat(world, stop, 20)
+    world.run(15.0)
+    at = [sent for sent in world.sent if sent.request is stop]
+    waits = [b.at_s - a.end_s for a, b in pairwise(at)]
+    assert len(waits) == 19
+    assert max(waits) <= 20 * COST_S + 3 * WORST_S + WORST_S, "a round, and one drive that goes"
+
+
 def test_stops_of_drives_that_answer_go_before_those_of_silent_ones() -> None:
     world = World().drives("a", "b", "c")
     world.schedule.park("a", 0.0, "silent")

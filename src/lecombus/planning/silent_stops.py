@@ -1,10 +1,11 @@
 """What a stop of a drive that does not answer is promised, and what it costs the others.
 
 Its first telegram is the stop class's own (`waits`), unless the drive is known to be offline. Every
-other telegram waits until the watchdogs can be fed in time besides; before it go feeds of one round
-of the line at most, and nothing else (`schedule.silent_stops`). So the bound is plain addition: the
-exchange under way, a drive that is left alone after a write, that round. It holds while the drives
-that are fed answer; other drives' stops add theirs.
+other telegram waits until the watchdogs can be fed in time besides; before it go feeds for as long
+as a round of the line and a drive that goes away take at most, and nothing else
+(`schedule.silent_stops`). So the bound is plain addition: the exchange under way, that round, the
+attempts, the last feed begun, and the time for which a drive is left alone after a write. It holds
+whoever else fails to answer; other drives' stops add theirs.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from lecombus.config.exchanges import feed_times, stop_attempt_s, watched_s
 from lecombus.drives import LineTiming, family
 from lecombus.planning.ahead import ahead_on
 from lecombus.planning.waits import LATENESS_S
+from lecombus.schedule.feeds import SPARE_ATTEMPTS
 
 __all__ = ["PATIENCE_S", "PAUSE_S", "SilentStop", "silent_stop"]
 
@@ -57,13 +59,15 @@ def silent_stop(roster: Roster, timing: LineTiming) -> SilentStop:
     """
     ahead = ahead_on(roster, timing)
     watched = [drive for drive in roster.drives if watched_s(drive) is not None]
-    round_s = sum(feed_times(drive, timing).usual_s + LATENESS_S for drive in watched)
+    feeds = [feed_times(drive, timing) for drive in watched]
+    last_s = max((feed.worst_s for feed in feeds), default=0.0)
     alone_s = max((family(drive.family).hold_after_write_s for drive in watched), default=0.0)
-    more_s = round_s + alone_s + LATENESS_S
+    lost_s = (SPARE_ATTEMPTS + 1) * last_s
+    more_s = sum(feed.usual_s for feed in feeds) + alone_s + lost_s + LATENESS_S
     attempt_s = max(stop_attempt_s(drive, timing) for drive in roster.drives)
     loaded_s = ahead.any_exchange.times.worst_s + more_s
     telegrams = 1 + int(PATIENCE_S / (attempt_s + PAUSE_S + loaded_s))
     return SilentStop(
         ahead.own.times.worst_s + more_s, loaded_s, attempt_s, max(telegrams, LEAST_TELEGRAMS),
-        "as above, and feeds that would come too late, one round of the line at most",
+        "as above, and feeds that would come too late, a round of the line at most",
     )  # fmt: skip

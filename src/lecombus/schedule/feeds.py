@@ -296,10 +296,14 @@ class Feeds:
     def spare_s(self) -> float:
         """Tell how much slack is kept for attempts that fail, seconds."""
         if self._spare_s is None:
-            worst_s = max((f.worst_s for f in self.by_drive.values() if f.active), default=0.0)
             best_s = max(self.most_s("")[0], 0.0)
-            self._spare_s = min(SPARE_ATTEMPTS * worst_s, SPARE_PART * best_s)
+            self._spare_s = min(self.lost_s(), SPARE_PART * best_s)
         return self._spare_s
+
+    def lost_s(self) -> float:
+        """Tell how long the spare attempts take, seconds."""
+        worst_s = max((feed.worst_s for feed in self.by_drive.values() if feed.active), default=0.0)
+        return SPARE_ATTEMPTS * worst_s
 
     def pressing(self, now_s: float, spare_s: float) -> Feed | None:
         """Find the feed to run first if less than so much slack is left, whether due or not.
@@ -405,21 +409,19 @@ class Feeds:
 
     def round_s(self) -> float:
         """Tell how long it takes to feed every drive once, seconds."""
-        return sum(feed.cost_s for feed in self.by_drive.values()) + ROUNDING_S
+        return sum(feed.cost_s for feed in self.by_drive.values())
 
-    def held_until_s(self, now_s: float, drive: str) -> float:
-        """Tell when the first of the other drives is left alone no longer that still can be fed.
+    def first_held(self, now_s: float, drive: str) -> Feed | None:
+        """Find the feed of another drive that is left alone now, and the first that no longer is.
 
-        Infinite where none is; those that do not answer their feeds do not count.
+        Those that can no longer be in time, or fail to answer, do not count.
         """
-        return min(
-            (
-                feed.held_until_s
-                for feed in self._in_order(now_s)
-                if feed.drive != drive and not feed.failures and feed.held_until_s > now_s
-            ),
-            default=math.inf,
-        )
+        held = [
+            feed
+            for feed in self._in_order(now_s)
+            if feed.drive != drive and not feed.failures and feed.held_until_s > now_s
+        ]
+        return min(held, key=_held_until, default=None)
 
     def retry_s(self, now_s: float) -> float:
         """Tell when it is worth asking again whether something fits that does not fit now."""
@@ -449,6 +451,10 @@ class Feeds:
 
 def _hard(feed: Feed) -> float:
     return feed.hard_s
+
+
+def _held_until(feed: Feed) -> float:
+    return feed.held_until_s
 
 
 def _time(feed: Feed) -> float:

@@ -122,7 +122,7 @@ class Request:
     cell: list[Any] | None = field(default=None, init=False, repr=False)  # where it stands
     attempts: int = field(default=0, init=False, repr=False)  # exchanges made for it
     rooms: int = field(default=0, init=False, repr=False)  # feeds run first so that it fits
-    given_s: float = field(default=0.0, init=False, repr=False)  # and, for a stop, their line time
+    latest_s: float | None = field(default=None, init=False, repr=False)  # no feed before it then
     turn: Turn = field(default=Turn.RIGHT, init=False, repr=False)  # by what it went
     source: object = field(default=None, init=False, repr=False)  # the entry or probe behind it
 

@@ -311,7 +311,6 @@ class Schedule(Members):
         elif self._waiting.silent:
             self._waiting.set_silent(request.drive, silent=False)
         request.attempts += 1
-        request.given_s = 0.0
         request.state = OUT
         self._speaking_to = None
         self._waiting.forget_key(request)

@@ -7,10 +7,10 @@ the beginning where it is offline, every telegram of its stops must pass the sla
 spare kept for lost answers left over (feeds.py). While it does not, the feed that stands in the
 way goes first: that read alone, nothing else.
 
-That cannot last. The feeds before one such telegram take no longer than one feed of every watched
-drive does, a round of the line; after them it goes, whatever becomes of the watchdogs, for it may
-be the one telegram that is heard. A drive that is left alone for a moment (a hold) is waited for
-if its feed stands in the way, but not one that fails to answer its feed.
+That cannot last. After as long as one feed of every watched drive takes, a round of the line, and
+the attempts that another drive costs which goes away just then, the stop goes, whatever becomes of
+the watchdogs, for it may be the one telegram that is heard. A drive that is left alone for a moment
+(a hold) is waited for if its feed stands in the way, and fed.
 
 Whoever answers anything is no longer silent, and its stop goes first again. Which stops come
 before which stands in waiting.py.
@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 
 from lecombus.schedule.feed_choice import FeedChoice
-from lecombus.schedule.feeds import Feeds
+from lecombus.schedule.feeds import ROUNDING_S, Feeds
 from lecombus.schedule.request import Request
 from lecombus.schedule.waiting import Waiting
 
@@ -55,7 +55,8 @@ class SilentStops:
         """Tell whether a stop may go now; changes nothing."""
         if not self.held(stop):
             return True
-        return self._feeds.fits(now_s, self._needed_s(stop), stop.drive)
+        feeds = self._feeds
+        return feeds.fits(now_s, self._needed_s(stop), stop.drive) and feeds.late(now_s) is None
 
     def turn(self, stop: Request, now_s: float) -> Request | None:
         """Choose what goes when a stop is the first in the queue.
@@ -66,20 +67,24 @@ class SilentStops:
         self.wake_at_s = math.inf
         if self.goes(stop, now_s):
             return stop
-        feed = self._feeds.room(now_s, self._needed_s(stop), stop.drive)
-        if feed is not None and stop.given_s + feed.cost_s > self._feeds.round_s():
+        feeds = self._feeds
+        if stop.latest_s is None:
+            stop.latest_s = now_s + feeds.round_s() + feeds.lost_s() - ROUNDING_S
+        if now_s >= stop.latest_s:
             return stop
+        feed = feeds.late(now_s) or feeds.room(now_s, self._needed_s(stop), stop.drive)
         if feed is not None:
-            stop.given_s += feed.cost_s
             return self._choice.plain(feed)
-        if self._feeds.fits(now_s, stop.worst_s, stop.drive):
+        held = feeds.first_held(now_s, stop.drive)
+        if held is None or feeds.fits(now_s, stop.worst_s, stop.drive):
             return stop
-        self.wake_at_s = self._feeds.held_until_s(now_s, stop.drive)
-        return None if self.wake_at_s < math.inf else stop
+        self.wake_at_s = held.held_until_s
+        stop.latest_s = max(stop.latest_s, held.held_until_s + held.cost_s - ROUNDING_S)
+        return None
 
     def _needed_s(self, stop: Request) -> float:
         """Tell how much slack it takes: its longest, and what is kept for lost answers."""
         feeds = self._feeds
         most_s, _ = feeds.most_s(stop.drive)
         room_s = max(most_s - stop.worst_s, 0.0) / 2
-        return stop.worst_s + min(feeds.spare_s(), room_s)
+        return stop.worst_s + min(feeds.lost_s(), room_s)

@@ -177,7 +177,8 @@ class Waiting:
         """Let a stop that waits and was never said stand for another one asked for just now.
 
         Returns:
-            Whether it can: it waits, so that nothing but other stops goes out before it.
+            Whether it can: it waits, so that nothing but other stops goes out before it, and
+            feeds if its drive is silent.
         """
         if request.state != QUEUED or request.attempts:
             return False
@@ -206,6 +207,7 @@ class Waiting:
         Behind goes a stop that was said and has only to be proven: it must not keep the next
         drive waiting for its own. A stop of a silent drive goes behind those of all others.
         """
+        request.latest_s = None
         if request.priority is Priority.STOP and request.drive in self.silent:
             self._serial += 1
             request.place = _LAST + self._serial
