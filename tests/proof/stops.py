@@ -94,6 +94,8 @@ class Stops:
     def _waiting_silent(self) -> str:
         """Name a silent drive whose stop could go out now, if there is one."""
         waiting = self._site.schedule._waiting
+        if not waiting.silent:
+            return ""
         stops = waiting.queues[Priority.STOP].waiting()
         return next((one.drive for one in stops if one.drive in waiting.silent), "")
 

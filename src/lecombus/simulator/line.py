@@ -222,9 +222,12 @@ class SimLine:
     def under_way(self, now_s: float) -> bool:
         """Whether anything is: a telegram, a drive that thinks or speaks, bytes to the host."""
         self._run(now_s)
-        speaking = any(speech.end_s(self._char_s) > now_s for speech in self._speaking)
-        thinking = any(speech.cut_at_s is None for speech in self._thinking)
-        return bool(self._incoming) or thinking or speaking or self._outbox.next_s() is not None
+        if self._incoming or self._outbox.next_s() is not None:
+            return True
+        for speech in self._speaking:
+            if speech.end_s(self._char_s) > now_s:
+                return True
+        return any(speech.cut_at_s is None for speech in self._thinking)
 
     def drop_everything(self, now_s: float) -> None:
         """Forget all that is under way, as when the plug is pulled."""
