@@ -141,7 +141,9 @@ class Site:
         self.apply(roster)
 
     def _make_configurations(self) -> Configurations:
-        return Configurations(self._take_family, self._take_response, self._read_soon)
+        return Configurations(
+            self._take_family, self._take_response, self._read_soon, self._read_later
+        )
 
     def _make_worker(
         self, opener: PortOpener, timing: LineTiming, options: WorkerOptions, books: Books
@@ -323,6 +325,13 @@ class Site:
             self.requests.maker.read(
                 station, code, Priority.INTERACTIVE, settle=settle, expires_at_s=expires_at_s
             )
+        )
+
+    def _read_later(self, name: str, code: Code, settle: Settle) -> None:
+        """Read a code when the line has time for it."""
+        station = self.requests.station(name)
+        self.worker.submit(
+            self.requests.maker.read(station, code, Priority.BACKGROUND, settle=settle)
         )
 
     def _figures(self) -> Figures:

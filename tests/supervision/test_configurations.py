@@ -25,9 +25,10 @@ class Post:
     def __init__(self, kind: str = "93xx") -> None:
         self.taken: list[str] = []
         self.asked: list[Code] = []
+        self.asked_later: list[Code] = []
         self.deaf = False
         self.early: list[bool | None] = []
-        self.following = Configurations(self._change, self._take_early, self._ask)
+        self.following = Configurations(self._change, self._take_early, self._ask, self._ask_later)
         self.following.watch("a", family(kind))
 
     def _change(self, drive: str, found: Family) -> None:
@@ -35,6 +36,9 @@ class Post:
 
     def _take_early(self, drive: str, early: bool | None) -> None:
         self.early.append(early)
+
+    def _ask_later(self, drive: str, code: Code, settle: Settle) -> None:
+        self.asked_later.append(code)
 
     def _ask(self, drive: str, code: Code, settle: Settle) -> None:
         if self.deaf:
@@ -184,7 +188,7 @@ def test_shortened_response_time_is_followed_and_not_known_after_a_write() -> No
         post.reads(raw, C1921)
     post.following.written("a", C1921)
     assert post.early == [False, True, None, None]
-    assert (post.asked, post.taken) == ([C1921], [])
+    assert (post.asked_later, post.asked, post.taken) == ([C1921], [], [])
 
 
 def test_a_drive_told_to_acknowledge_early_is_left_alone_after_its_next_write() -> None:

@@ -39,6 +39,7 @@ class Configurations:
         change: Told that a drive is to be taken by another description of its family.
         early: Told whether a drive acknowledges early; None: not known.
         ask: Reads a code of a drive now; raises a `LecombusError` where that cannot be asked.
+        ask_later: The same when the line has time: half a second for a module's own code.
     """
 
     def __init__(
@@ -46,10 +47,12 @@ class Configurations:
         change: Callable[[str, Family], None],
         early: Callable[[str, bool | None], None],
         ask: Callable[[str, Code, Settle], None],
+        ask_later: Callable[[str, Code, Settle], None],
     ) -> None:
         self._change = change
         self._early = early
         self._ask = ask
+        self._ask_later = ask_later
         self._families: dict[str, Family] = {}
         self._followed: dict[str, Mapping[Code, Callable[[str, int | None], None]]] = {}
 
@@ -84,8 +87,10 @@ class Configurations:
         if take is None:
             return
         take(drive, None)
+        known = self._families.get(drive)
+        urgent = known is not None and known.configured_by == code
         try:
-            self._ask(drive, code, ignore)
+            (self._ask if urgent else self._ask_later)(drive, code, ignore)
         except LecombusError as exc:
             logger.info("drive=%s event=configuration-not-asked reason=%s", drive, exc)
 
