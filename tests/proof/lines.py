@@ -28,6 +28,9 @@ FAMILIES = ("820x", "821x", "822x", "824x", "8200vector", "93xx", "smvector")
 BAUDS = (1200, 2400, 4800, 9600, 19200, 19200, 19200)
 KINDS = ("quiet", "loaded", "absent", "faulty")
 ADDRESSES = tuple(address for address in range(1, 100) if address % 10)
+ADAPTER_S = 0.008
+QUICK_ADAPTER_S = 0.001
+"""Bytes are handed to the host in pieces of so much time, as by an adapter's latency timer."""
 LONGEST_WATCHDOG_S = 60.0
 SHORTEST_WATCHDOG_S = 0.05
 
@@ -49,6 +52,11 @@ class RandomLine:
     roster: Roster
     faults: str
     length_s: float
+
+    @property
+    def adapter_s(self) -> float:
+        """How long the adapter gathers what comes in: every fourth line has a quick one."""
+        return QUICK_ADAPTER_S if self.seed // len(KINDS) % 4 == 1 else ADAPTER_S
 
     @property
     def is_crowded(self) -> bool:

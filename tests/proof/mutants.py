@@ -47,9 +47,9 @@ MUTANTS = {
 }
 
 SEEDS: dict[str, tuple[int, ...]] = {
-    "no slack check": (5, 17),
+    "no slack check": (5, 53),
     "first come instead of deadlines": (40,),
-    "no blocking": (5, 37),
+    "no blocking": (37, 53),
     "silent drives stopped at any cost": (10, 50),
 }
 """Lines that show each mutant; without it they are clean."""

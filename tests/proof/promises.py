@@ -3,9 +3,11 @@
 What is promised to whom depends on who else asks. On a `quiet` line one client asks for one thing
 at a time: every class is held to `begins within`. On a `loaded` line the lower classes are full:
 control is held to `under load`, and where no crowd asks in its own class, interactive and cyclic
-are, too. Watched drives are fed within nine tenths of their times wherever all drives answer, and
-the good values of a cyclic code are no further apart than its period, reached and kept early for a
-feed, and the lateness of its slot.
+are, too. The good values of a cyclic code are no further apart than its period, reached and kept
+early for a feed, and the lateness of its slot.
+
+Watched drives are fed within nine tenths of their times wherever all drives answer and the adapter
+adds no more than a millisecond; what others add comes off the last tenth, which is there for that.
 
 The promises hold while all drives answer: lines with trouble are not judged here.
 """
@@ -22,7 +24,7 @@ from lecombus.protocol.telegrams import ValueAnswer
 from lecombus.schedule import Priority
 from lecombus.schedule.feeds import HARD_PART
 from lecombus.simulator.line import SimLine
-from proof.lines import RandomLine
+from proof.lines import QUICK_ADAPTER_S, RandomLine
 
 __all__ = ["Promises"]
 
@@ -69,8 +71,9 @@ class Promises:
         if Priority.CYCLIC in self._waits:
             self._promise_gaps(line, plan, self._waits[Priority.CYCLIC][1])
         self._good: dict[tuple[str, str], float] = {}
+        part = HARD_PART if line.adapter_s <= QUICK_ADAPTER_S else 1.0
         self._guards = {
-            drive.address: (drive.name, time_s)
+            drive.address: (drive.name, part * time_s)
             for drive in line.roster.drives
             if (time_s := watched_s(drive))
         }
@@ -115,8 +118,8 @@ class Promises:
         since_s = self._fed.get(address)
         if since_s is not None:
             self._fed[address] = at_s
-            name, time_s = self._guards[address]
-            self._judge("feed", name, at_s - since_s, HARD_PART * time_s)
+            name, within_s = self._guards[address]
+            self._judge("feed", name, at_s - since_s, within_s)
 
     def _judge(self, row: str, drive: str, measured_s: float, promised_s: float) -> None:
         part = measured_s / promised_s
@@ -131,5 +134,5 @@ class Promises:
         for (drive, code), since_s in self._good.items():
             self._judge("gap", drive, now_s - since_s, self._gaps[drive, code])
         for address, since_s in self._fed.items():
-            name, time_s = self._guards[address]
-            self._judge("feed", name, now_s - since_s, HARD_PART * time_s)
+            name, within_s = self._guards[address]
+            self._judge("feed", name, now_s - since_s, within_s)

@@ -26,8 +26,6 @@ from proof.lines import RandomLine
 from support.taps import WALL_S, ObserverTap, PortTap, ReceiverTap, running
 from support.virtual_loop import VirtualLoop
 
-ADAPTER_S = 0.008
-"""Bytes are handed over in pieces of so much time, as by an adapter's latency timer."""
 START_S = 1500.0
 """Longest time granted for all drives to come online, seconds of line time."""
 PATIENCE_S = 300.0
@@ -67,7 +65,7 @@ class World:
     def __init__(self, line: RandomLine) -> None:
         self.line = line
         self.sim = _simulated(line)
-        self._memory = MemoryEnd(self.sim, latency_s=ADAPTER_S)
+        self._memory = MemoryEnd(self.sim, latency_s=line.adapter_s)
         clock = asyncio.get_running_loop().time
         self.site = Site(line.roster, self._open, clock, lambda: WALL_S + clock())
         self.invariants = Invariants(line, self.sim, self.site)
