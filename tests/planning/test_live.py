@@ -12,13 +12,15 @@ import pytest
 
 from lecombus.api.exact import encode
 from lecombus.config import parse_roster
+from lecombus.drives import StopAction
 from lecombus.metrics.minutes import Minutes
 from lecombus.planning import make_plan
 from lecombus.planning.facts import facts_of, roster_of
 from lecombus.planning.live import LOAD_ROOM, LivePlan, compare
 from lecombus.protocol.addressing import Code
+from lecombus.readings import DriveState
 from lecombus.schedule import Priority
-from support.site_host import Plant, with_plant
+from support.site_host import Plant, until, with_plant
 from support.site_host import roster_of as written
 
 WATCHED = ", watchdog: {time: 2s, action: inhibit, configure: true}"
@@ -113,6 +115,21 @@ def test_an_adapter_that_adds_to_every_answer_is_suspected(added_s: float, said:
     assert said in found.verdict
     much = replace(found, used=2.0)
     assert much.verdict.endswith(")")
+
+
+def test_what_stops_of_drives_that_are_away_wait_is_not_held_against_their_class() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.line.faults.absent = {1}
+        await until(lambda: plant.state("a") is DriveState.OFFLINE)
+        await plant.site.operations.stop(StopAction.INHIBIT, "a")
+        stops = class_of(live_of(plant), "stop")
+        assert stops.failed > 1
+        assert stops.waits == 0
+        await plant.site.operations.stop(StopAction.INHIBIT, "b")
+        assert class_of(live_of(plant), "stop").waits == 1
+
+    with_plant(test, written(DRIVES, drive=WATCHED))
 
 
 def test_what_is_beyond_the_promise_is_said() -> None:

@@ -16,7 +16,8 @@ from lecombus.operations.identities import Identities
 from lecombus.operations.wear import Wear
 from lecombus.protocol.exchange import ResultKind
 from lecombus.protocol.telegrams import AckAnswer, NakAnswer, UnknownCodeAnswer, ValueAnswer
-from lecombus.readings import LineState
+from lecombus.readings import DriveState, LineState
+from lecombus.schedule import Priority
 from lecombus.store import Store
 from lecombus.supervision.configurations import Configurations
 from lecombus.supervision.fault_watch import FaultWatch
@@ -144,6 +145,8 @@ class Books:
             waited_s=report.waited_s,
         )
         first_wait_s = max(report.waited_s, 0.0) if report.attempt == 1 else None
+        if report.priority is Priority.STOP and self._is_away(report):
+            first_wait_s = None  # it is promised another wait than its class
         self._metrics.minutes.exchange(
             report.priority,
             took_s + report.quarantined_s,
@@ -153,6 +156,11 @@ class Books:
         )
         if result.late:
             meters.late_answers.inc(result.late)
+
+    def _is_away(self, report: ExchangeReport) -> bool:
+        if not self._is_drive(report.drive, None):
+            return False
+        return self._health.state(report.drive) is DriveState.OFFLINE
 
     def line_changed(self, up: bool, reason: str) -> None:
         """The port was opened or lost."""
