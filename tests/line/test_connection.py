@@ -8,7 +8,7 @@ import anyio
 import pytest
 
 from lecombus.errors import LineClosedError, LineLostError
-from lecombus.line.port import PortSettings, Receiver
+from lecombus.line.port import Port, PortSettings, Receiver
 from lecombus.line.worker import WorkerOptions
 from lecombus.schedule import Cyclic, Feeding, Outcome, Priority
 from lecombus.simulator.faults import Faults
@@ -47,6 +47,23 @@ def test_losing_the_line_ends_every_waiting_request_at_once_and_replays_nothing(
         assert fields == {b"0361", b"0252"}, "only cyclic reads and feeding go on"
 
     with_rig(test, THREE)
+
+
+def test_bytes_that_come_while_the_port_is_opened_are_strays() -> None:
+    async def open_noisily(settings: PortSettings, receiver: Receiver) -> Port:
+        receiver.received(b"\x81\x82")
+        return await rigs[0].end.open(settings, receiver)
+
+    async def test(rig: Rig) -> None:
+        rigs.append(rig)
+        await until(lambda: rig.worker.is_open)
+        assert rig.seen.strays == [(b"\x81\x82", False)]
+        read = rig.read("a", 150)
+        await read.done.wait()
+        assert read.outcome is Outcome.DONE
+
+    rigs: list[Rig] = []
+    with_rig(test, opener=open_noisily)
 
 
 def test_a_write_cut_off_before_its_proof_is_not_called_unsent() -> None:

@@ -62,8 +62,9 @@ Saying = tuple[Request, Job, Question]
 """A request, what it knows of the protocol, and the telegram of its next step."""
 
 
-def _no_time() -> float:
-    raise AssertionError("nothing is said before `start`")
+def _loop_time() -> float:
+    """Tell the time where `start` has not come yet: a port may give bytes while it is opened."""
+    return asyncio.get_running_loop().time()
 
 
 class Talk:
@@ -114,7 +115,7 @@ class Talk:
         self._deadline = Deadline(self._on_deadline)
         self._pause = Pause(self._wake, lateness)
         self._ended: asyncio.Future[None] | None = None
-        self._time: Callable[[], float] = _no_time
+        self._time: Callable[[], float] = _loop_time
         self._ending = False
 
     # ---- what the worker calls ----------------------------------------------------------------

@@ -177,8 +177,10 @@ class Cadence:
 
     def first(self) -> tuple[Entry | None, float]:
         """Tell which entry is due next, and when; changes nothing, unlike `head`."""
-        due_s = self.next_s()
-        return (None, math.inf) if due_s is None else (self._heap[0][2], due_s)
+        heap = self._heap
+        while heap and heap[0][2].version != heap[0][1]:
+            heappop(heap)
+        return (heap[0][2], heap[0][0] + self.offset_s) if heap else (None, math.inf)
 
     def may_wait(self, entry: Entry, now_s: float) -> bool:
         """Tell whether a due slot may stand back for another: not when it has for long."""
@@ -187,10 +189,8 @@ class Cadence:
 
     def next_s(self) -> float | None:
         """Tell when the next slot is due."""
-        heap = self._heap
-        while heap and heap[0][2].version != heap[0][1]:
-            heappop(heap)
-        return heap[0][0] + self.offset_s if heap else None
+        entry, due_s = self.first()
+        return None if entry is None else due_s
 
     def take(self, entry: Entry, now_s: float) -> Request:
         """Run the slot of an entry now, whether due or early, and set its next one."""

@@ -268,7 +268,7 @@ class Probes:
 
     def not_before_s(self) -> float:
         """Tell before what time no probe may run; changes nothing, not even by rounding."""
-        probe = self._tidy()
+        probe = self._tidy() if self._heap else None
         if probe is None or self._share <= 0.0:
             return math.inf
         worst_s = probe.made().worst_s
