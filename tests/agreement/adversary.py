@@ -41,6 +41,9 @@ EARLY_S = 0.003
 JUST_BEFORE_S = 0.002
 FEW = 3
 """Drives of a client that asks again and again: some are left alone for a while after a write."""
+HEARTBEAT_S = 0.005
+UNSEEN_S = 0.001
+"""Woken later than this is counted as the machine's lateness."""
 DEPTH = 4
 """Requests of each class that wait, under load."""
 
@@ -50,23 +53,28 @@ class Measured:
     """The worst that was seen.
 
     Attributes:
-        waits: Longest waits, seconds, by `class` or `class, loaded`.
+        waits: Longest waits, seconds, by `class` or `class, loaded`, and how much of each was the
+            machine's lateness; for `cyclic` how late a slot was, no request under way.
         failed: By drive and code, the longest a lost exchange held the line, seconds.
-        late: The latest a cyclic slot was, seconds, no request under way.
         fed: By drive, the longest from one feed to the next, seconds.
         lost: Exchanges that were lost.
         exchanges: How many there were.
     """
 
-    waits: dict[str, float] = field(default_factory=dict)
-    failed: dict[tuple[str, str], float] = field(default_factory=dict)
+    waits: dict[str, tuple[float, float]] = field(default_factory=dict)
+    failed: dict[tuple[str, str], tuple[float, float]] = field(default_factory=dict)
     fed: dict[str, float] = field(default_factory=dict)
     lost: int = 0
     exchanges: int = 0
 
-    def note(self, what: str, wait_s: float) -> None:
+    def note(self, what: str, wait_s: float, late_s: float) -> None:
         """Take one wait."""
-        self.waits[what] = max(self.waits.get(what, 0.0), wait_s)
+        self.waits[what] = longer(self.waits.get(what), (wait_s, late_s))
+
+
+def longer(old: tuple[float, float] | None, new: tuple[float, float]) -> tuple[float, float]:
+    """Give the longer of two times, what the machine added to each taken off."""
+    return new if old is None or new[0] - new[1] > old[0] - old[1] else old
 
 
 class Adversary:
@@ -91,7 +99,7 @@ class Adversary:
         self._schedule = site.schedule
         self.measured = Measured()
         self._open: set[Request] = set()  # requests of ours that have not ended
-        self._asked: dict[Request, tuple[str, float]] = {}  # not begun: what, since when
+        self._asked: dict[Request, tuple[str, float, float]] = {}  # not begun: what, since when, ..
         self._begun = asyncio.Event()
         self._wanted: Callable[[Request, float], bool] | None = None
         self._strike: Callable[[], None] | None = None
@@ -99,10 +107,17 @@ class Adversary:
         self._saturating: set[Priority] = set()
         self._calm_from_s = math.inf
         self._addresses = {one.name: one.address for one in site.roster.drives}
+        self._given_up_s = math.inf  # when the answer that is lost is given up
+        self._loop_late_s = 0.0  # by how much tasks were woken late in all
+        self._late_before_s = 0.0
         self._turn = 0
         self._others_s = math.inf  # when somebody else asked for something
         self._ahead = ahead_on(site.roster, line_timing(site.roster.line))
         site.worker.talk.observer = _Told(site.worker.talk.observer, self)
+
+    def _late_s(self) -> float:
+        """How late this machine has been in all."""
+        return self._loop_late_s + self._sim.late_s
 
     # -- what the line tells ----------------------------------------------------------------------
 
@@ -114,15 +129,17 @@ class Adversary:
         request, exchange = under_way[0], self._worker.talk._exchange
         found = self._asked.pop(request, None)
         if found is not None:
-            what, since_s = found
+            what, since_s, late_s = found
             if what:
-                self.measured.note(what, exchange.started_s - since_s)
+                wait_s = exchange.started_s - since_s
+                self.measured.note(what, wait_s, self._late_s() - late_s)
                 self._begun.set()
         wanted = self._wanted
         if wanted is not None and wanted(request, exchange.started_s):
             self._wanted = None
             ask = exchange._ask
             first_s = exchange.started_s + ask.first_byte_s - self._margin_s
+            self._given_up_s = exchange.started_s + ask.whole_s
             drip = Drip(first_s, exchange.started_s + ask.whole_s, ask.gap_s)
             self._lock(lambda: self._sim.lose(self._addresses[request.drive], drip))
             asyncio.get_running_loop().call_soon(self._now_strike)
@@ -146,10 +163,11 @@ class Adversary:
                     + self._site.roster.line.turnaround_s
                 )  # fmt: skip
                 key = (report.drive, str(report.step.code))
-                measured.failed[key] = max(measured.failed.get(key, 0.0), held_s)
+                late_s = max(0.0, result.ended_s - self._given_up_s)
+                measured.failed[key] = longer(measured.failed.get(key), (held_s, late_s))
         slot = report.priority is Priority.CYCLIC and report.attempt == 1
         if slot and result.started_s >= self._calm_from_s:
-            measured.note("cyclic", report.waited_s)
+            measured.note("cyclic", report.waited_s, self._late_s() - self._late_before_s)
 
     # -- requests of ours -------------------------------------------------------------------------
 
@@ -162,8 +180,12 @@ class Adversary:
 
         drives = [drive for drive in self._site.roster.drives if drive.family != "generic"]
         lone = again and self._saturating == {priority}
-        self._turn += 1
-        drive = drives[self._turn % (min(FEW, len(drives)) if lone else len(drives))]
+        number = min(FEW, len(drives)) if lone else len(drives)
+        for _ in range(number):  # not one that is left alone after a write just now
+            self._turn += 1
+            drive = drives[self._turn % number]
+            if not self._schedule._drives[drive.name].held:
+                break
         station = self._site.requests.station(drive.name)
         maker = self._site.requests.maker
         if priority is Priority.STOP:
@@ -188,7 +210,7 @@ class Adversary:
             await anyio.sleep(0.5)
 
     def _put_in(self, request: Request, what: str) -> None:
-        self._asked[request] = (what, asyncio.get_running_loop().time())
+        self._asked[request] = (what, asyncio.get_running_loop().time(), self._late_s())
         self._open.add(request)
         settle = request.settle
 
@@ -214,6 +236,16 @@ class Adversary:
                 self._ask(priority, "", again=True)
 
     # -- attacks ----------------------------------------------------------------------------------
+
+    async def note_lateness(self) -> None:
+        """Look every few milliseconds how late this task is woken, until it is cancelled."""
+        loop = asyncio.get_running_loop()
+        while True:
+            due_s = loop.time() + HEARTBEAT_S
+            await asyncio.sleep(HEARTBEAT_S)
+            late_s = loop.time() - due_s
+            if late_s > UNSEEN_S:
+                self._loop_late_s += late_s
 
     async def run(self, length_s: float) -> Measured:
         """Attack for so long, and say what came of it."""
@@ -364,6 +396,7 @@ class Adversary:
             cadence._push(entry)
         self._schedule._rehearsal.spoil()
         self._worker.nudge()
+        self._late_before_s = self._late_s()
         return await self._lose(lambda request, now_s: request.source is first, strike)
 
     async def _lose_longest(self, strike: Callable[[], None]) -> bool:

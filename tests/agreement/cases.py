@@ -120,7 +120,7 @@ CASES = (
         "shortest watchdogs",
         "baud: 19200, turnaround: 2ms",
         _drives(["smvector"] * 8, ", cyclic: []", "500ms"),
-        frozenset({"failed exchange", "stop", "interactive", "feed distance"}),
+        frozenset({"failed exchange", "stop", "feed distance"}),
     ),
     Case(
         "one short watchdog",

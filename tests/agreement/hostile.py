@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lecombus.config import Roster
+from lecombus.config import Roster, line_timing
 from lecombus.drives import family
 from lecombus.simulator import SimLine
 from lecombus.simulator.drive import Overrides, SimDrive
@@ -37,11 +37,36 @@ class Drip:
 
 
 class HostileLine(SimLine):
-    """The line."""
+    """The line.
 
-    def __init__(self, drives: list[SimDrive], baud: int) -> None:
+    Args:
+        drives: Its drives.
+        baud: Its baud rate.
+        adapter_s: What the adapter may add to an answer, seconds; more is the machine's lateness.
+
+    Attributes:
+        late_s: How late the ends of answers were handed over in all, seconds.
+    """
+
+    def __init__(self, drives: list[SimDrive], baud: int, adapter_s: float) -> None:
         super().__init__(drives, baud=baud)
+        self.late_s = 0.0
+        self._adapter_s = adapter_s
+        self._end_late_s = 0.0
         self._drips: dict[int, Drip] = {}
+
+    def poll(self, now_s: float) -> bytes:
+        """Give what has arrived, and note how late its last byte is."""
+        due_s = max((at_s for at_s, *_ in self._outbox._heap if at_s <= now_s), default=None)
+        if due_s is not None:
+            self._end_late_s = max(0.0, now_s - due_s - self._adapter_s)
+        return super().poll(now_s)
+
+    def receive(self, data: bytes, now_s: float) -> None:
+        """Take a telegram: the answer before it is over."""
+        self.late_s += self._end_late_s
+        self._end_late_s = 0.0
+        super().receive(data, now_s)
 
     def lose(self, address: int, drip: Drip) -> None:
         """Lose the next answer of a drive."""
@@ -65,6 +90,7 @@ class HostileLine(SimLine):
 
 def hostile_line(roster: Roster) -> HostileLine:
     """Put a roster's drives on a line, their watchdogs set as it wants them."""
+    adapter_s = line_timing(roster.line).adapter_latency_s
     drives = []
     for entry in roster.drives:
         presets: dict[int | tuple[int, int], str] = {}
@@ -74,4 +100,4 @@ def hostile_line(roster: Roster) -> HostileLine:
             presets[traits.action_code.number] = str(traits.actions[entry.watchdog.action])
         values: Overrides = presets
         drives.append(SimDrive(entry.address, entry.family, entry.name, values, log_size=1))
-    return HostileLine(drives, roster.line.baud)
+    return HostileLine(drives, roster.line.baud, adapter_s)

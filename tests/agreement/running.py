@@ -21,10 +21,11 @@ from lecombus.site import Site
 from support.site_host import until
 from support.virtual_loop import VirtualLoop
 
-__all__ = ["Agreed", "agree", "attack_in_virtual_time", "attacked"]
+__all__ = ["Agreed", "agree", "as_measured", "attack_in_virtual_time", "attacked"]
 
 WALL_S = 1_795_000_000.0
 START_S = 900.0
+NEVER = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -35,16 +36,18 @@ class Agreed:
         what: Of what.
         promised_s: The bound, seconds.
         measured_s: The worst that was seen, seconds.
+        late_s: The part of that which was the machine's lateness, seconds.
     """
 
     what: str
     promised_s: float
     measured_s: float
+    late_s: float = 0.0
 
     @property
     def ratio(self) -> float:
-        """How much of the promise was used."""
-        return self.measured_s / self.promised_s
+        """How much of the promise was used, the machine's lateness taken off."""
+        return (self.measured_s - self.late_s) / self.promised_s
 
 
 def agree(roster: Roster, measured: Measured) -> list[Agreed]:
@@ -56,14 +59,14 @@ def agree(roster: Roster, measured: Measured) -> list[Agreed]:
         one: feed_codes[one.drive] if one.what == "feed" else one.what for one in plan.exchanges
     }
     longest = max(
-        ((one, measured.failed.get((one.drive, codes[one]), 0.0)) for one in plan.exchanges),
-        key=lambda pair: pair[1] / pair[0].times.worst_s,
+        ((one, measured.failed.get((one.drive, codes[one]), NEVER)) for one in plan.exchanges),
+        key=lambda pair: (pair[1][0] - pair[1][1]) / pair[0].times.worst_s,
     )
-    found.append(Agreed("failed exchange", longest[0].times.worst_s, longest[1]))
-    for what, wait_s in measured.waits.items():
+    found.append(Agreed("failed exchange", longest[0].times.worst_s, *longest[1]))
+    for what, (wait_s, late_s) in measured.waits.items():
         name, loaded = what.removesuffix(", loaded"), what.endswith(", loaded")
         wait = plan.wait(name)
-        found.append(Agreed(what, wait.loaded_s if loaded else wait.quiet_s, wait_s))
+        found.append(Agreed(what, wait.loaded_s if loaded else wait.quiet_s, wait_s, late_s))
     fed = [
         Agreed("feed distance", HARD_PART * time_s, measured.fed[drive.name])
         for drive in roster.drives
@@ -74,13 +77,34 @@ def agree(roster: Roster, measured: Measured) -> list[Agreed]:
     return found
 
 
-async def attacked(site: Site, adversary: Adversary, length_s: float) -> Measured:
-    """Run a line, wait until all its drives are there, and attack it."""
+def as_measured(site: Site) -> Roster:
+    """Give a line's roster with the answer times that it measured, as `plan --from-daemon` does."""
+    roster = site.roster
+    drives = tuple(
+        drive.model_copy(update={"slow": site.requests.station(drive.name).measured.slow})
+        for drive in roster.drives
+    )
+    return roster.model_copy(update={"drives": drives})
+
+
+async def attacked(
+    site: Site, adversary: Adversary, length_s: float, *, real: bool = False
+) -> Measured:
+    """Run a line, wait until all its drives are there, and attack it.
+
+    Args:
+        site: The line.
+        adversary: Who attacks it.
+        length_s: For how long, seconds.
+        real: On the real clock: how late this machine is is looked at too.
+    """
     async with anyio.create_task_group() as tasks:
         tasks.start_soon(site.keeper.run)
         tasks.start_soon(site.worker.run)
         await until(lambda: _all_there(site), within_s=START_S)
         await adversary.quiet()
+        if real:
+            tasks.start_soon(adversary.note_lateness)
         measured = await adversary.run(length_s)
         tasks.cancel_scope.cancel()
     return measured

@@ -1,6 +1,6 @@
 """`make bench`: every figure that lecombus promises, measured beside its peers in one run.
 
-Takes about twenty minutes. Nothing is promised of a machine that is busy with something else: the
+Takes about half an hour. Nothing is promised of a machine that is busy with something else: the
 table says how busy it was. `--write` puts the table into docs/figures.md; `--only` measures some
 of the figures (cycles, stops, worlds ..), `--quick` all with two rounds, for a look.
 """
@@ -20,6 +20,7 @@ from .cycles import measure as cycles
 from .efficiency import measure as efficiency
 from .exchanges import measure as exchanges
 from .machine import Noise, describe
+from .promises import measure as promises
 from .queues import measure as queues
 from .starts import measure as starts
 from .stops import measure as stops
@@ -37,6 +38,7 @@ PARTS: dict[str, Callable[[Path, int], list[Row]]] = {
     "queues": queues,
     "worlds": worlds,
     "efficiency": efficiency,
+    "promises": promises,
 }
 FIGURES = ROOT / "docs" / "figures.md"
 

@@ -10,6 +10,7 @@ import pytest
 from lecombus.config import Roster, line_timing
 from lecombus.config.exchanges import Times, feed_times, read_times, watched_s
 from lecombus.planning import make_plan
+from lecombus.planning.waits import LATENESS_S
 from lecombus.schedule import Cyclic, Feeding, Outcome, Priority, Request, Schedule
 
 from .rosters import roster_of
@@ -118,3 +119,48 @@ def test_where_feeding_takes_all_there_is_no_promise() -> None:
     roster = roster_of(60, time="3.4s", baud=9600)
     assert math.isinf(make_plan(roster).wait("control").loaded_s)
     assert make_plan(roster).as_json()["waits"][1]["loaded_s"] is None
+
+
+def test_without_watchdogs_a_setpoint_waits_for_one_exchange() -> None:
+    roster = roster_of(8, time="")
+    timing = line_timing(roster.line)
+    longest_s = max(
+        read_times(drive, entry.code, timing).worst_s
+        for drive in roster.drives
+        for entry in drive.cyclic
+    )
+    plan = make_plan(roster)
+    assert plan.wait("control").quiet_s == pytest.approx(longest_s + LATENESS_S)
+    assert plan.wait("interactive").quiet_s == pytest.approx(longest_s + LATENESS_S)
+
+
+def test_what_watchdogs_leave_no_time_for_is_under_nobodys_way() -> None:
+    watched = make_plan(roster_of(2, time="500ms", only="8200vector", baud=19200))
+    free = make_plan(roster_of(2, time="", only="8200vector", baud=19200))
+    assert free.wait("stop").loaded_s > 0.6, "a module's own codes take half a second"
+    assert watched.wait("stop").loaded_s < 0.2, "they are never asked for here"
+
+
+def test_feeds_that_can_be_due_together_stand_before_a_setpoint() -> None:
+    few, many = (
+        make_plan(roster_of(count, time="2s", cyclic=", cyclic: []", only="93xx"))
+        for count in (6, 12)
+    )
+    feed_s = many.watchdogs[0].feed_s
+    more_s = many.wait("control").quiet_s - few.wait("control").quiet_s
+    assert more_s >= 6 * feed_s
+
+
+def test_feeds_that_reads_take_care_of_do_not() -> None:
+    reads = ", cyclic: [{code: C0150, every: 500ms}]"
+    read = make_plan(roster_of(4, time="8s", cyclic=reads, baud=19200))
+    unread = make_plan(roster_of(4, time="8s", cyclic=", cyclic: []", baud=19200))
+    assert read.wait("interactive").quiet_s < unread.wait("interactive").quiet_s
+
+
+def test_reads_of_one_code_in_one_form_wait_for_the_end_of_a_doubt() -> None:
+    alike = ", cyclic: [{code: C0039/1, every: 1s}]"
+    plan = make_plan(roster_of(3, time="", cyclic=alike, only="93xx"))
+    assert plan.wait("cyclic").quiet_s > 0.5, "so long an old answer may come"
+    one = make_plan(roster_of(1, time="", cyclic=alike, only="93xx"))
+    assert one.wait("cyclic").quiet_s == pytest.approx(LATENESS_S)

@@ -93,6 +93,7 @@ class Ahead:
         cyclic: The cyclic reads.
         blocking: Each of the cyclic reads and of the feeds beside them as the exchange under way.
         reads_s: By watched drive that is read cyclically: its shortest period, seconds.
+        lost_feed_s: How long a feed that is not answered holds the line at most, seconds.
         spare_s: The slack at which feeds press.
         doubt_s: For so long after a lost exchange an old answer may come, seconds.
         one_form: The cyclic reads of each code that several drives are asked for, in one form
@@ -109,6 +110,7 @@ class Ahead:
     cyclic: tuple[Stream, ...]
     blocking: tuple[Blocking, ...]
     reads_s: Mapping[str, float]
+    lost_feed_s: float
     spare_s: float
     doubt_s: float
     one_form: tuple[tuple[Stream, ...], ...]
@@ -144,6 +146,7 @@ def ahead_on(roster: Roster, timing: LineTiming) -> Ahead:
         cyclic=tuple(_cyclic(roster, timing)),
         blocking=tuple(_blocking(roster, timing)),
         reads_s=reads,
+        lost_feed_s=max((one.worst_s for one in feeds.by_drive.values()), default=0.0),
         spare_s=feeds.spare_s(),
         doubt_s=max(roster.line.late_answer_s - timing.quarantine_s, 0.0),
         one_form=tuple(_one_form(roster, timing)),

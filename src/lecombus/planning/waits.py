@@ -6,7 +6,8 @@ smallest fixed point of that sum bounds its wait. What goes before it follows fr
 own rules (`schedule.choice`, `schedule.shares`), class by class:
 
 * *Stop*: the exchange under way, until its answer is given up.
-* *Control and interactive*: the exchange under way, and feeds. A lone request lets no share go
+* *Control and interactive*: the exchange under way, and feeds; the lost answer may also be that of
+  a feed behind the exchange under way. A lone request lets no share go
   first. Feeds go before it where the watchdogs' slack is short: all of those that may be due
   together, each as often as its watchdog asks for within the wait; for control none at all where
   the spare outlasts a lost answer. An interactive request also takes turns with one feed more.
@@ -36,7 +37,7 @@ from typing import Final
 from lecombus.config import Roster
 from lecombus.config.exchanges import watched_s
 from lecombus.drives import LineTiming
-from lecombus.planning.ahead import Ahead, Blocking, ahead_on
+from lecombus.planning.ahead import Ahead, Blocking, Longest, ahead_on
 from lecombus.schedule import Priority
 from lecombus.schedule.demand import FULL, Stream, load_of, response_s
 from lecombus.schedule.feeds import HARD_PART
@@ -105,17 +106,17 @@ def _control(ahead: Ahead) -> ClassWait:
         text = "the exchange under way, not answered"
     quiet_s = ahead.own.times.worst_s
     if not _spare_outlasts(ahead, quiet_s + own_s):
-        quiet_s = response_s(0.0, quiet_s, _pressing(ahead, quiet_s + own_s))
+        quiet_s = response_s(0.0, _lost_s(ahead, ahead.own), _pressing(ahead, quiet_s + own_s))
         text = "the exchange under way, not answered, and feeds that may be due just then"
-    loaded_s = response_s(0.0, ahead.any_exchange.times.worst_s, ahead.feeds)
+    loaded_s = response_s(0.0, _lost_s(ahead, ahead.any_exchange), ahead.feeds)
     return ClassWait("control", quiet_s + LATENESS_S, loaded_s + LATENESS_S, own_s, text)
 
 
 def _interactive(ahead: Ahead) -> ClassWait:
     turn_s = max((one.cost_s for one in ahead.feeds), default=0.0)
-    once_s = ahead.own.times.worst_s + turn_s
+    once_s = _lost_s(ahead, ahead.own) + turn_s
     quiet_s = response_s(0.0, once_s, _pressing(ahead, once_s + ahead.read.times.worst_s))
-    loaded_s = response_s(0.0, ahead.any_exchange.times.worst_s + turn_s, ahead.feeds)
+    loaded_s = response_s(0.0, _lost_s(ahead, ahead.any_exchange) + turn_s, ahead.feeds)
     return ClassWait(
         "interactive", quiet_s + LATENESS_S, loaded_s + LATENESS_S, ahead.read.times.worst_s,
         "the exchange under way, not answered, and feeds that may be due just then"
@@ -228,6 +229,13 @@ def _pressing(ahead: Ahead, wait_s: float) -> tuple[Stream, ...]:
         return one.every_s - read_s - late_s <= wait_s + 2.0 * feeds_s + ahead.spare_s
 
     return tuple(one for one in ahead.feeds if presses(one))
+
+
+def _lost_s(ahead: Ahead, under_way: Longest) -> float:
+    """Bound what one lost answer costs: that of the exchange under way, or of a feed behind it."""
+    lost_feed_s = ahead.lost_feed_s
+    behind_s = under_way.times.usual_s + lost_feed_s if lost_feed_s else 0.0
+    return max(under_way.times.worst_s, behind_s)
 
 
 def _spare_outlasts(ahead: Ahead, lost_s: float) -> bool:
