@@ -87,6 +87,8 @@ class Ahead:
         read: The longest read that the drives' descriptions know.
         write: The longest write.
         control: The longest write that is a setpoint, a control word or a stop.
+        anything: The longest of all, also of those that the watchdogs of the others leave no time
+            for: while these are late or away, such a one is begun, and a stop waits for it too.
         feeds: All feeds; each has to be over once in `every_s`, counted from its last one.
         beside: Those that the cyclic reads of the same drive do not stand for; they are due again
             after `every_s`.
@@ -105,6 +107,7 @@ class Ahead:
     read: Longest
     write: Longest
     control: Longest
+    anything: Longest
     feeds: tuple[Stream, ...]
     beside: tuple[Stream, ...]
     cyclic: tuple[Stream, ...]
@@ -141,6 +144,7 @@ def ahead_on(roster: Roster, timing: LineTiming) -> Ahead:
         read=_longest(feeds, (one for drive in drives for one in _reads(drive, timing))),
         write=_longest(feeds, (one for drive in drives for one in _writes(drive, timing))),
         control=_longest(feeds, (one for drive in drives for one in _moves(drive, timing))),
+        anything=max((one for drive in drives for one in _all(drive, timing)), key=_given_up),
         feeds=tuple(_streams(roster, timing)),
         beside=tuple(_beside(roster, timing)),
         cyclic=tuple(_cyclic(roster, timing)),
@@ -207,6 +211,12 @@ def _writes(drive: DriveEntry, timing: LineTiming) -> Iterator[Longest]:
     for action in of.stops:
         code, value = stop_value(of, action, 0)
         yield Longest(drive.name, code, write_times(drive, code, value, timing), value)
+
+
+def _all(drive: DriveEntry, timing: LineTiming) -> Iterator[Longest]:
+    yield from _own(drive, timing)
+    yield from _reads(drive, timing)
+    yield from _writes(drive, timing)
 
 
 def _moves(drive: DriveEntry, timing: LineTiming) -> Iterator[Longest]:
@@ -292,6 +302,10 @@ def _read_s(drive: DriveEntry, code: Code, timing: LineTiming) -> float:
 
 def _same(request: Request) -> Request:
     return request
+
+
+def _given_up(one: Longest) -> float:
+    return one.times.given_up_s
 
 
 def _worst(one: Longest) -> float:

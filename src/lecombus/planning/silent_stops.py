@@ -65,7 +65,7 @@ def silent_stop(roster: Roster, timing: LineTiming) -> SilentStop:
     lost_s = (SPARE_ATTEMPTS + 1) * last_s
     more_s = sum(feed.usual_s for feed in feeds) + alone_s + lost_s + LATENESS_S
     attempt_s = max(stop_attempt_s(drive, timing) for drive in roster.drives)
-    loaded_s = ahead.any_exchange.times.worst_s + more_s
+    loaded_s = ahead.anything.times.worst_s + more_s
     telegrams = 1 + int(PATIENCE_S / (attempt_s + PAUSE_S + loaded_s))
     return SilentStop(
         ahead.own.times.worst_s + more_s, loaded_s, attempt_s, max(telegrams, LEAST_TELEGRAMS),
