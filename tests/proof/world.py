@@ -26,7 +26,7 @@ from proof.lines import RandomLine
 from support.taps import WALL_S, ObserverTap, PortTap, ReceiverTap, running
 from support.virtual_loop import VirtualLoop
 
-START_S = 1500.0
+START_S = 600.0
 """Longest time granted for all drives to come online, seconds of line time."""
 PATIENCE_S = 300.0
 """So long after the last was asked for everything must have its outcome."""
