@@ -9,8 +9,10 @@ import pytest
 
 from lecombus.config import Roster, line_timing
 from lecombus.config.exchanges import Times, feed_times, read_times, watched_s
+from lecombus.drives.measured import SlowAnswers
 from lecombus.planning import make_plan
 from lecombus.planning.waits import LATENESS_S
+from lecombus.protocol.addressing import Code
 from lecombus.schedule import Cyclic, Feeding, Outcome, Priority, Request, Schedule
 
 from .rosters import roster_of
@@ -170,3 +172,14 @@ def test_reads_of_one_code_in_one_form_wait_for_the_end_of_a_doubt() -> None:
     assert plan.wait("cyclic").quiet_s > 0.5, "so long an old answer may come"
     one = make_plan(roster_of(1, time="", cyclic=alike, only="93xx"))
     assert one.wait("cyclic").quiet_s == pytest.approx(LATENESS_S)
+
+
+def test_a_stop_waits_for_feeds_that_there_is_never_time_for() -> None:
+    """Found by proof seed 499: two drives, and one of them answers as late as its watchdog."""
+    roster = roster_of(2, time="500ms", baud=19200)
+    first, second = roster.drives
+    late = first.model_copy(update={"slow": SlowAnswers({Code(150): 0.41})})
+    slow = roster.model_copy(update={"drives": (late, second)})
+    stop = make_plan(slow).wait("stop")
+    assert stop.quiet_s >= feed_times(late, line_timing(slow.line)).given_up_s > 0.4
+    assert stop.loaded_s >= stop.quiet_s

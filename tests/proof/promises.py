@@ -3,8 +3,9 @@
 What is promised to whom depends on who else asks. On a `quiet` line one client asks for one thing
 at a time: every class is held to `begins within`. On a `loaded` line the lower classes are full:
 control is held to `under load`, and where no crowd asks in its own class, interactive and cyclic
-are, too. The good values of a cyclic code are no further apart than its period, reached and kept
-early for a feed, and the lateness of its slot.
+are, too; what clients ask meanwhile comes on top of a slot's lateness. The good values of a
+cyclic code are no further apart than its period, reached and kept early for a feed, the lateness of
+its slot and the time of an answer.
 
 Watched drives are fed within nine tenths of their times wherever all drives answer and the adapter
 adds no more than a millisecond; what others add comes off the last tenth, which is there for that.
@@ -16,7 +17,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from lecombus.config.exchanges import watched_s
+from lecombus.config import line_timing
+from lecombus.config.exchanges import read_times, watched_s
 from lecombus.line.observer import ExchangeReport
 from lecombus.planning import Plan
 from lecombus.protocol.exchange import ResultKind
@@ -35,6 +37,7 @@ QUIET = {
     Priority.CYCLIC: "cyclic",
     Priority.BACKGROUND: "background",
 }
+OWN_WORK = {Priority.CYCLIC, Priority.WATCHDOG}
 LOADED = {Priority.CONTROL: "control"}
 OWN = {name: f"{name} itself" for name in QUIET.values()}
 SAID = {"gap": "was not read for", "feed": "was not fed for"} | {
@@ -67,6 +70,9 @@ class Promises:
             for which, wait in waits.items()
         }
         self._own_s = {wait.name: wait.own_s for wait in waits.values()}
+        self._promised_for = OWN_WORK if quiet else OWN_WORK | {Priority.BACKGROUND}
+        self._asked: list[tuple[float, float]] = []
+        self._pause_s = line.roster.line.turnaround_s
         self._gaps: dict[tuple[str, str], float] = {}
         if Priority.CYCLIC in self._waits:
             self._promise_gaps(line, plan, self._waits[Priority.CYCLIC][1])
@@ -81,11 +87,13 @@ class Promises:
         self.most: dict[str, float] = {}
 
     def _promise_gaps(self, line: RandomLine, plan: Plan, late_s: float) -> None:
+        timing = line_timing(line.roster.line)
         for drive in line.roster.drives:
             periods = 2.0 if watched_s(drive) else 1.0
             for entry in drive.cyclic:
                 period_s = periods * entry.every_s * plan.load.stretch
-                self._gaps[drive.name, str(entry.code)] = period_s + late_s
+                read_s = read_times(drive, entry.code, timing).usual_s + line.adapter_s
+                self._gaps[drive.name, str(entry.code)] = period_s + late_s + read_s
 
     def begin(self, now_s: float, *, settled: bool) -> None:
         """Judge from here on; what the daemon itself asks in idle time goes before clients'."""
@@ -101,7 +109,11 @@ class Promises:
         if not self._judged or report.result.kind is ResultKind.LOST:
             return
         name, promised_s = self._waits.get(report.priority, ("", 0.0))
+        if report.priority not in self._promised_for:
+            self._asked.append((report.result.ended_s, report.result.started_s))
         if name:
+            if name == "cyclic" and report.waited_s > promised_s:
+                promised_s += self._asked_s(report.result.started_s - report.waited_s)
             self._judge(name, report.drive, report.waited_s, promised_s)
             took_s, own_s = report.result.ended_s - report.result.started_s, self._own_s[name]
             self._judge(OWN[name], report.drive, took_s, own_s)
@@ -112,7 +124,21 @@ class Promises:
         since_s = self._good.get((drive, code))
         if since_s is not None:
             self._good[drive, code] = at_s
-            self._judge("gap", drive, at_s - since_s, self._gaps[drive, code])
+            self._judge_gap(drive, code, since_s, at_s)
+
+    def _judge_gap(self, drive: str, code: str, since_s: float, at_s: float) -> None:
+        promised_s = self._gaps[drive, code]
+        if at_s - since_s > promised_s:
+            promised_s += self._asked_s(since_s)
+        self._judge("gap", drive, at_s - since_s, promised_s)
+
+    def _asked_s(self, since_s: float) -> float:
+        """Tell how much of the line went to what clients asked for since a time."""
+        return sum(
+            ended_s - started_s + self._pause_s
+            for ended_s, started_s in self._asked
+            if ended_s > since_s
+        )
 
     def _heard(self, address: int, at_s: float) -> None:
         since_s = self._fed.get(address)
@@ -132,7 +158,7 @@ class Promises:
     def end(self, now_s: float) -> None:
         """Judge what has not come again."""
         for (drive, code), since_s in self._good.items():
-            self._judge("gap", drive, now_s - since_s, self._gaps[drive, code])
+            self._judge_gap(drive, code, since_s, now_s)
         for address, since_s in self._fed.items():
             name, within_s = self._guards[address]
             self._judge("feed", name, now_s - since_s, within_s)

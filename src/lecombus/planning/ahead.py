@@ -2,7 +2,7 @@
 
 * The exchange under way, at its longest: not answered, its answer dripping in to the last, and the
   silence kept after it. The schedule begins none that could make a feed late, so one that would
-  last longer than the watchdogs leave time for is not among them.
+  last longer than the watchdogs leave time for is not among them, unless it is a feed itself.
 * Feeds. Those of the drives that their cyclic reads feed often enough never press on a quiet line.
 * Cyclic reads. These and the feeds are counted in the dearer addressing form, because after a lost
   answer an old one could pass for one in the usual form, and with the millisecond that an
@@ -139,8 +139,9 @@ def ahead_on(roster: Roster, timing: LineTiming) -> Ahead:
         if drive.cyclic and watched_s(drive)
     }
     drives = roster.drives
+    own = _longest(feeds, (one for drive in drives for one in _own(drive, timing)))
     return Ahead(
-        own=_longest(feeds, (one for drive in drives for one in _own(drive, timing))),
+        own=max([own, *_fed(roster, timing)], key=_worst),
         read=_longest(feeds, (one for drive in drives for one in _reads(drive, timing))),
         write=_longest(feeds, (one for drive in drives for one in _writes(drive, timing))),
         control=_longest(feeds, (one for drive in drives for one in _moves(drive, timing))),
@@ -193,6 +194,14 @@ def _own(drive: DriveEntry, timing: LineTiming) -> Iterator[Longest]:
         codes.add(feed)
     for code in codes or {feed}:
         yield Longest(drive.name, code, read_times(drive, code, timing))
+
+
+def _fed(roster: Roster, timing: LineTiming) -> Iterator[Longest]:
+    """Give the feeds: they are begun even where there is never the time for them."""
+    for drive in roster.drives:
+        if watched_s(drive) is not None:
+            code = family(drive.family).feed_code
+            yield Longest(drive.name, code, feed_times(drive, timing))
 
 
 def _reads(drive: DriveEntry, timing: LineTiming) -> Iterator[Longest]:

@@ -15,8 +15,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
-from lecombus.config import Roster
-from lecombus.config.exchanges import watched_s
+from lecombus.config import Roster, line_timing
+from lecombus.config.exchanges import read_times, watched_s
 from lecombus.planning.plan import Plan, make_plan
 from lecombus.planning.waits import ClassWait
 from lecombus.schedule.feeds import HARD_PART
@@ -276,15 +276,20 @@ def _codes(
     gaps: Mapping[str, Mapping[str, float | None]],
     away: Collection[str],
 ) -> list[LiveCode]:
-    """A slot may be late; that of a watched drive may also be run early, to feed it."""
+    """A slot may be late; that of a watched drive may also be run early, to feed it.
+
+    Values are told apart by when they came, and of two answers the first may come at once.
+    """
     late = plan.wait("cyclic")
+    timing = line_timing(roster.line)
     found = []
     for drive in roster.drives:
         early = 2.0 if watched_s(drive) else 1.0
         for entry in drive.cyclic:
             period_s = entry.every_s * plan.load.stretch
             longest_s = gaps.get(drive.name, {}).get(str(entry.code))
-            own_s = early * period_s
+            read_s = read_times(drive, entry.code, timing).usual_s + timing.adapter_latency_s
+            own_s = early * period_s + read_s
             found.append(
                 LiveCode(drive.name, str(entry.code), entry.every_s, own_s + late.quiet_s,
                          own_s + late.loaded_s, longest_s, drive.name in away)
