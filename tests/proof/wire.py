@@ -8,7 +8,8 @@ the one that is open, and every report of the daemon must fit the exchange that 
 * At most one exchange is open: the one before had its whole answer, or is reported as failed.
 * No answer is taken for another exchange's: what is reported is what that drive did upon that
   telegram, as the drive itself remembers it. Noise alone may turn an answer into that of a drive
-  without the code (see `simulator.spoiling`).
+  without the code (see `simulator.spoiling`), and a stop that is said again may be ended by the
+  late acknowledgement of the same stop said before.
 
 Must not live here: who should have spoken (`invariants`), how long anything may wait (`promises`).
 """
@@ -23,8 +24,9 @@ from dataclasses import dataclass, field
 
 from lecombus.line.observer import ExchangeReport
 from lecombus.line.station import StepKind
-from lecombus.protocol.exchange import ResultKind
+from lecombus.protocol.exchange import EARLIEST_SHARE, ResultKind
 from lecombus.protocol.telegrams import AckAnswer, NakAnswer, UnknownCodeAnswer, ValueAnswer
+from lecombus.schedule import Priority
 from lecombus.simulator.drive import SimDrive
 from lecombus.simulator.line import SimLine
 from support.taps import STRIPPED
@@ -71,6 +73,7 @@ class Wire:
         self._unreported: deque[_Exchange] = deque()
         self._drives = {drive.address: drive for drive in sim.drives}
         self._host_free_s = 0.0
+        self._early_s = 0.0  # a late answer that comes in the last tenth ends a telegram's exchange
         self._log = hashlib.sha256()
 
     @property
@@ -81,9 +84,11 @@ class Wire:
     def said(self, data: bytes, now_s: float) -> None:
         """A telegram is handed to the port."""
         self._log.update(_TIME.pack(now_s) + b">" + data)
-        if now_s < self._host_free_s:
+        if now_s < self._host_free_s - (0.0 if self._clean else self._early_s):
             self._say("a telegram was said while the one before was still going out")
-        self._host_free_s = now_s + len(data) * CHARACTER_BITS / self._sim.host_baud
+        wire_s = len(data) * CHARACTER_BITS / self._sim.host_baud
+        self._host_free_s = now_s + wire_s
+        self._early_s = (1.0 - EARLIEST_SHARE) * wire_s
         before, busy = self._open, self._sim.under_way(now_s)
         if before is not None:
             before.spoken_over = busy
@@ -120,7 +125,8 @@ class Wire:
             self._say(f"an answer of nobody was taken for that of {report.drive}")
             return
         trap = not self._clean and isinstance(report.result.answer, UnknownCodeAnswer)
-        if not trap and not _is_told(one, report):
+        again = not self._clean and _is_stop_said_again(one, report)
+        if not trap and not again and not _is_told(one, report):
             self._say(f"{report.drive} did not answer {report.result.answer} to {report.step}")
 
     def end(self) -> None:
@@ -149,6 +155,19 @@ def _is_told(one: _Exchange, report: ExchangeReport) -> bool:
     if isinstance(answer, UnknownCodeAnswer):
         return same and step.kind is StepKind.READ and not last.accepted
     return False
+
+
+def _is_stop_said_again(one: _Exchange, report: ExchangeReport) -> bool:
+    """Whether a stop took the late acknowledgement of the very same write, said before.
+
+    Stops alone are repeated before an old answer can no longer come: theirs is proven by a read.
+    """
+    if report.priority is not Priority.STOP or not isinstance(report.result.answer, AckAnswer):
+        return False
+    assert one.drive is not None
+    code = report.step.code
+    same = ("write", code.number, code.subcode, True)
+    return any((e.kind, e.code, e.subcode, e.accepted) == same for e in one.drive.log)
 
 
 def _has_come(one: _Exchange, answer: object) -> bool:
