@@ -143,10 +143,10 @@ def test_what_watchdogs_leave_no_time_for_is_under_nobodys_way() -> None:
     assert watched.wait("interactive").loaded_s < 0.5, "they are never asked for here"
 
 
-def test_a_stop_may_wait_for_what_is_begun_only_while_the_others_are_away() -> None:
+def test_the_stop_of_a_silent_drive_waits_also_for_what_is_begun_while_others_are_away() -> None:
     watched = make_plan(roster_of(2, time="500ms", only="8200vector", baud=19200))
-    free = make_plan(roster_of(2, time="", only="8200vector", baud=19200))
-    assert watched.wait("stop").loaded_s == free.wait("stop").loaded_s > 0.6
+    assert watched.wait("stop").loaded_s < 0.2
+    assert watched.silent_stop.loaded_s > 0.6
 
 
 def test_feeds_that_can_be_due_together_stand_before_a_setpoint() -> None:

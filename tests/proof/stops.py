@@ -121,6 +121,8 @@ class Stops:
             return
         waited_s, more_s = began_s - one.since_s, self._stopped_s - one.others_s
         promised_s = self._promise(lambda plan: plan.wait("stop").loaded_s, waited_s - more_s)
+        if waited_s > promised_s + more_s:  # watchdogs of drives that are away hold nothing back
+            promised_s = self._plan_as_measured(watched=False).wait("stop").loaded_s
         if waited_s > promised_s + more_s:
             self._say_late(f"the stop of {report.drive}", waited_s, promised_s + more_s)
 
@@ -158,11 +160,12 @@ class Stops:
         promised_s = promise(self._plan)
         return promised_s if needed_s <= promised_s else promise(self._plan_as_measured())
 
-    def _plan_as_measured(self) -> Plan:
+    def _plan_as_measured(self, *, watched: bool = True) -> Plan:
         """Plan as `plan --from-daemon`: drives whose answers came late are waited for longer."""
+        without = {} if watched else {"watchdog": None}
         requests, roster = self._site.requests, self._line.roster
         drives = tuple(
-            drive.model_copy(update={"slow": requests.station(drive.name).measured.slow})
+            drive.model_copy(update={"slow": requests.station(drive.name).measured.slow} | without)
             for drive in roster.drives
         )
         return make_plan(roster.model_copy(update={"drives": drives}))

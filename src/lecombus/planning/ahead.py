@@ -88,7 +88,7 @@ class Ahead:
         write: The longest write.
         control: The longest write that is a setpoint, a control word or a stop.
         anything: The longest of all, also of those that the watchdogs of the others leave no time
-            for: while these are late or away, such a one is begun, and a stop waits for it too.
+            for: while these are late or away, such a one is begun.
         feeds: All feeds; each has to be over once in `every_s`, counted from its last one.
         beside: Those that the cyclic reads of the same drive do not stand for; they are due again
             after `every_s`.

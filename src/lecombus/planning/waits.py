@@ -91,7 +91,7 @@ def class_waits(roster: Roster, timing: LineTiming, stop_line_s: float) -> list[
 
 def _stop(ahead: Ahead, timing: LineTiming, stop_line_s: float) -> ClassWait:
     more_s = timing.turnaround_s + LATENESS_S
-    longest = ahead.anything
+    longest = max(ahead.own, ahead.read, ahead.write, key=lambda one: one.times.given_up_s)
     return ClassWait(
         "stop", ahead.own.times.given_up_s + more_s, longest.times.given_up_s + more_s, stop_line_s,
         f"the exchange under way until it is given up (at most {longest.what}); other drives' "
