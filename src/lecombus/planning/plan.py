@@ -14,6 +14,7 @@ from typing import Any
 from lecombus.config import DriveEntry, Roster, line_timing
 from lecombus.config.exchanges import Times, feed_times, read_times, stop_s, watched_s
 from lecombus.drives import LineTiming
+from lecombus.planning.ahead import ahead_on
 from lecombus.planning.loads import (
     AbsentEffect,
     AdapterEffect,
@@ -107,6 +108,7 @@ def make_plan(roster: Roster, timing: LineTiming | None = None) -> Plan:
     """
     timing = timing or line_timing(roster.line)
     load = load_on(roster.drives, timing)
+    ahead = ahead_on(roster, timing)
     longest_stop_s = max((stop_s(drive, timing) for drive in roster.drives), default=0.0)
     return Plan(
         line=roster.line.name,
@@ -117,8 +119,8 @@ def make_plan(roster: Roster, timing: LineTiming | None = None) -> Plan:
             for drive in roster.drives
             for exchange in _exchanges(drive, roster, timing, load)
         ),
-        waits=tuple(class_waits(roster, timing, longest_stop_s)),
-        silent_stop=silent_stop(roster, timing),
+        waits=tuple(class_waits(roster, timing, ahead, longest_stop_s)),
+        silent_stop=silent_stop(roster, timing, ahead),
         watchdogs=tuple(watchdog_plans(roster, timing)),
         bauds=tuple(baud_effects(roster)),
         adapter=adapter_effect(roster, timing),

@@ -16,7 +16,7 @@ from typing import Final
 from lecombus.config import Roster
 from lecombus.config.exchanges import feed_times, stop_attempt_s, watched_s
 from lecombus.drives import LineTiming, family
-from lecombus.planning.ahead import ahead_on
+from lecombus.planning.ahead import Ahead
 from lecombus.planning.waits import LATENESS_S
 from lecombus.schedule.feeds import SPARE_ATTEMPTS
 
@@ -50,14 +50,14 @@ class SilentStop:
     counts: str
 
 
-def silent_stop(roster: Roster, timing: LineTiming) -> SilentStop:
+def silent_stop(roster: Roster, timing: LineTiming, ahead: Ahead) -> SilentStop:
     """Reckon what a stop of a silent drive is promised.
 
     Args:
         roster: The line.
         timing: Its times.
+        ahead: What can go before a request on it.
     """
-    ahead = ahead_on(roster, timing)
     watched = [drive for drive in roster.drives if watched_s(drive) is not None]
     feeds = [feed_times(drive, timing) for drive in watched]
     last_s = max((feed.worst_s for feed in feeds), default=0.0)

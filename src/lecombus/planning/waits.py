@@ -37,7 +37,7 @@ from typing import Final
 from lecombus.config import Roster
 from lecombus.config.exchanges import watched_s
 from lecombus.drives import LineTiming
-from lecombus.planning.ahead import Ahead, Blocking, Longest, ahead_on
+from lecombus.planning.ahead import Ahead, Blocking, Longest
 from lecombus.schedule import Priority
 from lecombus.schedule.demand import FULL, Stream, load_of, response_s
 from lecombus.schedule.feeds import HARD_PART
@@ -70,15 +70,17 @@ class ClassWait:
     counts: str
 
 
-def class_waits(roster: Roster, timing: LineTiming, stop_line_s: float) -> list[ClassWait]:
+def class_waits(
+    roster: Roster, timing: LineTiming, ahead: Ahead, stop_line_s: float
+) -> list[ClassWait]:
     """Give the promise to every class, the highest first.
 
     Args:
         roster: The line.
         timing: Its times.
+        ahead: What can go before a request on it.
         stop_line_s: The line time of one stop with its proof, seconds.
     """
-    ahead = ahead_on(roster, timing)
     return [
         _stop(ahead, timing, stop_line_s),
         _control(ahead),
