@@ -216,6 +216,9 @@ class Adversary:
 
         def settled(outcome: Outcome, reason: str) -> None:
             self._open.discard(request)
+            found = self._asked.pop(request, None)
+            if found is not None and found[0]:  # it ended unsaid: its drive is gone
+                self._begun.set()
             settle(outcome, reason)
 
         request.settle = settled

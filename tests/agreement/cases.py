@@ -114,7 +114,7 @@ CASES = (
         "820X",
         "baud: 9600, turnaround: 2ms",
         _drives(["820x"] * 8, STATUS % "1s", "3s"),
-        frozenset({*EXCHANGE, "cyclic", "background", "feed distance"}),
+        frozenset({*EXCHANGE, "cyclic", "feed distance"}),
     ),
     Case(
         "shortest watchdogs",

@@ -74,7 +74,7 @@ class HostileLine(SimLine):
 
     def _ask(self, drive: SimDrive, heard: Heard, at_s: float, faults: Faults) -> None:
         drip = self._drips.pop(drive.address, None)
-        if drip is None:
+        if drip is None or drip.first_s < at_s:  # none, or it came too late for its exchange
             super()._ask(drive, heard, at_s, faults)
             return
         reply = drive.hear(heard, at_s, self._spoiler.rng)
