@@ -30,6 +30,7 @@ IMPATIENCE_S = 0.004
 DELAY_S = 3.0
 TIGHTER = 0.05
 EVERY = 7
+FALLS_AT = 300
 Patch = tuple[type | object, str, Any]
 
 
@@ -118,6 +119,18 @@ def _late_stops() -> list[Patch]:
     return [(Schedule, "submit", submit_late)]
 
 
+def _falling() -> list[Patch]:
+    """Falls over in the middle of its work."""
+    feed, count = Exchange.feed, iter(range(10_000))
+
+    def feed_and_fall(self: Exchange, data: bytes, now_s: float) -> Result | None:
+        if next(count) == FALLS_AT:
+            raise RuntimeError("on purpose")
+        return feed(self, data, now_s)
+
+    return [(Exchange, "feed", feed_and_fall)]
+
+
 def _promising(**factors: float) -> list[Patch]:
     """Promises a part of what the plan promises."""
 
@@ -178,6 +191,7 @@ BROKEN = {
     "ends requests twice": Broken(_two_outcomes, "had a second outcome"),
     "forgets requests": Broken(_no_outcome, "was forgotten"),
     "overtakes stops": Broken(_late_stops, "went before the stop of", (0, 1)),
+    "falls over": Broken(_falling, "the daemon fell over: RuntimeError('on purpose')"),
     "promises short waits": Broken(_short_waits, " waited ", (12, 36)),
     "promises short exchanges": Broken(_short_exchanges, "it took"),
     "reads seldom": Broken(_seldom, "was not read for", (64, 72)),

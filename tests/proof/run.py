@@ -12,7 +12,9 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import logging
 import sys
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from itertools import count, islice
 from pathlib import Path
@@ -36,8 +38,20 @@ def program() -> str:
 
 
 def prove(seed: int, length_s: float = LENGTH_S) -> Finding:
-    """Run the line of a seed."""
+    """Run the line of a seed; what the daemon logs of it is of no use here."""
+    logging.getLogger("lecombus").addHandler(logging.NullHandler())
     return run_line(line_of(seed, length_s))
+
+
+def _from(least: int) -> Callable[[str], int]:
+    """Make what reads a whole number that is not too small."""
+
+    def number(text: str) -> int:
+        if not text.isdecimal() or int(text) < least:
+            raise argparse.ArgumentTypeError(f"{text!r}: a whole number from {least} on")
+        return int(text)
+
+    return number
 
 
 def _hours() -> argparse.ArgumentParser:
@@ -45,8 +59,8 @@ def _hours() -> argparse.ArgumentParser:
     parser.add_argument("--hours", type=float, default=10.0, help="hours of line time in all")
     parser.add_argument("--seed", type=int, help="run this line alone")
     parser.add_argument("--length", type=float, default=LENGTH_S, help="seconds a line is run")
-    parser.add_argument("--first", type=int, default=0, help="seeds from this one on")
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--first", type=_from(0), default=0, help="seeds from this one on")
+    parser.add_argument("--jobs", type=_from(1), default=1, help="processes")
     return parser
 
 
@@ -87,7 +101,8 @@ def main() -> int:
 def _many(wanted_s: float, length_s: float, jobs: int, first: int) -> int:
     of = program()
     done = _done(of)
-    line_s, broken, took_s = sum(done.values()), 0, 0.0
+    line_s, broken = sum(done.values()), 0
+    print(f"{line_s / 3600:.2f} h of this program so far", file=sys.stderr, flush=True)
     seeds = (seed for seed in count(first) if seed not in done)
     with ProcessPoolExecutor(jobs) as pool:
         while line_s < wanted_s:
@@ -95,7 +110,6 @@ def _many(wanted_s: float, length_s: float, jobs: int, first: int) -> int:
             for found in pool.map(prove, batch, [length_s] * len(batch)):
                 _note(found, of)
                 line_s += found.line_s
-                took_s += found.took_s
                 broken += bool(found.broken)
                 for text in found.broken:
                     print(f"{found.line}: {text}", flush=True)

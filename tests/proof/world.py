@@ -28,6 +28,7 @@ from support.virtual_loop import VirtualLoop
 
 START_S = 600.0
 """Longest time granted for all drives to come online, seconds of line time."""
+FELL = "the daemon fell over"
 PATIENCE_S = 300.0
 """So long after the last was asked for everything must have its outcome."""
 
@@ -123,6 +124,13 @@ def _simulated(line: RandomLine) -> SimLine:
     )  # fmt: skip
 
 
+def _errors(exc: BaseException) -> list[BaseException]:
+    """Take errors out of their groups."""
+    if isinstance(exc, BaseExceptionGroup):
+        return [one for part in exc.exceptions for one in _errors(part)]
+    return [exc]
+
+
 def run_line(line: RandomLine) -> Finding:
     """Run a line to its end and say what did not hold.
 
@@ -135,7 +143,12 @@ def run_line(line: RandomLine) -> Finding:
     async def main() -> None:
         nonlocal world
         world = World(line)
-        await world.run()
+        loop, say = asyncio.get_running_loop(), world.invariants.say
+        loop.set_exception_handler(lambda _, found: say(f"{FELL}: {found.get('exception')!r}"))
+        try:
+            await world.run()
+        except Exception as exc:  # noqa: BLE001 - whatever it is, it is what this line has shown
+            say(f"{FELL}: {', '.join(map(repr, _errors(exc)))}")
 
     with asyncio.Runner(loop_factory=lambda: VirtualLoop(1e6)) as runner:
         runner.run(main())
