@@ -34,7 +34,7 @@ CLASS_SHARES: Final = {
     Priority.CYCLIC: 0.20,
     Priority.BACKGROUND: 0.05,
 }
-CREDIT_EXCHANGES: Final = 2.0  # most credit, in exchanges of the size at hand
+CREDIT_EXCHANGES: Final = 4.0  # most credit, in exchanges of the size at hand
 
 WINDOW_S: Final = 30.0
 BACKOFF_LEAST_S: Final = 1.0
