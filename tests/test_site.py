@@ -166,6 +166,19 @@ def test_a_cadence_the_line_cannot_hold_is_remarked() -> None:
     with_plant(test, roster_of(AB, drive=", cyclic: [{code: C0150, every: 50ms}]"))
 
 
+def test_what_was_not_read_while_the_line_was_lost_is_no_remark_about_its_cadence() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await anyio.sleep(30.0)
+        plant.end.unplug()
+        for _ in range(60):
+            await anyio.sleep(1.0)
+            plant.site.note_cadence()
+            assert "cadence" not in plant.site.store.line().remarks
+
+    with_plant(test, roster_of(AB))
+
+
 def test_a_refused_write_leaves_what_is_known_as_it_is() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()

@@ -46,11 +46,9 @@ from lecombus.supervision.gates import Gates
 from lecombus.supervision.health import Health
 from lecombus.supervision.keeper import Keeper
 from lecombus.supervision.slow_drives import SlowDrives
+from lecombus.supervision.strain import Strain
 
 __all__ = ["Changes", "Site"]
-
-SAID_FROM = 1.05
-"""A cadence stretched by less than this is not worth a remark."""
 
 STUCK_S = 6.0
 """Longer than any exchange (at 1200 baud about 4 s) and than the pause before a reopening (5 s)."""
@@ -109,9 +107,7 @@ class Site:
         self.roster = roster
         self._clock = clock
         self.store = Store(clock, wall)
-        self.metrics = Metrics(
-            line.name, self.store, version=__version__, clock=clock, figures=self._figures
-        )
+        self.metrics = self._make_metrics()
         self.schedule = Schedule(absent_share=line.absent_share)
         self.words = ControlWords()
         self.state = state or State()
@@ -136,6 +132,7 @@ class Site:
         )  # fmt: skip
         self.custody = Custody(self.identities, self.wear, self.readdress)
         self._slow = SlowDrives(self.store)
+        self._strain = Strain(self.store)
         self._cyclic: dict[str, list[object]] = {}
         self._entries: dict[str, DriveEntry] = {}
         self.apply(roster)
@@ -144,6 +141,10 @@ class Site:
         return Configurations(
             self._take_family, self._take_response, self._read_soon, self._read_later
         )
+
+    def _make_metrics(self) -> Metrics:
+        name, clock = self.roster.line.name, self._clock
+        return Metrics(name, self.store, version=__version__, clock=clock, figures=self._figures)
 
     def _make_worker(
         self, opener: PortOpener, timing: LineTiming, options: WorkerOptions, books: Books
@@ -210,19 +211,12 @@ class Site:
 
     def note_cadence(self) -> None:
         """Say how far the cadence is stretched, and which watchdogs ran out; once a second."""
-        stats = self._gather(self._clock())
+        now_s = self._clock()
+        stats = self._gather(now_s)
         self._slow.look(map(self.requests.station, self._entries))
         self.health.note_overdue()
         self.keeper.note_lapses(stats.feeds)
-        stretch = stats.stretch
-        self.store.set_stretch(stretch)
-        text = None
-        if stretch > SAID_FROM:
-            text = (
-                f"the line cannot hold the cyclic reads asked for: every period is {stretch:.2f} "
-                "times as long; ask for fewer, more seldom, or at a higher baud rate"
-            )
-        self.store.note_line("cadence", text)
+        self._strain.note(stats.stretch, now_s, is_open=self.worker.is_open)
 
     @property
     def longest_exchange_s(self) -> float:

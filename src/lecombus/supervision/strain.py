@@ -1,0 +1,50 @@
+"""The remark on a line that cannot hold the cyclic reads it was asked for.
+
+What a line could not do while it was closed is not what it cannot hold: the periods of that time
+are told as they were (`cyclic_stretch_ratio`), and nothing is made of them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from lecombus.schedule.cadence import STRETCH_WINDOW_S
+from lecombus.store import Store
+
+__all__ = ["Strain"]
+
+REMARK: Final = "cadence"
+SAID_FROM: Final = 1.05
+"""A cadence stretched by less than this is not worth a remark."""
+
+
+class Strain:
+    """Says when the cyclic reads are more than the line can do.
+
+    Args:
+        store: Gets the factor, and the remark.
+    """
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._closed_at_s = -math.inf  # when the line was last seen closed
+
+    def note(self, stretch: float, now_s: float, *, is_open: bool) -> None:
+        """Take the figure of the moment; about once a second.
+
+        Args:
+            stretch: The factor by which cyclic periods grew in the last seconds, 1 or more.
+            now_s: Monotonic seconds.
+            is_open: Whether the line is open.
+        """
+        if not is_open:
+            self._closed_at_s = now_s
+        self._store.set_stretch(stretch)
+        text = None
+        if stretch > SAID_FROM and now_s - self._closed_at_s > STRETCH_WINDOW_S:
+            text = (
+                f"the line cannot hold the cyclic reads asked for: every period is {stretch:.2f} "
+                "times as long; ask for fewer, more seldom, or at a higher baud rate"
+            )
+        self._store.note_line(REMARK, text)
