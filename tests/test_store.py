@@ -154,6 +154,16 @@ def test_a_stretched_cadence_allows_cyclic_values_more_age(store: Store, clocks:
     assert quality(store)[0] is Quality.STALE
 
 
+def test_a_line_that_reads_nothing_any_more_makes_no_value_fresh(
+    store: Store, clocks: Clocks
+) -> None:
+    store.expect("feeder", FREQUENCY, 0.5)
+    store.value_read("feeder", FREQUENCY, Value.parse("35.4"), clocks.now_s)
+    store.set_stretch(1000.0)
+    clocks.tick(5.1)
+    assert quality(store) == (Quality.STALE, "read 5.1 s ago, 5.0 s allowed")
+
+
 def test_a_value_read_once_goes_stale_after_ten_seconds(store: Store, clocks: Clocks) -> None:
     store.value_read("feeder", FREQUENCY, Value.parse("35.4"), clocks.now_s)
     clocks.tick(9.9)

@@ -8,7 +8,7 @@ How quality is decided, the first that fits:
    reason; the last value stays visible beside it;
 4. the drive is offline: `STALE`;
 5. older than allowed: `STALE`. A cyclic code may be twice its period (times the present stretch
-   of the cadence) plus 1 s old; any other code 10 s, or what `fresh_for_s` says;
+   of the cadence, fourfold at most) plus 1 s old; any other code 10 s, or what `fresh_for_s` says;
 6. otherwise `GOOD`.
 
 Nothing is marked beforehand: all of it is worked out when somebody asks, so that nothing can be
@@ -47,6 +47,9 @@ ON_DEMAND_FRESH_S: Final = 10.0
 
 CYCLIC_GRACE_S: Final = 1.0
 """On top of two periods: a retry and a quarantine do not make a value stale."""
+
+STRETCH_MOST: Final = 4.0
+"""A line that takes longer for its periods does not make values fresh that nobody has read."""
 
 CLOCK_STEP_S: Final = 0.02
 """The time of day is followed in steps of this, so that a value's time does not flicker."""
@@ -159,7 +162,8 @@ class Judge:
             if age_s > self._fresh_for_s:
                 return Quality.STALE, f"read {age_s:.1f} s ago, {NOT_CYCLIC}"
             return Quality.GOOD, None
-        allowed_s = 2 * cell.every_s * self._line.stretch + CYCLIC_GRACE_S
+        stretch = min(self._line.stretch, STRETCH_MOST)
+        allowed_s = 2 * cell.every_s * stretch + CYCLIC_GRACE_S
         if age_s > allowed_s:
             return Quality.STALE, f"read {age_s:.1f} s ago, {allowed_s:.1f} s allowed"
         return Quality.GOOD, None

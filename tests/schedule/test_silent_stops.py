@@ -152,6 +152,26 @@ def test_an_answer_to_anything_ends_the_silence_of_a_drive() -> None:
     assert "a" not in world.schedule._waiting.silent
 
 
+def test_living_drives_that_are_fed_too_late_are_spoken_to_between_stops_of_silent_ones() -> None:
+    """The first telegrams to ten drives that just died cost others their watchdogs, but once."""
+    world = full_line()
+    world.run(5.0)
+    dead = [f"d{number}" for number in range(10)]
+    world.silent = set(dead)
+    stops = [world.submit(name, P.STOP) for name in dead]
+    for stop in stops:
+        repeat(world, stop, 40)
+    oldest_s = 0.0
+    while world.now_s < 15.0:
+        world.step()
+        feeds = world.schedule.stats(world.now_s).feeds
+        oldest_s = max(oldest_s, *(feeds[name].age_s for name in feeds if name not in dead))
+    assert fired(world, *dead)
+    assert all(feeds[name].lapses <= 1 for name in fired(world, *dead))
+    assert oldest_s < 2.0
+    assert min(stop.attempts for stop in stops) >= 5
+
+
 def test_a_feed_of_a_drive_that_is_left_alone_is_waited_for() -> None:
     world = World().drives("a", "b")
     world.feed("b", 1.0)

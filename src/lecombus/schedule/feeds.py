@@ -27,7 +27,7 @@ watchdog has fired and those are used up, it is tried every half watchdog time.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Final
 
@@ -332,10 +332,15 @@ class Feeds:
         ]
         return min(found, key=_hard, default=None)
 
-    def late(self, now_s: float) -> Feed | None:
+    def late(self, now_s: float, *, lapsed: bool = False, but: Collection[str] = ()) -> Feed | None:
         """Find a feed that is too late to be in time, though not for its watchdog, and may run.
 
         It is left out of the slack check, so that nothing else would bring it forward.
+
+        Args:
+            now_s: Monotonic seconds.
+            lapsed: Also those whose watchdog has run out: the drive may run on, and be asked.
+            but: Drives that are not to be asked.
         """
         if not self._left_out:
             return None
@@ -344,9 +349,10 @@ class Feeds:
             for feed in self.by_drive.values()
             if feed.active
             and feed.left_out
+            and feed.drive not in but
             and feed.failures < SPARE_ATTEMPTS
             and feed.free_s() <= now_s
-            and now_s + feed.cost_s <= feed.fed_at_s + feed.time_s
+            and (lapsed or now_s + feed.cost_s <= feed.fed_at_s + feed.time_s)
             and self.fits(now_s, feed.cost_s, feed.drive)
         ]
         return min(found, key=_hard, default=None)

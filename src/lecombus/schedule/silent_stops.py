@@ -5,7 +5,8 @@ a row, and other drives act by their own watchdogs. So the first telegram of a s
 nothing, for the drive is supposed to hear it; but once a drive has not answered a stop, and from
 the beginning where it is offline, every telegram of its stops must pass the slack check, with the
 spare kept for lost answers left over (feeds.py). While it does not, the feed that stands in the
-way goes first: that read alone, nothing else.
+way goes first: that read alone, nothing else. So does that of a drive which is late already, its
+watchdog run out or not: it is left out of the check, and may be the one that still moves.
 
 That cannot last. After as long as one feed of every watched drive takes, a round of the line, and
 the attempts that another drive costs which goes away just then, the stop goes, whatever becomes of
@@ -23,7 +24,7 @@ from __future__ import annotations
 import math
 
 from lecombus.schedule.feed_choice import FeedChoice
-from lecombus.schedule.feeds import ROUNDING_S, Feeds
+from lecombus.schedule.feeds import ROUNDING_S, Feed, Feeds
 from lecombus.schedule.request import Request
 from lecombus.schedule.waiting import Waiting
 
@@ -56,7 +57,8 @@ class SilentStops:
         if not self.held(stop):
             return True
         feeds = self._feeds
-        return feeds.fits(now_s, self._needed_s(stop), stop.drive) and feeds.late(now_s) is None
+        fits = feeds.fits(now_s, self._needed_s(stop), stop.drive)
+        return fits and self._late(now_s) is None
 
     def turn(self, stop: Request, now_s: float) -> Request | None:
         """Choose what goes when a stop is the first in the queue.
@@ -69,10 +71,10 @@ class SilentStops:
             return stop
         feeds = self._feeds
         if stop.latest_s is None:
-            stop.latest_s = now_s + feeds.round_s() + feeds.lost_s() - ROUNDING_S
+            stop.latest_s = now_s + self._longest_wait_s(stop) - ROUNDING_S
         if now_s >= stop.latest_s:
             return stop
-        feed = feeds.late(now_s) or feeds.room(now_s, self._needed_s(stop), stop.drive)
+        feed = self._late(now_s) or feeds.room(now_s, self._needed_s(stop), stop.drive)
         if feed is not None:
             return self._choice.plain(feed)
         held = feeds.first_held(now_s, stop.drive)
@@ -81,6 +83,16 @@ class SilentStops:
         self.wake_at_s = held.held_until_s
         stop.latest_s = max(stop.latest_s, held.held_until_s + held.cost_s - ROUNDING_S)
         return None
+
+    def _late(self, now_s: float) -> Feed | None:
+        """Find a drive that is fed too late, if it is not one that stays silent anyhow."""
+        return self._feeds.late(now_s, lapsed=True, but=self._waiting.silent)
+
+    def _longest_wait_s(self, stop: Request) -> float:
+        """Tell after how long it goes whatever comes of that: a round if no slack will do."""
+        feeds = self._feeds
+        never = stop.worst_s > feeds.most_s(stop.drive)[0]
+        return feeds.round_s() + (0.0 if never else feeds.lost_s())
 
     def _needed_s(self, stop: Request) -> float:
         """Tell how much slack it takes: its longest, and what is kept for lost answers."""
