@@ -35,12 +35,13 @@ from lecombus.operations.wear import Wear
 from lecombus.planning.facts import answers_of, facts_of
 from lecombus.protocol.addressing import Code
 from lecombus.readings import DriveState, Json
-from lecombus.schedule import Cyclic, Priority, Schedule, Settle
+from lecombus.schedule import Feed, Priority, Schedule, Settle
 from lecombus.schedule.stats import ScheduleStats
 from lecombus.state import State
 from lecombus.store import Store
 from lecombus.supervision.books import Books
 from lecombus.supervision.configurations import Configurations
+from lecombus.supervision.cyclic_reads import CyclicReads
 from lecombus.supervision.fault_watch import FaultWatch
 from lecombus.supervision.gates import Gates
 from lecombus.supervision.health import Health
@@ -133,7 +134,7 @@ class Site:
         self.custody = Custody(self.identities, self.wear, self.readdress)
         self._slow = SlowDrives(self.store)
         self._strain = Strain(self.store)
-        self._cyclic: dict[str, list[object]] = {}
+        self._reads = CyclicReads(self.requests, self.schedule, self.store, self.metrics.minutes)
         self._entries: dict[str, DriveEntry] = {}
         self.apply(roster)
 
@@ -181,13 +182,17 @@ class Site:
                 file=roster.file,
             )
         wanted = {entry.name: entry for entry in roster.drives}
-        before = dict(self._entries)
+        before, left = dict(self._entries), {}
         for name, entry in list(self._entries.items()):
-            if wanted.get(name) != entry:
-                self._remove_drive(name, kept=name in wanted)
+            new = wanted.get(name)
+            if new is None or entry.asks_for_audit(new):
+                left[name] = self._remove_drive(name, kept=new is not None)
+            elif new != entry:
+                self._change_use(new)
         for entry in roster.drives:
             if entry.name not in self._entries:
                 self._add_drive(entry)
+                self._resume_feeding(before.get(entry.name), entry, left.get(entry.name))
         for name in set(self.roster.groups) - set(roster.groups):
             self.metrics.meters.remove(name)
         for name in roster.groups:
@@ -239,7 +244,6 @@ class Site:
             answer_time_s=entry.answer_time_s,
             measured=MeasuredTimes(self.requests.maker.timing.adapter_latency_s),
         )
-        now = self._clock()
         self._entries[entry.name] = entry
         self.store.add_drive(entry.name, entry.address, kind)
         self._configurations.watch(entry.name, kind)
@@ -255,35 +259,46 @@ class Site:
                 inhibit = kind.stops.get(StopAction.INHIBIT)
                 shown_by = inhibit.proofs if inhibit is not None else {}
                 self.words.watch(entry.name, rule.code, moved_by=others, inhibited_by=shown_by)
-        self.metrics.minutes.expect(entry.name, tuple(one.code for one in entry.cyclic))
-        self._cyclic[entry.name] = []
-        for one in entry.cyclic:
-            self.store.expect(entry.name, one.code, one.every_s)
-            make = self.requests.cyclic_maker(entry.name, one.code)
-            handle = self.schedule.add_cyclic(Cyclic(entry.name, one.every_s, make), now)
-            self._cyclic[entry.name].append(handle)
+        self._reads.take(entry, self._clock())
         self.keeper.add_drive(entry)
         if self.worker.is_open:
             self.keeper.audit_soon(entry.name)
 
-    def _remove_drive(self, name: str, *, kept: bool) -> None:
+    def _change_use(self, entry: DriveEntry) -> None:
+        """Read other codes of a drive, or allow other things; it stays the drive it is.
+
+        What else looks at entries, `operations` and `readdress`, is handed all of them at the end.
+        """
+        self._entries[entry.name] = entry
+        self.identities.change_entry(entry)
+        self.wear.add_drive(entry)
+        self.keeper.change_entry(entry)
+        self._reads.take(entry, self._clock())
+
+    def _resume_feeding(self, old: DriveEntry | None, new: DriveEntry, left: Feed | None) -> None:
+        """Let no deadline of a drive that stayed slip because its entry changed."""
+        if old is not None and left is not None:
+            is_same = (old.address, old.family) == (new.address, new.family)
+            self.schedule.resume_feeding(new.name, left, is_same=is_same)
+
+    def _remove_drive(self, name: str, *, kept: bool) -> Feed | None:
         """Take a drive out; `kept`: it comes back at once with other settings."""
-        entry = self._entries.pop(name)
+        del self._entries[name]
         self.keeper.remove_drive(name)
         self.health.remove_drive(name)
-        self._cyclic.pop(name)
-        self.schedule.remove_drive(name, self._clock(), f"{name} was taken out of the roster")
+        now_s, reason = self._clock(), f"{name} was taken out of the roster"
+        left = self.schedule.remove_drive(name, now_s, reason)
         self.requests.remove_station(name)
         self.words.forget(name)
         self.identities.remove_drive(name)
         self._books.forget(name)
         self._slow.forget(name)
-        for one in entry.cyclic:
-            self.store.expect(name, one.code, None)
+        self._reads.forget(name)
         if not kept:
             self.store.remove_drive(name)
             self.metrics.meters.remove(name)
             self.metrics.minutes.forget(name)
+        return left
 
     def _follow(self, name: str, address: int) -> None:
         """Speak to a drive at another address, until a roster says otherwise."""

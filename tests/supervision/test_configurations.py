@@ -137,7 +137,7 @@ def test_a_write_of_it_is_followed() -> None:
 def test_a_reload_that_changes_the_drive_reads_it_anew() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()
-        plant.apply(ROSTER.replace("C0005, ", ""))
+        plant.apply(ROSTER.replace("93xx,", "93xx, answer_time: 70ms,"))
         assert configuration(plant) == ""
         await plant.online()
         assert configuration(plant) == "1xx1"

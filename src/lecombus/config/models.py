@@ -10,7 +10,7 @@ What must not live here: defaults that depend on a family (see `building`), any 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
+from typing import Final, Literal
 
 from pydantic import BaseModel, ConfigDict
 
@@ -127,6 +127,12 @@ class StoredWrites(_Model):
     every_s: float = 600.0
 
 
+OF_USE: Final = (
+    "cyclic", "writable", "unchecked", "restore", "allow_address_change", "stored_writes", "lease",
+)  # fmt: skip
+"""The keys of a drive that may change without an audit."""
+
+
 class DriveEntry(_Model):
     """One drive.
 
@@ -165,6 +171,14 @@ class DriveEntry(_Model):
     stored_writes: StoredWrites = StoredWrites()
     lease: LeaseEntry = LeaseEntry()
     slow: SlowAnswers = SlowAnswers()
+
+    def asks_for_audit(self, now: DriveEntry) -> bool:
+        """Whether what differs in its new entry calls for speaking to it as to another drive.
+
+        What is read of it and what users may do with it are looked up when they count: neither
+        says which drive it is, how it is spoken to, or what its watchdog shall be.
+        """
+        return self.model_copy(update={key: getattr(now, key) for key in OF_USE}) != now
 
 
 class GroupEntry(_Model):

@@ -98,6 +98,10 @@ class Identities:
         self._found.pop(entry.name, None)
         self._known.pop(entry.name, None)
 
+    def change_entry(self, entry: DriveEntry) -> None:
+        """Take another entry of a drive that stayed what it is: what it said goes on counting."""
+        self._entries[entry.name] = entry
+
     def remove_drive(self, name: str) -> None:
         """Look after it no longer; what is recorded of it stays."""
         self._entries.pop(name, None)

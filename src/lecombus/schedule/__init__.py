@@ -6,7 +6,7 @@ work, a cost in seconds and a deadline.
 """
 
 from lecombus.schedule.cadence import Cyclic, Entry
-from lecombus.schedule.feeds import Feeding
+from lecombus.schedule.feeds import Feed, Feeding
 from lecombus.schedule.request import Outcome, Priority, Request, Settle
 from lecombus.schedule.schedule import Schedule
 from lecombus.schedule.stats import FeedStats, ScheduleStats
@@ -14,6 +14,7 @@ from lecombus.schedule.stats import FeedStats, ScheduleStats
 __all__ = [
     "Cyclic",
     "Entry",
+    "Feed",
     "FeedStats",
     "Feeding",
     "Outcome",

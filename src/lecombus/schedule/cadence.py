@@ -52,7 +52,7 @@ class Cyclic:
 class Entry:
     """A cyclic request and its place on the grid; the handle given to whoever added it."""
 
-    __slots__ = ("active", "cyclic", "dropped", "due_v", "request", "served", "skipped", "version")
+    __slots__ = ("active", "cyclic", "due_v", "request", "served", "version")
 
     def __init__(self, cyclic: Cyclic) -> None:
         self.cyclic = cyclic
@@ -61,8 +61,6 @@ class Entry:
         self.active = True
         self.request: Request | None = None  # made, but not yet run
         self.served = 0  # slots run
-        self.skipped = 0  # slots passed over while the drive was set apart
-        self.dropped = 0  # slots that could not be run without making a feed late
 
     def made(self) -> Request:
         """Give the request for the slot at hand."""
@@ -89,14 +87,19 @@ class Cadence:
         "_snapshots",
         "_versions",
         "by_drive",
+        "dropped",
         "late_most_s",
         "offset_s",
+        "skipped",
     )
 
     def __init__(self) -> None:
         self.by_drive: dict[str, list[Entry]] = {}
         self.offset_s = 0.0
         self.late_most_s = 0.0
+        # Of all entries ever: counts do not fall when one is taken away.
+        self.skipped = 0  # slots passed over while their drive was set apart
+        self.dropped = 0  # slots that could not be run without making a feed late
         self._heap: list[tuple[float, int, Entry]] = []
         self._joining: list[Entry] = []
         self._versions = 0
@@ -204,7 +207,7 @@ class Cadence:
     def drop(self, entry: Entry, now_s: float) -> None:
         """Give up the slot at hand: it cannot be run."""
         entry.request = None
-        entry.dropped += 1
+        self.dropped += 1
         self._pass_slot(entry, now_s)
 
     def _pass_slot(self, entry: Entry, now_s: float) -> None:
@@ -229,7 +232,7 @@ class Cadence:
         period_s = entry.cyclic.period_s
         missed = int(max(0.0, now_s - self.offset_s - entry.due_v) / period_s)
         entry.due_v += missed * period_s
-        entry.skipped += missed
+        self.skipped += missed
         self._push(entry)
 
     def early(self, drive: str, now_s: float) -> Entry | None:

@@ -117,12 +117,16 @@ class Feed:
         Counting from now instead would forget how long ago the last exchange began: half a second
         and more where a module answers slowly.
         """
-        self.fed, self.misses, self.lapses = old.fed, old.misses, old.lapses
+        self.count_on(old)
         self.margin_last_s, self.margin_least_s = old.margin_last_s, old.margin_least_s
         if old.active:
             self._count_from(old.fed_at_s)
             self.failures, self.retry_at_s = old.failures, old.retry_at_s
             self.missed, self.lapsed = old.missed, old.lapsed
+
+    def count_on(self, old: Feed) -> None:
+        """Go on with the counts of the drive's feed so far: they never fall."""
+        self.fed, self.misses, self.lapses = old.fed, old.misses, old.lapses
 
     def restart(self, now_s: float) -> None:
         """Count anew after a pause, without judging the pause."""

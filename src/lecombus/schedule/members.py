@@ -41,6 +41,7 @@ class Members(ABC):
         self._feeds = Feeds()
         self._cadence = Cadence()
         self._probes = Probes(absent_share)
+        self._fed_before: dict[str, Feed] = {}  # drives that are not fed at present, for the counts
 
     @abstractmethod
     def _spoil(self) -> None:
@@ -54,9 +55,16 @@ class Members(ABC):
         self._drives[name] = DriveState()
         self._waiting.set_silent(name, silent=False)
 
-    def remove_drive(self, name: str, now_s: float, reason: str) -> None:
-        """Forget a drive: its waiting requests end as refused; stops still go out."""
+    def remove_drive(self, name: str, now_s: float, reason: str) -> Feed | None:
+        """Forget a drive: its waiting requests end as refused; stops still go out.
+
+        Returns:
+            How it was fed, for `resume_feeding` if it comes back; None: it was not.
+        """
         silent = name in self._waiting.silent
+        fed = self._feeds.by_drive.pop(name, None)  # before parking, which would pause it
+        left = fed or self._fed_before.get(name)
+        self._fed_before.pop(name, None)
         self.park(name, now_s, reason)
         self._waiting.set_silent(name, silent=silent)
         self.set_feeding(name, None, now_s)
@@ -64,6 +72,27 @@ class Members(ABC):
         for entry in list(self._cadence.by_drive.pop(name, ())):
             self._cadence.leave(entry)
         self._release(self._drives.pop(name), now_s)
+        return left
+
+    def resume_feeding(self, name: str, left: Feed, *, is_same: bool) -> None:
+        """Go on feeding a drive that was taken out and is back already.
+
+        Args:
+            name: The drive.
+            left: What `remove_drive` gave.
+            is_same: It is the drive it was: its watchdog has been running since it was last fed.
+        """
+        self._spoil()
+        feed = self._feeds.by_drive.get(name)
+        if feed is None:
+            self._fed_before[name] = left
+        elif is_same:
+            if left.active:  # a longer time is not set in the drive yet
+                feed.time_s = min(feed.time_s, left.time_s)
+            feed.follow(left)
+        else:
+            feed.count_on(left)
+        self._feeds.changed()
 
     def set_feeding(self, name: str, feeding: Feeding | None, now_s: float) -> None:
         """Keep a drive's watchdog from now on, or no longer.
@@ -76,11 +105,16 @@ class Members(ABC):
         old = self._feeds.by_drive.pop(name, None)
         if feeding is not None:
             feed = self._feeds.by_drive[name] = Feed(name, feeding, now_s)
+            before = self._fed_before.pop(name, None)
             if old is not None:
                 feed.follow(old)
+            elif before is not None:
+                feed.count_on(before)
             feed.active = drive.parked is None
             if drive.held:
                 feed.held_until_s = drive.held_until_s
+        elif old is not None:
+            self._fed_before[name] = old
         self._feeds.changed()
 
     def add_cyclic(self, cyclic: Cyclic, now_s: float) -> Entry:

@@ -102,7 +102,6 @@ def snapshot(
     for name, feed in feeds.by_drive.items():
         if feed.active and name != speaking_to:
             feed.judge(now_s)
-    entries = [entry for of_drive in cadence.by_drive.values() for entry in of_drive]
     late_s, cadence.late_most_s = cadence.late_most_s, 0.0
     by_class = {
         outcome: {priority: counts[priority] for priority in Priority}
@@ -112,8 +111,8 @@ def snapshot(
         depth={priority: waiting.queues[priority].depth for priority in Priority},
         stretch=cadence.stretch(now_s),
         cyclic_late_most_s=late_s,
-        cyclic_skipped=sum(entry.skipped for entry in entries),
-        cyclic_dropped=sum(entry.dropped for entry in entries),
+        cyclic_skipped=cadence.skipped,
+        cyclic_dropped=cadence.dropped,
         feeds={name: _feed_stats(f, now_s) for name, f in feeds.by_drive.items()},
         feeds_due=len(feeds.due(now_s)),
         refused=by_class[Outcome.REFUSED],

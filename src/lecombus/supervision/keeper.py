@@ -124,6 +124,10 @@ class Keeper:
         if entry.watchdog is not None:
             self._feed(entry.name, entry.watchdog.time_s)
 
+    def change_entry(self, entry: DriveEntry) -> None:
+        """Take another entry of a drive whose watchdog is to be as it was: nothing is audited."""
+        self._entries[entry.name] = entry
+
     def remove_drive(self, name: str) -> None:
         """Keep it no longer: nothing is sent to it on account of its watchdog."""
         self._entries.pop(name, None)
