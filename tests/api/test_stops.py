@@ -10,7 +10,7 @@ from fastapi import FastAPI
 
 from lecombus.api import stops
 from lecombus.api.documents import GroupOutcomeDocument
-from lecombus.drives import StopAction
+from lecombus.drives import StopAction, Verb
 from lecombus.errors import LecombusError, LineLostError, OperationError
 from lecombus.operations.reports import WriteReport
 from lecombus.protocol.addressing import Code
@@ -200,3 +200,73 @@ async def test_a_wrong_method_is_told_the_right_ones(
     assert answer.status_code == 405
     assert answer.headers["allow"] == allowed
     assert allowed in answer.json()["remedy"]
+
+
+ODD = [
+    b'{"action": "inhibit", "target": "all", "n": %s}' % (b"7" * 5000),
+    b'{"action": "inhibit", "target": "all", "n": [-%s]}' % (b"7" * 5000),
+    b'{"action": "inhibit", "target": "all", "n": NaN, "m": -Infinity}',
+    b'{"action": "inhibit", "target": "all", "n": 1e9999999999999999999}',
+    b'{"n": 1, "action": "inhibit", "n": 2, "target": "all"}',
+    b'{"action": "inhibit", "target": "all", "n": {"action": 1, "action": 2, "k": [], "k": 0}}',
+]
+
+
+@pytest.mark.parametrize("body", ODD)
+async def test_a_stop_is_taken_whatever_its_superfluous_keys_hold(line: Line, body: bytes) -> None:
+    async with over(line.app) as client:
+        answer = await client.post("/v1/stop", content=body)
+    assert (answer.status_code, line.ops.asked) == (200, [("stop", StopAction.INHIBIT, "all")])
+    assert answer.json()["ignored"][0].startswith("there is no key n")
+
+
+async def test_a_byte_order_mark_before_a_stop_is_skipped(line: Line) -> None:
+    body = b'\xef\xbb\xbf{"action": "inhibit", "target": "all"}'
+    async with over(line.app) as client:
+        answer = await client.post("/v1/stop", content=body)
+    assert (answer.status_code, line.ops.asked) == (200, [("stop", StopAction.INHIBIT, "all")])
+
+
+@pytest.mark.parametrize(
+    ("body", "says"),
+    [
+        (b'{"action": "inhibit", "target": "a", "target": "b"}', "key target stands twice"),
+        (b'{"action": "inhibit", "\\u0061ction": "quick-stop", "target": "a"}', "key action"),
+        (b'{"action": "inhibit", "target": %s}' % (b"7" * 5000), "target takes the name"),
+        (b'{"action": "inhibit", "target": NaN}', "not 'NaN'"),
+        (b'{"action": 1e99999999999999999999, "target": "all"}', "action takes"),
+        (b'{"action": {"k": 1, "k": 2}, "target": "all"}', "not an object"),
+        (b'{"k": 1, "k": 2, "target": "all"}', "key action is missing"),
+        (b'[{"k": 1, "k": 2}]', "not a JSON object"),
+        (b'{"action": "inhibit", "target": "all", "k": %s}' % (b"[" * 20_000 + b"]" * 20_000),
+         "nested too deeply"),
+        (b'{"action": "inhibit", "target": "all", "k": "\xff"}', "not JSON"),
+    ],
+)  # fmt: skip
+async def test_a_stop_that_cannot_be_understood_is_refused(
+    line: Line, body: bytes, says: str
+) -> None:
+    async with over(line.app) as client:
+        answer = await client.post("/v1/stop", content=body)
+    assert (answer.status_code, line.ops.asked) == (422, [])
+    assert says in answer.json()["detail"]
+
+
+@pytest.mark.parametrize("path", ["/v1/stop/", "//v1/stop", "//v1/stop//"])
+async def test_slashes_too_many_around_the_path_of_a_stop_are_dropped(
+    line: Line, path: str
+) -> None:
+    async with over(line.app) as client:
+        plain = await client.post(f"http://localhost{path}", json=PLAIN)
+        long = await client.post(f"http://localhost{path}", json=PLAIN | {"k": 1})
+    assert (plain.status_code, long.status_code) == (200, 200)
+    assert line.ops.asked == [("stop", StopAction.INHIBIT, "all")] * 2
+    assert stops.is_stop(path)
+
+
+async def test_slashes_around_the_path_of_a_verb_that_stops_are_dropped(line: Line) -> None:
+    async with over(line.app) as client:
+        stop = await client.post("http://localhost//v1/drives/feeder/verbs/quick-stop/")
+        start = await client.post("/v1/drives/feeder/verbs/enable/")
+    assert (stop.status_code, start.status_code) == (200, 404)
+    assert [what[1:3] for what in line.ops.asked] == [("feeder", Verb.QUICK_STOP)]

@@ -41,6 +41,7 @@ def test_it_says_load_waits_watchdogs_and_what_would_change_them(
     assert main(["plan", "-c", str(roster)]) == 0
     out = capsys.readouterr().out
     assert "line l at 9600 baud: 13% of it is asked for" in out
+    assert "while drives that do not answer are being stopped, no class but the stops of" in out
     for word in ("stop\t", "control\t", "held, also when a drive goes away", "19200\t", "1\t"):
         assert word in out
 

@@ -10,7 +10,7 @@ What must not live here: what a body may say (`bodies`), what is done with a req
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from difflib import get_close_matches
 from typing import Final, TypeVar
 
@@ -26,7 +26,7 @@ from lecombus.api.bodies import (
     StopBody,
     VerbBody,
 )
-from lecombus.api.exact import NotJsonError, decode, short
+from lecombus.api.exact import NotJsonError, decode, decode_texts, short
 from lecombus.api.problems import Problem, ProblemError
 
 __all__ = ["BODY_LIMIT", "check_query", "read_body", "read_stop"]
@@ -58,13 +58,14 @@ async def read_body(
 async def read_stop(request: Request) -> tuple[StopBody, bytes, tuple[str, ...]]:
     """Return a stop, the bytes of its body, and what in it is superfluous.
 
-    A stop whose action and target are right is taken, whatever else its body says.
+    A stop whose action and target are right is taken, whatever else its body says, as long as it
+    is a JSON object that is not nested without end and has neither of the two twice.
 
     Raises:
         ProblemError: It does not say how to stop and what; every mistake is told.
     """
     raw = await bounded_bytes(request)
-    given = object_of(raw, StopBody)
+    given = object_of(raw, StopBody, stop_texts)
     known = {key: value for key, value in given.items() if key in StopBody.model_fields}
     try:
         return StopBody.model_validate(known), raw, superfluous(given)
@@ -80,14 +81,26 @@ def superfluous(given: Mapping[str, object]) -> tuple[str, ...]:
     return bounded_list(said)
 
 
-def object_of(raw: bytes, model: type[Body]) -> dict[str, object]:
+def stop_texts(raw: bytes) -> object:
+    """Return what the body of a stop says: two texts count, and each must stand once."""
+    return decode_texts(raw, tuple(StopBody.model_fields))
+
+
+def object_of(
+    raw: bytes, model: type[Body], read: Callable[[bytes], object] = decode
+) -> dict[str, object]:
     """Return the JSON object that a body is.
+
+    Args:
+        raw: The body.
+        model: What it must be.
+        read: How it is read.
 
     Raises:
         ProblemError: It is none.
     """
     try:
-        given = decode(raw)
+        given = read(raw)
     except NotJsonError as exc:
         raise refusal(f"the body is not JSON: {exc}", f"send {example(model)}") from exc
     if not isinstance(given, dict):

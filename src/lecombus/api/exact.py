@@ -2,7 +2,8 @@
 
 The standard encoder writes decimals only by way of a binary float, so the writer here is our own:
 35.4 goes out as `35.4` and 50.10 as `50.10`. Reading uses the standard decoder with decimals,
-refuses what JSON does not know (`NaN`) and keys that stand twice, and raises one error.
+refuses what JSON does not know (`NaN`) and keys that stand twice, and raises one error. A stop must
+go through, so it is read by its texts alone: numbers are not looked at, keys may stand twice.
 
 What must not live here: what a document means.
 """
@@ -11,17 +12,37 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from json.encoder import encode_basestring_ascii as quote
 from typing import Any, Final, NoReturn
 
 from lecombus.readings import Json
 
-__all__ = ["NotJsonError", "decode", "encode", "short"]
+__all__ = ["NotJsonError", "decode", "decode_texts", "encode", "short"]
 
 SHORT_CHARS: Final = 80
 """The most that is given back of what a client sent."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unread:
+    """A number, or what stands in a number's place, as it was written."""
+
+    text: str
+
+    def __str__(self) -> str:
+        """Return it as it was written."""
+        return self.text
+
+
+class Repeating(dict[str, object]):
+    """An object some of whose keys stand twice."""
+
+    def __init__(self, pairs: list[tuple[str, object]]) -> None:
+        super().__init__(pairs)
+        self.twice = repeated(pairs)
 
 
 class NotJsonError(ValueError):
@@ -79,6 +100,37 @@ def decode(text: bytes) -> object:
         raise NotJsonError(str(exc)) from exc
 
 
+def decode_texts(text: bytes, once: Collection[str]) -> object:
+    """Return what a JSON text says, judging nothing but its texts.
+
+    A number of any size and `NaN` stay unread, a byte order mark before the text is skipped.
+
+    Args:
+        text: The JSON text.
+        once: Keys that stand at most once in it, if it is an object; any other may repeat.
+
+    Raises:
+        NotJsonError: It is not UTF-8, not JSON, has one of those keys twice, or is nested without
+            end.
+    """
+    try:
+        given = json.loads(
+            text.decode("utf-8-sig"),
+            parse_float=Unread,
+            parse_int=Unread,
+            parse_constant=Unread,
+            object_pairs_hook=any_keys,
+        )
+    except RecursionError as exc:
+        raise NotJsonError("it is nested too deeply") from exc
+    except ValueError as exc:
+        raise NotJsonError(str(exc)) from exc
+    if isinstance(given, Repeating):
+        refuse_twice([key for key in given.twice if key in once])
+        return dict(given)
+    return given
+
+
 def decimal_of(text: str) -> Decimal:
     """Return a number with a point or exponent; an exponent beyond any decimal is refused."""
     try:
@@ -101,7 +153,23 @@ def unique_keys(pairs: list[tuple[str, object]]) -> dict[str, object]:
     """Return an object, unless one of its keys stands twice."""
     made = dict(pairs)
     if len(made) != len(pairs):
-        counts = Counter(key for key, _ in pairs)
-        twice = sorted(key for key, count in counts.items() if count > 1)
-        raise NotJsonError(f"key {short(', '.join(twice))} stands twice")
+        refuse_twice(repeated(pairs))
     return made
+
+
+def any_keys(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    """Return an object; one of whose keys some stand twice says which."""
+    made = dict(pairs)
+    return made if len(made) == len(pairs) else Repeating(pairs)
+
+
+def repeated(pairs: list[tuple[str, object]]) -> list[str]:
+    """Return the keys that stand twice or more, in order."""
+    counts = Counter(key for key, _ in pairs)
+    return sorted(key for key, count in counts.items() if count > 1)
+
+
+def refuse_twice(keys: list[str]) -> None:
+    """Refuse keys that stand twice, if there are any."""
+    if keys:
+        raise NotJsonError(f"key {short(', '.join(keys))} stands twice")

@@ -5,6 +5,7 @@ one, dependencies solved, a model validated. A stop must not wait for that. So `
 outermost and takes the stops that are as plain as can be: `POST /v1/stop` without a query and
 without an `Idempotency-Key`, with a body of exactly `action` and `target` that says both rightly.
 
+Slashes too many before or behind the path of any stop are dropped here, for the router knows none.
 Whatever is the least bit different, mistakes included, is handed on with the body as it came, so
 that there is one place that judges bodies; what is answered here is made by the same functions, and
 the tests hold both ways to the same answers.
@@ -56,6 +57,8 @@ class PlainStops:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Stop, or hand the request on."""
+        if scope["type"] == "http" and is_stop(scope["path"]):
+            scope = {**scope, "path": f"/{scope['path'].strip('/')}"}
         if scope["type"] != "http" or scope["path"] != STOP_PATH or not is_plain(scope):
             await self._app(scope, receive, send)
             return
@@ -76,7 +79,7 @@ class PlainStops:
 
 def is_stop(path: str) -> bool:
     """Whether what is asked for is a stop, which waits for nobody and is never refused."""
-    return path.endswith(STOP_ENDS)
+    return path.rstrip("/").endswith(STOP_ENDS)
 
 
 def is_plain(scope: Scope) -> bool:

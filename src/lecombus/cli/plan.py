@@ -24,6 +24,11 @@ from lecombus.schedule.shares import LISTEN_EVERY_S, LISTEN_S
 
 __all__ = ["command"]
 
+SILENCE = (
+    "while drives that do not answer are being stopped, no class but the stops of others is held "
+    "to this: all else waits seconds for each of them"
+)
+
 
 @click.command("plan")
 @click.option(
@@ -59,8 +64,9 @@ def command(
     """Say what a line can hold and how long everything waits at most, before it runs.
 
     No port is opened. A roster whose watchdogs cannot be held is refused with the arithmetic, as
-    by check. The promises hold while every drive answers and at most one exchange is lost; they are
-    reckoned with the same costs that the schedule and the time-outs use.
+    by check. The promises hold while every drive answers and at most one exchange is lost, and not
+    while drives that do not answer are being stopped; they are reckoned with the same costs that
+    the schedule and the time-outs use.
 
     With --live the running daemon is asked instead of a roster (--socket, --url): its promises
     stand beside what the last five minutes of its line showed, and what is beyond them is said.
@@ -163,6 +169,7 @@ def _show_waits(plan: Plan) -> None:
     text = f"{silent.counts}; {silent.telegrams} telegrams at least"
     times = _time(silent.quiet_s), _time(silent.loaded_s), _time(silent.attempt_s)
     rows.insert(1, ("stop, silent drive", *times, text))
+    click.echo(SILENCE)
     show_table(
         ("class", "begins within", "under load", "own exchange", "what is counted"), rows,
         title="how long one request waits at most",
