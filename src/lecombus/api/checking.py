@@ -76,9 +76,9 @@ async def read_stop(request: Request) -> tuple[StopBody, bytes, tuple[str, ...]]
 def superfluous(given: Mapping[str, object]) -> tuple[str, ...]:
     """Return what to say of the keys of a stop that nobody knows."""
     known = tuple(StopBody.model_fields)
-    unknown = [key for key in given if key not in known]
-    said = [f"there is no key {short(key)}: {nearest(key, known)}" for key in unknown]
-    return bounded_list(said)
+    unknown = bounded_list([key for key in given if key not in known])
+    keys, more = unknown[:MISTAKES_LIMIT], unknown[MISTAKES_LIMIT:]
+    return (*(f"there is no key {short(key)}: {nearest(key, known)}" for key in keys), *more)
 
 
 def stop_texts(raw: bytes) -> object:
