@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from lecombus import site
 from lecombus.config import Roster
 from lecombus.line.silence import Silence
 from lecombus.line.talk import Talk
@@ -22,6 +21,7 @@ from lecombus.protocol.exchange import Ask, Exchange, Result
 from lecombus.protocol.telegrams import ValueAnswer
 from lecombus.protocol.values import Value
 from lecombus.schedule import Cyclic, Outcome, Priority, Request, Schedule, feeds
+from lecombus.supervision import cyclic_reads
 from proof import invariants
 
 __all__ = ["BROKEN", "broken"]
@@ -161,7 +161,7 @@ def _seldom() -> list[Patch]:
     def cyclic(drive: str, every_s: float, make: Callable[[], Request]) -> Cyclic:
         return Cyclic(drive, 3.0 * every_s, make)
 
-    return [(site, "Cyclic", cyclic)]
+    return [(cyclic_reads, "Cyclic", cyclic)]
 
 
 def _last_moment() -> list[Patch]:
