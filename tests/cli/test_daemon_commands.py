@@ -195,6 +195,97 @@ def test_stop_without_a_target_stops_everything(
     assert json.loads(daemon.asked[0][1]) == sent
 
 
+REMEDY = "the motor may turn: look at it"
+
+
+def stopped(drive: str, outcome: str, reason: str) -> dict[str, object]:
+    remedy = None if outcome == "verified" else REMEDY
+    return {
+        "drive": drive, "code": "C0135", "outcome": outcome, "reason": reason, "remedy": remedy,
+    }  # fmt: skip
+
+
+def answer_stop(daemon: DaemonStub, *members: dict[str, object]) -> None:
+    report = {"how": "one-by-one", "outcome": "unknown", "members": members}
+    daemon.answers["POST /v1/stop"] = (504, json.dumps(report))
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["stop"], "2 of 3 drives did not confirm the quick stop: their motors may still turn"),
+        (["quick-stop", "infeed"], "2 of 3 drives did not confirm the quick stop: their motors"),
+        (["inhibit", "infeed"], "2 of 3 drives did not confirm the inhibit: their motors"),
+        (["stop", "--action", "inhibit"], "2 of 3 drives did not confirm the inhibit: their"),
+    ],
+)
+def test_a_stop_that_is_not_confirmed_says_so_before_everything_else(
+    run: Run, daemon: DaemonStub, words: list[str], says: str
+) -> None:
+    lost = "{} (address 12), C0135: no answer in time (attempt {})"
+    answer_stop(
+        daemon,
+        stopped("a", "verified", "it reads so"),
+        stopped("b", "unknown", lost.format("b", 3)),
+        stopped("c", "unknown", lost.format("c", 5)),
+    )
+    ran = run(*words)
+    first, *rest = ran.err.splitlines()
+    assert ran.status == 1
+    assert first.startswith(says)
+    assert first.endswith("may still turn, use the emergency stop circuit")
+    assert rest == [f"b, c: {REMEDY}"]
+    assert "\x1b" not in ran.err
+    assert [row.split("\t")[2] for row in ran.out.splitlines()] == [
+        "verified", "unknown", "unknown",
+    ]  # fmt: skip
+    assert "http" not in ran.out + ran.err
+    assert "urn:lecombus" not in ran.out + ran.err
+
+
+def test_a_single_drive_is_told_as_one(run: Run, daemon: DaemonStub) -> None:
+    answer_stop(daemon, stopped("feeder", "unknown", "no answer"))
+    assert run("stop", "feeder").err.startswith(
+        "1 of 1 drive did not confirm the quick stop: its motor may still turn, use the"
+    )
+
+
+def test_a_confirmed_stop_raises_no_alarm(run: Run, daemon: DaemonStub) -> None:
+    answer_stop(daemon, stopped("feeder", "verified", "it reads so"))
+    assert run("stop", "feeder").err == ""
+
+
+def test_on_a_terminal_the_alarm_is_red_and_alike_reasons_stand_once(
+    run: Run, daemon: DaemonStub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lecombus.cli.reports.on_terminal", lambda: True)
+    monkeypatch.setattr("click.utils.should_strip_ansi", lambda *_: False)
+    answer_stop(
+        daemon,
+        stopped("b", "unknown", "b (address 12), C0135: no answer in time (attempt 3)"),
+        stopped("c", "unknown", "c (address 13), C0135: no answer in time (attempt 5)"),
+    )
+    ran = run("stop")
+    assert ran.err.startswith("\x1b[31m\x1b[1m2 of 2 drives did not confirm")
+    assert ran.out.count("no answer in time") == 1
+    assert "like b" in ran.out
+
+
+@pytest.mark.parametrize("status", [404, 503])
+def test_a_stop_that_reached_no_drive_says_so_first(
+    run: Run, daemon: DaemonStub, status: int
+) -> None:
+    daemon.answers["POST /v1/stop"] = problem("line-lost", status)
+    ran = run("stop")
+    assert ran.status != 0
+    assert ran.err.splitlines() == [
+        "no drive has confirmed the quick stop: motors may still turn, use the emergency stop "
+        "circuit",
+        "what happened; what to do",
+    ]
+    assert "circuit" not in run("stop", "--json").err
+
+
 def test_stop_refuses_to_guess_between_a_target_and_all(run: Run, daemon: DaemonStub) -> None:
     assert run("stop", "feeder", "--all").status == 2
     assert daemon.asked == []

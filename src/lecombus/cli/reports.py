@@ -20,9 +20,12 @@ from lecombus.readings import NOT_CYCLIC
 __all__ = [
     "Document",
     "code_of",
+    "is_done",
     "kind_of",
+    "members_of",
     "quality_of",
     "show_group",
+    "show_members",
     "show_reading",
     "show_verb",
     "show_write",
@@ -41,12 +44,24 @@ _DETAILS = frozenset(
 )
 """States that say nothing more to whoever has just told a drive something; `status` has them."""
 
+_ATTEMPT = re.compile(r" \(attempt \d+\)")
+
 _FORBIDDEN = ("not-writable", "locked", "not-permitted", "read-only")
+
+
+def is_done(report: Document) -> bool:
+    """Return whether an outcome means that it was done."""
+    return report.get("outcome") in _DONE
+
+
+def members_of(report: Document) -> Sequence[Document]:
+    """Return a group's reports by drive; a report without members is its own."""
+    return report.get("members") or [report]
 
 
 def status_of(report: Document) -> Exit:
     """Return the exit status of a write's or a group's outcome."""
-    if report.get("outcome") in _DONE:
+    if is_done(report):
         return Exit.DONE
     return Exit.FORBIDDEN if kind_of(report) in _FORBIDDEN else Exit.FAILED
 
@@ -120,17 +135,35 @@ def show_write(report: Document) -> Exit:
 
 
 def show_group(report: Document) -> Exit:
-    """Print how a group write or a stop ended, member by member.
+    """Print how a group write ended, member by member.
 
     Returns:
         DONE only if it is done or verified for all of them.
     """
-    members: Sequence[Document] = report.get("members") or [report]
+    show_members(report)
+    return status_of(report)
+
+
+def show_members(report: Document, *, said_once: Sequence[str] = ()) -> None:
+    """Print how a group write or a stop ended, member by member.
+
+    Args:
+        report: The report of the group.
+        said_once: What is not said of each member but below, once for all it is the same for.
+    """
+    members = members_of(report)
     how = {"multicast": "one multicast", "one-by-one": "one write after another"}
     # One drive gets one telegram: how it would be sent to several says nothing.
     told = how.get(str(report.get("how")), "") if len(members) > 1 else ""
-    _show_outcomes(members, title=f"as {told}: {report.get('outcome')}" if told else "")
-    return status_of(report)
+    title = f"as {told}: {report.get('outcome')}" if told else ""
+    _show_outcomes(members, title=title, without=said_once)
+    for key in said_once:
+        drives: dict[str, list[str]] = {}
+        for one in members:
+            drives.setdefault(table_text(one.get(key)), []).append(table_text(one.get("drive")))
+        for text, names in drives.items():
+            if text:
+                click.echo(f"{', '.join(names)}: {text}", err=True)
 
 
 def show_verb(report: Document) -> Exit:
@@ -147,12 +180,24 @@ def show_verb(report: Document) -> Exit:
     return status_of(report)
 
 
-def _show_outcomes(reports: Sequence[Document], title: str = "") -> None:
+def _show_outcomes(
+    reports: Sequence[Document], title: str = "", *, without: Sequence[str] = ()
+) -> None:
     rows = []
+    said: dict[str, str] = {}
     for report in reports:
         drive, outcome = table_text(report.get("drive")), table_text(report.get("outcome"))
-        rows.append((drive, code_of(report), outcome, _reads(report), _why(report)))
+        why = _why(report, without)
+        if why and not is_done(report) and on_terminal():
+            first = said.setdefault(_in_general(why, drive), drive)
+            why = why if first == drive else f"like {first}"
+        rows.append((drive, code_of(report), outcome, _reads(report), why))
     show_rows(("drive", "code", "outcome", "reads", "why"), rows, title=title)
+
+
+def _in_general(why: str, drive: str) -> str:
+    """Return a reason without the name, address and attempts that tell drives apart."""
+    return _ATTEMPT.sub("", re.sub(rf"{re.escape(drive)}( \(address \d+\))?", "", why))
 
 
 def _reads(report: Document) -> str:
@@ -163,6 +208,7 @@ def _reads(report: Document) -> str:
     return " ".join(filter(None, (value_of(reading), table_text(reading.get("unit")))))
 
 
-def _why(report: Document) -> str:
-    said = [table_text(report.get(key)) for key in ("reason", "detail", "cause", "remedy")]
+def _why(report: Document, without: Sequence[str] = ()) -> str:
+    keys = [key for key in ("reason", "detail", "cause", "remedy") if key not in without]
+    said = [table_text(report.get(key)) for key in keys]
     return "; ".join(dict.fromkeys(part for part in said if part))

@@ -35,9 +35,10 @@ def command(
     Without TARGET all drives of the line are stopped: who types `lecombus stop` in a hurry shall
     not be asked questions. It is read back from every drive. It is no safety function.
 
-    Exit status 0 only if every drive is known to have taken the stop. In a pipe: one line a drive
-    with drive, code, outcome, value read back, reason. With --json: the daemon's document, as for
-    group.
+    Exit status 0 only if every drive is known to have taken the stop. If not, the first line, on
+    standard error, says how many drives did not confirm it, that motors may still turn, and to use
+    the emergency stop circuit. In a pipe: one line a drive with drive, code, outcome, value read
+    back, reason. With --json: the daemon's document, as for group.
     """
     if target and everything:
         raise CommandError(
