@@ -47,6 +47,7 @@ def code_document(family: Family, info: CodeInfo) -> dict[str, Json]:
         "high": info.high,
         "step": info.step,
         "selection": selection,
+        "selection_partial": info.selection_partial,
         "default": info.default,
         "readable": info.readable,
         "writable": info.writable,

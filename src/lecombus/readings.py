@@ -28,6 +28,7 @@ __all__ = [
     "ADDRESSING_LOCK",
     "IDENTITY_LOCK",
     "NOT_CYCLIC",
+    "NO_SUCH_CODE",
     "SOFTWARE_LOCK",
     "ActiveFault",
     "DriveInfo",
@@ -82,6 +83,7 @@ WRITE_LOCKS = (IDENTITY_LOCK, SOFTWARE_LOCK, ADDRESSING_LOCK)
 
 
 WRITTEN_SINCE = "written since it was last read"
+NO_SUCH_CODE = "the drive has no such code"
 """The reason of a value that may be another one by now."""
 
 

@@ -79,9 +79,17 @@ C0038 | VD | rw |        |
 C0039 | VD | rw |        |
 C0248 | VD | -w | 0..255 |
 C0249 | VD | -w | 0..7   |
-P100  | VD | rw |        |
+P100  | VD | rw | 2 5    |
 P102  | VD | rw |        |
 P103  | VD | rw |        |
+P111  | VD | rw |        |
+P121  | VD | rw | 9      |
+P122  | VD | rw | 9      |
+P123  | VD | rw | 9      |
+P124  | VD | rw | 9      |
+P140  | VD | rw | 25     |
+P142  | VD | rw | 25     |
+P150  | VD | rw | 9      |
 P540  | VD | r  |        |
 P541  | VD | r  |        |
 """
@@ -94,7 +102,10 @@ UNITS = {
     "h": "P540 P541",
 }
 
-STORED = "C0037 C0038 C0039 P100 P102 P103 P400 P404 P410 P411 P420 P424 P425 P426"
+STORED = (
+    "C0037 C0038 C0039 P100 P102 P103 P111 P121 P122 P123 P124 P140 P142 P150 "
+    "P400 P404 P410 P411 P420 P424 P425 P426"
+)
 MOVING = "C0037 C0038 C0039 C0040 C0043 C0135 C0140 C1060 C1061 C1080 C1081"
 
 SMVECTOR = family("smvector")

@@ -135,6 +135,50 @@ def test_a_drive_that_does_not_listen_to_the_line_says_so(
     at(drive, test)
 
 
+@pytest.mark.parametrize("terminal", range(1121, 1125))
+@pytest.mark.parametrize("answer", ["other", "no-such-code"])
+def test_an_smvector_without_an_enabled_network_says_which_terminal(
+    terminal: int, answer: str
+) -> None:
+    """P121 to P124: none is 9, or the one that is has its contact open; small drives lack P124."""
+
+    async def test(plant: Plant) -> None:
+        model = plant.line["fan"].model
+        if answer == "no-such-code" and terminal != 1124:
+            specs = model.params.specs
+            assert isinstance(specs, dict)
+            del specs[1124, 0]
+        ask = lambda: plant.site.operations.why("fan", fresh=True)  # noqa: E731
+        assert not [name for name in names(await ask()) if name.startswith("network-terminal")]
+        model.preset(1121, "1")
+        report = await ask()
+        assert report.findings[0].name == "network-terminal-unassigned"
+        assert "none of P121 to P124 is 9" in report.answer.en
+        assert "keiner von P121 bis P124 ist 9" in report.answer.de
+        model.preset(terminal, "9")
+        model.set_terminal(high=False)
+        report = await ask()
+        letter = "ABCD"[terminal - 1121]
+        assert report.findings[0].name == f"network-terminal-{letter.lower()}-open"
+        assert f"terminal TB-13{letter} " in report.answer.en
+        assert "network-terminal" not in names(report)
+        model.set_terminal(high=True)
+        assert not [name for name in names(await ask()) if name.startswith("network-terminal")]
+
+    at("fan", test)
+
+
+@pytest.mark.parametrize("source", ["2", "5"])
+def test_an_smvector_that_leaves_control_to_a_keypad_says_so(source: str) -> None:
+    async def test(plant: Plant) -> None:
+        plant.line["fan"].model.preset(1100, source)
+        report = await plant.site.operations.why("fan", fresh=True)
+        assert report.findings[0].name == "control-source"
+        assert "network-terminal" not in names(report)
+
+    at("fan", test)
+
+
 @pytest.mark.parametrize(("drive", "name"), [("servo", "terminal-28"),
                                              ("vector", "inhibited-elsewhere")])  # fmt: skip
 def test_an_open_terminal_is_told_from_an_inhibit_by_the_line(drive: str, name: str) -> None:

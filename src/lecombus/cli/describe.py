@@ -14,6 +14,7 @@ from lecombus.cli.reports import Document
 from lecombus.cli.screen import on_terminal, show_rows
 from lecombus.descriptions import bits_document, code_document, family_document
 from lecombus.drives import FAMILY_NAMES, CodeInfo, Family, Language, WriteClass, family
+from lecombus.drives.codes import OTHERS
 from lecombus.protocol import Code
 
 __all__ = ["command"]
@@ -129,6 +130,8 @@ def properties(described: Family, info: CodeInfo, language: Language) -> Iterato
         yield say("values"), info.allowed_in(language)
     for number, text in info.selection.items():
         yield f"{say('value')} {number}", text.in_language(language)
+    if info.selection_partial:
+        yield say("values"), OTHERS[language]
     if info.default is not None:
         yield say("default"), info.default
     yield say("access"), access(info, say)

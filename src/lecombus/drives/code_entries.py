@@ -14,7 +14,8 @@ An entry reads, with all keys there are::
        storage: stored, needs_inhibit: true, sets: true, source: "8.2"}
 
 `subcodes: [1, 8]` makes one entry many: each gets its subcode after its name. A value made of
-bits has `bits: {0: [english, german]}` in place of a range or a selection. What must hold
+bits has `bits: {0: [english, german]}` in place of a range or a selection. `selection_partial:
+true` marks a selection of which the manual names some values only. What must hold
 between codes and the rest of a family is `loading`.
 """
 
@@ -173,9 +174,12 @@ def _read_entry(table: Table, manual: str) -> _Entry:
         needs_inhibit=read_flag(table, "needs_inhibit"),
         default=_default(table.get("default"), kind, digits, limits),
         secret=read_flag(table, "secret"),
+        selection_partial=read_flag(table, "selection_partial"),
     )
     entry = _Entry(info, _subcodes(table.get("subcodes"), code), read_flag(table, "sets"))
     table.done()
+    if info.selection_partial and (not info.selection or info.low is not None):
+        table.fail("selection_partial belongs to a selection without a range")
     if not info.writable and not info.readable:
         table.fail(f"{code} can neither be read nor written")
     if not info.writable and info.needs_inhibit:

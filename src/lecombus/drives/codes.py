@@ -6,7 +6,7 @@ a value is kept. `code_entries` builds them from the data files; `family` holds 
 Strategy: a description says what the manual says and no more. `low`, `high`, `step` and
 `selection` are absent where the manual gives none, and nothing is refused on their account then.
 Where a range and a selection are given, the range rules and the selection names some of its
-values; a selection alone is all there is.
+values; a selection alone is all there is, unless it is marked as partial.
 """
 
 from __future__ import annotations
@@ -21,10 +21,15 @@ from lecombus.protocol.values import Format, Value
 
 from .texts import Language, Text
 
-__all__ = ["CodeInfo", "PlainWhen", "Storage", "WriteClass"]
+__all__ = ["OTHERS", "CodeInfo", "PlainWhen", "Storage", "WriteClass"]
 
 
 RANGE_WORDS = {Language.EN: ("to", "in steps of"), Language.DE: ("bis", "in Schritten von")}
+OTHERS = {
+    Language.EN: "others by the drive's own manual",
+    Language.DE: "weitere nach dem Handbuch des Antriebs",
+}
+"""Stands after a selection of which the manual names some values only."""
 
 
 class WriteClass(StrEnum):
@@ -91,6 +96,7 @@ class CodeInfo:
         default: The value as delivered, as it stands on the wire; None where not given.
         parameter_set: Which parameter set this reaches, from 1.
         secret: A password: never in a backup, a metric or a list of values.
+        selection_partial: The manual names only some of the values that there are.
     """
 
     code: Code
@@ -116,6 +122,7 @@ class CodeInfo:
     default: str | None = None
     parameter_set: int = 1
     secret: bool = False
+    selection_partial: bool = False
 
     def name_in(self, language: Language) -> str:
         """Return its name in a language."""
@@ -137,7 +144,7 @@ class CodeInfo:
     def may_be(self, number: Decimal | int) -> bool:
         """Tell whether the manual allows a value: in the range, on the step, in the selection."""
         if self.low is None or self.high is None:
-            return not self.selection or number in self.selection
+            return self.selection_partial or not self.selection or number in self.selection
         if not self.low <= number <= self.high:
             return False
         return self.step is None or (number - self.low) % self.step == 0
@@ -150,10 +157,11 @@ class CodeInfo:
     def allowed_in(self, language: Language) -> str:
         """Return what may be written, for people, in a language."""
         if self.low is None or self.high is None:
-            return ", ".join(
+            named = [
                 f"{number} ({text.in_language(language)})"
                 for number, text in self.selection.items()
-            )
+            ]
+            return ", ".join([*named, *([OTHERS[language]] if self.selection_partial else [])])
         to, by = RANGE_WORDS[language]
         unit = f" {self.unit}" if self.unit else ""
         step = f" {by} {self.step}" if self.step is not None else ""

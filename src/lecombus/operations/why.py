@@ -35,6 +35,7 @@ from lecombus.operations.findings import (
 from lecombus.operations.requests import Requests
 from lecombus.protocol.addressing import Code
 from lecombus.readings import (
+    NO_SUCH_CODE,
     WRITE_LOCKS,
     WRITTEN_SINCE,
     DriveInfo,
@@ -93,10 +94,11 @@ class Why:
         values = self._values(drive, self._codes(family))
         states = shown_states(family, values)
         findings = self._own(info)
+        absent = self._absent(drive, family)
         known = {code: one.value for code, one in values.items() if one.value is not None}
         findings += [
             finding_of(reason, family, values)
-            for reason in holding(family.name, frozenset(states), known)
+            for reason in holding(family.name, frozenset(states), known, absent)
         ]
         findings += self._more(info)
         order = {weight: place for place, weight in enumerate(Weight)}
@@ -165,6 +167,15 @@ class Why:
             if silent or reading.quality is not Quality.BAD:
                 found[code] = reading
         return found
+
+    def _absent(self, drive: str, family: Family) -> frozenset[Code]:
+        """Name the codes that the drive said it does not have."""
+        readings = {code: self._store.reading(drive, code) for code in self._codes(family)}
+        return frozenset(
+            code
+            for code, one in readings.items()
+            if one is not None and one.quality is Quality.BAD and one.reason == NO_SUCH_CODE
+        )
 
     # -- what is found -----------------------------------------------------------------------------
 

@@ -16,7 +16,7 @@ from lecombus.operations.identities import Identities
 from lecombus.operations.wear import Wear
 from lecombus.protocol.exchange import ResultKind
 from lecombus.protocol.telegrams import AckAnswer, NakAnswer, UnknownCodeAnswer, ValueAnswer
-from lecombus.readings import DriveState, LineState
+from lecombus.readings import NO_SUCH_CODE, DriveState, LineState
 from lecombus.schedule import Priority
 from lecombus.store import Store
 from lecombus.supervision.configurations import Configurations
@@ -127,7 +127,7 @@ class Books:
         result = report.result
         refused = type(result.answer) is NakAnswer or type(result.answer) is UnknownCodeAnswer
         if report.step.kind is StepKind.READ:
-            reason = "the drive has no such code" if refused else result.fault or "bad answer"
+            reason = NO_SUCH_CODE if refused else result.fault or "bad answer"
             self._store.value_failed(report.drive, report.step.code, reason)
         return "refused" if refused else "unexpected" if outcome == "answered" else outcome
 

@@ -43,7 +43,11 @@ class CodeDocument(Document):
     high: Exact | None
     step: Exact | None
     selection: Annotated[
-        list[MeaningDocument], Field(description="Without low and high: all values there are")
+        list[MeaningDocument],
+        Field(description="Without low and high: all values there are, unless selection_partial"),
+    ]
+    selection_partial: Annotated[
+        bool, Field(description="The drive takes values that its manual for the line does not name")
     ]
     default: Annotated[str | None, Field(description="As on the wire")]
     readable: bool

@@ -7,7 +7,7 @@ known to be so. Nothing here reads anything; `operations.why` brings what is kno
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
@@ -51,6 +51,7 @@ class Reason:
         text: What it is.
         remedy: What to do next.
         source: Manual and section.
+        unless: Reasons that say the same more exactly: where one of them holds, this is not told.
     """
 
     name: str
@@ -63,19 +64,38 @@ class Reason:
     text: Text
     remedy: Text
     source: str
+    unless: frozenset[str] = frozenset()
 
-    def holds(self, shown: frozenset[OperatingState], values: Mapping[Code, Value]) -> bool:
-        """Say whether everything it asks for is known to be so."""
+    def holds(
+        self,
+        shown: frozenset[OperatingState],
+        values: Mapping[Code, Value],
+        absent: Container[Code] = (),
+    ) -> bool:
+        """Say whether everything it asks for is known to be so.
+
+        Args:
+            shown: What the words show.
+            values: The values known.
+            absent: Codes that the drive says it does not have: such a code is none of its values.
+        """
         return (
             self.states <= shown
             and not self.not_states & shown
-            and all(one.holds(values.get(one.code)) is True for one in self.values)
+            and all(
+                one.holds(values.get(one.code)) is True
+                or (one.test == "not_in" and one.code in absent)
+                for one in self.values
+            )
             and all(one.holds(values.get(one.code)) is False for one in self.not_values)
         )
 
 
 def holding(
-    family: str, shown: frozenset[OperatingState], values: Mapping[Code, Value]
+    family: str,
+    shown: frozenset[OperatingState],
+    values: Mapping[Code, Value],
+    absent: Container[Code] = (),
 ) -> list[Reason]:
     """Give the reasons that hold for a drive, the most important first.
 
@@ -85,12 +105,15 @@ def holding(
         family: The drive's family.
         shown: What its words show.
         values: The values known of its codes.
+        absent: Codes that the drive says it does not have.
     """
     found: list[Reason] = []
     told: set[frozenset[OperatingState]] = set()
     for reason in reasons():
-        if family in reason.families and reason.holds(shown, values):
+        if family in reason.families and reason.holds(shown, values, absent):
             if reason.states and reason.states in told:
+                continue
+            if any(one.name in reason.unless for one in found):
                 continue
             told.add(reason.states)
             found.append(reason)
@@ -135,6 +158,7 @@ def _reason(table: Table) -> Reason:
         text=read_text(table.take("text")),
         remedy=read_text(table.take("remedy")),
         source=table.take("source").text(),
+        unless=frozenset(read_each(table.get("unless"), lambda one: one.text())),
     )
     table.done()
     return reason
