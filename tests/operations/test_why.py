@@ -148,7 +148,10 @@ def test_an_smvector_without_an_enabled_network_says_which_terminal(
             specs = model.params.specs
             assert isinstance(specs, dict)
             del specs[1124, 0]
-        ask = lambda: plant.site.operations.why("fan", fresh=True)  # noqa: E731
+
+        async def ask() -> WhyReport:
+            return await plant.site.operations.why("fan", fresh=True)
+
         assert not [name for name in names(await ask()) if name.startswith("network-terminal")]
         model.preset(1121, "1")
         report = await ask()
