@@ -9,12 +9,9 @@ from lecombus.drives import Family, family, load_family
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 
-__all__ = ["DRIVE", "answers", "backup_of"]
+__all__ = ["DRIVE", "TEXT", "answers", "backup_of"]
 
-DRIVE = load_family(
-    "test",
-    {
-        "test.yaml": """\
+TEXT = """\
 family: test
 title: a drive for tests
 manual: M
@@ -51,8 +48,7 @@ restore:
   - {rule: last, codes: [C1921], because: blind from then on, source: "6"}
   - {rule: save, codes: [C0003], value: 1, because: lost otherwise, source: "6"}
 """
-    }.__getitem__,
-)
+DRIVE = load_family("test", {"test.yaml": TEXT}.__getitem__)
 """A family with one of each, whose data no manual changes."""
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from backups.backups import DRIVE, answers, backup_of
+from backups.backups import DRIVE, TEXT, answers, backup_of
 from lecombus.backups import Answer, Plan, make_plan
 from lecombus.backups.plan import codes_to_read
-from lecombus.drives import family
+from lecombus.drives import family, load_family
 from lecombus.protocol.addressing import Code
 
 FILE = {
@@ -86,6 +86,17 @@ def test_a_value_the_manual_does_not_know_is_told_and_left_to_the_drive() -> Non
 def test_a_value_that_cannot_be_sent_to_its_code_blocks_the_restore() -> None:
     made = make_plan(backup_of(DRIVE, {"C0011": "Sfast"}), DRIVE, answers({"C0011": "50"}))
     assert "C0011" in made.blockers[0]
+
+
+def test_digits_for_a_word_block_the_restore_with_both_readings() -> None:
+    word = "{code: C0417, name: x, format: VH, hex_digits: 4, writable: true, source: x}"
+    text = TEXT.replace("codes:", f"codes:\n  - {word}", 1)
+    of = load_family("test", {"test.yaml": text}.__getitem__)
+    now = answers({"C0417": "H0000"})
+    made = make_plan(backup_of(of, {"C0417": "0208"}), of, now)
+    assert "C0417: 0208 could be H0208 (520) or decimal 208 (H00D0)" in made.blockers[0]
+    made = make_plan(backup_of(of, {"C0417": "H0208"}), of, now)
+    assert [step.value.raw for step in made.steps] == ["H0208"]
 
 
 def test_the_plan_ends_by_saving_where_the_family_needs_it() -> None:

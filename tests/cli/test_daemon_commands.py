@@ -115,21 +115,27 @@ def test_a_problem_is_json_where_json_is_asked_for(run: Run, daemon: DaemonStub)
         ("-.5", "-0.5"),
         ("35.40", "35.40"),
         ("214748.3647", "214748.3647"),
-        ("H09ab", '"H09AB"'),
-        ("O1A2b", '"O1A2B"'),
+        ("0208", "0208"),
+        ("H09ab", "H09AB"),
+        ("h0208", "H0208"),
+        ("0x0208", "0x0208"),
+        ("0X2", "0X2"),
+        ("O1A2b", "O1A2B"),
     ],
 )
-def test_a_value_is_sent_exactly(run: Run, daemon: DaemonStub, word: str, sent: str) -> None:
+def test_a_value_is_sent_as_text_digit_by_digit(
+    run: Run, daemon: DaemonStub, word: str, sent: str
+) -> None:
     daemon.answers["PUT /v1/drives/feeder/codes/C0046"] = (200, WRITTEN)
     assert run("write", "feeder", "C0046", word).status == 0
-    assert daemon.asked[0][1] == f'{{"value": {sent}, "verify": false}}'
+    assert daemon.asked[0][1] == f'{{"value": "{sent}", "verify": false}}'
 
 
 def test_write_says_what_came_of_it(run: Run, daemon: DaemonStub) -> None:
     daemon.answers["PUT /v1/drives/feeder/codes/C0046"] = (200, WRITTEN)
     ran = run("write", "feeder", "C0046", "50.1", "--verify", "--expires", "1.5s")
     assert ran.out == "feeder\tC0046\tverified\t50.10 Hz\t\n"
-    assert json.loads(daemon.asked[0][1]) == {"value": 50.1, "verify": True, "expires": "1500ms"}
+    assert json.loads(daemon.asked[0][1]) == {"value": "50.1", "verify": True, "expires": "1500ms"}
 
 
 def test_a_refused_write_tells_cause_and_remedy(run: Run, daemon: DaemonStub) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 from decimal import Decimal
 
 import anyio
@@ -57,6 +58,44 @@ def test_any_code_may_be_read_and_an_unknown_one_says_so() -> None:
             await plant.site.operations.read("a", Code(4711))
 
     with_plant(test, ROSTER)
+
+
+def test_digits_for_a_word_are_refused_with_both_readings_and_nothing_is_sent() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        for action in (StopAction.QUICK_STOP, StopAction.INHIBIT):
+            assert (await plant.site.operations.stop(action, "a")).outcome is Outcome.VERIFIED
+        said = len(plant.end.sent)
+        for text in ("0208", "208", "8", "-5"):
+            with pytest.raises(OperationError) as refused:
+                await write(plant, Code(135), text)
+            assert refused.value.kind == "bad-value"
+        with pytest.raises(OperationError, match=r"H0208 \(520\) or decimal 208 \(H00D0\)"):
+            await write(plant, Code(135), "0208")
+        assert len(plant.end.sent) == said
+        for right in ("0x0208", "h0208", 520):
+            assert (await write(plant, Code(135), right)).outcome is Outcome.DONE
+            assert plant.line["a"].log[-1].text == "H0208"
+
+    with_plant(test, ROSTER)
+
+
+def test_an_undescribed_code_that_reads_as_a_word_takes_no_digits() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        device = plant.line["g"]
+        write_g = functools.partial(plant.site.operations.write, "g", Code(30))
+        with pytest.raises(OperationError, match=r"H0208\) or decimal 208"):
+            await write_g("0208")
+        assert (await write_g("208")).outcome is Outcome.DONE
+        device.model.readers[30] = lambda _: "H0000"
+        await plant.site.operations.read("g", Code(30))
+        with pytest.raises(OperationError, match=r"H0208 \(520\) or decimal 208 \(H00D0\)"):
+            await write_g("208")
+        await write_g(520)
+        assert [one.text for one in device.log if one.kind == "write"] == ["208", "H0208"]
+
+    with_plant(test, roster_of([("g", 22, "generic")], drive=", writable: [C0030]"))
 
 
 def test_a_drive_that_does_not_answer_is_named_in_the_error() -> None:

@@ -93,6 +93,18 @@ def test_a_multicast_that_was_not_sent_says_why_for_every_member() -> None:
     with_plant(test, ROSTER)
 
 
+def test_digits_for_a_word_are_refused_for_a_group_before_anything_is_sent() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        said = len(plant.end.sent)
+        for group in ("teens", "two"):
+            with pytest.raises(OperationError, match=r"H0208 \(520\) or decimal 208 \(H00D0\)"):
+                await plant.site.operations.write_group(group, WORD, "0208")
+        assert written(plant, said) == []
+
+    with_plant(test, ROSTER)
+
+
 def test_one_member_that_may_not_be_written_keeps_everything_from_being_sent() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()

@@ -28,6 +28,7 @@ __all__ = [
     "CODES",
     "DURATION",
     "EXPIRY",
+    "NUMBER",
     "VALUE",
     "CommandWithNumbers",
     "Given",
@@ -40,7 +41,7 @@ __all__ = [
 PATIENCE_S = 60.0
 
 Given = int | Decimal | str
-"""A value as the user gave it: a number, or text such as H0008 for the daemon to judge."""
+"""A value for a request's body: a number, or text for the daemon to judge."""
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -50,6 +51,8 @@ MOST_DIGITS = 12
 MOST_CODES = 2000
 """A whole parameter set; reading it takes some minutes."""
 
+_DECIMAL = re.compile(r"[+-]?([0-9]+\.[0-9]*|\.[0-9]+)", re.ASCII)
+_WORD_OR_OCTETS = re.compile(r"(?:[Hh]|0[xX])[0-9A-Fa-f]+|O(?:[0-9A-Fa-f]{2})+", re.ASCII)
 _NEGATIVE = re.compile(r"-\.?[0-9]")
 _HIDDEN = "\0"
 """Put before a negative number while click looks for options; no word can contain it."""
@@ -110,31 +113,44 @@ class _CodesType(click.ParamType[tuple[Code, ...]]):
         return tuple(codes)
 
 
-class _ValueType(click.ParamType[Given]):
+class _ValueType(click.ParamType[str]):
+    """A value as text: whether `0208` is a number or a word is for the daemon to judge."""
+
     name = "value"
 
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> Given:
-        if not isinstance(value, str):
-            return value  # type: ignore[no-any-return]
-        word = value.removeprefix(_HIDDEN).strip()
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        word = str(value).removeprefix(_HIDDEN).strip()
         if re.fullmatch(r"[+-]?[0-9]+", word, re.ASCII):
-            return int(word)
-        if re.fullmatch(r"[+-]?([0-9]+\.[0-9]*|\.[0-9]+)", word, re.ASCII):
-            return Decimal(word)
+            return word
+        if _DECIMAL.fullmatch(word):
+            return f"{Decimal(word):f}"
         if re.fullmatch(r"[+-]?[0-9]+,[0-9]+", word, re.ASCII):
             self.fail(f"{word} has a decimal comma, write {word.replace(',', '.')}", param, ctx)
         if re.fullmatch(r"[+-]?[0-9.]+[eE][+-]?[0-9]+", word, re.ASCII):
             self.fail(f"{word} has an exponent, {_written_out(word)}", param, ctx)
-        if not re.fullmatch(r"[HO](?:[0-9A-Fa-f]{2})+", word, re.ASCII):
+        if not _WORD_OR_OCTETS.fullmatch(word):
             self.fail(
                 f"`{word}` is no value, write a number such as 35.4, a word such as H0008, "
                 "or octets such as O1A2B",
                 param,
                 ctx,
             )
-        return word[0] + word[1:].upper()
+        return word if word[:1] == "0" else word.upper()
+
+
+class _NumberType(click.ParamType[Decimal]):
+    """A number, such as that of a speed."""
+
+    name = "number"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> Decimal:
+        text = VALUE.convert(value, param, ctx)
+        try:
+            return Decimal(text)
+        except InvalidOperation:
+            self.fail(f"`{text}` is no number, write one such as 35.4", param, ctx)
 
 
 def _written_out(word: str) -> str:
@@ -179,6 +195,7 @@ class _ExpiryType(_DurationType):
 CODE = _CodeType()
 CODES = _CodesType()
 VALUE = _ValueType()
+NUMBER = _NumberType()
 DURATION = _DurationType()
 EXPIRY = _ExpiryType()
 

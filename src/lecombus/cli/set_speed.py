@@ -6,7 +6,7 @@ import re
 
 import click
 
-from lecombus.cli.arguments import EXPIRY, VALUE, CommandWithNumbers, daemon_options
+from lecombus.cli.arguments import EXPIRY, NUMBER, CommandWithNumbers, daemon_options
 from lecombus.cli.verbs import say
 from lecombus.cli.write import write_document
 
@@ -44,7 +44,7 @@ def command(
     match = _SPEED.fullmatch(" ".join(speed))
     if match is None:
         raise click.UsageError(f"`{' '.join(speed)}` is no speed, write it like 35 Hz or 70%", ctx)
-    value = VALUE.convert(match[1], None, ctx)
+    value = NUMBER.convert(match[1], None, ctx)
     if not match[2]:
         raise click.UsageError(f"{match[1]} has no unit, write {match[1]} Hz or {match[1]}%", ctx)
     document = {**write_document(value, expires, verify or None), "unit": match[2]}

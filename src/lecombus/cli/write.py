@@ -50,7 +50,8 @@ def command(
 ) -> int:
     """Write VALUE to CODE of DRIVE and wait for the outcome.
 
-    VALUE is a number (`write feeder C0046 -5`), a word such as H0008 or octets such as O1A2B.
+    VALUE is a number (`write feeder C0046 -5`), a word such as H0008 or 0x0008, or octets such as
+    O1A2B. For a word, digits alone are refused: 0208 could be H0208 or decimal 208.
 
     The outcome is one of done, verified (exit status 0), refused, expired, superseded, unknown
     (1: it may have happened). In a pipe: drive, code, outcome, value read back, reason. With

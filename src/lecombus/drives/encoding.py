@@ -1,17 +1,23 @@
 """From what a user gives to what the wire needs.
 
-Strategy: the code's description decides the format; without one the value itself does (a number
-is a decimal, `H0008` a word, `O..` octets). Values are exact all the way: a binary float is
-refused, because what it stands for has been lost already. Whether the manual allows the value is
-asked apart from that (`check_allowed`): a setting of the drive may change the range, and what was
-read from a drive can be written back whatever the manual says.
+Strategy: the code's description decides the format; without one the format that the code was last
+read in, and without that the value itself (a number is a decimal, `H0008` a word, `O..` octets).
+Values are exact all the way: a binary float is refused, because what it stands for has been lost
+already. Whether the manual allows the value is asked apart from that (`check_allowed`): a setting
+of the drive may change the range, and what was read from a drive can be written back whatever the
+manual says.
+
+Text of digits is refused where a word is written: the `0208` of a manual means H0208, and as a
+decimal it is H00D0, which enables a drive instead of stopping it. Numbers are taken as they are.
 
 Source: EDB2102EN 8.3.1, CMVLC401A 5.4 (formats; drives accept no strings).
 """
 
 from __future__ import annotations
 
+import re
 from decimal import Decimal
+from typing import Final
 
 from lecombus.errors import CodeValueError
 from lecombus.protocol.addressing import Code
@@ -22,18 +28,30 @@ from .family import Family
 
 __all__ = ["check_allowed", "encode_for"]
 
+_WORD: Final = re.compile(r"(?:H|0X)([0-9A-F]+)", re.ASCII)
+"""A word as a user writes it, in capitals."""
+_DIGITS: Final = re.compile(r"([+-]?)([0-9]+)(\.[0-9]*)?", re.ASCII)
+_LEADING_ZERO: Final = re.compile(r"0[0-9]+", re.ASCII)
+_MOST_DIGITS: Final = 12
+"""More than any word has in decimal."""
 
-def encode_for(family: Family, code: Code, given: Decimal | int | str) -> Value:
+
+def encode_for(
+    family: Family, code: Code, given: Decimal | int | str, *, last_read: Value | None = None
+) -> Value:
     """Make the value that is written to a code.
 
     Args:
         family: The drive's family.
         code: The code to be written.
-        given: A number, or a text: a decimal such as `-35.4`, `H0008`, or `O` with octets.
+        given: A number, or a text: a decimal such as `-35.4`, a word such as `H0008` or `0x0008`,
+            or `O` with octets.
+        last_read: What the code read last, which tells the format of one that is not described;
+            None where it was never read.
 
     Raises:
-        CodeValueError: It is not a value, not one this code can take, or a string (drives accept
-            none). `code` and `value` are filled in.
+        CodeValueError: It is not a value, not one this code can take, text that could be a word
+            and a decimal, or a string (drives accept none). `code` and `value` are filled in.
     """
     if isinstance(given, bool) or not isinstance(given, (Decimal, int, str)):
         raise _refused(code, given, "a number or a text such as 35.4 or H0008 is right")
@@ -42,8 +60,14 @@ def encode_for(family: Family, code: Code, given: Decimal | int | str) -> Value:
     info = family.info(code)
     if info is not None and info.format is Format.VS:
         raise _refused(code, given, "drives send strings and accept none")
+    digits = _word_digits(info, last_read)
     try:
-        value = _by_format(info, given) if info is not None else _by_itself(given)
+        if digits:
+            value = _word(given, digits)
+        else:
+            if info is None and last_read is None:
+                _refuse_leading_zero(given)
+            value = _by_itself(given)
     except CodeValueError as exc:
         raise CodeValueError(
             f"{code}: {exc}", code=str(code), value=given, low=exc.low, high=exc.high
@@ -75,39 +99,84 @@ def check_allowed(family: Family, code: Code, value: Value) -> None:
     )  # fmt: skip
 
 
-def _by_format(info: CodeInfo, given: Decimal | int | str) -> Value:
-    """Encode for a described code; a number for a word becomes its hexadecimal text."""
-    if info.format is not Format.VH:
-        return _by_itself(given)
-    assert info.hex_digits is not None
-    if isinstance(given, str) and given[:1].upper() == "H":
-        given = _word(given)
-    number = _by_itself(given).number
-    if not isinstance(number, Decimal) or number != number.to_integral_value():
-        raise CodeValueError(f"{given} is no whole number; {_spoken(info)} is right")
-    return Value.hexadecimal(int(number), info.hex_digits)
+def _word_digits(info: CodeInfo | None, last_read: Value | None) -> int | None:
+    """Give the number of hexadecimal digits a code is sent with, None where it is no word."""
+    if info is not None:
+        return info.hex_digits if info.format is Format.VH else None
+    if last_read is not None and last_read.format is Format.VH:
+        return len(last_read.raw) - 1
+    return None
+
+
+def _word(given: Decimal | int | str, digits: int) -> Value:
+    """Make a word of a number, or of text that says that it is hexadecimal."""
+    if not isinstance(given, str):
+        if isinstance(given, Decimal) and (
+            # A short number with an exponent could be a megabyte once written out.
+            not given.is_finite() or given.adjusted() > _MOST_DIGITS or given % 1
+        ):
+            raise CodeValueError(f"{given} is no whole number; {_word_form(digits)} is right")
+        return Value.hexadecimal(int(given), digits)
+    match = _WORD.fullmatch(given.upper())
+    if match is None:
+        raise CodeValueError(_readings(given, digits))
+    if len(match[1]) > digits:
+        raise CodeValueError(f"{given} is too long; {_word_form(digits)} is right")
+    return Value.hexadecimal(int(match[1], 16), digits)
+
+
+def _readings(text: str, digits: int) -> str:
+    """Say what digits without a sign of their base could mean as a word, and how to write it."""
+    match = _DIGITS.fullmatch(text)
+    if match is None or match[1] == "-" or (match[3] or "").strip(".0"):
+        return f"{text!r} is no word; {_word_form(digits)} is right"
+    number, highest = int(match[2]), 16**digits - 1
+    decimal = f"H{number:0{digits}X}" if number <= highest else ""
+    plain = not match[1] and match[3] is None
+    word = f"H{int(match[2], 16):0{digits}X}" if plain and len(match[2]) <= digits else ""
+    written = f"{word} or 0x{word[1:]}"
+    if word and word == decimal:
+        return f"{text} does not say that it is hexadecimal; write {written}"
+    if word and decimal:
+        return (
+            f"{text} could be {word} ({int(word[1:], 16)}) or decimal {number} ({decimal}); "
+            f"write {written}, or {decimal}"
+        )
+    if word:
+        return f"{text} could be {word} ({int(word[1:], 16)}); write {written}"
+    if decimal:
+        return f"{text} could be decimal {number} ({decimal}); write {decimal}"
+    return f"{text} is too long for a word; {_word_form(digits)} is right"
+
+
+def _refuse_leading_zero(given: Decimal | int | str) -> None:
+    """Refuse what looks like a word's digits for a code whose format is not known."""
+    if isinstance(given, str) and _LEADING_ZERO.fullmatch(given):
+        number = int(given)
+        raise CodeValueError(
+            f"{given} could be a word (H{given}) or decimal {number}, and the format "
+            f"of this code is not known; write H with 2, 4 or 8 digits, or {number}"
+        )
 
 
 def _by_itself(given: Decimal | int | str) -> Value:
     if not isinstance(given, str):
         return Value.decimal(given)
-    letter = given[:1].upper()
-    if letter in ("H", "O"):
-        return Value.parse(given.upper())
-    if letter == "S":
+    capitals = given.upper()
+    if capitals.startswith("0X"):
+        return Value.parse(f"H{capitals[2:]}")
+    if capitals[:1] in ("H", "O"):
+        return Value.parse(capitals)
+    if capitals[:1] == "S":
         return Value.parse(given)
     return Value.decimal(given)
 
 
-def _word(text: str) -> int:
-    number = Value.parse(text.upper()).number
-    assert isinstance(number, int)
-    return number
+def _word_form(digits: int) -> str:
+    return f"H or 0x with up to {digits} hexadecimal digits, such as H{8:0{digits}X},"
 
 
 def _spoken(info: CodeInfo) -> str:
-    if info.format is Format.VH:
-        return f"a word: a whole number, or H with {info.hex_digits} hexadecimal digits"
     return "a decimal number" if info.format is Format.VD else "octets, such as O01FF"
 
 

@@ -176,7 +176,7 @@ class Operations:
         Args:
             drive: The drive's name.
             code: What to write; the roster must allow it.
-            value: A number, or text as on the wire such as `H0008`.
+            value: A number, or text such as `35.4`, `H0008` or `0x0008`.
             expires_s: Not begun after this long, seconds.
             verify: Read back afterwards.
             urgency: The class to run in; None: by what is written. What moves a drive keeps its

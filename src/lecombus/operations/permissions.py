@@ -66,9 +66,11 @@ class Permissions:
         else:
             self.check_writable(drive, code)
         self.check_ready(drive, code)
-        remedy = "give a number, or the text as on the wire such as H0008"
+        remedy = "nothing was sent"
+        known = self._store.reading(drive, code)
+        last_read = known.value if known is not None else None
         try:
-            wire = encode_for(station.family, code, value)
+            wire = encode_for(station.family, code, value, last_read=last_read)
             if not restoring and code not in self.entries[drive].unchecked:
                 remedy = (
                     f"give such a value; if this drive takes more, list {code} under `unchecked` "
