@@ -179,6 +179,66 @@ def test_what_was_not_read_while_the_line_was_lost_is_no_remark_about_its_cadenc
     with_plant(test, roster_of(AB))
 
 
+def test_drives_that_are_being_started_raise_no_alarm_about_the_cadence() -> None:
+    """Their modules' own codes take half a second each: the cyclic reads of others wait."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online("a")
+        begun_s = plant.now_s
+        while plant.now_s - begun_s < 120.0:
+            await anyio.sleep(1.0)
+            plant.site.note_cadence()
+            assert "cadence" not in plant.site.store.line().remarks
+        await plant.online()
+
+    many = [(name, 11 + place, "8200vector") for place, name in enumerate("abcdef")]
+    dog = ", watchdog: {time: 4s, action: quick-stop, configure: true}"
+    with_plant(test, roster_of(many, drive=dog))
+
+
+def test_a_drive_that_never_ends_starting_hides_the_remark_for_minutes_only() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.site.health._set("b", plant.site.health._records["b"], DriveState.STARTING, "")
+        await anyio.sleep(60.0)
+        plant.site.note_cadence()
+        assert "cadence" not in plant.site.store.line().remarks
+        for _ in range(700):
+            await anyio.sleep(1.0)
+            plant.site.note_cadence()
+        assert "cadence" in plant.site.store.line().remarks
+
+    with_plant(test, roster_of(AB, drive=", cyclic: [{code: C0150, every: 50ms}]"))
+
+
+def test_a_setpoint_is_known_by_what_the_drive_had_and_by_what_it_acknowledged() -> None:
+    async def test(plant: Plant) -> None:
+        def setpoint() -> tuple[str, str] | None:
+            found = plant.site.store.motion("a").setpoint
+            if found is None or found.reading.value is None:
+                return None
+            return found.reading.value.raw, "written" if found.written else "read"
+
+        plant.line["a"].model.params.set(46, "12.5")
+        await plant.online()
+        await until(lambda: setpoint() is not None)
+        assert setpoint() == ("12.5", "read")
+        await plant.site.operations.write("a", SETPOINT, 20)
+        assert setpoint() == ("20", "written")
+        plant.line.drive_faults[11] = Faults(nak=1.0)
+        await plant.site.operations.write("a", SETPOINT, 30)
+        assert setpoint() == ("20", "written")
+        del plant.line.drive_faults[11]
+        plant.line.faults.absent = {11}
+        await until(lambda: plant.state("a") is DriveState.OFFLINE)
+        motion = plant.site.store.motion("a")
+        assert motion.stale
+        assert motion.setpoint is not None
+        assert motion.setpoint.as_json()["stale"] is True
+
+    with_plant(test, roster_of(AB))
+
+
 def test_a_refused_write_leaves_what_is_known_as_it_is() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()

@@ -51,6 +51,8 @@ class DriveRecord:
     cells: dict[Code, Cell] = field(default_factory=dict)
     on_demand: dict[Code, None] = field(default_factory=dict)
     fault: ActiveFault | None = None
+    setpoints: dict[Code, tuple[Value, float]] = field(default_factory=dict)
+    """Setpoints that were written and acknowledged, and when, monotonic seconds."""
 
 
 @dataclass(slots=True, eq=False)

@@ -221,7 +221,9 @@ class Site:
         self._slow.look(map(self.requests.station, self._entries))
         self.health.note_overdue()
         self.keeper.note_lapses(stats.feeds)
-        self._strain.note(stats.stretch, now_s, is_open=self.worker.is_open)
+        starting = any(self.health.state(name) is DriveState.STARTING for name in self._entries)
+        is_open = self.worker.is_open
+        self._strain.note(stats.stretch, now_s, is_open=is_open, starting=starting)
 
     @property
     def longest_exchange_s(self) -> float:

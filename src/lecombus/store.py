@@ -14,13 +14,15 @@ What must not live here: input, output, tasks, HTTP, Prometheus.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Final
 
 from lecombus.errors import OperationError
 from lecombus.judging import ON_DEMAND_FRESH_S, Judge
+from lecombus.motion import Doing, Motion, motion_of, setpoint_codes
 from lecombus.readings import (
+    ADDRESSING_LOCK,
     WRITTEN_SINCE,
     ActiveFault,
     DriveInfo,
@@ -195,6 +197,12 @@ class Store:
             if self._subscribers:
                 self._publish(ValueChanged(drive, code))
 
+    def setpoint_taken(self, drive: str, code: Code, value: Value, at_s: float) -> None:
+        """Keep a setpoint that the drive has acknowledged; other codes are ignored."""
+        record = self._drives[drive]
+        if code in setpoint_codes(record.family):
+            record.setpoints[code] = (value, at_s)
+
     def drive_state(self, drive: str, state: DriveState, reason: str = "") -> None:
         """Set how a drive is doing; `since` moves only when the state changes."""
         record = self._record(drive)
@@ -295,6 +303,28 @@ class Store:
             OperationError: `no-such-drive`.
         """
         return self._judge.drive(self._record(drive))
+
+    def motion(self, drive: str) -> Motion:
+        """Return what a drive does with its motor, as far as that is known.
+
+        Raises:
+            OperationError: `no-such-drive`.
+        """
+        record = self._record(drive)
+        if ADDRESSING_LOCK in record.remarks:
+            return Motion(Doing.UNKNOWN)  # what its codes read is not what was asked for
+        now_s = self._clock()
+
+        def known(code: Code) -> Reading | None:
+            cell = record.cells.get(code)
+            return None if cell is None else self._judge.reading(record, cell, now_s)
+
+        written = [
+            self._judge.reading(record, replace(make_cell(record.family, code), value=value,
+                                                at_s=at_s), now_s)
+            for code, (value, at_s) in record.setpoints.items()
+        ]  # fmt: skip
+        return motion_of(record.family, record.fault, known, written)
 
     def drives(self) -> list[DriveInfo]:
         """Return how every drive is doing, in the order they were added."""

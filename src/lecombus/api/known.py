@@ -122,7 +122,8 @@ def add_reads(app: FastAPI, ops: OperationsPort, store: Store) -> None:
 async def drive_text(store: Store, info: DriveInfo) -> str:
     """Return a drive with its values as JSON text, letting others run now and then."""
     texts = [text async for text in value_texts(store, info.name)]
-    return encode(info.as_json())[:-1] + ', "values": [' + ", ".join(texts) + "]}"
+    motion = encode(store.motion(info.name).as_json())
+    return f'{encode(info.as_json())[:-1]}, "motion": {motion}, "values": [{", ".join(texts)}]}}'
 
 
 async def value_texts(store: Store, drive: str) -> AsyncIterator[str]:

@@ -10,10 +10,20 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Self
 
 import click
 
-__all__ = ["age", "harmless", "mark", "on_terminal", "show_rows", "show_table", "table_text"]
+__all__ = [
+    "Styled",
+    "age",
+    "harmless",
+    "mark",
+    "on_terminal",
+    "show_rows",
+    "show_table",
+    "table_text",
+]
 
 _STYLES: Mapping[str, str] = {
     "good": "green", "online": "green", "open": "green", "done": "green", "verified": "green",
@@ -75,8 +85,28 @@ def harmless(text: str) -> str:
     return "".join(one if one.isprintable() or one == "\n" else ascii(one)[1:-1] for one in text)
 
 
+class Styled(str):
+    """A cell that is shown in a style of its own, on a terminal only.
+
+    Args:
+        text: The cell.
+        style: Such as `red`; empty for none.
+    """
+
+    __slots__ = ("style",)
+    style: str
+
+    def __new__(cls, text: str, style: str) -> Self:
+        """Make it: a string cannot be changed after that."""
+        cell = super().__new__(cls, text)
+        cell.style = style
+        return cell
+
+
 def mark(word: str) -> str:
-    """Return the style of a state, quality or outcome; empty where it has none."""
+    """Return the style of a state, quality or outcome, or its own; empty where it has none."""
+    if isinstance(word, Styled):
+        return word.style
     return _STYLES.get(word, "")
 
 

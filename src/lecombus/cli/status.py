@@ -11,9 +11,11 @@ from lecombus.cli.arguments import daemon_options
 from lecombus.cli.client import connect
 from lecombus.cli.exits import Exit
 from lecombus.cli.reports import Document, code_of, quality_of, shown_value
-from lecombus.cli.screen import age, on_terminal, show_rows, table_text
+from lecombus.cli.screen import Styled, age, on_terminal, show_rows, table_text
 
 __all__ = ["command"]
+
+_TRIPS = ("trip", "fault")
 
 
 @click.command("status")
@@ -22,10 +24,14 @@ __all__ = ["command"]
 def command(drive: str | None, socket: str | None, url: str | None, as_json: bool) -> int:
     """Show the line and all its drives, or DRIVE with every value that is known of it.
 
-    Nothing is sent to the line. In a pipe: first the line (the word `line`, name, state, reason),
-    then one line a drive (drive, address, family, state, reason); or one a value (code, name,
-    value, unit, quality, age, reason; quality `once`: not asked for again). With --json: {"line":
-    .., "drives": ..}, the daemon's documents, or with DRIVE the drive's document.
+    Nothing is sent to the line. MOTOR says whether a drive runs or what stops it, by every word
+    that shows it; "stopped" means that it does not drive its motor, which may coast. What is not
+    fresh is shown with its age.
+
+    In a pipe: first the line (the word `line`, name, state, reason), then one line a drive (drive,
+    address, family, state, reason, motor, speed, setpoint); or one a value (code, name, value,
+    unit, quality, age, reason; quality `once`: not asked for again). With --json: {"line": ..,
+    "drives": ..}, the daemon's documents, or with DRIVE the drive's document.
     """
     with connect(socket, url) as daemon:
         if drive:
@@ -57,17 +63,46 @@ def _show_line(line: Document, drives: Sequence[Document]) -> None:
         click.echo(f"line {name}: {state}" + (f", {why}" if why else ""))
     else:
         show_rows((), [("line", name, state, why)])
-    rows = [
-        (
-            table_text(drive.get("drive") or drive.get("name")),
-            table_text(drive.get("address")),
-            table_text(drive.get("family")),
-            table_text(drive.get("state")),
-            _why(drive).replace(f"line {state}: {line.get('reason')}", f"line {state}"),
-        )
-        for drive in drives
-    ]
-    show_rows(("drive", "address", "family", "state", "why"), rows)
+    rows = []
+    for drive in drives:
+        who = [table_text(drive.get(key)) for key in ("drive", "address", "family")]
+        how = table_text(drive.get("state"))
+        why = _why(drive).replace(f"line {state}: {line.get('reason')}", f"line {state}")
+        motion: Document = drive.get("motion") or {}
+        is_tripped = any(one.get("name") in _TRIPS for one in motion.get("stops") or ())
+        style = "red" if is_tripped else "yellow" if motion.get("stale") else ""
+        motor = Styled(_motor(motion), style)
+        speeds = (_actual(motion), _speed(motion.get("setpoint")))
+        if on_terminal():
+            how = Styled(how, "") if is_tripped else how
+            rows.append((*who, how, motor, *speeds, why))
+        else:
+            rows.append((*who, how, why, motor, *speeds))
+    show_rows(("drive", "address", "family", "state", "motor", "speed", "setpoint", "why"), rows)
+
+
+def _motor(motion: Document) -> str:
+    """Say what a drive does with its motor, and what stops it."""
+    doing = table_text(motion.get("doing"))
+    stops = [table_text(one.get("text")).partition(": ")[0] for one in motion.get("stops") or ()]
+    text = f"{doing}: {', '.join(stops)}" if stops else doing
+    return f"{text}, {age(motion.get('age_s'))} ago" if motion.get("stale") else text
+
+
+def _actual(motion: Document) -> str:
+    """Return the speed; where a drive tells no more of it, whether it is 0."""
+    if motion.get("speed"):
+        return _speed(motion["speed"])
+    zero = motion.get("zero")
+    return "" if zero is None else "0" if zero else "not 0"
+
+
+def _speed(speed: Document | None) -> str:
+    """Return a speed with its unit, and its age where it is not fresh."""
+    if not speed or speed.get("value") is None:
+        return ""
+    text = " ".join(filter(None, (table_text(speed["value"]), table_text(speed.get("unit")))))
+    return f"{text}, {age(speed.get('age_s'))} ago" if speed.get("stale") else text
 
 
 def _show_drive(drive: Document) -> None:
@@ -77,6 +112,7 @@ def _show_drive(drive: Document) -> None:
         state = table_text(drive.get("state")) + (f", {why}" if why else "")
         click.echo(f"{name} at address {drive.get('address')} ({drive.get('family')}): {state}")
         _show_identity(drive.get("identity") or {})
+        _show_motion(drive.get("motion") or {})
         _show_states(drive.get("states"))
         _show_fault(drive.get("fault") or {})
     rows = [
@@ -93,6 +129,13 @@ def _show_drive(drive: Document) -> None:
         for quality, reason in [quality_of(value)]
     ]
     show_rows(("code", "name", "value", "unit", "quality", "age", "why"), rows)
+
+
+def _show_motion(motion: Document) -> None:
+    """Print whether it runs, and by which words that shows; nothing where it is not known."""
+    shown = dict.fromkeys(word for one in motion.get("stops") or () for word in one["shown_by"])
+    if motion.get("doing"):
+        click.echo(f"  motor: {_motor(motion)}" + (f" [{', '.join(shown)}]" if shown else ""))
 
 
 def _show_states(states: Sequence[str] | None) -> None:

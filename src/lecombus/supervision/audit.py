@@ -18,6 +18,7 @@ from contextlib import AbstractAsyncContextManager
 from lecombus.config import DriveEntry
 from lecombus.errors import LecombusError, RefusedError, UnknownCodeError
 from lecombus.line.station import Station
+from lecombus.motion import learnt_setpoint
 from lecombus.operations.requests import Requests, is_of_the_line
 from lecombus.schedule import Priority
 from lecombus.supervision.gates import Gates
@@ -115,6 +116,11 @@ class Audit:
         try:
             if entry.watchdog is None and station.family.watchdog is not None:
                 await self._watchdogs.learn(entry.name, station, station.family.watchdog)
+            setpoint = learnt_setpoint(station.family)
+            if setpoint is not None:  # what it was set to before is shown beside its speed
+                await self._requests.read(
+                    station, setpoint, Priority.BACKGROUND, timeout_s=PATIENCE_S
+                )
             shortened = station.family.shortened_code
             if shortened is not None:  # what it brings is seen by `configurations`
                 await self._requests.read(

@@ -100,7 +100,9 @@ class Books:
             elif not (type(answer) is AckAnswer and kind is StepKind.WRITE):
                 outcome = self._book_failure(report, outcome)
             elif report.step.value is not None:
-                self._words.seen(report.drive, report.step.code, report.step.value)
+                code = report.step.code
+                self._words.seen(report.drive, code, report.step.value)
+                self._store.setpoint_taken(report.drive, code, report.step.value, result.ended_s)
             self._health.exchange_ended(report.drive, result.kind, result.fault)
         else:
             return

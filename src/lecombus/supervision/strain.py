@@ -1,7 +1,8 @@
 """The remark on a line that cannot hold the cyclic reads it was asked for.
 
-What a line could not do while it was closed is not what it cannot hold: the periods of that time
-are told as they were (`cyclic_stretch_ratio`), and nothing is made of them.
+What a line could not do while it was closed, or while its drives were being started, is not what it
+cannot hold: the periods of that time are told as they were (`cyclic_stretch_ratio`), and nothing is
+made of them.
 """
 
 from __future__ import annotations
@@ -18,6 +19,10 @@ REMARK: Final = "cadence"
 SAID_FROM: Final = 1.05
 """A cadence stretched by less than this is not worth a remark."""
 
+STARTING_MOST_S: Final = 600.0
+"""A full line's first start takes minutes; a drive that is starting for longer than this, seconds,
+is in some trouble of its own and hides nothing."""
+
 
 class Strain:
     """Says when the cyclic reads are more than the line can do.
@@ -28,17 +33,24 @@ class Strain:
 
     def __init__(self, store: Store) -> None:
         self._store = store
-        self._closed_at_s = -math.inf  # when the line was last seen closed
+        self._closed_at_s = -math.inf  # when the line was last seen closed, or starting drives
+        self._starting_from_s: float | None = None
 
-    def note(self, stretch: float, now_s: float, *, is_open: bool) -> None:
+    def note(self, stretch: float, now_s: float, *, is_open: bool, starting: bool = False) -> None:
         """Take the figure of the moment; about once a second.
 
         Args:
             stretch: The factor by which cyclic periods grew in the last seconds, 1 or more.
             now_s: Monotonic seconds.
             is_open: Whether the line is open.
+            starting: Whether drives are being started.
         """
-        if not is_open:
+        if not starting:
+            self._starting_from_s = None
+        elif self._starting_from_s is None:
+            self._starting_from_s = now_s
+        begun_s = self._starting_from_s
+        if not is_open or (begun_s is not None and now_s - begun_s < STARTING_MOST_S):
             self._closed_at_s = now_s
         self._store.set_stretch(stretch)
         text = None

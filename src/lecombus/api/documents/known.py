@@ -16,8 +16,11 @@ __all__ = [
     "GroupsDocument",
     "HeardDocument",
     "LineDocument",
+    "MotionDocument",
     "ReadingDocument",
     "RestoreDocument",
+    "SpeedDocument",
+    "StopShownDocument",
 ]
 
 
@@ -53,6 +56,45 @@ class FaultDocument(Document):
     stale: Annotated[bool, Field(description="The drive has not been heard since")]
 
 
+class StopShownDocument(Document):
+    """One thing that stops a drive."""
+
+    name: Annotated[str, Field(examples=["quick-stop", "inhibited", "trip"])]
+    text: str
+    shown_by: Annotated[list[str], Field(examples=[["C0135 reads H0008"]])]
+
+
+class SpeedDocument(Document):
+    """A speed, actual or wanted, as last known."""
+
+    code: str
+    value: Scalar
+    raw: str | None
+    unit: str | None
+    age_s: Exact | None
+    stale: bool
+    known_by: Annotated[str, Field(description="read, or written and acknowledged")]
+
+
+class MotionDocument(Document):
+    """Whether a drive runs, as far as that is known."""
+
+    doing: Annotated[
+        str,
+        Field(
+            description="running; stopping: in a quick stop and not at 0 yet; stopped: something "
+            "keeps it from driving its motor, which may coast; enabled: nothing does, its speed "
+            "is reported as 0; unknown"
+        ),
+    ]
+    stops: Annotated[list[StopShownDocument], Field(description="What stops it")]
+    speed: Annotated[SpeedDocument | None, Field(description="Output frequency")]
+    zero: Annotated[bool | None, Field(description="It reports its speed as 0")]
+    setpoint: SpeedDocument | None
+    age_s: Annotated[Exact | None, Field(description="Of the oldest word this rests on")]
+    stale: Annotated[bool, Field(description="As last known: its words are not fresh")]
+
+
 class DriveDocument(Document):
     """One drive with everything known of it."""
 
@@ -69,6 +111,7 @@ class DriveDocument(Document):
     fault: Annotated[FaultDocument | None, Field(description="Null: none is shown")]
     remarks: dict[str, str]
     identity: Annotated[dict[str, str], Field(description="What it said of itself, by code")]
+    motion: MotionDocument
     values: list[ReadingDocument]
 
 

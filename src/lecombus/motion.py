@@ -1,0 +1,280 @@
+"""Whether a drive runs, what stops it, how fast it is and should be: from what is known of it.
+
+Strategy: every word that can show a stop is looked at, the status words and those that prove a stop
+(`drives.stops`), and each stop is told with the words that show it. While the first status word is
+fresh only fresh values count, so that an old word cannot contradict a new one; while it is not, all
+is told as it was last known, and marked so. "Stopped" means that something keeps the drive from
+driving its motor. The shaft may turn all the same, as that of a coasting motor does.
+
+What must not live here: what is wrong with the drive and what to do about it (`operations.why`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Final
+
+from lecombus.drives import Family, OperatingState
+from lecombus.protocol.addressing import Code
+from lecombus.readings import (
+    WRITTEN_SINCE,
+    ActiveFault,
+    Json,
+    Quality,
+    Reading,
+    json_value,
+    seconds,
+)
+
+__all__ = ["Doing", "Motion", "Speed", "Stop", "learnt_setpoint", "motion_of", "setpoint_codes"]
+
+OUTPUT: Final = Code(50)
+SETPOINT: Final = Code(46)
+
+TEXTS: Final = {
+    OperatingState.FAULT: "fault",
+    OperatingState.MESSAGE: "message",
+    OperatingState.POWER_OFF: "power off",
+    OperatingState.INITIALISING: "initialising",
+    OperatingState.START_LOCK: "start lock",
+    OperatingState.QUICK_STOP: "quick stop",
+    OperatingState.INHIBITED: "inhibited",
+}
+"""The states that stop a drive, the most telling first."""
+
+NOT_ENABLED: Final = (OperatingState.OPERATION_INHIBITED, OperatingState.PULSES_INHIBITED)
+"""What a drive shows besides the cause; told only where no cause is shown."""
+
+OF_ACTION: Final = {
+    "quick-stop": OperatingState.QUICK_STOP,
+    "inhibit": OperatingState.INHIBITED,
+}
+
+
+class Doing(StrEnum):
+    """What a drive does with its motor."""
+
+    RUNNING = "running"
+    STOPPING = "stopping"
+    """It ramps down in a quick stop."""
+    STOPPED = "stopped"
+    ENABLED = "enabled"
+    """Nothing stops it and it puts out no speed: a setpoint lets the motor turn."""
+    UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """One thing that stops a drive.
+
+    Args:
+        name: A stable word for it.
+        text: What it is.
+        shown_by: The words that show it, such as `C0135 reads H0008`.
+    """
+
+    name: str
+    text: str
+    shown_by: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Speed:
+    """A speed, actual or wanted.
+
+    Args:
+        reading: Its code and value.
+        written: It is what was written and acknowledged, and not read since.
+    """
+
+    reading: Reading
+    written: bool = False
+
+    def as_json(self) -> dict[str, Json]:
+        """Return the JSON form."""
+        one = self.reading
+        return {
+            "code": f"C{one.code.number:04d}",
+            "value": None if one.value is None else json_value(one.value),
+            "raw": None if one.value is None else one.value.raw,
+            "unit": one.unit,
+            "age_s": None if one.age_s is None else seconds(one.age_s),
+            "stale": one.quality is not Quality.GOOD,
+            "known_by": "written" if self.written else "read",
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """What a drive does, as far as that is known.
+
+    Args:
+        doing: What it does with its motor.
+        stops: What stops it.
+        speed: Its output frequency; None where its family has none with a unit, or none was read.
+        zero: Whether it reports its speed as 0; None where that is not known.
+        setpoint: The speed wanted, as last read or written; None where none is known.
+        age_s: Age of the oldest word it rests on, seconds; None where none is known.
+        stale: It is told as it was last known: the words are not fresh.
+    """
+
+    doing: Doing
+    stops: tuple[Stop, ...] = ()
+    speed: Speed | None = None
+    zero: bool | None = None
+    setpoint: Speed | None = None
+    age_s: float | None = None
+    stale: bool = False
+
+    def as_json(self) -> dict[str, Json]:
+        """Return the JSON form."""
+        return {
+            "doing": self.doing.value,
+            "stops": [
+                {"name": one.name, "text": one.text, "shown_by": list(one.shown_by)}
+                for one in self.stops
+            ],
+            "speed": None if self.speed is None else self.speed.as_json(),
+            "zero": self.zero,
+            "setpoint": None if self.setpoint is None else self.setpoint.as_json(),
+            "age_s": None if self.age_s is None else seconds(self.age_s),
+            "stale": self.stale,
+        }
+
+
+def setpoint_codes(family: Family) -> tuple[Code, ...]:
+    """Name the codes that hold a family's speed setpoint."""
+    codes = [rule.code for rule in family.verbs.setpoints] if family.verbs is not None else []
+    if _has_unit(family, SETPOINT):
+        codes.append(SETPOINT)
+    return tuple(dict.fromkeys(codes))
+
+
+def learnt_setpoint(family: Family) -> Code | None:
+    """Name the code that shows the setpoint of a drive of which nothing was written yet."""
+    codes = setpoint_codes(family)
+    return SETPOINT if SETPOINT in codes else next(iter(codes), None)
+
+
+def motion_of(
+    family: Family,
+    fault: ActiveFault | None,
+    known: Callable[[Code], Reading | None],
+    written: Iterable[Reading],
+) -> Motion:
+    """Say what a drive does.
+
+    Args:
+        family: Its family.
+        fault: The fault it has.
+        known: Gives what is known of a code, with its quality; None: never asked for.
+        written: The setpoints that were written and acknowledged.
+    """
+    first = next((known(code) for code in family.words), None)
+    if first is None or first.value is None:
+        return Motion(Doing.UNKNOWN, setpoint=_setpoint(family, known, written))
+    stale = first.quality is not Quality.GOOD
+    proofs = [code for rule in family.stops.values() for code in rule.proofs]
+    words = [
+        reading
+        for code in dict.fromkeys((*family.words, *proofs))
+        if (reading := _usable(known(code), stale=stale)) is not None
+    ]
+    states = _states(family, words)
+    stops = _stops(states, fault)
+    speed = known(OUTPUT) if _has_unit(family, OUTPUT) else None
+    speed = speed if speed is not None and speed.value is not None else None
+    zero = _zero(family, _usable(speed, stale=stale), states)
+    return Motion(
+        _doing(stops, states, zero),
+        stops,
+        None if speed is None else Speed(speed),
+        zero,
+        _setpoint(family, known, written),
+        max((one.age_s or 0.0 for one in words), default=first.age_s),
+        stale,
+    )
+
+
+def _usable(reading: Reading | None, *, stale: bool) -> Reading | None:
+    """Give a word that counts: a fresh one, or any where the drive is told as last known."""
+    if reading is None or reading.value is None or reading.reason == WRITTEN_SINCE:
+        return None
+    return reading if stale or reading.quality is Quality.GOOD else None
+
+
+def _states(family: Family, words: list[Reading]) -> dict[OperatingState, list[str]]:
+    """Give each state that the words show, with the words that show it."""
+    found: dict[OperatingState, list[str]] = {}
+    for reading in words:
+        value = reading.value
+        assert value is not None
+        said = f"{reading.code} reads {value.raw}"
+        word = family.words.get(reading.code)
+        shown = list(word.shown_states(value.number)) if word and type(value.number) is int else []
+        for action, rule in family.stops.items():
+            proof = rule.proofs.get(reading.code)
+            if proof is not None and proof.holds(value):
+                shown.append(OF_ACTION[action])
+        for state in dict.fromkeys(shown):
+            found.setdefault(state, []).append(said)
+    return found
+
+
+def _stops(states: dict[OperatingState, list[str]], fault: ActiveFault | None) -> tuple[Stop, ...]:
+    found = []
+    if fault is not None and fault.kind != "warning":
+        found.append(Stop(str(fault.kind), str(fault), (fault.shown_by,)))
+    for state, text in TEXTS.items():
+        is_told = found and state in (OperatingState.FAULT, OperatingState.MESSAGE)
+        if state in states and not is_told:
+            found.append(Stop(state.value.replace("_", "-"), text, tuple(states[state])))
+    if not found and OperatingState.ENABLED not in states:
+        shown = [said for state in NOT_ENABLED for said in states.get(state, ())]
+        if shown:
+            found.append(Stop("not-enabled", "not enabled", tuple(dict.fromkeys(shown))))
+    return tuple(found)
+
+
+def _zero(
+    family: Family, speed: Reading | None, states: dict[OperatingState, list[str]]
+) -> bool | None:
+    """Tell whether a drive reports its speed as 0, by its output or by its status word."""
+    if speed is not None and speed.value is not None:
+        return speed.value.number == 0
+    rules = [rule for word in family.words.values() for rule in word.states]
+    if any(rule.state is OperatingState.ZERO_SPEED for rule in rules):
+        return OperatingState.ZERO_SPEED in states
+    return None
+
+
+def _doing(
+    stops: tuple[Stop, ...], states: dict[OperatingState, list[str]], zero: bool | None
+) -> Doing:
+    if stops:
+        ramps = all(one.name == "quick-stop" for one in stops) and zero is False
+        return Doing.STOPPING if ramps else Doing.STOPPED
+    if zero is False:
+        return Doing.RUNNING
+    return Doing.ENABLED if OperatingState.ENABLED in states else Doing.UNKNOWN
+
+
+def _setpoint(
+    family: Family, known: Callable[[Code], Reading | None], written: Iterable[Reading]
+) -> Speed | None:
+    """Give the setpoint that was read or written last."""
+    read = (_usable(known(code), stale=True) for code in setpoint_codes(family))
+    found = [Speed(one) for one in read if one is not None]
+    found += [Speed(one, written=True) for one in written]
+    newest = min(found, key=lambda one: (one.reading.age_s or 0.0, one.written), default=None)
+    if newest is None or newest.reading.unit:
+        return newest
+    info = family.info(newest.reading.code)
+    return replace(newest, reading=replace(newest.reading, unit=info.unit if info else None))
+
+
+def _has_unit(family: Family, code: Code) -> bool:
+    info = family.info(code)
+    return info is not None and bool(info.unit)

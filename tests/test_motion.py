@@ -1,0 +1,136 @@
+"""Whether a drive runs, from what is known of it: every word that shows a stop is looked at."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from lecombus.drives import family
+from lecombus.drives.faults import FaultKind
+from lecombus.motion import Doing, Motion, learnt_setpoint, motion_of
+from lecombus.protocol import Code, Value
+from lecombus.readings import WRITTEN_SINCE, ActiveFault, Quality, Reading
+
+ENABLED = "H0600"
+
+
+def read(text: str, value: str, *, age_s: float = 0.5, quality: Quality = Quality.GOOD) -> Reading:
+    code = Code.parse(text)
+    wire = Value.hexadecimal(int(value[1:], 16), 4) if value[0] == "H" else Value.decimal(value)
+    return Reading("d", code, "", None, None, wire, quality, None, 0.0, age_s)
+
+
+def motion(name: str, *readings: Reading, fault: ActiveFault | None = None) -> Motion:
+    known = {one.code: one for one in readings}
+    return motion_of(family(name), fault, known.get, ())
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "doing", "stops"),
+    [
+        ("8200vector", {"C0150": ENABLED, "C0050": "35.4"}, Doing.RUNNING, []),
+        ("8200vector", {"C0150": ENABLED, "C0050": "0"}, Doing.ENABLED, []),
+        ("8200vector", {"C0150": "H0680", "C0050": "0"}, Doing.STOPPED, ["inhibited"]),
+        # No quick stop shows in C0150 there: the control word shows it.
+        (
+            "8200vector",
+            {"C0150": ENABLED, "C0050": "35.4", "C0135": "H0008"},
+            Doing.STOPPING,
+            ["quick-stop"],
+        ),
+        (
+            "8200vector",
+            {"C0150": ENABLED, "C0050": "0", "C0135": "H0008"},
+            Doing.STOPPED,
+            ["quick-stop"],
+        ),
+        ("820x", {"C0150": ENABLED, "C0050": "0", "C0068": "H1100"}, Doing.STOPPED, ["quick-stop"]),
+        (
+            "820x",
+            {"C0150": "H0680", "C0050": "20", "C0068": "H1000"},
+            Doing.STOPPED,
+            ["quick-stop", "inhibited"],
+        ),
+        ("smvector", {"C0150": ENABLED, "C0050": "9"}, Doing.RUNNING, []),
+        (
+            "smvector",
+            {"C0150": ENABLED, "C0050": "0", "C0068": "H1000"},
+            Doing.STOPPED,
+            ["quick-stop"],
+        ),
+        # Its output frequency has no unit in the manual: the status word says n = 0.
+        ("93xx", {"C0150": "H0640"}, Doing.ENABLED, []),
+        ("93xx", {"C0150": ENABLED}, Doing.RUNNING, []),
+        ("93xx", {"C0150": "H0640", "C0135": "H0008"}, Doing.STOPPED, ["quick-stop"]),
+        ("8200vector", {"C0150": "H0800", "C0050": "0"}, Doing.STOPPED, ["fault"]),
+        ("8200vector", {"C0050": "20"}, Doing.UNKNOWN, []),
+        ("generic", {"C0150": ENABLED}, Doing.UNKNOWN, []),
+    ],
+)
+def test_what_a_drive_does_is_told_from_all_its_words(
+    name: str, words: dict[str, str], doing: Doing, stops: list[str]
+) -> None:
+    seen = motion(name, *(read(code, value) for code, value in words.items()))
+    assert (seen.doing, [one.name for one in seen.stops]) == (doing, stops)
+
+
+def test_each_stop_is_told_with_the_words_that_show_it() -> None:
+    seen = motion("820x", read("C0150", ENABLED), read("C0068", "H1100"), read("C0135", "H0008"))
+    assert seen.stops[0].shown_by == ("C0068 reads H1100", "C0135 reads H0008")
+
+
+def test_an_old_word_does_not_contradict_a_fresh_one() -> None:
+    old = read("C0068", "H1100", age_s=40.0, quality=Quality.STALE)
+    fresh = read("C0150", ENABLED)
+    assert motion("820x", fresh, old).stops == ()
+    written = replace(read("C0135", "H0008", quality=Quality.BAD), reason=WRITTEN_SINCE)
+    silent = replace(fresh, quality=Quality.STALE, age_s=30.0)
+    last = motion("820x", silent, old, written)
+    assert (last.stale, last.age_s) == (True, 40.0)
+    assert last.stops[0].shown_by == ("C0068 reads H1100",)
+
+
+def test_a_speed_that_is_old_does_not_say_that_the_motor_runs() -> None:
+    old = read("C0050", "35.4", age_s=40.0, quality=Quality.STALE)
+    seen = motion("8200vector", read("C0150", "H0640"), old)
+    assert seen.doing is not Doing.RUNNING
+    assert seen.speed is not None
+    assert seen.speed.as_json()["stale"] is True
+
+
+def test_a_trip_is_told_with_its_number_and_once() -> None:
+    known = family("8200vector").fault(50)
+    trip = ActiveFault(FaultKind.TRIP, 50, known, 0.0, "C0150 reads H0898")
+    seen = motion("8200vector", read("C0150", "H0898"), fault=trip)
+    assert [one.text for one in seen.stops] == ["trip OH (50): heat sink too hot", "inhibited"]
+    warning = replace(trip, kind=FaultKind.WARNING)
+    assert motion("8200vector", read("C0150", ENABLED), fault=warning).stops == ()
+
+
+def test_the_setpoint_known_last_counts_whether_it_was_read_or_written() -> None:
+    vector = family("8200vector")
+    known = {Code(150): read("C0150", ENABLED), Code(46): read("C0046", "20", age_s=5.0)}
+    newer, older = read("C0046", "35.4", age_s=1.0), read("C0046", "7", age_s=9.0)
+
+    def setpoint(*written: Reading) -> tuple[object, ...]:
+        found = motion_of(vector, None, known.get, written).setpoint
+        assert found is not None
+        told = found.as_json()
+        return str(told["value"]), told["unit"], told["known_by"]
+
+    assert setpoint() == ("20", "Hz", "read")
+    assert setpoint(newer) == ("35.4", "Hz", "written")
+    assert setpoint(older) == ("20", "Hz", "read")
+
+
+@pytest.mark.parametrize(
+    ("name", "code"),
+    [("8200vector", "C0046"), ("820x", "C0046"), ("93xx", "C0141"), ("smvector", "C0046")],
+)
+def test_the_setpoint_of_every_family_can_be_learnt(name: str, code: str) -> None:
+    assert learnt_setpoint(family(name)) == Code.parse(code)
+
+
+def test_a_device_of_which_nothing_is_described_has_no_setpoint() -> None:
+    assert learnt_setpoint(family("generic")) is None
