@@ -342,7 +342,13 @@ def test_status_begins_with_a_line_that_is_lost(
 
 
 def moving(name: str, **motion: object) -> dict[str, object]:
-    known = {"doing": "running", "stops": [], "speed": None, "setpoint": None, "zero": None}
+    known: dict[str, object] = {
+        "doing": "running",
+        "stops": [],
+        "speed": None,
+        "setpoint": None,
+        "zero": None,
+    }
     return {
         "drive": name, "address": 11, "family": "820x", "state": "online", "reason": None,
         "remarks": {}, "motion": {**known, "age_s": 1.0, "stale": False, **motion},
