@@ -15,18 +15,31 @@ def warned(text: str) -> list[str]:
 
 
 def test_groups_say_whether_one_telegram_reaches_them() -> None:
-    text = roster_with("groups: {both: {members: [belt, feeder]}, one: {members: [belt]}}")
-    rows = [
-        (group.name, group.how, group.multicast_address) for group in describe(parsed(text)).groups
-    ]
+    members = "both: {members: [belt, feeder]}, one: {members: [belt], multicast: yes}"
+    description = describe(parsed(roster_with(f"groups: {{{members}}}")))
+    rows = [(one.name, one.how, one.writes, one.multicast_address) for one in description.groups]
     assert rows == [
-        ("all", "multicast", 10),
-        ("both", "multicast", 10),
-        ("one", "one-by-one", None),
+        ("all", "multicast", "one-by-one", 10),
+        ("both", "multicast", "one-by-one", 10),
+        ("one", "one-by-one", "one-by-one", None),
     ]
-    lines = describe(parsed(text)).lines()
-    assert "group both: 2 drives, one multicast to 10 (reaches every drive at 11 to 19)" in lines
-    assert "group one: 1 drive, one write after another" in lines
+    one_telegram = "one multicast to 10 (reaches every drive at 11 to 19)"
+    lines = description.lines()
+    assert (f"group both: 2 drives, stops as {one_telegram}, writes as one after another") in lines
+    assert "group one: 1 drive, stops and writes as one after another" in lines
+    assert any("group one: multicast does nothing" in text for text in description.warnings)
+
+
+def test_writes_go_as_one_telegram_where_the_roster_says_that_it_knows_every_drive() -> None:
+    text = "groups: {all: {multicast: yes}, both: {members: [belt, feeder], multicast: yes}}"
+    description = describe(parsed(roster_with(text)))
+    assert [(one.how, one.writes) for one in description.groups] == [("multicast", "multicast")] * 2
+    assert description.groups[0].members == ("feeder", "belt")
+    assert (
+        "group both: 2 drives, stops and writes as one multicast to 10 "
+        "(reaches every drive at 11 to 19)"
+    ) in description.lines()
+    assert not [text for text in description.warnings if "multicast" in text]
 
 
 def test_drives_are_told_with_what_was_filled_in() -> None:

@@ -320,8 +320,10 @@ def test_codes_that_move_a_drive_away_are_writable_when_asked_for_in_words() -> 
          "name"),
         ("groups: {belt: {members: [belt]}}", "11:10: `belt` is also a drive (line 8), give the "
          "group another name"),
-        ("groups: {all: {members: [belt]}}", "11:10: the name `all` is taken, `all` always exists; "
-         "remove it or rename it"),
+        ("groups: {all: {members: [belt]}}", "11:16: a group of all drives has no key `members`, "
+         "the keys of a group of all drives are multicast"),
+        ("groups: {g: {members: [belt], multicast: 1}}", "11:42: `multicast` `1` is neither yes "
+         "nor no, true or false would be right"),
         ("groups: {A: {members: [belt]}}", "11:10: the name `A` is not usable as a group name, use "
          "a-z, 0-9, _ and -, beginning with a letter or digit, such as a"),
         ("groups: [belt]", "11:9: `groups` is a list, give a mapping from a group name such as "

@@ -96,6 +96,7 @@ RIGHT = [
     GOOD, line_with("echo: no"), line_with("stall: 0", "retries: 0", "absent_share: 25%"),
     line_with("echo: auto", "repeaters: yes", "turnaround: 0"),
     drive_with("writable: [46, C135, P425, C39/1]", "accept_software: [1.20]"),
+    roster_with("groups: {all: {multicast: yes}, b: {members: [belt], multicast: no}}"),
     roster_with("groups: {a-b: {members: [belt]}}", "api: {http: '[::1]:80'}"),
     GOOD.replace("/dev/serial/by-id/usb-1", "sim"),
     GOOD.replace("/dev/serial/by-id/usb-1", "socket://192.0.2.7:4001"),

@@ -9,10 +9,22 @@ import anyio.lowlevel
 import pytest
 
 from lecombus.errors import OperationError, QueueFullError
+from lecombus.protocol.addressing import Code
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority
 from lecombus.simulator.faults import Faults
-from operations.groups import INHIBIT, MODULE, ROSTER, SETPOINT, STATUS, WORD, written
+from operations.groups import (
+    CAUTIOUS,
+    ENABLE,
+    INHIBIT,
+    MODULE,
+    PLAIN,
+    ROSTER,
+    SETPOINT,
+    STATUS,
+    WORD,
+    written,
+)
 from support.site_host import Plant, until, with_plant
 
 
@@ -27,6 +39,27 @@ def test_a_group_that_is_a_decade_goes_out_as_one_telegram_and_every_member_is_r
         assert [plant.line[name].text(46) for name in "abc"] == ["20"] * 3
 
     with_plant(test, ROSTER)
+
+
+@pytest.mark.parametrize(
+    ("code", "value"), [(SETPOINT, 20), (ENABLE, 1), (WORD, 0), (WORD, "H0208"), (PLAIN, 60)]
+)
+def test_what_is_no_stop_goes_one_by_one_where_other_drives_may_hear_a_multicast(
+    code: Code, value: int | str
+) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        said = len(plant.end.sent)
+        report = await plant.site.operations.write_group("teens", code, value)
+        assert (report.how, report.outcome) == ("one-by-one", Outcome.DONE)
+        assert b"10" not in written(plant, said)
+        said = len(plant.end.sent)
+        report = await plant.site.operations.write_group("teens", ENABLE, 0)
+        assert (report.how, report.outcome) == ("multicast", Outcome.VERIFIED)
+        assert written(plant, said) == [b"10"]
+        assert (await plant.site.operations.stop(INHIBIT, "teens")).how == "multicast"
+
+    with_plant(test, CAUTIOUS)
 
 
 def test_another_group_goes_out_one_by_one() -> None:

@@ -39,7 +39,7 @@ MIXED_ROSTER = roster_of(
     rest="groups: {mixed: {members: [c, b, d, a]}, two: {members: [c, a]}}",
 )
 TEENS_ROSTER = roster_of(
-    MIXED, drive=", cyclic: []", rest="groups: {teens: {members: [c, b, d, a]}}"
+    MIXED, drive=", cyclic: []", rest="groups: {teens: {members: [c, b, d, a], multicast: yes}}"
 )
 
 

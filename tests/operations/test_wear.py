@@ -149,7 +149,7 @@ def test_a_multicast_of_a_stored_parameter_counts_for_every_member() -> None:
         assert {one.reason for one in again.members} == {"already there, not written"}
         assert (counted(plant), counted(plant, "b")) == ({"C0012": 1}, {"C0012": 1})
 
-    with_plant(test, ROSTER)
+    with_plant(test, roster_of(TWO, drive=WRITABLE, rest="\ngroups: {all: {multicast: yes}}"))
 
 
 def test_counts_go_on_from_before_and_stand_on_the_metrics_page() -> None:

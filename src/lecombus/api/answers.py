@@ -91,6 +91,9 @@ def group_json(group: GroupInfo) -> dict[str, Json]:
         "members": list(group.members),
         "how": "one-by-one" if group.multicast_address is None else "multicast",
         "multicast_address": group.multicast_address,
+        "writes": "multicast"
+        if group.multicast and group.multicast_address is not None
+        else "one-by-one",
     }
 
 

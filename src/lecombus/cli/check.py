@@ -12,7 +12,7 @@ from lecombus.cli.arguments import json_option, roster_option
 from lecombus.cli.exits import Exit
 from lecombus.cli.screen import on_terminal, show_rows
 from lecombus.config import RosterError, load_roster
-from lecombus.config.describing import Description, describe, multicast_words
+from lecombus.config.describing import Description, describe
 
 __all__ = ["command"]
 
@@ -24,9 +24,9 @@ def command(roster: Path, as_json: bool) -> int:
     """Say every mistake of a roster in one go, or what the roster means.
 
     Mistakes go to standard error, one a line as FILE:LINE:COLUMN, and the exit status is 2. Else
-    the line, its drives, and for each group whether it is one multicast or one write after
-    another are shown, with warnings and with keys that this version does not use yet. No port is
-    opened.
+    the line, its drives, and for each group whether stops and writes are one multicast or one
+    telegram after another are shown, with warnings and with keys that this version does not use
+    yet. No port is opened.
 
     With --json, on standard output: {"ok": false, "mistakes": [{"file", "line", "column", "what",
     "right"}]} or {"ok": true, "file", "line", "cyclic_load", "drives", "groups", "warnings",
@@ -64,14 +64,13 @@ def _show(description: Description) -> None:
     groups = [
         (
             group.name,
-            "one write after another"
-            if group.multicast_address is None
-            else multicast_words(group.multicast_address),
+            group.stops_words,
+            "the same" if group.writes == group.how else group.writes_words,
             ", ".join(group.members),
         )
         for group in description.groups
     ]
-    show_rows(("group", "sent as", "members"), groups)
+    show_rows(("group", "stops go as", "writes go as", "members"), groups)
     for text in description.warnings:
         click.echo(f"warning: {text}")
     for key in description.not_yet_used:

@@ -115,14 +115,19 @@ def _forms(addressing: str | None, of_family: tuple[Form, ...]) -> tuple[Form, .
 def _groups(roster: Entry, drives: Sequence[DriveEntry]) -> dict[str, GroupEntry]:
     addresses = {drive.name: drive.address for drive in drives}
     members = {ALL: tuple(addresses)}
+    everything_known: set[str] = set()
     for at, group in roster.get("groups", ()):
-        members[at.text] = tuple(item.value for item in group.get("members"))
+        if at.text != ALL:
+            members[at.text] = tuple(item.value for item in group.get("members"))
+        if group.get("multicast", False):
+            everything_known.add(at.text)
     return {
         name: GroupEntry(
             members=names,
             multicast_address=multicast_address(
                 [addresses[member] for member in names], addresses.values()
             ),
+            multicast=name in everything_known,
         )
         for name, names in members.items()
     }

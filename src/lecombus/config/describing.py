@@ -15,7 +15,7 @@ from lecombus.config.suspicions import counted, cyclic_load, find_warnings
 from lecombus.durations import format_duration
 from lecombus.protocol.addressing import group_reach
 
-__all__ = ["DescribedDrive", "DescribedGroup", "Description", "describe", "multicast_words"]
+__all__ = ["DescribedDrive", "DescribedGroup", "Description", "describe"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,14 +46,26 @@ class DescribedGroup:
     Args:
         name: The group's name.
         members: Its members' names.
-        how: `multicast` or `one-by-one`.
+        how: How a stop goes out: `multicast` or `one-by-one`.
         multicast_address: The address of the one telegram; None one by one.
+        writes: How a write goes out that is no stop: `multicast` or `one-by-one`.
     """
 
     name: str
     members: tuple[str, ...]
     how: str
     multicast_address: int | None
+    writes: str
+
+    @property
+    def stops_words(self) -> str:
+        """How a stop goes out, in words."""
+        return way_words(self.how, self.multicast_address)
+
+    @property
+    def writes_words(self) -> str:
+        """How other writes go out, in words."""
+        return way_words(self.writes, self.multicast_address)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,20 +143,28 @@ def _drive(drive: DriveEntry) -> DescribedDrive:
 
 
 def _group(name: str, group: GroupEntry) -> DescribedGroup:
-    how = "one-by-one" if group.multicast_address is None else "multicast"
-    return DescribedGroup(name, group.members, how, group.multicast_address)
+    address = group.multicast_address
+    return DescribedGroup(
+        name, group.members, _way(address), address, writes=_way(group.write_address)
+    )
+
+
+def _way(address: int | None) -> str:
+    return "one-by-one" if address is None else "multicast"
 
 
 def _how(group: DescribedGroup) -> str:
     count = len(group.members)
     drives = f"{count} drive{'s' if count != 1 else ''}"
-    if group.multicast_address is None:
-        return f"{drives}, one write after another"
-    return f"{drives}, {multicast_words(group.multicast_address)}"
+    if group.how == group.writes:
+        return f"{drives}, stops and writes as {group.stops_words}"
+    return f"{drives}, stops as {group.stops_words}, writes as {group.writes_words}"
 
 
-def multicast_words(address: int) -> str:
-    """Say what one multicast telegram reaches: whoever listens there, in the roster or not."""
+def way_words(how: str, address: int | None) -> str:
+    """Say how something goes to a group, and which drives one multicast telegram reaches."""
+    if how == "one-by-one" or address is None:
+        return "one after another"
     reach = group_reach(address)
     return f"one multicast to {address:02d} (reaches every drive at {reach[0]} to {reach[-1]})"
 

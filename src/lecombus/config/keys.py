@@ -35,7 +35,7 @@ _DAY_S: Final = 86400.0
 _HOUR_S: Final = 3600.0
 
 _DRIVE_NAME: Final = Name("drive", reserved={ALL: "`all` is the group of all drives"})
-_GROUP_NAME: Final = Name("group", reserved={ALL: "`all` always exists; remove it or rename it"})
+_GROUP_NAME: Final = Name("group")
 _CODE: Final = CodeKind()
 _ECHO: Final = Choice(
     get_args(models.Echo),
@@ -139,10 +139,19 @@ _DRIVE: Final = Table("drive", (
     Key("lease", _LEASE, _LEASE.doc),
 ), "A drive on the line.")  # fmt: skip
 
+_MULTICAST: Final = Key(
+    "multicast", YesNo(),
+    "Whether everything on the cable that hears the group's telegram is in the roster: then writes "
+    "are sent as one too. Otherwise one write follows the other.", default=False,
+)  # fmt: skip
+
+_ALL_DRIVES: Final = Table("group of all drives", (_MULTICAST,), "All drives of the roster.")
+
 _GROUP: Final = Table("group", (
     Key("members", ListOf(Text("a drive's name", Name.LONGEST), "the member", least=1),
-        "Names of drives. Sent as one telegram where they are exactly the drives of one decade "
-        "of addresses, or all drives.", required=True),
+        "Names of drives. A stop is sent as one telegram where they are exactly the drives of one "
+        "decade of addresses, or all drives.", required=True),
+    _MULTICAST,
 ))  # fmt: skip
 
 _API: Final = Table("api", (
@@ -162,8 +171,8 @@ _MQTT: Final = Table("mqtt", (
 ROSTER: Final = Table("roster", (
     Key("line", _LINE, _LINE.doc, required=True),
     Key("drives", ListOf(_DRIVE, "the drive", least=1), "The drives on the line.", required=True),
-    Key("groups", NamedEntries(_GROUP_NAME, _GROUP),
-        "Drives spoken to together. The group `all` always exists."),
+    Key("groups", NamedEntries(_GROUP_NAME, _GROUP, special={ALL: _ALL_DRIVES}),
+        "Drives spoken to together. The group `all` always exists and takes only `multicast`."),
     Key("lease", _LEASE, "The default for all drives (not used by this version)."),
     Key("on_shutdown", Choice(get_args(models.OnShutdown)),
         "What is sent to all drives when the daemon ends.", default="nothing"),

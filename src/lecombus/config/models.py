@@ -187,10 +187,18 @@ class GroupEntry(_Model):
     Args:
         members: Their names, in the order of the roster's list.
         multicast_address: 10..90 or 0 if one telegram reaches exactly them; None: one by one.
+        multicast: Whether everything that hears this address is in the roster, so that writes
+            other than stops may go there too.
     """
 
     members: tuple[str, ...]
     multicast_address: int | None = None
+    multicast: bool = False
+
+    @property
+    def write_address(self) -> int | None:
+        """Where one telegram may be sent that is no stop; None: one by one."""
+        return self.multicast_address if self.multicast else None
 
 
 class HttpAddress(_Model):

@@ -10,7 +10,7 @@ What must not live here: which keys there are (see `keys`).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -165,11 +165,15 @@ class NamedEntries:
     Args:
         name: What a name must look like.
         kind: What each name holds.
+        special: What a few names hold instead.
     """
 
-    def __init__(self, name: ScalarKind, kind: Kind) -> None:
+    def __init__(
+        self, name: ScalarKind, kind: Kind, *, special: Mapping[str, Kind] | None = None
+    ) -> None:
         self.name = name
         self.kind = kind
+        self.special = special or {}
         self.expects = f"a mapping from {name.expects} to {kind.expects}"
 
     def read(
@@ -182,7 +186,7 @@ class NamedEntries:
         found = []
         for text, (at, value) in node.items.items():
             self.name.read(at, "the name", mistakes)
-            read = self.kind.read(value, shown(text), mistakes)
+            read = self.special.get(text, self.kind).read(value, shown(text), mistakes)
             if read is not UNUSABLE:
                 found.append((at, read))
         return found
@@ -190,9 +194,12 @@ class NamedEntries:
     def schema(self) -> dict[str, Any]:
         """See `Kind`."""
         names = {key: value for key, value in self.name.schema().items() if key != "type"}
-        return {
+        found: dict[str, Any] = {
             "type": "object", "propertyNames": names, "additionalProperties": self.kind.schema()
         }  # fmt: skip
+        if self.special:
+            found["properties"] = {text: kind.schema() for text, kind in self.special.items()}
+        return found
 
 
 class ListOf:

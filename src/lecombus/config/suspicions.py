@@ -47,6 +47,7 @@ def find_warnings(roster: Roster) -> list[str]:
     found.extend(_adapter(roster, timing))
     found.extend(_unwatched(roster))
     found.extend(_leases(roster))
+    found.extend(_groups(roster))
     found.extend(_gathered(text for drive in roster.drives for text in _watchdog(drive)))
     found.extend(_gathered(text for drive in roster.drives for text in _writable(drive)))
     return found
@@ -225,6 +226,15 @@ def _leases(roster: Roster) -> Iterator[str]:
             f"a lease is required for {len(required)} of {counted(roster.drives)}, but this "
             "version does not enforce it: whoever reaches the API may move them"
         )
+
+
+def _groups(roster: Roster) -> Iterator[str]:
+    for name, group in roster.groups.items():
+        if group.multicast and group.multicast_address is None:
+            yield (
+                f"group {name}: multicast does nothing, because no telegram reaches exactly these "
+                "drives; give it all drives of one decade, or remove multicast"
+            )
 
 
 def _watchdog(drive: DriveEntry) -> Iterator[tuple[str, str]]:

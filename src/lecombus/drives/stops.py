@@ -40,6 +40,7 @@ __all__ = [
     "stop_confirmed",
     "stop_steps",
     "stop_value",
+    "stops_every_drive",
     "usable_word",
 ]
 
@@ -154,6 +155,17 @@ def asks_to_stop(family: Family, code: Code, value: Value) -> bool:
         if rule.code == code and rule.value is None and isinstance(number, int):
             return bool(number & (rule.set_mask | _inhibit_mask(family, code)))
     return False
+
+
+def stops_every_drive(family: Family, code: Code, value: Value) -> bool:
+    """Say whether a write stops a drive whatever that drive does: one fixed value, as C0040 = 0.
+
+    A control word does not: its other bits could lift an inhibit or change what it holds.
+    """
+    return any(
+        rule.code == code and rule.value is not None and value.means_same(rule.value)
+        for rule in family.stops.values()
+    )
 
 
 def _inhibit_mask(family: Family, code: Code) -> int:

@@ -1,9 +1,9 @@
 """Writes to the drives of a group.
 
-A group goes out as one multicast when its members are exactly the roster's drives of one decade
-or all of them (`config` decides that once, `check` shows it) and every member wants the same
-telegram; otherwise one telegram after another. A multicast has no answer, so its members are
-read back.
+A group's write goes out as one multicast when its members are exactly the roster's drives of one
+decade or all of them (`config` decides that once, `check` shows it), the roster says that no other
+drive hears it (`multicast: yes`) or it is a stop, and every member wants the same telegram;
+otherwise one telegram after another. A multicast has no answer, so its members are read back.
 
 What must not live here: HTTP, telegrams, waiting lists, the stop (`stop_operations`).
 """
@@ -16,6 +16,7 @@ from decimal import Decimal
 
 from lecombus.config import GroupEntry
 from lecombus.drives import WriteClass
+from lecombus.drives.stops import stops_every_drive
 from lecombus.errors import (
     CutReplyError,
     ExchangeError,
@@ -46,7 +47,7 @@ class GroupOperations(StopOperations):
     def groups(self) -> Sequence[GroupInfo]:
         """The groups of the roster and how each is spoken to."""
         return [
-            GroupInfo(name, tuple(entry.members), entry.multicast_address)
+            GroupInfo(name, tuple(entry.members), entry.multicast_address, entry.multicast)
             for name, entry in self._groups.items()
         ]
 
@@ -86,7 +87,7 @@ class GroupOperations(StopOperations):
             if len(known) == len(stations):
                 return group_report(group, "one-by-one", known)
             stations, wires = self._permitted_all(group, code, value)  # what became of them
-        address, form = self._group(group).multicast_address, shared_form(stations, code)
+        address, form = self._address(group, stations, code, wires), shared_form(stations, code)
         if address is None or form is None or len({wire.raw for wire in wires}) != 1:
             waits = self._submit_each(
                 stations, code, wires, there, expires_at_s, verify=bool(verify)
@@ -102,6 +103,20 @@ class GroupOperations(StopOperations):
         to = Station(group, address, stations[0].family, (form,))
         reports = await self._write_shared(to, stations, code, wires[0], expires_at_s, verify)
         return group_report(group, "multicast", reports)
+
+    def _address(
+        self, group: str, stations: Sequence[Station], code: Code, wires: Sequence[Value]
+    ) -> int | None:
+        """Give the address of one telegram for all, None where each is written to.
+
+        A drive that the roster does not have hears it too: what is no stop could start it.
+        """
+        entry = self._group(group)
+        stop = all(
+            stops_every_drive(one.family, code, wire)
+            for one, wire in zip(stations, wires, strict=True)
+        )
+        return entry.multicast_address if stop else entry.write_address
 
     def _permitted_all(
         self, group: str, code: Code, value: Decimal | int | str

@@ -111,11 +111,13 @@ class GroupInfo:
         name: Its name.
         members: Its drives.
         multicast_address: The address one telegram reaches exactly these drives at, or None.
+        multicast: Whether writes that are no stops may go there.
     """
 
     name: str
     members: tuple[str, ...]
     multicast_address: int | None
+    multicast: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -140,8 +140,15 @@ class GroupDocument(Document):
 
     group: str
     members: list[str]
-    how: Annotated[str, Field(description="multicast or one-by-one")]
+    how: Annotated[str, Field(description="How a stop is sent: multicast or one-by-one")]
     multicast_address: int | None
+    writes: Annotated[
+        str,
+        Field(
+            description="How a write that is no stop is sent: multicast only where the roster says "
+            "`multicast: yes`, else one-by-one"
+        ),
+    ]
 
 
 class GroupsDocument(Document):
