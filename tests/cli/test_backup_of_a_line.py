@@ -60,7 +60,7 @@ async def behind_http(plant: Plant, name: str = "a") -> AsyncIterator[HttpDrive]
 def settings(kind: Family) -> list[CodeInfo]:
     """What a restore puts back; what would stop the drive by itself is left as it is."""
     armed = set() if kind.watchdog is None else {kind.watchdog.action_code}
-    left = {*armed, Code(1921), Code(1420)}
+    left = {*armed, Code(1921), Code(1420), *map(Code, range(1121, 1125))}
     return [
         info for info in kind.described()
         if not_restored(kind, info.code) is None and info.code not in left

@@ -127,19 +127,21 @@ def test_a_port_that_is_in_use_is_refused(run: Run, roster: Path) -> None:
 # ---- how it ends --------------------------------------------------------------------------------
 
 
+HELD = "in quick stop, output frequency 0; whether its motor still turns it does not measure"
+
+
 def test_a_dry_run_shows_the_plan_and_writes_nothing(
     run: Run, roster: Path, line: RebaudLine
 ) -> None:
     ran = run("rebaud", "19200", "-c", str(roster), "--dry-run")
     assert ran.status == 0
     assert [one.split("\t") for one in ran.out.splitlines()] == [
-        ["feeder", "11", "8200vector", "9600 baud", "C0125 = 4", ""],
-        ["belt", "12", "smvector", "9600 baud", "C1411 = 4", ""],
+        ["feeder", "11", "8200vector", "9600 baud", "C0125 = 4", HELD, ""],
+        ["belt", "12", "smvector", "9600 baud", "C1411 = 4", HELD, ""],
     ]
-    assert (
-        json.loads(run("rebaud", "19200", "-c", str(roster), "--dry-run", "--json").out)["ending"]
-        == "planned"
-    )
+    planned = json.loads(run("rebaud", "19200", "-c", str(roster), "--dry-run", "--json").out)
+    assert planned["ending"] == "planned"
+    assert [one["motion"] for one in planned["drives"]] == [HELD, HELD]
     assert not [one for one in line.steps if isinstance(one, Write)]
 
 

@@ -64,7 +64,7 @@ C0037        | INVERTERS   | VD | rw |
 C0038        | INVERTERS   | VD | rw |
 C0039        | INVERTERS   | VD | rw |
 C0039/1..15  | 93xx        | VD | rw |
-C0050        | ALL         | VD | r  |
+C0050        | INVERTERS   | VD | r  |
 C0102/1..3   | 93xx        | VD | rw |
 C0103/1..3   | 93xx        | VD | rw |
 C0141        | 820x        | VD | rw | 0..100

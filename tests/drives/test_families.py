@@ -63,7 +63,8 @@ def test_what_moves_a_drive_is_marked_as_motion(name: str) -> None:
 @pytest.mark.parametrize("name", DESCRIBED)
 def test_default_status_set_reads_described_codes_at_a_modest_pace(name: str) -> None:
     status = dict(family(name).status)
-    assert {Code(150), Code(50), Code(68)} <= status.keys() <= family(name).codes.keys()
+    frequency = set() if name == "93xx" else {Code(50)}
+    assert {Code(150), Code(68)} | frequency <= status.keys() <= family(name).codes.keys()
     reads_per_s = sum(1 / period_s for period_s in status.values())
     assert 1 <= reads_per_s < 2
     assert family(name).feed_code == Code(150)

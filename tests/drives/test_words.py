@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lecombus.drives import FAMILY_NAMES, OperatingState, family, join_states
+from lecombus.drives import FAMILY_NAMES, OperatingState, family, german_name, join_states
 from lecombus.protocol.addressing import Code
 
 C0068, C0150 = Code(68), Code(150)
@@ -16,16 +16,17 @@ DESCRIBED = [name for name in FAMILY_NAMES if name != "generic"]
 # Bit 0 first; `-` stands for a bit without a name (reserved, free, or part of a number).
 TABLES = {
     (SLIP, C0150): "parameter_set_2 pulse_inhibit current_limit setpoint_reached ramp_done qmin "
-    "zero_frequency controller_inhibit - - - - overtemperature_warning dc_bus_overvoltage "
+    "output_frequency_0 controller_inhibit - - - - overtemperature_warning dc_bus_overvoltage "
     "direction_ccw ready",
-    (("820x",), C0150): "- pulse_inhibit current_limit - setpoint_reached qmin zero_frequency "
+    (("820x",), C0150): "- pulse_inhibit current_limit - setpoint_reached qmin output_frequency_0 "
     "controller_inhibit - - - - overtemperature_warning dc_bus_overvoltage direction_ccw ready",
-    (("8200vector",), C0150): "- pulse_inhibit - - - - zero_frequency controller_inhibit - - - - "
-    "warning message - -",
-    (("93xx",), C0150): "- pulse_inhibit - - - - zero_speed controller_inhibit - - - - "
-    "warning message - -",
+    (
+        ("8200vector",),
+        C0150,
+    ): "- pulse_inhibit - - - - output_frequency_0 controller_inhibit - - - - warning message - -",
+    (("93xx",), C0150): "- pulse_inhibit - - - - - controller_inhibit - - - - warning message - -",
     (("smvector",), C0150): "- power_stage_bit1 current_limit - setpoint_reached "
-    "above_threshold_c17 zero_frequency controller_inhibit - - - - overtemperature_fault "
+    "above_threshold_c17 output_frequency_0 controller_inhibit - - - - overtemperature_fault "
     "dc_bus_overvoltage direction_ccw ready",
     (("820x", *SLIP), C0068): "- - - - - - - - controller_enabled qmin direction_ccw "
     "pulses_enabled quick_stop current_limit setpoint_reached fault",
@@ -145,7 +146,7 @@ def test_any_word_is_taken_apart_without_complaint(word: int, name: str) -> None
 SHOWN = [
     ("820x", None, 0x8000, "ready"),
     ("820x", None, 0x0186, "inhibited pulses_inhibited current_limit fault"),
-    ("820x", None, 0xD071, "ready at_setpoint zero_speed below_threshold direction_ccw warning"),
+    ("820x", None, 0xD071, "ready at_setpoint output_frequency_0 below_threshold direction_ccw warning"),
     ("820x", None, 0x2000, "overvoltage"),
     ("821x", None, 0x8608, "ready enabled at_setpoint"),
     ("821x", None, 0x0000, "initialising"),
@@ -156,15 +157,20 @@ SHOWN = [
     ("821x", None, 0x2702, "pulses_inhibited overvoltage message"),
     ("821x", None, 0x0882, "inhibited pulses_inhibited fault"),
     ("8200vector", None, 0xC63D, "enabled"),
-    ("8200vector", None, 0x3742, "pulses_inhibited zero_speed warning message"),
+    ("8200vector", None, 0x3742, "pulses_inhibited output_frequency_0 warning message"),
     ("8200vector", None, 0x0982, "inhibited pulses_inhibited power_off"),
-    ("93xx", None, 0xC63D, "enabled"),
+    ("93xx", None, 0xC67D, "enabled"),
+    ("93xx", 1001, 0x0040, "initialising zero_speed"),
+    ("93xx", 4001, 0x0040, "initialising zero_speed"),
+    ("93xx", 5001, 0x0040, "initialising zero_speed"),
+    ("93xx", 6001, 0x0048, "initialising zero_speed"),
+    ("93xx", 7001, 0x0048, "initialising zero_speed"),
     ("93xx", 1001, 0x8635, "ready enabled ramp_done below_threshold current_limit"),
     ("93xx", 4001, 0x8635, "ready enabled ramp_done below_threshold current_limit"),
     ("93xx", 5001, 0x862C, "ready enabled torque_limit homing homed"),
     ("93xx", 6001, 0x862C, "ready enabled homing homed"),
     ("93xx", 7001, 0x8600, "ready enabled torque_limit"),
-    ("smvector", None, 0x8076, "ready at_setpoint zero_speed above_threshold current_limit"),
+    ("smvector", None, 0x8076, "ready at_setpoint output_frequency_0 above_threshold current_limit"),
     ("smvector", None, 0x3182, "inhibited overvoltage fault"),
 ]  # fmt: skip
 
@@ -198,7 +204,7 @@ def test_the_operating_status_adds_what_the_status_word_does_not_say(
     ("name", "configuration", "free"),
     [
         ("8200vector", None, (0, 2, 3, 4, 5, 14, 15)),
-        ("93xx", None, (0, 2, 3, 4, 5, 14, 15)),
+        ("93xx", None, (0, 2, 3, 4, 5, 6, 14, 15)),
         ("93xx", 1001, (3, 14)),
         ("93xx", 7001, (14,)),
         ("821x", None, ()),
@@ -209,6 +215,19 @@ def test_free_bits_stay_free(name: str, configuration: int | None, free: tuple[i
     assert info.free == free
     named = {mask for _, mask in info.bits}
     assert not named & {1 << bit for bit in free}
+
+
+@pytest.mark.parametrize("name", DESCRIBED)
+def test_an_output_frequency_of_0_is_never_called_standstill(name: str) -> None:
+    """Bit 6 of C0150: a speed is measured by a 93XX alone, and only in a known configuration."""
+    drive = family(name)
+    states = {state for word in drive.words.values() for state in word.shown_states(0x0040)}
+    assert OperatingState.ZERO_SPEED not in states
+    assert (OperatingState.OUTPUT_FREQUENCY_0 in states) == (name != "93xx")
+    english, german = "output_frequency_0", "Ausgangsfrequenz 0"
+    assert (english in drive.status_bits(C0150, 0)) == (name != "93xx")
+    assert german_name(english) == german
+    assert german_name("zero_speed") == "Istdrehzahl 0"
 
 
 def test_words_that_contradict_each_other_are_not_both_believed() -> None:

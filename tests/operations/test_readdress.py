@@ -180,8 +180,12 @@ def test_a_drive_that_turns_is_left_where_it_is() -> None:
         await write("a", Code(40), 1)
         await write("a", Code(46), 20)
         assert (await refused(plant, 35)).kind == "not-stopped"
+        await anyio.sleep(3.0)
         await plant.site.operations.stop(StopAction.INHIBIT, "a")
-        assert (await change(plant, 35)).outcome is Outcome.VERIFIED
+        report = await change(plant, 35)
+        assert report.outcome is Outcome.VERIFIED
+        assert plant.line["a"].model.motor.speed != 0.0
+        assert "whether its motor still turns it does not measure" in report.reason
 
     with_plant(test, ROSTER)
 

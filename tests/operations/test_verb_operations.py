@@ -71,6 +71,8 @@ def test_a_tripped_drive_is_reset_enabled_and_brought_to_speed_with_verbs_only(k
         assert speed.outcome is Outcome.VERIFIED
         assert speed.reading is not None
         assert drive.motor.output == 0.0
+        rest = "zero_speed" if kind == "93xx" else "output_frequency_0"
+        assert rest in speed.states
         enable = await do(plant, Verb.ENABLE)
         assert enable.outcome is Outcome.VERIFIED
         assert not {"inhibited", "quick_stop", "fault"} & set(enable.states)

@@ -84,9 +84,9 @@ def test_a_drive_that_turns_is_not_given_a_reason(drive: str) -> None:
         await run_motor(plant, drive)
         report = await plant.site.operations.why(drive, fresh=True)
         assert [one.name for one in report.findings if one.weight is Weight.REASON] == []
-        assert report.answer.en.startswith(
-            "nothing that is known keeps it from turning; its output"
-        )
+        # A 93XX has no output frequency that its manual names.
+        output = "" if drive == "servo" else "; its output (C0050) reads"
+        assert report.answer.en.startswith(f"nothing that is known keeps it from turning{output}")
         assert report.history == ()
         assert report.history_known
 

@@ -7,6 +7,7 @@ import pytest
 from lecombus.protocol.addressing import Code, Form
 from lecombus.rebaud import Place, Subject, Write
 from lecombus.simulator import SimDrive
+from lecombus.simulator.motor import Motor
 from support.rebauding import RebaudLine, subject_of
 
 FAMILIES = ("820x", "821x", "822x", "824x", "8200vector", "93xx", "smvector")
@@ -23,6 +24,18 @@ def standing(*families: str, **more: object) -> RebaudLine:
     return line
 
 
+def turning(family: str, monkeypatch: pytest.MonkeyPatch) -> RebaudLine:
+    """One drive whose motor turns, and would coast for long."""
+    monkeypatch.setattr(Motor, "COAST_S", 60.0)
+    line = standing(family)
+    host, address = line.scanned.host, line[family].address
+    setpoint = {"93xx": (141, "50"), "smvector": (1061, "30")}.get(family, (46, "50"))
+    for code, text in (setpoint, (135, "H0000"), (40, "1")):
+        assert host.write(address, code, text) == "ACK"
+    host.wait(20.0)
+    return line
+
+
 def test_drives_of_all_families_that_stand_pass_and_nothing_is_written() -> None:
     line = standing(*FAMILIES).check()
     assert line.work.obstacles == []
@@ -33,7 +46,8 @@ def test_drives_of_all_families_that_stand_pass_and_nothing_is_written() -> None
 def test_every_obstacle_of_every_drive_is_named_at_once() -> None:
     line = standing("822x", "93xx", "smvector", "8200vector")
     line["822x"].present = False
-    line.scanned.host.write(line["93xx"].address, 40, "1")
+    for code, text in ((40, "1"), (135, "H0000")):
+        line.scanned.host.write(line["93xx"].address, code, text)
     line["smvector"].model.params.set(1420, "0")
     line.check()
     assert {one.drive: one.kind for one in line.work.obstacles} == {
@@ -47,25 +61,71 @@ def test_every_obstacle_of_every_drive_is_named_at_once() -> None:
 
 
 @pytest.mark.parametrize("family", ["821x", "8200vector", "smvector"])
-def test_quick_stop_at_zero_speed_is_enough(family: str) -> None:
+def test_quick_stop_at_a_frequency_of_0_is_enough(family: str) -> None:
     line = standing(family)
     host, address = line.scanned.host, line[family].address
     host.write(address, 40, "1")
     host.write(address, 135, "H0008")
     line.check()
     assert (line.kinds, line.places) == ([], {family: Place.OLD})
+    said = "in quick stop, output frequency 0; whether its motor still turns it does not measure"
+    assert line.work.drives[0].motion == said
 
 
-def test_quick_stop_is_not_enough_while_it_still_turns() -> None:
-    line = standing("8200vector")
-    host, address = line.scanned.host, line["8200vector"].address
-    for code, text in ((46, "50"), (135, "H0000"), (40, "1")):
-        assert host.write(address, code, text) == "ACK"
-    host.wait(4.0)
-    host.write(address, 135, "H0008")
+@pytest.mark.parametrize("family", [one for one in FAMILIES if one != "93xx"])
+def test_a_coasting_inverter_passes_and_is_not_called_standing(
+    family: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    line = turning(family, monkeypatch)
+    host, address = line.scanned.host, line[family].address
+    host.write(address, 40, "0")
+    line.check()
+    assert line[family].model.motor.speed != 0.0
+    assert line.kinds == []
+    assert line.work.drives[0].motion == (
+        "inhibited; whether its motor still turns it does not measure"
+    )
+
+
+def test_a_93xx_measures_its_speed_and_must_have_come_to_rest(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    line = turning("93xx", monkeypatch)
+    host, address = line.scanned.host, line["93xx"].address
+    host.write(address, 40, "0")
     line.check()
     assert line.kinds == ["not-stopped"]
-    assert "does not stand yet" in line.work.obstacles[0].problem
+    obstacle = line.work.obstacles[0]
+    assert "is inhibited, but still turns" in obstacle.problem
+    assert obstacle.remedy == "wait until its motor has come to rest, then try again"
+    host.wait(60.0)
+    line.work.obstacles.clear()
+    line.check()
+    assert line.kinds == []
+    assert line.work.drives[0].motion == "inhibited; it measures a speed of 0"
+
+
+@pytest.mark.parametrize(("configuration", "kinds"), [("1001", []), ("2001", ["not-stopped"])])
+def test_a_93xx_in_quick_stop_passes_where_its_configuration_tells_its_speed(
+    configuration: str, kinds: list[str]
+) -> None:
+    line = standing("93xx")
+    host, address = line.scanned.host, line["93xx"].address
+    line["93xx"].model.preset(5, configuration)
+    for code, text in ((40, "1"), (135, "H0008")):
+        assert host.write(address, code, text) == "ACK"
+    line.check()
+    assert line.kinds == kinds
+    if kinds:
+        assert "is neither inhibited nor in quick stop" in line.work.obstacles[0].problem
+
+
+def test_quick_stop_is_not_enough_while_it_still_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+    line = turning("8200vector", monkeypatch)
+    line.scanned.host.write(line["8200vector"].address, 135, "H0008")
+    line.check()
+    assert line.kinds == ["not-stopped"]
+    assert "its output frequency (C0050) is not 0 yet" in line.work.obstacles[0].problem
 
 
 def test_an_820x_must_be_inhibited_to_store_it() -> None:

@@ -95,7 +95,7 @@ STATUS_BY_KIND: Final[Mapping[str, tuple[int, str]]] = {
     "busy": (409, "Another verb is under way"),
     "other-identity": (409, "Another drive than it should be"),
     "address-taken": (409, "Address in use"),
-    "not-stopped": (409, "The drive does not stand still"),
+    "not-stopped": (409, "The drive is not stopped"),
     "no-control-word": (409, "Control word not known"),
     "too-big": (413, "Body too big"),
     "foreign-host": (421, "Wrong host"),

@@ -53,5 +53,11 @@ def _ask(known: Document, address: int, *, may_ask: bool) -> None:
         )
     told = ", ".join(f"{code} {text}" for code, text in dict(known.get("identity") or {}).items())
     click.echo(f"{drive} at address {old} ({known.get('family')}), which is {told or 'unknown'}")
+    states = known.get("states")
+    if states is not None:
+        named = ", ".join(state.replace("_", " ") for state in states)
+        click.echo(f"its status words show: {named or 'nothing of note'}")
+    if "zero_speed" not in (states or ()):
+        click.echo("it does not say that its motor has come to rest: look at the machine")
     if not click.confirm(f"Give it address {address}?"):
         raise CommandError(Exit.FAILED, Problem("nothing was changed"))

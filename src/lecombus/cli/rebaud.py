@@ -59,7 +59,7 @@ class Wish:
 @click.option("--back", is_flag=True,
               help="If a drive does not come over, bring the others back unasked.")  # fmt: skip
 @click.option("--generic-c0125", "generic", is_flag=True,
-              help="Generic drives stand still, and their C0125 is like a 2102's.")  # fmt: skip
+              help="Generic drives are stopped, and their C0125 is like a 2102's.")  # fmt: skip
 @json_option
 def command(
     rate: str,
@@ -74,8 +74,9 @@ def command(
     """Give every drive of ROSTER the baud rate NEW: 1200, 2400, 4800, 9600 or 19200.
 
     The daemon must be stopped: all drives share one rate, and nobody feeds watchdogs meanwhile.
-    First every drive is asked: it must answer, be the one it should be, and stand still, not
-    enabled. Nothing is written before all have passed. Then drive by drive is written to, found
+    First every drive is asked: it must answer, be the one it should be, and be inhibited or in
+    quick stop at a frequency of 0; what it says of its motion is shown. An inverter does not measure
+    whether its motor has come to rest: look at the machine. Nothing is written before all have passed. Then drive by drive is written to, found
     again at NEW and confirmed. If one does not come over, those that did can be brought back.
 
     An attempt that was interrupted is run again: drives that are at NEW already are left there. The
@@ -83,7 +84,7 @@ def command(
 
     With --json: {"line", "from", "to", "ending": "planned" | "moved" | "unchanged" | "mixed",
     "interrupted", "trouble", "drives": [{"drive", "address", "family", "place", "baud", "shows",
-    "why", "watchdog"}], "remedies"}. Exit status 0: every drive is at NEW, and keeps it.
+    "why", "motion", "watchdog"}], "remedies"}. Exit status 0: every drive is at NEW, and keeps it.
     """
     read = load_roster(roster)
     new, old = int(rate), int(origin) if origin else read.line.baud
@@ -136,7 +137,7 @@ def _check_words(roster: Roster, old: int, new: int, *, generic: bool) -> None:
     if unknown and not generic:
         problem = f"of {', '.join(unknown)} (generic) nobody knows how the baud rate is set"
         remedy = "with --generic-c0125, if C0125 has a 2102's numbers there (0: 9600 .. 4: 19200)"
-        raise CommandError(Exit.USAGE, Problem(f"{problem}, or whether it stands", remedy))
+        raise CommandError(Exit.USAGE, Problem(f"{problem}, or whether it turns", remedy))
 
 
 def _check_held(roster: Roster, baud: int) -> None:

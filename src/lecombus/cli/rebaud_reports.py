@@ -21,10 +21,10 @@ def show_plan(work: Rebaud, roster: Roster, *, as_json: bool) -> None:
         return
     rows = [
         (one.name, str(one.subject.address), one.subject.family.name, _now(one), _step(one, work),
-         one.note)
+         one.motion, one.note)
         for one in work.drives
     ]  # fmt: skip
-    show_rows(("drive", "address", "family", "now", "write", "watchdog"), rows)
+    show_rows(("drive", "address", "family", "now", "write", "motion", "watchdog"), rows)
     if on_terminal():
         click.echo(
             "A drive that is on this line and not in the roster stays where it is, out of reach."
@@ -90,5 +90,6 @@ def _as_json(drive: Drive, work: Rebaud) -> dict[str, object]:
         "baud": drive.rate,
         "shows": situation(drive, work),
         "why": drive.why or None,
+        "motion": drive.motion or None,
         "watchdog": drive.note or None,
     }

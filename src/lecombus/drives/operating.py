@@ -4,7 +4,8 @@ Strategy: a rule is a mask and a number (`StateRule`, from the family's data fil
 a word's states is one short loop. A state has a rule only where the manual gives the bit that one
 meaning: bits that users assign have none, and neither have bits whose meaning two manuals
 contradict (the "power stage energized" bits of SMVector). Nothing is concluded from the absence
-of a state: "not inhibited" does not mean that the motor turns, and no state says that it stands.
+of a state: "not inhibited" does not mean that the motor turns. An output frequency of 0 does not
+mean that it stands: only a drive that measures its speed says that.
 """
 
 from __future__ import annotations
@@ -35,8 +36,10 @@ class OperatingState(StrEnum):
     AT_SETPOINT = "at_setpoint"
     RAMP_DONE = "ramp_done"
     """The ramp generator's output has reached its input."""
+    OUTPUT_FREQUENCY_0 = "output_frequency_0"
+    """An inverter puts out a frequency of 0: its motor may still coast."""
     ZERO_SPEED = "zero_speed"
-    """The actual frequency or speed is reported as 0: not that the shaft stands still."""
+    """The drive measures an actual speed of 0; only a 93XX does."""
     BELOW_THRESHOLD = "below_threshold"
     ABOVE_THRESHOLD = "above_threshold"
     CURRENT_LIMIT = "current_limit"

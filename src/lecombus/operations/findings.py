@@ -312,7 +312,9 @@ def raw(value: Value | None) -> str:
     return "nothing" if value is None else value.raw
 
 
-def answer_of(findings: list[Finding], output: Reading | None) -> Text:
+def answer_of(
+    findings: list[Finding], output: Reading | None, states: tuple[OperatingState, ...]
+) -> Text:
     """Say in one sentence what it is, or that nothing known keeps it from turning."""
     for finding in findings:
         if finding.weight is Weight.REASON:
@@ -324,6 +326,10 @@ def answer_of(findings: list[Finding], output: Reading | None) -> Text:
     reads = ""
     if output is not None and output.value is not None and output.quality is Quality.GOOD:
         reads = f"{output.value.raw}{f' {output.unit}' if output.unit else ''}"
+    if not reads and OperatingState.ZERO_SPEED in states:
+        return Text(
+            f"{NOTHING.en}; it measures a speed of 0", f"{NOTHING.de}; er misst die Drehzahl 0"
+        )
     if not reads:
         return NOTHING
     return Text(

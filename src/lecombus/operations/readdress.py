@@ -5,7 +5,7 @@ says that it went well but the drive itself, found again. So this is done in ste
 can still end well:
 
 1. *before*: the roster allows it, the address is one and nobody's, the drive is online, the one it
-   should be, and stands still; the new address is silent when it is asked. Nothing was changed yet.
+   should be, and is stopped, as far as it can say; the new address is silent when it is asked. Nothing was changed yet.
 2. *the write*, once, never repeated blindly.
 3. *after*: the new address is asked for its own address and identity. Found: the line follows at
    once, a drive that must be told to save is told, and a remark stands until the roster says the
@@ -34,7 +34,7 @@ from lecombus.config import DriveEntry
 from lecombus.drives import address_code
 from lecombus.drives.identity import text_of
 from lecombus.drives.restoring import saving_rule
-from lecombus.drives.standing import standing
+from lecombus.drives.standstill import Standstill, ask_standstill
 from lecombus.errors import ExchangeError, NoReplyError, OperationError
 from lecombus.line.station import Station
 from lecombus.operations.identities import Identities
@@ -130,13 +130,13 @@ class Readdress:
 
         Raises:
             OperationError: It may not be done now; nothing was sent that changes anything.
-            ExchangeError: The drive could not be asked whether it stands; nothing was changed.
+            ExchangeError: The drive could not be asked whether it is stopped; nothing was changed.
             LineError: There is no line.
         """
         async with self._one_at_a_time:
             station = self._requests.station(drive)
             self._check(drive, station, address)
-            await self._see_that_it_stands(station)
+            held = await self._see_that_it_is_stopped(station)
             async with self._at(station, address) as there:
                 await self._see_silence(drive, there)
                 self._check(drive, station, address)
@@ -151,7 +151,7 @@ class Readdress:
                     return WriteReport(drive, code, outcome, reason, kind="nak")
                 found = await self._find(drive, there, address)
             if found:
-                report = self._moved(drive, station, address)
+                report = self._moved(drive, station, address, held)
                 return await self._save(drive, report)
             return await self._look_back(drive, station, address)
 
@@ -182,26 +182,27 @@ class Readdress:
             text = f"{drive} is {info.state.value}: {info.reason}"
             raise refuse(text, "starting", "it is done with a drive that is online")
 
-    async def _see_that_it_stands(self, station: Station) -> None:
-        """A drive that turns must be reachable all the time."""
+    async def _see_that_it_is_stopped(self, station: Station) -> str:
+        """A drive that turns must be reachable all the time; gives what it says of its motion."""
         code = address_code(station.family)
-        asking = standing(station.family, code, "its address")
-        why = ""
+        asking = ask_standstill(station.family, code, "its address")
         try:
             asked = next(asking)
             while True:
                 asked = asking.send(await self._read(station, asked))
         except StopIteration as end:
-            why = str(end.value)
-        if why:
-            raise OperationError(
-                f"{station.name} {why}",
-                kind="not-stopped",
-                drive=station.name,
-                code=str(code),
-                remedy=f"`lecombus inhibit {station.name}` first: while its address changes it "
-                "cannot be stopped over the line",
-            )
+            found: Standstill = end.value
+        if not found.obstacle:
+            return found.known
+        remedy = f"`lecombus inhibit {station.name}` first: while its address changes it cannot be "
+        remedy += "stopped over the line"
+        raise OperationError(
+            f"{station.name} {found.obstacle}",
+            kind="not-stopped",
+            drive=station.name,
+            code=str(code),
+            remedy="wait until its motor has come to rest" if found.inhibited else remedy,
+        )
 
     async def _see_silence(self, drive: str, there: Station) -> None:
         """Any answer at the new address, also a damaged one, is another device."""
@@ -239,7 +240,7 @@ class Readdress:
                 return False
         return True
 
-    def _moved(self, drive: str, station: Station, address: int) -> WriteReport:
+    def _moved(self, drive: str, station: Station, address: int, held: str) -> WriteReport:
         self._remember(drive, Moved(address, rfc3339(self._wall()), confirmed=True))
         logger.warning("drive=%s event=readdressed from=%d to=%d", drive, station.address, address)
         self._following = True
@@ -248,7 +249,7 @@ class Readdress:
         finally:
             self._following = False
         home = self._homes[drive]
-        text = f"it answers at address {address} now, and is the same drive"
+        text = f"it answers at address {address} now, and is the same drive (before: {held})"
         remedy = (
             f"write `address: {address}` for {drive} into the roster, then reload: until "
             f"then lecombus speaks to {address}, after a restart to {home} again"

@@ -209,8 +209,10 @@ class StepOperations(GroupOperations):
 
     async def _states(self, station: Station) -> tuple[OperatingState, ...]:
         """Name what the drive shows now; nothing where it cannot be read."""
+        family = station.family
+        codes = (*filter(None, (family.configured_by,)), *words_of(station), *family.words)
         with contextlib.suppress(*TROUBLE):
-            return states(await self._learn(station, (*words_of(station), *station.family.words)))
+            return states(await self._learn(station, tuple(dict.fromkeys(codes))))
         return ()
 
     def _stopped_meanwhile(self, run: Run) -> bool:

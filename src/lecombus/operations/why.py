@@ -106,7 +106,13 @@ class Why:
         history, is_known = self._history(drive, family)
         output = self._store.reading(drive, OUTPUT) if family.words else None
         return WhyReport(
-            info, answer_of(findings, output), tuple(findings), states, output, history, is_known
+            info,
+            answer_of(findings, output, states),
+            tuple(findings),
+            states,
+            output,
+            history,
+            is_known,
         )
 
     # -- what is asked -----------------------------------------------------------------------------

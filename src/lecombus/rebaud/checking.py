@@ -2,8 +2,9 @@
 
 Strategy: every drive is asked, and every obstacle is named, before anything is decided. A drive
 must answer at the old rate, or at the new one if an earlier attempt left it there; hold the rate it
-answers at; be the one that it should be; stand still, because nobody can stop it over the line
-while the rates differ; and let itself be written to. Its watchdog will act: what that does is said.
+answers at; be the one that it should be; be stopped, because nobody can stop it over the line while
+the rates differ; and let itself be written to. What it says of its motion is said, and what its
+watchdog will do.
 
 Must not live here: writing anything.
 Source: EDB2102EN 6.1.3, 6.3, 6.4 (820X saves only while inhibited), 8.2; CMVLC401A preface, 4.2.
@@ -17,13 +18,13 @@ from decimal import Decimal
 
 from lecombus.drives import Family
 from lecombus.drives.identity import is_identity, text_of
-from lecombus.drives.standing import standing
+from lecombus.drives.standstill import Standstill, ask_standstill
 from lecombus.durations import format_duration
 from lecombus.protocol.addressing import Code, Form
 from lecombus.rebaud.drives import Drive, Place
 from lecombus.rebaud.talk import Came, Steps, Talk
 
-__all__ = ["Obstacle", "check", "is_same_drive", "stands"]
+__all__ = ["Obstacle", "check", "is_same_drive", "standstill"]
 
 NETWORK_LEVEL = Code(1420)
 REDIRECTING = (Code(248), Code(249))
@@ -95,7 +96,7 @@ def _check_one(talk: Talk, drive: Drive, rate: int, number: int) -> Steps[list[O
         return [Obstacle(drive.name, problem, remedy, "wrong-rate")]
     drive.be(Place.UNSEEN, rate)
     found: list[Obstacle] = []
-    for step in (_identity, _addressing, _software, _permission, _standing):
+    for step in (_identity, _addressing, _software, _permission, _stopped):
         found += yield from step(talk, drive, rate)
     yield from _watchdog(talk, drive, rate)
     return found
@@ -182,27 +183,31 @@ def _permission(talk: Talk, drive: Drive, rate: int) -> Steps[list[Obstacle]]:
     return [Obstacle(drive.name, problem, "set P420 to 1 or more at its keypad", "locked")]
 
 
-# ---- whether it stands --------------------------------------------------------------------------
+# ---- whether it is stopped ----------------------------------------------------------------------
 
 
-def _standing(talk: Talk, drive: Drive, rate: int) -> Steps[list[Obstacle]]:
-    why = yield from stands(talk, drive, rate)
-    if not why:
+def _stopped(talk: Talk, drive: Drive, rate: int) -> Steps[list[Obstacle]]:
+    found = yield from standstill(talk, drive, rate)
+    drive.motion = found.known
+    if not found.obstacle:
         return []
     remedy = f"stop it first: `lecombus inhibit {drive.name}`, then end the daemon and try again"
-    return [Obstacle(drive.name, f"{drive.name} {why}", remedy, "not-stopped")]
+    if found.inhibited:
+        remedy = "wait until its motor has come to rest, then try again"
+    return [Obstacle(drive.name, f"{drive.name} {found.obstacle}", remedy, "not-stopped")]
 
 
-def stands(talk: Talk, drive: Drive, rate: int) -> Steps[str]:
-    """Ask whether a drive stands and is not enabled; gives why not, empty when it does."""
-    asking = standing(drive.subject.family, drive.subject.code, "its baud rate")
+def standstill(talk: Talk, drive: Drive, rate: int) -> Steps[Standstill]:
+    """Ask a drive what it says of its motion."""
+    asking = ask_standstill(drive.subject.family, drive.subject.code, "its baud rate")
     try:
         code = next(asking)
         while True:
             said = yield from talk.read(drive, rate, code)
             code = asking.send(said.value)
     except StopIteration as end:
-        return str(end.value)
+        found: Standstill = end.value
+        return found
 
 
 def _watchdog(talk: Talk, drive: Drive, rate: int) -> Steps[None]:
@@ -216,7 +221,9 @@ def _watchdog(talk: Talk, drive: Drive, rate: int) -> Steps[None]:
     number = action.value.number if action.value is not None else None
     word = words.get(int(number)) if isinstance(number, (int, Decimal)) else None
     if time.value is None or word is None:
-        drive.note = "its watchdog could not be read: if it is set, it will act; it stands anyway"
+        drive.note = (
+            "its watchdog could not be read: if it is set, it will act; it is stopped anyway"
+        )
     elif word != "none" and time.value.number:
         drive.note = _acting(drive.subject.family, word, time.value.number)
 
@@ -225,5 +232,5 @@ def _acting(family: Family, word: str, time_ms: object) -> str:
     after = format_duration(int(str(time_ms)) / 1000.0)
     told = f"its watchdog will act ({word} after {after})"
     if word == "trip":
-        return f"{told}: it stands anyway, and shows a fault until `lecombus reset-fault`"
-    return f"{told}: it stands anyway"
+        return f"{told}: it is stopped anyway, and shows a fault until `lecombus reset-fault`"
+    return f"{told}: it is stopped anyway"

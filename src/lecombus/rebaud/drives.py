@@ -80,6 +80,7 @@ class Drive:
         rate: The baud rate at which it was last seen, bit/s; None: nowhere.
         why: What went wrong with it; empty where nothing did.
         identity: What it said of itself when it was checked.
+        motion: What it says of its motion; empty: it was not asked.
         note: What its watchdog will do; empty: nothing.
         writes: How often a rate was written to it on the present way.
         saved: Whether the rate it has outlives switching off, for a drive that has to be told so;
@@ -91,6 +92,7 @@ class Drive:
     rate: int | None = None
     why: str = ""
     identity: Mapping[Code, Value] = field(default_factory=dict)
+    motion: str = ""
     note: str = ""
     writes: int = 0
     saved: bool | None = None

@@ -3,7 +3,7 @@
 Theory of operation. A drive may send the very acknowledgement at its new rate, so one that is
 missing says nothing (EDB2102EN 5), and one that came does not prove anything either. So
 
-1. each drive is asked once more whether it stands, and is written to, once. If no acknowledgement
+1. each drive is asked once more whether it is stopped, and is written to, once. If no acknowledgement
    comes, it is looked for at both rates, the old one first, before anything else is said to it;
    only a drive that still holds the old rate is written to again, and only once (`WRITES`);
 2. those that acknowledged are looked for at the new rate, and at the old one where they are not
@@ -25,7 +25,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from lecombus.drives import saving_rule
-from lecombus.rebaud.checking import Obstacle, check, is_same_drive, stands
+from lecombus.rebaud.checking import Obstacle, check, is_same_drive, standstill
 from lecombus.rebaud.drives import Drive, Place, Subject
 from lecombus.rebaud.talk import Came, InterruptedTalkError, Steps, Talk
 
@@ -101,9 +101,9 @@ class Rebaud:
         for drive in self.drives:
             if drive.place is not Place.OLD:
                 continue
-            why = yield from stands(self.talk, drive, self.old)
-            if why:
-                drive.why = f"nothing was written to it: it {why}"
+            found = yield from standstill(self.talk, drive, self.old)
+            if found.obstacle:
+                drive.why = f"nothing was written to it: it {found.obstacle}"
                 return
             yield from self._carry(drive, self.old, self.new)
             if drive.place not in (Place.WRITTEN, Place.NEW):

@@ -1,0 +1,126 @@
+"""What is known of a drive's motion, and whether it would store what is written to it.
+
+While the address or baud rate of a drive changes, it cannot be stopped over the line. So it must be
+inhibited or in quick stop first. An 820X stores a parameter only while it is inhibited: in quick
+stop it acknowledges, and forgets with its supply.
+
+Standstill is measured by a 93XX only (C0150 bit 6, n = 0, where its signal configuration is
+known). An inverter knows its output frequency: that is 0 at once after an inhibit, while the motor
+coasts. So what is known is said in words, and nothing is called standing that may still turn.
+
+Strategy: a generator that asks for codes and is sent what they read, so that a daemon and a command
+on a port of its own share it.
+
+What must not live here: how codes are read; what is written.
+Source: EDB2102EN 6.4 (820X saves only while inhibited), 8.2 (C0150 bit 6); CMVLC401A table 9.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass
+from typing import Final
+
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+
+from .family import Family
+from .operating import OperatingState
+from .stops import StopAction, confirm_codes, knows_stop, stop_confirmed
+
+__all__ = ["Asking", "Standstill", "ask_standstill"]
+
+OUTPUT_FREQUENCY: Final = Code(50)
+STATUS_WORD: Final = Code(150)
+
+NOT_MEASURED: Final = "whether its motor still turns it does not measure"
+
+
+@dataclass(frozen=True, slots=True)
+class Standstill:
+    """What is known of a drive before it is moved elsewhere.
+
+    Args:
+        obstacle: Why it may not be moved, to stand behind its name; empty: it may.
+        known: What is known of its motion, such as `inhibited; it measures a speed of 0`.
+        inhibited: It is inhibited already: no stop would change anything.
+    """
+
+    obstacle: str
+    known: str
+    inhibited: bool = False
+
+
+Asking = Generator[Code, Value | None, Standstill]
+"""Yields codes to be read, is sent what they read (None: nothing), returns what is known."""
+
+
+def ask_standstill(family: Family, code: Code, what: str) -> Asking:
+    """Ask a drive what it says of its motion, and whether it would store a code.
+
+    Of a device that is not described nothing is known.
+
+    Args:
+        family: The drive's family.
+        code: What shall be written.
+        what: The same in words, such as `its address`.
+    """
+    if not family.stops:
+        return Standstill("", "its codes are not known, nor its motion")
+    family = yield from _configured(family)
+    inhibited = yield from _shows(family, StopAction.INHIBIT)
+    if not inhibited:
+        info = family.info(code)
+        if info is not None and info.needs_inhibit:
+            return Standstill(f"is not inhibited, so it would not store {what}", "")
+        if not (yield from _shows(family, StopAction.QUICK_STOP)):
+            return Standstill("is neither inhibited nor in quick stop", "")
+    held = "inhibited" if inhibited else "in quick stop"
+    at_rest = yield from _measured(family)
+    if at_rest is not None:
+        if not at_rest:
+            return Standstill(f"is {held}, but still turns (C0150 bit 6)", "", inhibited)
+        return Standstill("", f"{held}; it measures a speed of 0", inhibited)
+    if inhibited:
+        return Standstill("", f"{held}; {NOT_MEASURED}", inhibited)
+    return (yield from _after_a_ramp(family, held))
+
+
+def _after_a_ramp(family: Family, held: str) -> Asking:
+    """A quick stop leads the motor to 0 by its output frequency: it must have arrived there."""
+    if family.info(OUTPUT_FREQUENCY) is None:
+        return Standstill(f"is {held}, and does not say that it has come to rest", "")
+    frequency = yield OUTPUT_FREQUENCY
+    if frequency is None or frequency.number != 0:
+        return Standstill(f"is {held}, but its output frequency (C0050) is not 0 yet", "")
+    return Standstill("", f"{held}, output frequency 0; {NOT_MEASURED}")
+
+
+def _measured(family: Family) -> Generator[Code, Value | None, bool | None]:
+    """Whether the drive measures a speed of 0; None where it does not measure, or does not say."""
+    word = family.words[STATUS_WORD]
+    if OperatingState.ZERO_SPEED not in {rule.state for rule in word.states}:
+        return None
+    shown = yield STATUS_WORD
+    if shown is None or not isinstance(shown.number, int):
+        return None
+    return OperatingState.ZERO_SPEED in word.shown_states(shown.number)
+
+
+def _configured(family: Family) -> Generator[Code, Value | None, Family]:
+    """Give the family as the drive's signal configuration makes it, where it has one."""
+    if family.configured_by is None:
+        return family
+    value = yield family.configured_by
+    if value is None or isinstance(value.number, (str, bytes)):
+        return family
+    return family.configured(int(value.number))
+
+
+def _shows(family: Family, action: StopAction) -> Generator[Code, Value | None, bool]:
+    """Whether a drive's first proof of a stop holds now."""
+    if not knows_stop(family, action):
+        return False
+    code = confirm_codes(family, action)[0]
+    value = yield code
+    return value is not None and stop_confirmed(family, action, code, value)
