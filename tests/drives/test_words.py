@@ -146,7 +146,8 @@ def test_any_word_is_taken_apart_without_complaint(word: int, name: str) -> None
 SHOWN = [
     ("820x", None, 0x8000, "ready"),
     ("820x", None, 0x0186, "inhibited pulses_inhibited current_limit fault"),
-    ("820x", None, 0xD071, "ready at_setpoint output_frequency_0 below_threshold direction_ccw warning"),
+    ("820x", None, 0xD071, "ready at_setpoint output_frequency_0 below_threshold direction_ccw "
+     "warning"),
     ("820x", None, 0x2000, "overvoltage"),
     ("821x", None, 0x8608, "ready enabled at_setpoint"),
     ("821x", None, 0x0000, "initialising"),
@@ -170,7 +171,8 @@ SHOWN = [
     ("93xx", 5001, 0x862C, "ready enabled torque_limit homing homed"),
     ("93xx", 6001, 0x862C, "ready enabled homing homed"),
     ("93xx", 7001, 0x8600, "ready enabled torque_limit"),
-    ("smvector", None, 0x8076, "ready at_setpoint output_frequency_0 above_threshold current_limit"),
+    ("smvector", None, 0x8076, "ready at_setpoint output_frequency_0 above_threshold "
+     "current_limit"),
     ("smvector", None, 0x3182, "inhibited overvoltage fault"),
 ]  # fmt: skip
 

@@ -75,10 +75,10 @@ def command(
 
     The daemon must be stopped: all drives share one rate, and nobody feeds watchdogs meanwhile.
     First every drive is asked: it must answer, be the one it should be, and be inhibited or in
-    quick stop at a frequency of 0; what it says of its motion is shown. An inverter does not measure
-    whether its motor has come to rest: look at the machine. Nothing is written before all have
-    passed. Then drive by drive is written to, found again at NEW and confirmed. If one does not
-    come over, those that did can be brought back.
+    quick stop at a frequency of 0; what it says of its motion is shown. An inverter does not
+    measure whether its motor has come to rest: look at the machine. Nothing is written before all
+    have passed. Then drive by drive is written to, found again at NEW and confirmed. If one does
+    not come over, those that did can be brought back.
 
     An attempt that was interrupted is run again: drives that are at NEW already are left there. The
     roster is not changed; the line to write is shown.

@@ -5,7 +5,8 @@ says that it went well but the drive itself, found again. So this is done in ste
 can still end well:
 
 1. *before*: the roster allows it, the address is one and nobody's, the drive is online, the one it
-   should be, and is stopped, as far as it can say; the new address is silent when it is asked. Nothing was changed yet.
+   should be, and is stopped, as far as it can say; the new address is silent when it is asked.
+   Nothing was changed yet.
 2. *the write*, once, never repeated blindly.
 3. *after*: the new address is asked for its own address and identity. Found: the line follows at
    once, a drive that must be told to save is told, and a remark stands until the roster says the

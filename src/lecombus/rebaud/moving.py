@@ -3,9 +3,10 @@
 Theory of operation. A drive may send the very acknowledgement at its new rate, so one that is
 missing says nothing (EDB2102EN 5), and one that came does not prove anything either. So
 
-1. each drive is asked once more whether it is stopped, and is written to, once. If no acknowledgement
-   comes, it is looked for at both rates, the old one first, before anything else is said to it;
-   only a drive that still holds the old rate is written to again, and only once (`WRITES`);
+1. each drive is asked once more whether it is stopped, and is written to, once. If no
+   acknowledgement comes, it is looked for at both rates, the old one first, before anything else
+   is said to it; only a drive that still holds the old rate is written to again, and only once
+   (`WRITES`);
 2. those that acknowledged are looked for at the new rate, and at the old one where they are not
    there; one that still holds the old rate is written to again;
 3. found means: its baud code reads the rate, and it says the same of itself as before;
