@@ -16,8 +16,10 @@ from dataclasses import dataclass, replace
 
 from lecombus import __version__
 from lecombus.config import DriveEntry, Roster, line_timing, with_address
+from lecombus.config.exchanges import watched_s
 from lecombus.drives import Family, LineTiming, StopAction, family
 from lecombus.drives.measured import MeasuredTimes
+from lecombus.drives.stops import inhibit_mask, inhibit_proofs
 from lecombus.errors import ConfigError
 from lecombus.line.port import PortOpener, PortSettings
 from lecombus.line.station import Station
@@ -110,7 +112,7 @@ class Site:
         self.store = Store(clock, wall)
         self.metrics = self._make_metrics()
         self.schedule = Schedule(absent_share=line.absent_share)
-        self.words = ControlWords()
+        self.words = ControlWords(clock)
         self.state = state or State()
         self.wear = Wear(self.state, self.store, clock)
         timing = timing or line_timing(line)
@@ -258,9 +260,10 @@ class Site:
         for rule in kind.stops.values():
             if rule.value is None:
                 others = (one.code for one in kind.stops.values() if one is not rule)
-                inhibit = kind.stops.get(StopAction.INHIBIT)
-                shown_by = inhibit.proofs if inhibit is not None else {}
-                self.words.watch(entry.name, rule.code, moved_by=others, inhibited_by=shown_by)
+                self.words.watch(
+                    entry.name, rule.code, mask=inhibit_mask(kind, rule.code), moved_by=others,
+                    inhibited_by=inhibit_proofs(kind), watchdog_s=watched_s(entry),
+                )  # fmt: skip
         self._reads.take(entry, self._clock())
         self.keeper.add_drive(entry)
         if self.worker.is_open:

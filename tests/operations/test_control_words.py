@@ -12,7 +12,7 @@ WORD, INHIBIT = Code(135), Code(40)
 
 
 def known() -> ControlWords:
-    words = ControlWords()
+    words = ControlWords(lambda: 0.0)
     words.watch("a", WORD, moved_by=(INHIBIT,))
     words.seen("a", WORD, Value.parse("H0204"))
     return words
@@ -33,7 +33,7 @@ def test_other_codes_and_drives_without_a_word_say_nothing() -> None:
 
 
 def test_a_value_that_is_no_word_is_no_word() -> None:
-    words = ControlWords()
+    words = ControlWords(lambda: 0.0)
     words.watch("a", WORD)
     words.seen("a", WORD, Value.parse("Stext"))
     assert words.get("a") is None
@@ -41,7 +41,7 @@ def test_a_value_that_is_no_word_is_no_word() -> None:
 
 def test_a_write_makes_the_word_uncertain_until_it_is_acknowledged_or_read() -> None:
     words = known()
-    words.disturbed("a", WORD)
+    words.written("a", WORD, Value.parse("H0000"), heard=False)
     assert words.get("a") is None
     words.seen("a", WORD, Value.parse("H0008"))
     assert words.get("a") == 8
@@ -49,9 +49,9 @@ def test_a_write_makes_the_word_uncertain_until_it_is_acknowledged_or_read() -> 
 
 def test_a_write_to_a_code_that_moves_the_word_makes_it_uncertain() -> None:
     words = known()
-    words.disturbed("a", Code(46))
+    words.written("a", Code(46), Value.parse("1"), heard=False)
     assert words.get("a") == 0x0204
-    words.disturbed("a", INHIBIT)
+    words.written("a", INHIBIT, Value.parse("0"), heard=False)
     assert words.get("a") is None
 
 
@@ -70,7 +70,7 @@ def test_while_a_write_that_moves_the_word_has_not_ended_nothing_read_counts() -
 
 
 def test_a_word_of_eight_digits_is_no_control_word() -> None:
-    words = ControlWords()
+    words = ControlWords(lambda: 0.0)
     words.watch("a", WORD)
     words.seen("a", WORD, Value.parse("HFFFF0000"))
     assert words.get("a") is None
@@ -78,7 +78,7 @@ def test_a_word_of_eight_digits_is_no_control_word() -> None:
 
 def test_a_word_is_forgotten_when_a_status_word_begins_to_show_an_inhibit() -> None:
     status = Code(150)
-    words = ControlWords()
+    words = ControlWords(lambda: 0.0)
     words.watch("a", WORD, inhibited_by={status: StopProof(0x0080, 0x0080)})
     words.seen("a", status, Value.parse("H0080"))
     words.seen("a", WORD, Value.parse("H0200"))

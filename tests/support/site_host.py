@@ -282,6 +282,7 @@ class Plant:
         options: How the line is worked, instead of by the roster.
         also: Drives on the line that the roster does not name.
         state: What was kept from before.
+        word_as_written: C0135 of its drives reads what was last written to it.
 
     Attributes:
         reports: Every exchange so far.
@@ -297,12 +298,14 @@ class Plant:
         options: WorkerOptions | None = None,
         spread: float = 0.0,
         state: State | None = None,
+        word_as_written: bool = False,
     ) -> None:
         self._state = state
         self.roster = parse_roster(roster, "r.yaml") if isinstance(roster, str) else roster
         self.line = build(
             [*((one.name, one.address, one.family) for one in self.roster.drives), *also],
             baud=self.roster.line.baud, faults=faults, seed=seed, spread=spread,
+            word_as_written=word_as_written,
         )  # fmt: skip
         self.end = TappedEnd(self.line)
         self._options = options

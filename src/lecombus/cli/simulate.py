@@ -39,6 +39,9 @@ _ENDS = {signal.SIGINT, signal.SIGTERM}
 @click.option("--tcp", metavar="[127.0.0.1:]PORT", help="Serve a TCP port; 0: any free one.")
 @click.option("--faults", default="", metavar="FAULTS",
               help="What goes wrong, such as late=0.05:0.5s,noise=0.05,absent=11+12.")  # fmt: skip
+@click.option("--control-word", default="state", show_default=True,
+              type=click.Choice(["state", "written"]),
+              help="C0135 reads with every inhibit in it, or as it was last written.")  # fmt: skip
 @click.option("--seed", type=int, default=0, help="Where all chance starts from.")
 @click.option("--control", type=click.Path(path_type=Path), metavar="PATH",
               help="A socket to be told through; default: PATH.control of --pty.")  # fmt: skip
@@ -47,7 +50,7 @@ _ENDS = {signal.SIGINT, signal.SIGTERM}
 @json_option
 def command(
     roster: Path | None, pty: Path | None, tcp: str | None, faults: str, seed: int,
-    control: Path | None, lines: tuple[str, ...], as_json: bool,
+    control: Path | None, lines: tuple[str, ...], as_json: bool, control_word: str,
 ) -> int:  # fmt: skip
     """Serve the roster's drives as simulated ones until Ctrl-C or SIGTERM.
 
@@ -72,7 +75,7 @@ def command(
     _check_ends(roster, pty, tcp)
     assert roster is not None
     wanted = load_roster(roster)
-    line = _build(wanted, faults, seed)
+    line = _build(wanted, faults, seed, as_written=control_word == "written")
     # Blocked before the line's thread starts, so that only sigwait gets them.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDS)
     try:
@@ -122,13 +125,16 @@ def _serve_control(stack: ExitStack, path: Path, told: Control, *, wanted: bool)
         click.echo(f"lecombus: {problem}", err=True)
 
 
-def _build(roster: Roster, faults: str, seed: int) -> SimLine:
+def _build(roster: Roster, faults: str, seed: int, *, as_written: bool) -> SimLine:
     drives = [(entry.name, entry.address, entry.family) for entry in roster.drives]
     parity = roster.line.parity == "line"
     try:
         wanted = parse_faults(faults)
         _check_absent(wanted.absent, roster)
-        return build(drives, baud=roster.line.baud, faults=wanted, seed=seed, parity=parity)
+        return build(
+            drives, baud=roster.line.baud, faults=wanted, seed=seed, parity=parity,
+            word_as_written=as_written,
+        )  # fmt: skip
     except ValueError as exc:
         raise CommandError(Exit.USAGE, Problem(str(exc))) from exc
 

@@ -35,6 +35,8 @@ __all__ = [
     "StopRule",
     "asks_to_stop",
     "confirm_codes",
+    "inhibit_mask",
+    "inhibit_proofs",
     "knows_stop",
     "needs_control_word",
     "stop_confirmed",
@@ -68,10 +70,19 @@ class StopProof:
 
     def holds(self, value: Value) -> bool:
         """Say whether a value that was read back shows the stop."""
+        return self.tells(value) is True
+
+    def tells(self, value: Value) -> bool | None:
+        """Say whether a value shows the stop; None: it shows neither that nor the opposite.
+
+        A word of more than 16 bits is something else than the word that was asked for.
+        """
         number = value.number
         if self.mask is None:
-            return number == self.equals
-        return isinstance(number, int) and number & self.mask == self.equals
+            return None if isinstance(number, str | bytes) else number == self.equals
+        if not isinstance(number, int) or not 0 <= number <= WORD_MAX:
+            return None
+        return number & self.mask == self.equals
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,7 +164,7 @@ def asks_to_stop(family: Family, code: Code, value: Value) -> bool:
         if rule.code == code and rule.value is not None and value.means_same(rule.value):
             return True
         if rule.code == code and rule.value is None and isinstance(number, int):
-            return bool(number & (rule.set_mask | _inhibit_mask(family, code)))
+            return bool(number & (rule.set_mask | inhibit_mask(family, code)))
     return False
 
 
@@ -168,7 +179,7 @@ def stops_every_drive(family: Family, code: Code, value: Value) -> bool:
     )
 
 
-def _inhibit_mask(family: Family, code: Code) -> int:
+def inhibit_mask(family: Family, code: Code) -> int:
     """Give the bit of the control word that inhibits, 0 where there is none."""
     word = family.control_words.get(code)
     bit = word.bits.get(INHIBIT) if word is not None else None
@@ -184,11 +195,17 @@ def confirm_codes(family: Family, action: StopAction) -> tuple[Code, ...]:
     return tuple(_rule(family, action).proofs)
 
 
+def inhibit_proofs(family: Family) -> Mapping[Code, StopProof]:
+    """Give what shows that a drive is inhibited, the most telling first; empty: nothing does."""
+    rule = family.stops.get(StopAction.INHIBIT)
+    return rule.proofs if rule is not None else {}
+
+
 def stop_steps(family: Family, action: StopAction) -> list[tuple[Code, Value | None]]:
     """List what a stop may say to a drive, whatever becomes of it.
 
-    Learning the control word, saying it, its proof, and the same for the inhibit that a quick stop
-    may become.
+    Learning the control word and whether the drive is inhibited, saying the stop, its proofs, and
+    the same for the inhibit that a quick stop may become.
 
     Returns:
         Codes, with the value where the code is written and None where it is read.
@@ -196,7 +213,8 @@ def stop_steps(family: Family, action: StopAction) -> list[tuple[Code, Value | N
     found: list[tuple[Code, Value | None]] = []
     for one in {action, StopAction.INHIBIT} & set(family.stops):
         code, value = stop_value(family, one, 0)
-        found.extend([(code, value), (confirm_codes(family, one)[0], None)])
+        found.append((code, value))
+        found.extend((proof, None) for proof in confirm_codes(family, one))
         if needs_control_word(family, one):
             found.append((code, None))
     return found

@@ -3,6 +3,10 @@
 A stop is repeated at once, for saying it twice does no harm, and is read back in the end: an
 acknowledgement is not an effect. Source: EDB2102EN 8.2, 8.3.5; CMVLC401A 4.2.
 
+A quick stop never lifts an inhibit: the word that is said has the inhibit's bit whenever the drive
+is inhibited, which is read first where it is not known. What C0135 reads does not tell: no manual
+says that it shows more than was last written to it.
+
 Strategy: say it, read it back, and do both again for as long as the proof is missing, whether the
 drive reads as not stopped or does not answer. What bounds this is time and not a number of
 attempts: a line that was deaf for a second is no reason to leave a living drive running. After
@@ -32,8 +36,9 @@ from ..drives import (
     stop_confirmed,
     stop_value,
 )
-from ..drives.stops import usable_word
+from ..drives.stops import inhibit_mask, inhibit_proofs, usable_word
 from ..errors import ExchangeError
+from ..protocol.addressing import Code
 from ..protocol.exchange import Result, ResultKind
 from ..protocol.telegrams import AckAnswer, NakAnswer, UnknownCodeAnswer, ValueAnswer
 from ..protocol.values import Value
@@ -64,16 +69,17 @@ stop is said again only when all watchdogs can be fed in time besides (`schedule
 class StopJob:
     """Stop one drive: say it until it is acknowledged, then read back whether it took effect.
 
-    A quick stop changes one bit of the control word. Where the word is not known it is read
-    first; where it cannot be read the drive is inhibited instead, because a guessed word could
-    start what was standing still. A quick stop that the drive refuses is no stop: it is inhibited
-    then too.
+    A quick stop changes one bit of the control word. Where the word is not known, or whether the
+    drive is inhibited, that is read first; where it cannot be read the drive is inhibited instead,
+    because a guessed word could start what was standing still. A quick stop that the drive refuses
+    is no stop: it is inhibited then too.
 
     Args:
         station: The drive.
         action: How it shall stop.
         word: Gives its control word as last read or written, None when not known; asked when the
             stop is said, for it may change while the stop waits.
+        inhibited: Says whether the drive is inhibited, None when not known; asked likewise.
         retries: How often a failed attempt is repeated without a pause.
         said: The stop was already said by a multicast; begin with reading back.
         patience_s: How long it is tried, seconds; once the drive answers: `STOP_PATIENCE_S`.
@@ -85,6 +91,8 @@ class StopJob:
         "_learning",
         "_least_sayings",
         "_naks",
+        "_read_inhibit",
+        "_read_word",
         "_since_s",
         "_step",
         "_turned",
@@ -94,6 +102,7 @@ class StopJob:
         "action",
         "attempts",
         "error",
+        "inhibited",
         "patience_s",
         "proof",
         "retries",
@@ -107,6 +116,7 @@ class StopJob:
         action: StopAction,
         *,
         word: Callable[[], int | None],
+        inhibited: Callable[[], bool | None] = lambda: False,
         retries: int,
         said: bool = False,
         patience_s: float = STOP_PATIENCE_S,
@@ -114,6 +124,7 @@ class StopJob:
         self.station = station
         self.action = action
         self.word = word
+        self.inhibited = inhibited
         self.retries = retries
         self.patience_s = patience_s
         self.attempts = 0
@@ -123,6 +134,8 @@ class StopJob:
         self._checking = said
         self._least_sayings = LEAST_SAYINGS - said
         self._learning = False
+        self._read_word: int | None = None  # read for the telegram that comes next
+        self._read_inhibit: bool | None = None  # likewise
         self._unheard = 0  # sayings in a row without an acknowledgement
         self._failed_reads = 0  # in a row
         self._naks = 0  # in a row
@@ -153,7 +166,13 @@ class StopJob:
     @property
     def goes_behind(self) -> bool:
         """Whether stops that wait go first: not before one whose word has just been read."""
-        return self._step is None or self.action is StopAction.INHIBIT
+        return not self._is_ready or self.action is StopAction.INHIBIT
+
+    @property
+    def _is_ready(self) -> bool:
+        """Whether what comes next was made from what has just been read or refused."""
+        read = self._read_word is not None or self._read_inhibit is not None
+        return read or self._step is not None
 
     @property
     def pause_s(self) -> float:
@@ -164,13 +183,13 @@ class StopJob:
         """
         if self._checking:
             return self.station.hold_s
-        fresh = self._step is not None or self.attempts <= self.retries
+        fresh = self._is_ready or self.attempts <= self.retries
         return 0.0 if fresh else PAUSE_S
 
     def cannot_read(self) -> bool:
         """Take note that nothing may be read now; say whether there is something to say instead."""
         if self._learning:
-            code = self.station.family.stops[self.action].code
+            code = self.step.code
             self._inhibit(f"needs {code}, which may not be read now: an old answer may still come")
             return True
         return False
@@ -215,13 +234,26 @@ class StopJob:
         family = self.station.family
         if self._checking:
             return Step(StepKind.READ, confirm_codes(family, self.action)[0])
-        word = None
-        if needs_control_word(family, self.action):
-            word = usable_word(self.word())
-            if word is None:
-                self._learning = True
-                return Step(StepKind.READ, family.stops[self.action].code)
+        if not needs_control_word(family, self.action):
+            return self._saying(None)
+        code = family.stops[self.action].code
+        word = usable_word(self.word())
+        word = self._read_word if word is None else word
+        if word is None:
+            return self._to_learn(code)
+        mask = inhibit_mask(family, code)
+        if not word & mask:
+            inhibited = self.inhibited()
+            inhibited = self._read_inhibit if inhibited is None else inhibited
+            if inhibited is None:
+                return self._to_learn(next(iter(inhibit_proofs(family))))
+            word |= mask if inhibited else 0
+        self._read_word = self._read_inhibit = None
         return self._saying(word)
+
+    def _to_learn(self, code: Code) -> Step:
+        self._learning = True
+        return Step(StepKind.READ, code)
 
     def _saying(self, word: int | None) -> Step:
         code, value = stop_value(self.station.family, self.action, word)
@@ -236,6 +268,7 @@ class StopJob:
         """Say an inhibit from now on, and give it time even where the quick stop used it up."""
         self._why = f"{self.action} {why}; "
         self._learning = self._checking = False
+        self._read_word = self._read_inhibit = None
         self._unheard = self._unshown = 0
         self.action = StopAction.INHIBIT
         self._step = self._saying(None)
@@ -243,18 +276,16 @@ class StopJob:
             self._since_s = max(self._since_s, now_s - STOP_PATIENCE_S + LEAST_INHIBIT_S)
 
     def _learnt(self, step: Step, result: Result, over: bool) -> None:
-        """Say the stop with the word that was read.
+        """Keep what the stop is made of: the word, or whether the drive is inhibited.
 
         A drive that was told to stop already is asked more than once before it is inhibited: the
         quick stop may be under way.
         """
         self._learning = False
         answer = result.answer
-        number = answer.value.number if type(answer) is ValueAnswer else None
-        word = usable_word(number if isinstance(number, int) else None)
-        if word is not None:
+        value = answer.value if type(answer) is ValueAnswer else None
+        if value is not None and self._takes(step.code, value):
             self._failed_reads = 0
-            self._step = self._saying(word)
             return
         self._failed_reads += 1
         unknown = type(answer) is UnknownCodeAnswer
@@ -263,12 +294,25 @@ class StopJob:
             return
         asked_enough = result.kind is ResultKind.ANSWERED or self._failed_reads > self.retries
         if not self.attempts or asked_enough or over:
-            self._inhibit(self._unreadable(step, result, number), result.ended_s)
+            self._inhibit(self._unreadable(step, result, value), result.ended_s)
 
-    def _unreadable(self, step: Step, result: Result, number: object) -> str:
-        """Say why a control word could not be learnt."""
-        if number is not None:
-            return f"needs {step.code}, which reads {number}: no control word"
+    def _takes(self, code: Code, value: Value) -> bool:
+        """Keep a value that the next telegram needs; False: it is no such value."""
+        family = self.station.family
+        if code == family.stops[self.action].code:
+            number = value.number
+            self._read_word = usable_word(number if isinstance(number, int) else None)
+            return self._read_word is not None
+        self._read_inhibit = inhibit_proofs(family)[code].tells(value)
+        return self._read_inhibit is not None
+
+    def _unreadable(self, step: Step, result: Result, value: Value | None) -> str:
+        """Say why a control word, or whether the drive is inhibited, could not be learnt."""
+        if value is not None:
+            what = (
+                "control" if step.code == self.station.family.stops[self.action].code else "status"
+            )
+            return f"needs {step.code}, which reads {value.number!s}: no {what} word"
         error = error_of(self.station, step, result, max(1, self._failed_reads))
         return f"needs {step.code}, which could not be read: {error}"
 

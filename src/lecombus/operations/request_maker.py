@@ -188,14 +188,16 @@ class RequestMaker:
         action: StopAction,
         *,
         word: Callable[[], int | None],
+        inhibited: Callable[[], bool | None] = lambda: False,
         said: bool,
         settle: Settle,
         patience_s: float = STOP_PATIENCE_S,
     ) -> Request:
         """Make a request that stops one drive and proves it."""
         job = StopJob(
-            station, action, word=word, retries=self.retries, said=said, patience_s=patience_s
-        )
+            station, action, word=word, inhibited=inhibited, retries=self.retries, said=said,
+            patience_s=patience_s,
+        )  # fmt: skip
         usual = self._read_cost(station, station.family.stops[action].code)
         return Request(
             station.name,

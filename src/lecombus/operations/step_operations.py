@@ -23,7 +23,6 @@ from dataclasses import replace
 import anyio
 
 from lecombus.drives import OperatingState, StopAction, Verb
-from lecombus.drives.stops import usable_word
 from lecombus.drives.verb_facts import Known
 from lecombus.drives.verb_steps import (
     BitsStep,
@@ -137,12 +136,12 @@ class StepOperations(GroupOperations):
     async def _change_bits(self, run: Run, step: BitsStep) -> WriteReport:
         """Write the control word as it is now with bits changed; nothing where they are so."""
         name = run.station.name
-        word = usable_word(self._words.get(name))
         for _ in range(WORD_TRIES):
-            if word is not None:
+            missing = self._words.missing(name)
+            if missing is None:
                 break
-            await self._requests.read(run.station, step.code, Priority.INTERACTIVE)
-            word = usable_word(self._words.get(name))
+            await self._requests.read(run.station, missing, Priority.INTERACTIVE)
+        word = self._words.get(name)
         if word is None:
             raise OperationError(
                 f"the control word {step.code} of {name} cannot be read, or others keep writing "

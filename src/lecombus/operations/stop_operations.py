@@ -209,8 +209,8 @@ class StopOperations(Operations):
             return ending
         self._submit_stop(station, action, ending, said=said)
         if action is StopAction.INHIBIT:
-            # A quick stop asked for meanwhile must read the word, not lift the inhibit.
-            self._words.disturbed(station.name, station.family.stops[action].code)
+            # A quick stop asked for meanwhile must not lift the inhibit.
+            self._words.inhibiting(station.name)
         return ending
 
     def _submit_stop(
@@ -227,7 +227,8 @@ class StopOperations(Operations):
 
         absent = self._state_of(station) is DriveState.OFFLINE
         ending.request = request = self._requests.maker.stop(
-            station, action, word=lambda: self._words.get(name), said=said, settle=settle,
+            station, action, word=lambda: self._words.word(name),
+            inhibited=lambda: self._words.inhibited(name), said=said, settle=settle,
             patience_s=ABSENT_PATIENCE_S if absent else STOP_PATIENCE_S,
         )  # fmt: skip
         self._requests.worker.submit(request)

@@ -71,6 +71,7 @@ class SimDrive:
         spread: How much faster than the manual's time an answer may come, 0..1; random.
         silent_on_bad_write: Answer a bad write with nothing instead of NAK, as some devices do.
         log_size: How many requests `log` remembers; about 0.2 KB each.
+        word_as_written: C0135 reads what was last written to it (see `Model`).
 
     Attributes:
         log: The requests heard, oldest first, bounded.
@@ -90,6 +91,7 @@ class SimDrive:
         spread: float = 0.0,
         silent_on_bad_write: bool = False,
         log_size: int = 1_000,
+        word_as_written: bool = False,
     ) -> None:
         if not 1 <= address <= 99 or address % 10 == 0:
             raise ValueError(f"address {address} is no drive address (1..99, not ending in 0)")
@@ -98,6 +100,7 @@ class SimDrive:
         self.name = name or f"drive-{address}"
         self.family = family
         self.model: Model = MODELS[family]()
+        self.model.word_as_written = word_as_written
         self.present = True
         self.log: deque[LogEntry] = deque(maxlen=log_size)
         self.heard = 0
@@ -178,6 +181,7 @@ class SimDrive:
         drive = SimDrive(
             self.address, family or self.family, self.name, overrides,
             spread=self._spread, silent_on_bad_write=self._silent, log_size=self._log_size,
+            word_as_written=self.model.word_as_written,
         )  # fmt: skip
         drive.join(self.baud)
         return drive

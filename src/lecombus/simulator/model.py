@@ -4,6 +4,8 @@ Strategy: a family subclasses `Model` and says which codes exist, what its contr
 words mean and how long it thinks. Physical state is computed from time: `advance` moves the motor
 and lets the watchdog expire exactly at its deadline, however late it is called. The control word is
 the one home of inhibit (bit 9) and quick stop (bit 3): C0040, C0135 and the watchdog change it.
+No manual says whether a read of C0135 shows all that, or only what was written to it last: the
+simulated drives do the one or the other (`word_as_written`).
 
 Must not live here: telegrams, addressing, faults of the line.
 """
@@ -60,6 +62,8 @@ class Model:
         terminal_enable: Whether its terminal for controller enable (28) has a HIGH level.
         watchdog_fired: How often the watchdog has expired.
         deaf_until_s: Before this time the drive hears nothing (start-up, shortened response).
+        word_as_written: C0135 reads what was last written to it; else it also shows an inhibit by
+            C0040 = 0, and what the watchdog did.
     """
 
     family: ClassVar[str]
@@ -83,6 +87,8 @@ class Model:
         self.troubles = Troubles(self.fault_kinds)
         self.terminal_enable = True
         self.control = 0
+        self.word_as_written = False
+        self._written_word = 0
         self.watchdog_fired = 0
         self.deaf_until_s = 0.0
         self.readers: dict[int, Callable[[int], str]] = {}
@@ -255,6 +261,15 @@ class Model:
             span=span,
         )
 
+    def write_control_word(self, text: str) -> None:
+        """Take a write of C0135, and keep it for drives that read it back as written."""
+        self._written_word = int(text[1:], 16)
+        self.take_control_word(text)
+
+    def read_control_word(self) -> str:
+        """Give C0135 as this kind of drive reads it back."""
+        return word_text(self._written_word if self.word_as_written else self.control)
+
     def take_control_word(self, text: str) -> None:
         """Take C0135 over; the edge of bit 11 resets a TRIP."""
         word = int(text[1:], 16)
@@ -314,6 +329,7 @@ class Model:
         self.feed(self.deaf_until_s)
         self.motor = Motor()
         self.control = self.start_word()
+        self._written_word = 0
         self.steer()
 
     def preset(self, key: int | tuple[int, int], value: str) -> None:

@@ -26,6 +26,7 @@ def build(
     think_scale: float = 1.0,
     overrides: Mapping[str, Overrides] | None = None,
     log_size: int = 1_000,
+    word_as_written: bool = False,
 ) -> SimLine:
     """Build a line.
 
@@ -40,6 +41,7 @@ def build(
         think_scale: Factor on processing times.
         overrides: Values to start with, by the drive's name (see `SimDrive`).
         log_size: How many requests each drive remembers.
+        word_as_written: C0135 of the drives reads what was last written to it (see `SimDrive`).
 
     Raises:
         ValueError: A family, an address or a fault is unknown.
@@ -47,7 +49,15 @@ def build(
     presets = overrides or {}
     line = SimLine(
         [
-            SimDrive(address, family, name, presets.get(name), spread=spread, log_size=log_size)
+            SimDrive(
+                address,
+                family,
+                name,
+                presets.get(name),
+                spread=spread,
+                log_size=log_size,
+                word_as_written=word_as_written,
+            )
             for name, address, family in drives
         ],
         baud=baud,

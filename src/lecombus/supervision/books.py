@@ -86,7 +86,11 @@ class Books:
         elif self._is_drive(report.drive, report.address):
             if kind is StepKind.WRITE and type(answer) is not NakAnswer:
                 self._store.value_written(report.drive, report.step.code)
-                self._words.disturbed(report.drive, report.step.code)
+                if report.step.value is not None:
+                    self._words.written(
+                        report.drive, report.step.code, report.step.value,
+                        heard=type(answer) is AckAnswer,
+                    )  # fmt: skip
                 self._configurations.written(report.drive, report.step.code)
                 self._wear.written(report.drive, report.step.code)
             if type(answer) is ValueAnswer:
@@ -100,9 +104,11 @@ class Books:
             elif not (type(answer) is AckAnswer and kind is StepKind.WRITE):
                 outcome = self._book_failure(report, outcome)
             elif report.step.value is not None:
-                code = report.step.code
-                self._words.seen(report.drive, code, report.step.value)
-                self._store.setpoint_taken(report.drive, code, report.step.value, result.ended_s)
+                self._store.setpoint_taken(
+                    report.drive, report.step.code, report.step.value, result.ended_s
+                )
+            if answer is not None:
+                self._words.heard(report.drive, result.ended_s)
             self._health.exchange_ended(report.drive, result.kind, result.fault)
         else:
             return
@@ -120,9 +126,10 @@ class Books:
                 self._store.value_written(member, code)
                 self._configurations.written(member, code)
                 self._wear.written(member, code)
-            self._words.disturbed(member, code)
             if value is not None and report.result.kind is ResultKind.SENT:
-                self._words.seen(member, code, value)
+                self._words.said_to_all(member, code, value)
+            elif value is not None:
+                self._words.written(member, code, value, heard=False)
 
     def _book_failure(self, report: ExchangeReport, outcome: str) -> str:
         """A read that brought nothing leaves the value bad; a refused write leaves it as it is."""

@@ -57,7 +57,6 @@ class Drive93XX(Module2102):
             51: lambda _: self.frequency_text(self.motor.speed, 0),
             54: lambda _: "2.1" if self.motor.output else "0",
             67: self._fault_memory,
-            135: lambda _: word_text(self.control if self.follows_line() else self._unheeded),
             161: self._fault_memory,
             168: self._fault_memory,
         }
@@ -88,6 +87,10 @@ class Drive93XX(Module2102):
             super().take_control_word(text)
         else:
             self._unheeded = int(text[1:], 16)
+
+    def read_control_word(self) -> str:
+        """C0135; one that is only kept reads as written."""
+        return super().read_control_word() if self.follows_line() else word_text(self._unheeded)
 
     def power_cycle(self, now_s: float, off_s: float | None = None) -> None:
         """Switch off and on; the module has lost the control word too."""

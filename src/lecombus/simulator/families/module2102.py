@@ -41,14 +41,14 @@ class Module2102(Model):
             40: lambda _: "0" if self.inhibited() else "1",
             43: lambda _: "1" if self.fault else "0",
             68: lambda _: word_text(self.operating_status()),
-            135: lambda _: word_text(self.control),
+            135: lambda _: self.read_control_word(),
             150: lambda _: word_text(self.status_word()),
             1962: lambda _: str(int(self.extended_fault)),
         }
         self.writers |= {
             40: self.take_inhibit,
             43: lambda _: self.reset_fault(),
-            135: self.take_control_word,
+            135: self.write_control_word,
         }
 
     def operating_status(self) -> int:

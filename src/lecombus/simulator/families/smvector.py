@@ -65,7 +65,7 @@ class SMVector(Model):
             46: lambda _: self.frequency_text(self.setpoint()),
             50: lambda _: self.frequency_text(abs(self.motor.output)),
             68: lambda _: word_text(self.operating_status()),
-            135: lambda _: word_text(self.control),
+            135: lambda _: self.read_control_word(),
             150: lambda _: word_text(self.status_word()),
             1402: lambda _: _ONLINE,
             1405: lambda _: "1" if self.fault == F_NF1 else "0",
@@ -78,7 +78,7 @@ class SMVector(Model):
         self.writers |= {
             40: self.take_inhibit,
             43: lambda text: self.reset_fault() if text == "1" else None,
-            135: self.take_control_word,
+            135: self.write_control_word,
             140: lambda text: self._command(140, 1061, text),
             1061: lambda text: self._command(1061, 140, text),
             1403: self._reset_module,
