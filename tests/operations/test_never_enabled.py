@@ -137,7 +137,7 @@ async def reset_by_the_control_word(plant: Plant) -> None:
     """The edge of bit 11, as on a drive that does not know C0043."""
     model = plant.line["a"].model
     model.readers.pop(43, None)
-    model.params.specs.pop((43, 0), None)
+    model.params.specs.pop((43, 0), None)  # type: ignore[attr-defined]
     await reset_fault(plant)
 
 
@@ -167,7 +167,13 @@ async def audit(plant: Plant) -> None:
     await anyio.sleep(3.0)
 
 
-SOURCES = [by_the_line, by_a_plain_write, by_the_watchdog, at_the_keypad, at_the_terminal]
+SOURCES: list[Path] = [
+    by_the_line,
+    by_a_plain_write,
+    by_the_watchdog,
+    at_the_keypad,
+    at_the_terminal,
+]
 PATHS: list[Path] = [
     quick_stop, quick_stop_of_the_group, quick_stop_with_nothing_known, quick_stop_that_is_refused,
     inhibit, stops_at_the_same_time, shutdown, verb_quick_stop, verb_inhibit, verb_set_speed,
