@@ -14,6 +14,7 @@ from lecombus.drives.verb_steps import BitsStep, InhibitStep, RestartStep, Write
 from lecombus.drives.verbs import (
     enable_steps,
     fault_number,
+    further_questions,
     has_fault,
     is_enabled,
     questions,
@@ -235,6 +236,94 @@ def test_p102_is_the_least_an_smvector_takes() -> None:
     limited = known("smvector", c1102="5")
     assert speed(limited, "5", "Hz") == (1061, "5")
     assert "5 to 60 Hz" in refused(limited, Verb.SET_SPEED, "4.9", "Hz").remedy
+
+
+SET_2 = "H0001"
+"""C0150 with the second parameter set in use."""
+
+
+@pytest.mark.parametrize(
+    ("name", "status", "settings", "percent", "raw"),
+    [
+        ("821x", "H0000", {"c2011": "25"}, "50", "25"),
+        ("821x", SET_2, {"c2011": "25"}, "50", "12.5"),
+        ("822x", SET_2, {"c2011": "25"}, "100", "25"),
+        ("821x", SET_2, {}, "50", "25"),  # it has no C2011: C0011 is that of all sets
+        ("821x", "", {"c2011": "50"}, "50", "25"),  # the set does not matter
+        ("8200vector", SET_2, {"c2011": "50", "c4011": "50", "c6011": "50.0"}, "50", "25"),
+    ],
+)
+def test_percent_is_of_the_highest_frequency_of_the_parameter_set_in_use(
+    name: str, status: str, settings: dict[str, str], percent: str, raw: str
+) -> None:
+    given = known(name, c150=status, **settings)
+    assert speed(given, percent, "%") == (46, raw)
+
+
+@pytest.mark.parametrize(
+    ("name", "status", "settings"),
+    [
+        ("8200vector", "H0000", {"c2011": "25"}),
+        ("8200vector", SET_2, {"c6011": "100"}),
+        ("8200vector", "H0000", {"c4011": "0"}),
+        ("821x", "", {"c2011": "25"}),
+    ],
+)
+def test_percent_is_refused_where_the_set_in_use_is_not_known_and_they_differ(
+    name: str, status: str, settings: dict[str, str]
+) -> None:
+    error = refused(known(name, c150=status, **settings), Verb.SET_SPEED, "50", "%")
+    assert (error.kind, error.code) == ("setting", "C0011")
+    assert "does not show which parameter set is in use" in str(error)
+    assert "give the speed in Hz, or set C0011 alike in all parameter sets" in error.remedy
+
+
+@pytest.mark.parametrize(
+    ("name", "status", "settings", "most"),
+    [
+        ("821x", "H0000", {"c2011": "25"}, "50"),
+        ("821x", SET_2, {"c2011": "25"}, "25"),
+        ("821x", SET_2, {"c2011": "80"}, "80"),
+        ("8200vector", "H0000", {"c2011": "25", "c4011": "80"}, "80"),
+        ("820x", "H0000", {"c2011": "80"}, "80"),
+    ],
+)
+def test_hertz_are_bounded_by_the_parameter_set_in_use_or_by_the_widest(
+    name: str, status: str, settings: dict[str, str], most: str
+) -> None:
+    given = known(name, c150=status, **settings)
+    assert speed(given, most, "Hz") == (46, most)
+    error = refused(given, Verb.SET_SPEED, f"{most}.1", "Hz")
+    assert f"it takes 0 to {most} Hz (C" in error.remedy
+
+
+def test_820x_refers_percent_to_set_1_whatever_set_is_in_use() -> None:
+    assert speed(known("820x", c2011="25"), "50", "%") == (141, "50")
+
+
+def test_c0127_counts_in_the_parameter_set_in_use_where_the_drive_has_it_there() -> None:
+    in_set_2 = {"c150": SET_2, "c2011": "25"}
+    assert speed(known("821x", c127="0", c2127="1", **in_set_2), "10", "Hz") == (141, "40")
+    assert speed(known("821x", c127="1", c2127="0", **in_set_2), "40", "%") == (46, "10")
+    assert speed(known("821x", c127="1", **in_set_2), "10", "Hz") == (141, "40")
+
+
+@pytest.mark.parametrize(
+    ("name", "status", "asked"),
+    [
+        ("821x", "H0000", ()),
+        ("821x", SET_2, (2011, 2127)),
+        ("8200vector", "H0000", (2011, 4011, 6011)),
+        ("820x", "H0000", (2011,)),
+        ("93xx", "H0000", ()),
+        ("smvector", "H0000", ()),
+    ],
+)
+def test_only_the_sets_that_may_be_in_use_are_asked_further(
+    name: str, status: str, asked: tuple[int, ...]
+) -> None:
+    codes = further_questions(known(name, status=status))
+    assert tuple(sorted(code.number for code in codes)) == asked
 
 
 def test_c0127_decides_between_hertz_and_percent() -> None:

@@ -17,6 +17,7 @@ from lecombus.operations.reports import VerbReport
 from lecombus.protocol.addressing import Code
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome
+from lecombus.simulator.families.inverter82xx import Drive82XX
 from lecombus.simulator.faults import Faults
 from support.site_host import Plant, roster_of, until, with_plant
 
@@ -87,6 +88,47 @@ def test_a_tripped_drive_is_reset_enabled_and_brought_to_speed_with_verbs_only(k
         assert (inhibit.outcome, inhibit.states) == (Outcome.VERIFIED, ("inhibited",))
 
     with_drive(test, kind)
+
+
+@pytest.mark.parametrize("in_sets", [False, True])
+@pytest.mark.parametrize("normalized", [False, True])
+@pytest.mark.parametrize("kind", ["821x", "822x", "824x"])
+def test_half_speed_is_half_of_what_the_parameter_set_in_use_allows(
+    kind: str, normalized: bool, in_sets: bool
+) -> None:
+    async def test(plant: Plant) -> None:
+        drive = plant.line["a"].model
+        assert isinstance(drive, Drive82XX)
+        if in_sets:
+            drive.put_choice_in_sets()
+        drive.params.set(2127 if in_sets else 127, str(int(normalized)))
+        drive.params.set(2011, "25")
+        await plant.site.operations.write("a", WORD, "H1000")
+        speed = await do(plant, Verb.SET_SPEED, value=Decimal(50), unit="%")
+        assert speed.written == ((Code(141), "50") if normalized else (Code(46), "12.5"),)
+        await do(plant, Verb.ENABLE)
+        await until(lambda: drive.motor.output == 12.5, within_s=60.0)
+        await do(plant, Verb.SET_SPEED, value=Decimal(25), unit="Hz")
+        await until(lambda: drive.motor.output == 25.0, within_s=60.0)
+        error = await refused(plant, Verb.SET_SPEED, value=Decimal(30), unit="Hz")
+        assert "C2011 = 25 Hz" in error.remedy
+        await plant.site.operations.write("a", WORD, 0)
+        await do(plant, Verb.SET_SPEED, value=Decimal(30), unit="Hz")
+
+    with_drive(test, kind)
+
+
+def test_percent_of_8200_vector_needs_parameter_sets_that_agree() -> None:
+    async def test(plant: Plant) -> None:
+        drive = plant.line["a"].model
+        done = await do(plant, Verb.SET_SPEED, value=Decimal(50), unit="%")
+        assert done.written == ((Code(46), "25"),)
+        drive.params.set(4011, "25")
+        error = await refused(plant, Verb.SET_SPEED, value=Decimal(50), unit="%")
+        assert "C0011 = 50 Hz, C2011 = 50 Hz, C4011 = 25 Hz" in str(error)
+        assert (await do(plant, Verb.SET_SPEED, value=Decimal(40), unit="Hz")).written
+
+    with_drive(test, "8200vector")
 
 
 @pytest.mark.parametrize("kind", DESCRIBED)

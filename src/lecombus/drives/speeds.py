@@ -2,23 +2,34 @@
 
 A speed has a unit, `Hz` or `%` of the highest frequency or speed; without it a number could mean
 either. It is converted where the drive has a setting that says what 100 % is, and held against the
-range in force, so that a value out of it is refused with the range and not by a bare NAK. A drive
-that would not look at its setpoint, because a JOG value is selected, is not given one.
+range in force, so that a value out of it is refused with the range and not by a bare NAK. That
+setting is the one of the parameter set in use, which the status word tells; where no word tells it
+and the sets differ, nothing is converted. A drive that would not look at its setpoint, because a
+JOG value is selected, is not given one.
 
 What must not live here: the other verbs (`verbs`).
 
-Source: EDB2102EN 5, 6.4.1, 6.5, 8.2 (C0046, C0127, C0141); CMVLC401A 4.2, table 9.
+Source: EDB2102EN 5, 6.1, 6.4.1, 6.5, 8.2 (C0046, C0127, C0141); CMVLC401A 4.2, table 9.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from decimal import ROUND_HALF_EVEN, Decimal
 
 from lecombus.errors import OperationError
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 
-from .verb_facts import Known, control_bits, control_word, demand_met, holds, rules_of
+from .verb_facts import (
+    Known,
+    control_bits,
+    control_word,
+    demand_met,
+    holds,
+    rules_of,
+    settings_in_force,
+)
 from .verb_rules import Access, SetpointRule, Verb, VerbRules
 from .verb_steps import WriteStep
 
@@ -46,13 +57,17 @@ def speed_step(known: Known, number: Decimal, unit: str) -> WriteStep:
     if not in_force:
         raise _no_way(known, rules)
     rule = next((one for one in in_force if one.unit == unit), in_force[0])
-    full = _setting(known, rule.full_scale)
-    if rule.unit != unit and (full is None or unit not in ("Hz", "%")):
+    scale = _scale(known, rule)
+    if rule.unit != unit and (not scale or unit not in ("Hz", "%")):
         raise _bad_speed(known, rule, in_force, f"{number} {unit} is no speed of {known.drive}")
     if abs(number) > MOST:
         raise _bad_speed(known, rule, in_force, f"{number:.3G} {unit} is no speed of anything")
-    given = number if rule.unit == unit or full is None else _converted(number, rule, full)
-    low, high = _bounds(known, rule, full)
+    given = number
+    if rule.unit != unit:
+        if len(set(scale.values())) > 1 or len(scale) < len(_scale_settings(known, rule)):
+            raise _unknown_set(known, scale, f"{number} {unit}", rule)
+        given = _converted(number, rule, next(iter(scale.values())))
+    low, high = _bounds(known, rule, scale)
     if not low <= given <= high:
         told = f"{number} {unit}" if rule.unit == unit else f"{number} {unit} ({given} {rule.unit})"
         raise _bad_speed(known, rule, in_force, f"{told} is out of the range of {known.drive}")
@@ -67,17 +82,57 @@ def _converted(number: Decimal, rule: SetpointRule, full: Decimal) -> Decimal:
     return (exact / rule.step).quantize(Decimal(1), ROUND_HALF_EVEN) * rule.step
 
 
-def _bounds(known: Known, rule: SetpointRule, full: Decimal | None) -> tuple[Decimal, Decimal]:
-    """Give the range in force, which settings of the drive may make narrower."""
-    low = max(rule.low, _setting(known, rule.least) or rule.low)
-    high = rule.high if rule.unit == "%" or full is None else min(rule.high, full)
+def _bounds(
+    known: Known, rule: SetpointRule, scale: Mapping[Code, Decimal]
+) -> tuple[Decimal, Decimal]:
+    """Give the range in force, which settings of the drive may make narrower.
+
+    Where the parameter set in use is not known the widest counts: a frequency means the same in
+    all of them, and the drive holds its own limit.
+    """
+    low = max(rule.low, _positive(known.number(rule.least) if rule.least else None) or rule.low)
+    high = rule.high if rule.unit == "%" or not scale else min(rule.high, max(scale.values()))
     return low, high
 
 
-def _setting(known: Known, code: Code | None) -> Decimal | None:
-    """Give a setting that bounds or scales a speed; one of 0 does neither."""
-    number = known.number(code) if code is not None else None
+def _scale(known: Known, rule: SetpointRule) -> dict[Code, Decimal]:
+    """Give what 100 % is in each parameter set that may be in use; a setting of 0 says nothing."""
+    found = {}
+    for code, value in _scale_settings(known, rule).items():
+        number = value.number
+        full = _positive(None if isinstance(number, str | bytes) else number)
+        if full is not None:
+            found[code] = full
+    return found
+
+
+def _scale_settings(known: Known, rule: SetpointRule) -> dict[Code, Value]:
+    return settings_in_force(known, rule.full_scale) if rule.full_scale is not None else {}
+
+
+def _positive(number: Decimal | int | None) -> Decimal | None:
     return Decimal(number) if number is not None and number > 0 else None
+
+
+def _unknown_set(
+    known: Known, scale: Mapping[Code, Decimal], speed: str, rule: SetpointRule
+) -> OperationError:
+    """Refuse a conversion that would have to guess which parameter set is in use."""
+    return OperationError(
+        f"{known.drive} does not show which parameter set is in use, and 100 % differs between "
+        f"them ({_listed(scale)}): {speed} could mean several speeds, nothing was sent",
+        kind="setting",
+        drive=known.drive,
+        code=str(rule.full_scale),
+        remedy=f"give the speed in {rule.unit}, or set {rule.full_scale} alike in all parameter "
+        "sets",
+    )
+
+
+def _listed(scale: Mapping[Code, Decimal]) -> str:
+    if len(set(scale.values())) == 1:
+        scale = dict([next(iter(scale.items()))])
+    return ", ".join(f"{code} = {full} Hz" for code, full in scale.items())
 
 
 def _refuse_jog(known: Known, rules: VerbRules) -> None:
@@ -102,10 +157,10 @@ def _no_way(known: Known, rules: VerbRules) -> OperationError:
     right = sorted(
         number for rule in rules.setpoints if rule.when is not None for number in rule.when.values
     )
-    value = known.values.get(when.code)
-    reads = f"reads {value.raw}" if value is not None else "is not there"
+    values = settings_in_force(known, when.code)
+    reads = ", ".join(f"{code} reads {value.raw}" for code, value in values.items())
     return OperationError(
-        f"{known.drive} takes no setpoint from the line: {when.code} {reads}",
+        f"{known.drive} takes no setpoint from the line: {reads or f'{when.code} is not there'}",
         kind="setting",
         drive=known.drive,
         code=str(when.code),
@@ -118,13 +173,14 @@ def _bad_speed(
 ) -> OperationError:
     ranges = []
     for one in in_force:
-        full = _setting(known, one.full_scale)
-        low, high = _bounds(known, one, full)
-        by = f" ({one.full_scale} = {full} Hz)" if full is not None and one.unit == "Hz" else ""
+        scale = _scale(known, one)
+        low, high = _bounds(known, one, scale)
+        by = f" ({_listed(scale)})" if scale and one.unit == "Hz" else ""
         ranges.append(f"{low} to {high} {one.unit}{by}")
     remedy = f"it takes {' or '.join(ranges)}, in steps of {rule.step}"
-    if len(in_force) == 1 and _setting(known, rule.full_scale) is not None:
-        remedy += f", or {'%' if rule.unit == 'Hz' else 'Hz'} of that"
+    scale = _scale(known, rule)
+    if len(in_force) == 1 and len(set(scale.values())) == 1:
+        remedy += ", or % of that" if rule.unit == "Hz" else f", or Hz of {_listed(scale)}"
     bits = control_bits(known, rules_of(known.drive, known.family, Verb.SET_SPEED))
     if bits.direction and rule.low >= 0:
         place = bits.direction.bit_length() - 1

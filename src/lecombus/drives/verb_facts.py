@@ -18,12 +18,15 @@ from lecombus.protocol.values import Value
 
 from .commands import DIRECTION, INHIBIT, JOG, QUICK_STOP, TRIP_RESET
 from .family import Family
+from .operating import OperatingState
 from .stops import usable_word
 from .verb_rules import Access, Condition, Demand, Verb, VerbRules
 
 __all__ = [
     "ControlBits",
     "Known",
+    "active_set_word",
+    "codes_in_force",
     "control_bits",
     "control_word",
     "demand_met",
@@ -31,6 +34,7 @@ __all__ = [
     "objected",
     "objections",
     "rules_of",
+    "settings_in_force",
 ]
 
 
@@ -100,6 +104,49 @@ def control_bits(known: Known, rules: VerbRules) -> ControlBits:
     )
 
 
+def active_set_word(family: Family) -> Code | None:
+    """Name the status word that tells the parameter set in use; None where no word does."""
+    return next(
+        (
+            code
+            for code, word in family.words.items()
+            if any(rule.state is OperatingState.PARAMETER_SET_2 for rule in word.states)
+        ),
+        None,
+    )
+
+
+def codes_in_force(known: Known, code: Code) -> tuple[Code, ...]:
+    """Name where a setting stands in the parameter sets that may be in use.
+
+    Returns:
+        One code where a status word tells the set, or the family has only one; else one code for
+        each set.
+
+    Source: EDB2102EN 6.1, 8.2 (C0150 bit 0).
+    """
+    offsets = known.family.set_offsets
+    word = active_set_word(known.family)
+    number = known.number(word) if word is not None else None
+    if len(offsets) > 1 and word is not None and isinstance(number, int):
+        shown = known.family.words[word].shown_states(number)
+        offsets = (offsets[OperatingState.PARAMETER_SET_2 in shown],)
+    return tuple(Code(code.number + offset, code.subcode) for offset in offsets)
+
+
+def settings_in_force(known: Known, code: Code) -> dict[Code, Value]:
+    """Give what a setting reads in the parameter sets that may be in use.
+
+    What the drive does not have in a further set it has once, for all of them (EDB2102EN 8.2).
+    """
+    found = {}
+    for one in codes_in_force(known, code):
+        at = one if one in known.values else code
+        if at in known.values:
+            found[at] = known.values[at]
+    return found
+
+
 def rules_of(drive: str, family: Family, verb: Verb) -> VerbRules:
     """Give the family's rules.
 
@@ -141,15 +188,19 @@ def control_word(known: Known, rules: VerbRules) -> int:
 
 
 def holds(known: Known, condition: Condition | None) -> bool:
-    """Say whether a setting is as wanted; no condition always holds."""
-    return condition is None or condition.holds(known.values.get(condition.code))
+    """Say whether a setting is as wanted in the set in use; no condition always holds."""
+    if condition is None:
+        return True
+    values = settings_in_force(known, condition.code).values()
+    return bool(values) and all(map(condition.holds, values))
 
 
 def objections(known: Known, rules: VerbRules, access: Access) -> Iterator[Demand]:
     """Give the demands for an access that the drive's settings do not meet."""
     for demand in rules.demands:
         code = demand.condition.code
-        if access in demand.access and code in known.values and not holds(known, demand.condition):
+        value = known.values.get(code)
+        if access in demand.access and value is not None and not demand.condition.holds(value):
             yield demand
 
 

@@ -23,6 +23,8 @@ from .family import Family
 from .operating import OperatingState, join_states
 from .verb_facts import (
     Known,
+    active_set_word,
+    codes_in_force,
     control_bits,
     control_word,
     demand_met,
@@ -38,6 +40,7 @@ __all__ = [
     "enable_shown",
     "enable_steps",
     "fault_number",
+    "further_questions",
     "has_fault",
     "is_enabled",
     "questions",
@@ -69,14 +72,33 @@ def _questions(family: Family, rules: VerbRules, verb: Verb) -> Iterator[Code]:
     if verb is Verb.RESET_FAULT:
         yield from (code for code in (rules.reset.code, rules.reset.number) if code is not None)
     if verb is Verb.SET_SPEED:
-        yield from _speed_questions(rules)
+        yield from _speed_settings(rules)
+        yield from (rule.least for rule in rules.setpoints if rule.least is not None)
+        word = active_set_word(family)
+        if word is not None:
+            yield word  # last, so that it is the latest
 
 
-def _speed_questions(rules: VerbRules) -> Iterator[Code]:
+def _speed_settings(rules: VerbRules) -> Iterator[Code]:
+    """Give what a speed depends on that may differ between parameter sets."""
     for rule in rules.setpoints:
         if rule.when is not None:
             yield rule.when.code
-        yield from (code for code in (rule.full_scale, rule.least) if code is not None)
+        if rule.full_scale is not None:
+            yield rule.full_scale
+
+
+def further_questions(known: Known) -> tuple[Code, ...]:
+    """Name what of a speed's settings must be known of further parameter sets.
+
+    Args:
+        known: The answers to `questions`.
+    """
+    rules = rules_of(known.drive, known.family, Verb.SET_SPEED)
+    wanted = (
+        one for code in _speed_settings(rules) for one in codes_in_force(known, code) if one != code
+    )
+    return tuple(dict.fromkeys(wanted))
 
 
 # ---- enable ---------------------------------------------------------------------------------

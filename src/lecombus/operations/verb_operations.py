@@ -27,6 +27,7 @@ from lecombus.drives.verbs import (
     enable_objection,
     enable_shown,
     enable_steps,
+    further_questions,
     has_fault,
     is_enabled,
     questions,
@@ -125,6 +126,8 @@ class VerbOperations(StepOperations):
     async def _set_speed(self, run: Run, value: Decimal, unit: str) -> VerbReport:
         station = run.station
         known = await self._learn(station, questions(station.name, station.family, run.verb))
+        further = await self._learn(station, further_questions(known))
+        known = replace(known, values={**known.values, **further.values})
         step = speed_step(known, value, unit)
         report = await self._take(run, step)
         shown = await self._states(station) if report.outcome in GOOD else ()

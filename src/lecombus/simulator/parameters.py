@@ -229,6 +229,10 @@ class Parameters:
         fault = ExtendedFault.SUBCODE if known else ExtendedFault.CODE
         raise Refusal(CommError.INVALID_CODE, fault)
 
+    def put_in_sets(self, number: int) -> None:
+        """Let a code stand in each parameter set."""
+        self._specs[number, 0] = replace(self._specs[number, 0], sets=True)
+
     def text(self, number: int, subcode: int = 0) -> str:
         """The text kept for a code that exists."""
         key = (number, subcode)

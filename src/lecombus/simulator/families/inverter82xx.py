@@ -33,6 +33,8 @@ class Drive82XX(Module2102):
     Attributes:
         shortened_s: How long the module must be left alone after a shortened response.
         terminal_hz: The setpoint at the analog terminal, for operating modes that follow it.
+        choice_in_sets: C0127 stands in each parameter set; else in the first for all of them. No
+            manual says which (8.2 prints it without the star of codes of set 1).
     """
 
     shortened_s: ClassVar[float] = 0.050
@@ -40,6 +42,7 @@ class Drive82XX(Module2102):
     fault_kinds: ClassVar[Mapping[int, Kind]] = FAULTS_82XX
     commissioned: ClassVar[Mapping[int, str]] = {1: "3"}
     terminal_hz = 0.0
+    choice_in_sets = False
 
     def _install(self) -> None:
         super()._install()
@@ -80,7 +83,13 @@ class Drive82XX(Module2102):
 
     def normalized(self) -> bool:
         """C0127: the setpoint is C0141 in % of C0011. Source: EDB2102EN 6.5."""
-        return self.params.text(127) == "1"
+        number = 127 + 2000 * self.active_set() if self.choice_in_sets else 127
+        return self.params.text(number) == "1"
+
+    def put_choice_in_sets(self) -> None:
+        """Be a drive with a C0127 in each parameter set."""
+        self.choice_in_sets = True
+        self.params.put_in_sets(127)
 
     def ramp_generator(self) -> bool:
         """Whether bits 4 and 5 of C0135 act on the ramp; an 820X has them reserved."""
