@@ -213,11 +213,60 @@ def test_a_drive_that_left_the_roster_begins_anew() -> None:
     assert str(post.fault()) == "trip F.F5 (20): internal fault 5 (stack overflow)"
 
 
+@pytest.mark.parametrize("digit", ["5", "9", "3"])
+def test_an_smvectors_number_is_taken_from_the_list_of_p500_alone(digit: str) -> None:
+    """Its C0068 shows a digit of LECOM numbers (OH = 50), P500 has numbers from 1 to 36."""
+    post = Post("smvector")
+    post.sees(C0150, "H0100")
+    post.answers()
+    post.sees(Code(1500), "4")
+    post.sees(C0068, f"H800{digit}")
+    assert str(post.fault()) == "trip F.AF (4): drive too hot"
+    assert post.asked.count(Code(1500)) == 1
+    post.sees(C0068, "H8001")  # another digit: perhaps another fault, so the memory is read again
+    assert post.number() is None
+    assert post.asked.count(Code(1500)) == 2
+    post.answers()
+    post.sees(Code(1500), "8")
+    assert str(post.fault()) == "trip F.PF (8): motor thermally overloaded"
+
+
+def test_a_memory_that_holds_no_whole_number_names_nothing() -> None:
+    """A display shows place and fault, such as 1.36: nothing says that the line never does."""
+    post = Post("smvector")
+    post.sees(C0150, "H0100")
+    post.answers()
+    post.sees(Code(1500), "1.36")
+    assert post.number() is None
+
+
 FAMILIES = [
     ("a", 11, "8200vector"), ("b", 12, "821x"), ("c", 13, "820x"),
     ("d", 21, "93xx"), ("e", 22, "smvector"),
 ]  # fmt: skip
 TRIPS = {"a": 50, "b": 12, "c": 14, "d": 82, "e": 36}
+
+
+@pytest.mark.parametrize("digit_of", ["lecom", "p500", "none"])
+def test_every_trip_of_an_smvector_is_named(digit_of: str) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        model, store = plant.line["e"].model, plant.site.store
+        model.digit_of = digit_of
+        for number in range(1, 37):
+            model.trip(number)
+
+            def named(expected: int = number) -> bool:
+                fault = store.drive("e").fault
+                return fault is not None and fault.number == expected
+
+            await until(named, within_s=4.0)
+            await anyio.sleep(1.0)  # C0068 has been read too
+            assert named()
+            model.reset_fault()
+            await until(lambda: store.drive("e").fault is None, within_s=14.0)
+
+    with_plant(test, roster_of(FAMILIES[-1:]))
 
 
 def test_a_trip_of_every_family_is_named_soon_and_gone_after_its_reset() -> None:

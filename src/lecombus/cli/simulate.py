@@ -42,6 +42,9 @@ _ENDS = {signal.SIGINT, signal.SIGTERM}
 @click.option("--control-word", default="state", show_default=True,
               type=click.Choice(["state", "written"]),
               help="C0135 reads with every inhibit in it, or as it was last written.")  # fmt: skip
+@click.option("--fault-digit", default="lecom", show_default=True,
+              type=click.Choice(["lecom", "p500", "none"]),
+              help="C0068 of an SMVector: tens digit of which fault number.")  # fmt: skip
 @click.option("--seed", type=int, default=0, help="Where all chance starts from.")
 @click.option("--control", type=click.Path(path_type=Path), metavar="PATH",
               help="A socket to be told through; default: PATH.control of --pty.")  # fmt: skip
@@ -51,6 +54,7 @@ _ENDS = {signal.SIGINT, signal.SIGTERM}
 def command(
     roster: Path | None, pty: Path | None, tcp: str | None, faults: str, seed: int,
     control: Path | None, lines: tuple[str, ...], as_json: bool, control_word: str,
+    fault_digit: str,
 ) -> int:  # fmt: skip
     """Serve the roster's drives as simulated ones until Ctrl-C or SIGTERM.
 
@@ -75,7 +79,8 @@ def command(
     _check_ends(roster, pty, tcp)
     assert roster is not None
     wanted = load_roster(roster)
-    line = _build(wanted, faults, seed, as_written=control_word == "written")
+    line = _build(wanted, faults, seed, as_written=control_word == "written",
+                  digit_of=fault_digit)  # fmt: skip
     # Blocked before the line's thread starts, so that only sigwait gets them.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDS)
     try:
@@ -125,7 +130,7 @@ def _serve_control(stack: ExitStack, path: Path, told: Control, *, wanted: bool)
         click.echo(f"lecombus: {problem}", err=True)
 
 
-def _build(roster: Roster, faults: str, seed: int, *, as_written: bool) -> SimLine:
+def _build(roster: Roster, faults: str, seed: int, *, as_written: bool, digit_of: str) -> SimLine:
     drives = [(entry.name, entry.address, entry.family) for entry in roster.drives]
     parity = roster.line.parity == "line"
     try:
@@ -133,7 +138,7 @@ def _build(roster: Roster, faults: str, seed: int, *, as_written: bool) -> SimLi
         _check_absent(wanted.absent, roster)
         return build(
             drives, baud=roster.line.baud, faults=wanted, seed=seed, parity=parity,
-            word_as_written=as_written,
+            word_as_written=as_written, digit_of=digit_of,
         )  # fmt: skip
     except ValueError as exc:
         raise CommandError(Exit.USAGE, Problem(str(exc))) from exc

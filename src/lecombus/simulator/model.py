@@ -64,6 +64,7 @@ class Model:
         deaf_until_s: Before this time the drive hears nothing (start-up, shortened response).
         word_as_written: C0135 reads what was last written to it; else it also shows an inhibit by
             C0040 = 0, and what the watchdog did.
+        digit_of: Which number C0068 of an SMVector shows the tens digit of (see `SMVector`).
     """
 
     family: ClassVar[str]
@@ -88,6 +89,7 @@ class Model:
         self.terminal_enable = True
         self.control = 0
         self.word_as_written = False
+        self.digit_of = "lecom"
         self._written_word = 0
         self.watchdog_fired = 0
         self.deaf_until_s = 0.0

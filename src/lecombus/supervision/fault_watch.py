@@ -3,7 +3,8 @@
 A fault is active only when a status word says so; what stands in the fault memory may be years
 old. So the words decide whether there is one, and when one rises the memory is read at once, for
 its number: whoever looks shall not wait for the memory's own slow turn. The number is taken only
-if it agrees with what the words say (the kind; C0068's tens digit).
+if it agrees with what the words say (the kind; where the memory holds LECOM numbers, C0068's tens
+digit). A value that is no whole number is none: nothing says how it would be read.
 
 Strategy: no task and no timer. `seen` is called with every value read, costs two look-ups when
 nothing changed, and asks for the few reads that a change calls for; their values come back the
@@ -122,7 +123,7 @@ class FaultWatch:
         family = watched.family
         watched.shows[code] = family.shown_fault(code, number)
         digit = family.status_fields(code, number).get(FAULT_DIGIT)
-        another = digit is not None and digit.number != watched.digit
+        before = watched.digit
         if digit is not None:
             watched.digit = digit.number
         kind = max(watched.shows.values(), key=RANK.__getitem__)
@@ -131,8 +132,8 @@ class FaultWatch:
                 self._goes(drive, watched)
             if kind is not None:
                 self._rises(drive, watched, kind, shown_by=code)
-        elif kind is not None and another:
-            self._doubt(drive, watched)
+        elif kind is not None and watched.digit != before:
+            self._doubt(drive, watched, before)
         if watched.kind is FaultKind.TRIP and watched.shows[code] is None:
             self._look_again(drive, watched)
 
@@ -186,15 +187,17 @@ class FaultWatch:
         if table is None or code != table.memories[0]:
             return
         number = value.number
-        watched.candidate = None if isinstance(number, (str, bytes)) else int(number)
+        is_number = not isinstance(number, (str, bytes)) and number == int(number)
+        watched.candidate = int(number) if is_number else None
         self._name(drive, table, watched)
 
-    def _doubt(self, drive: str, watched: _Watched) -> None:
-        """The tens digit is another one: it may be another fault by now."""
+    def _doubt(self, drive: str, watched: _Watched, before: int) -> None:
+        """The tens digit is another one than before: it may be another fault by now."""
         table = watched.family.fault_table
-        if table is None:
-            return
-        if watched.candidate is not None and fits_digit(watched.candidate, watched.digit):
+        if table is None or not (table.lecom_numbers or before):
+            return  # of numbers of its own, the first digit of a fault says nothing
+        candidate = watched.candidate if table.lecom_numbers else None
+        if candidate is not None and fits_digit(candidate, watched.digit):
             self._name(drive, table, watched)
             return
         watched.number = watched.candidate = None
@@ -275,7 +278,7 @@ def agrees(table: FaultTable, number: int, kind: FaultKind | None, digit: int) -
     known = table.fault(number)
     if known is not None and (known.kind is FaultKind.TRIP) != (kind is FaultKind.TRIP):
         return False
-    return kind is not FaultKind.TRIP or fits_digit(number, digit)
+    return kind is not FaultKind.TRIP or table.fits(number, digit)
 
 
 def number_text(number: int | None) -> str:

@@ -101,7 +101,7 @@ def load_table(name: str, read_file: ReadFile) -> FaultTable:
         own.fail(f"the file is named {name}.yaml: table must be {name}")
     manual = document.take("manual").text()
     look_up = read_text(document.take("look_up"))
-    thousands = document.get("thousands")
+    thousands, own_list = document.get("thousands"), document.get("own_list")
     table = FaultTable(
         name=name,
         families=tuple(item.text() for item in document.take("families").items()),
@@ -110,6 +110,7 @@ def load_table(name: str, read_file: ReadFile) -> FaultTable:
         memories=tuple(read_code_number(item) for item in document.take("memories").items()),
         look_up=look_up,
         source=f"{manual} {document.take('memories_source').text()}",
+        lecom_numbers=not (own_list and own_list.flag()),
     )
     document.done()
     return table

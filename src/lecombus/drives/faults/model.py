@@ -107,6 +107,8 @@ class FaultTable:
         memories: The codes of the fault memory, the active or newest fault first.
         look_up: What to do about a fault of which the manual names no remedy, or does not list.
         source: Manual and section of the fault memory.
+        lecom_numbers: The memory holds LECOM fault numbers, whose tens digit C0068 shows. An
+            SMVector's P500 has a list of its own, and its C0068 shows a digit of another scale.
     """
 
     name: str
@@ -116,6 +118,11 @@ class FaultTable:
     memories: tuple[Code, ...]
     look_up: Text
     source: str
+    lecom_numbers: bool = True
+
+    def fits(self, number: int, digit: int) -> bool:
+        """Say whether a number can be the fault that C0068 shows a digit of (bits 0 to 3)."""
+        return not self.lecom_numbers or fits_digit(number, digit)
 
     def fault(self, number: int) -> Fault | None:
         """Give a fault by its number; None for no fault, or a number the manual does not list."""

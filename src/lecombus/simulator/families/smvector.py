@@ -15,8 +15,7 @@ from collections.abc import Mapping
 from decimal import Decimal
 from typing import ClassVar, Final
 
-from lecombus.simulator.families.module2102 import tens_digit
-from lecombus.simulator.families.tablesmv import FAULTS_SMV, SPECS_SMV
+from lecombus.simulator.families.tablesmv import FAULTS_SMV, LECOM_NUMBERS, SPECS_SMV
 from lecombus.simulator.model import INHIBIT, JOG_BITS, QSP, REVERSE, Model, word_text
 from lecombus.simulator.parameters import CommError, ExtendedFault, Refusal, Spec
 from lecombus.simulator.troubles import Kind
@@ -43,6 +42,8 @@ class SMVector(Model):
     Attributes:
         messages: P427: valid network messages, 0..9999, then from 0 again.
         network_enabled: Whether the contact at the terminal for "network enable" is closed.
+        digit_of: Which number C0068 shows the tens digit of: "lecom", that of the LECOM fault
+            number, as table 9 says, whose list is missing; "p500", that of P500's number; "none".
     """
 
     family: ClassVar[str] = "smvector"
@@ -200,9 +201,16 @@ class SMVector(Model):
         """The manual gives none: 20 ms stands in, as for the other drives of its time."""
         return 0.020
 
+    def fault_digit(self) -> int:
+        """Bits 0..3 of C0068: a tens digit, of a number that the manual leaves open."""
+        if self.digit_of == "none":
+            return 0
+        number = LECOM_NUMBERS.get(self.fault, 0) if self.digit_of == "lecom" else self.fault
+        return number // 10 % 10
+
     def operating_status(self) -> int:
         """C0068. Source: CMVLC401A table 9."""
-        bits = tens_digit(self.fault) | int(self.comm_error) << 4
+        bits = self.fault_digit() | int(self.comm_error) << 4
         flags = {
             8: self.level() >= 3 and self.under_network(),
             9: self.motor.output != 0.0,

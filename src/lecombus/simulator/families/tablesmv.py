@@ -16,7 +16,7 @@ from typing import Final
 from lecombus.simulator.parameters import Kept, Spec, d, h, s
 from lecombus.simulator.troubles import kinds
 
-__all__ = ["FAULTS_SMV", "SPECS_SMV"]
+__all__ = ["FAULTS_SMV", "LECOM_NUMBERS", "SPECS_SMV"]
 
 _NET: Final = Kept.PROCESS
 
@@ -92,3 +92,13 @@ SPECS_SMV: Final[tuple[Spec, ...]] = (
 
 FAULTS_SMV: Final = kinds(trips=tuple(range(1, 37)))
 """Numbers of P500. Source: CMVLC401A 9.1."""
+
+LECOM_NUMBERS: Final = {
+    2: 11, 3: 12, 4: 50, 6: 1020, 7: 1030, 8: 16, 13: 91, 14: 72, 34: 61, 36: 61,
+}  # fmt: skip
+"""What P500's faults would be as LECOM fault numbers: short circuit, earth fault, overheating,
+overvoltage, undervoltage, motor overload, external fault, memory, communication; no others.
+
+Only 50 stands in the drive's own manual (CMVLC401A table 9, C0068), the rest are like faults of
+EDB2102EN 8.2.
+"""
