@@ -36,6 +36,7 @@ from lecombus.config import Roster, RosterError, load_roster
 from lecombus.drives import StopAction
 from lecombus.errors import LecombusError
 from lecombus.line.loop import run as run_loop
+from lecombus.line.unheard import others_at
 from lecombus.operations.reports import GroupReport
 from lecombus.schedule import Outcome
 from lecombus.simulated import opener_for
@@ -130,6 +131,7 @@ class Daemon:
         self._notifier = Notifier()
         self._end = anyio.Event()
         self._ready = False
+        self._looking = False
         self._progress = (-1, -1)
         self._progress_at_s = 0.0
         self.site: Site | None = None
@@ -162,7 +164,7 @@ class Daemon:
                 line.start_soon(keeping.run, partial(site.store.note_line, "state"))
                 line.start_soon(site.keeper.run)
                 line.start_soon(site.worker.run)
-                faces.start_soon(self._tick, site)
+                faces.start_soon(self._tick, faces, site)
                 await self._end.wait()
                 self._notifier.tell("STOPPING=1")
                 logger.info("event=stopping line=%s", self._roster.line.name)
@@ -225,10 +227,13 @@ class Daemon:
         finally:
             self._notifier.tell("READY=1")
 
-    async def _tick(self, site: Site) -> None:
+    async def _tick(self, faces: anyio.abc.TaskGroup, site: Site) -> None:
         """Once a second: tell the service manager how we are, and the store how the cadence is."""
         while True:
             site.note_cadence()
+            if not self._looking and site.wants_look_at_port():
+                self._looking = True
+                faces.start_soon(self._look_at_port, site)
             if not self._ready and site.tried_all():
                 self._ready = True
                 self._notifier.tell("READY=1", f"STATUS=line {self._roster.line.name} is open")
@@ -239,6 +244,16 @@ class Daemon:
             if self.healthy()[0]:
                 self._notifier.tell("WATCHDOG=1")
             await anyio.sleep(TICK_S if self._ready else TICK_S / 10.0)
+
+    async def _look_at_port(self, site: Site) -> None:
+        """Look who else has the port open, beside the line."""
+        port = self._roster.line.port
+        try:
+            site.port_watch.found(
+                await anyio.to_thread.run_sync(others_at, port, abandon_on_cancel=True)
+            )
+        finally:
+            self._looking = False
 
     def ready(self) -> tuple[bool, str]:
         """Whether the line is open and every drive has been tried once."""

@@ -48,6 +48,7 @@ from lecombus.supervision.fault_watch import FaultWatch
 from lecombus.supervision.gates import Gates
 from lecombus.supervision.health import Health
 from lecombus.supervision.keeper import Keeper
+from lecombus.supervision.port_watch import PortWatch
 from lecombus.supervision.slow_drives import SlowDrives
 from lecombus.supervision.strain import Strain
 
@@ -136,6 +137,7 @@ class Site:
         self.custody = Custody(self.identities, self.wear, self.readdress)
         self._slow = SlowDrives(self.store)
         self._strain = Strain(self.store)
+        self.port_watch = PortWatch(self.store, line)
         self._reads = CyclicReads(self.requests, self.schedule, self.store, self.metrics.minutes)
         self._entries: dict[str, DriveEntry] = {}
         self.apply(roster)
@@ -226,6 +228,16 @@ class Site:
         starting = any(self.health.state(name) is DriveState.STARTING for name in self._entries)
         is_open = self.worker.is_open
         self._strain.note(stats.stretch, now_s, is_open=is_open, starting=starting)
+
+    def wants_look_at_port(self) -> bool:
+        """Whether somebody should look who else has the port open; about once a second."""
+        return self.port_watch.note(
+            self._books.failures,
+            self._clock(),
+            is_open=self.worker.is_open,
+            silent=self.health.is_silent,
+            heard=any(map(self.health.was_heard, self._entries)),
+        )
 
     @property
     def longest_exchange_s(self) -> float:

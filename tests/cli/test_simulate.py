@@ -59,7 +59,21 @@ def test_a_simulated_drive_is_read_through_a_port_of_its_own(
         assert (reading["code"], reading["format"], reading["unit"]) == ("C0050", "VD", "Hz")
         absent = run("read", *words[:-1], "--address", "12", "C0050")
         assert absent.status == 1
-        assert "no answer" in absent.err
+        assert "no drive answers at address 12: not one byte came back" in absent.err
+        assert "check the baud rate (19200 here" in absent.err
+        assert "A and B" in absent.err
+
+
+def test_another_program_that_takes_the_bytes_is_named(
+    run: Run, roster: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who else has a port open is found out in tests/line/test_devices.py."""
+    monkeypatch.setattr("lecombus.line.devices.others", lambda path: ("cat (pid 12)",))
+    with simulated("-c", str(roster), "--pty", str(tmp_path / "line")) as (_, port):
+        ran = run("read", "--port", port, "--baud", "19200", "--address", "12", "C0050")
+        assert ran.status == 1
+        assert f"cat (pid 12) has {port} open too and takes bytes from the drives" in ran.err
+        assert "end it" in ran.err
 
 
 def test_the_same_over_tcp(run: Run, roster: Path) -> None:

@@ -405,6 +405,49 @@ def test_absent_drives_take_no_more_than_their_share_however_many(count: int) ->
     with_plant(test, roster_of(drives))
 
 
+def test_no_watchdog_is_called_missed_of_a_drive_not_heard_since_the_port_was_opened(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async def looked_at(plant: Plant, for_s: int) -> None:
+        for _ in range(for_s):
+            await anyio.sleep(1.0)
+            plant.site.note_cadence()
+
+    async def test(plant: Plant) -> None:
+        plant.line.faults.absent = {11}
+        await looked_at(plant, 30)
+        assert not [one for one in caplog.messages if "event=watchdog-missed" in one]
+        plant.line.faults.absent = set()
+        await plant.online(within_s=120)
+        await looked_at(plant, 5)
+        plant.line.faults.absent = {11}
+        await looked_at(plant, 30)
+        assert len([one for one in caplog.messages if "event=watchdog-missed" in one]) == 1
+
+    with_plant(test, roster_of(ONE, watchdog=GUARD))
+
+
+def test_drives_that_are_all_silent_are_not_told_one_by_one(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    def offline() -> list[str]:
+        return [one.split()[0] for one in caplog.messages if "to=offline" in one]
+
+    async def test(plant: Plant) -> None:
+        plant.line.faults.absent = {11, 12}
+        caplog.set_level("INFO")
+        await anyio.sleep(20.0)
+        assert plant.site.health.is_silent
+        assert plant.site.wants_look_at_port()
+        assert offline() == []
+        assert not [one for one in caplog.messages if "audit-failed" in one]
+        plant.line.faults.absent = {12}
+        await plant.online("a", within_s=120)
+        assert offline() == ["drive=b"], "with the first one heard it is no longer all of them"
+
+    with_plant(test, roster_of([("a", 11, "8200vector"), ("b", 12, "8200vector")]))
+
+
 def test_a_watchdog_that_ran_out_unfed_is_logged_once_per_lapse(
     caplog: pytest.LogCaptureFixture,
 ) -> None:

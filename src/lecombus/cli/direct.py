@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import time
 
+import anyio.to_thread
+
 from lecombus.api.exact import encode
+from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.own_line import own_line
 from lecombus.cli.reports import Document
 from lecombus.drives import LineTiming, family
+from lecombus.errors import ExchangeError, NoReplyError
 from lecombus.line.loop import run
 from lecombus.line.port import PortSettings
 from lecombus.line.station import Station
+from lecombus.line.unheard import END_IT, others_at, shared, unheard_remedy
 from lecombus.protocol import Code, Value
 from lecombus.readings import Quality, Reading
 from lecombus.schedule import Priority
@@ -40,6 +45,7 @@ def read_directly(
 
     Raises:
         LecombusError: The port cannot be opened, or the drive did not give a value.
+        CommandError: Another program reads the port, or nothing is heard.
     """
     described = family(family_name)
     station = Station("drive", address, described, described.forms)
@@ -67,4 +73,15 @@ async def _read(settings: PortSettings, station: Station, code: Code) -> Value:
     timing = LineTiming(settings.baud, adapter_latency_s=ADAPTER_LATENCY_S)
     async with own_line(settings, timing, retries=RETRIES) as line:
         line.schedule.add_drive(station.name)
-        return await line.requests.read(station, code, Priority.INTERACTIVE)
+        try:
+            return await line.requests.read(station, code, Priority.INTERACTIVE)
+        except ExchangeError as exc:
+            others = await anyio.to_thread.run_sync(others_at, settings.url)
+            if others:
+                what = f"{exc}; {shared(settings.url, others)}"
+                raise CommandError(Exit.FAILED, Problem(what, END_IT, "port-shared")) from exc
+            if isinstance(exc, NoReplyError) and not line.bytes_heard:
+                what = f"no drive answers at address {station.address}: not one byte came back"
+                remedy = f"{unheard_remedy(settings.url, settings.baud)}, and its address"
+                raise CommandError(Exit.FAILED, Problem(what, remedy, "no-answer")) from exc
+            raise

@@ -12,6 +12,7 @@ from contextlib import asynccontextmanager
 
 import anyio
 
+from lecombus.cli.exits import CommandError
 from lecombus.drives import LineTiming
 from lecombus.errors import LecombusError, LineLostError
 from lecombus.line.observer import ExchangeReport
@@ -132,7 +133,7 @@ async def own_line(
         LecombusError: The port cannot be opened, or what the block raises.
     """
     line = OwnLine(settings, timing, retries, options)
-    failure: LecombusError | None = None
+    failure: LecombusError | CommandError | None = None
     async with anyio.create_task_group() as tasks:
         tasks.start_soon(line.worker.run)
         await line.known.wait()
@@ -140,7 +141,7 @@ async def own_line(
             if line.error is not None:
                 raise line.error
             yield line
-        except LecombusError as exc:  # outside the task group, or it would come out wrapped
+        except (LecombusError, CommandError) as exc:  # outside the group, or it would be wrapped
             failure = exc
         finally:
             line.worker.close()

@@ -22,6 +22,7 @@ from lecombus.config import LineEntry, line_timing
 from lecombus.config.building import STATE_DIR
 from lecombus.drives import family, read_cost
 from lecombus.line.loop import run
+from lecombus.line.unheard import END_IT, others_at, shared
 from lecombus.protocol import BAUDS, Code, Form, is_drive_address
 from lecombus.scanning import Finding, Place, Plan, Scan, check_place, entries, propose, why_nothing
 
@@ -160,7 +161,13 @@ def _on_own_port(wish: Wish, line: LineEntry) -> int:
     scan, ears = Scan(Plan(wish.addresses, wish.bauds, wish.thorough)), Ears()
     with ScanProgress(scan, _look_s(line, wish.bauds[0])) as progress:
         run(scan_own_port, scan, line, ears, progress.watch)
+    others = others_at(line.port)
+    if others and scan.found:
+        click.echo(f"{shared(line.port, others)}: {END_IT}, and scan again", err=True)
     if not scan.found:
+        if others:
+            what = f"no drive answers: {shared(line.port, others)}"
+            raise CommandError(Exit.FAILED, Problem(what, END_IT, "no-drive"))
         what, remedy = why_nothing(
             scan.samples, scan.unclear, echo=echo_of(scan, ears), parity=line.parity,
             bauds=wish.bauds,
@@ -185,12 +192,14 @@ def _through_daemon(wish: Wish, socket: str | None, url: str | None) -> int:
         scan = Scan(Plan(addresses, (baud,), wish.thorough, listen_s=0.0))
         with ScanProgress(scan, _look_s(line, baud)) as progress:
             scan_by_daemon(scan, daemon, progress.watch)
+        silence = daemon.get("/v1/line").data.get("remarks", {}).get("silence")
     if not scan.found:
         what = f"no drive answers at an address that the roster does not have, at {baud} baud"
         if scan.unclear:
             what, _ = why_nothing(
                 scan.samples, scan.unclear, echo=None, parity="line", bauds=(baud,)
             )
+        what = "; ".join(filter(None, (what, silence)))
         raise CommandError(Exit.FAILED, Problem(what, "", "no-drive"))
     here = {"port": line.port, "baud": baud}
     added = "\n".join(

@@ -15,7 +15,7 @@ import stat
 from collections.abc import Iterator
 from pathlib import Path
 
-__all__ = ["connected", "holders", "is_pseudo", "real_path", "stable_name"]
+__all__ = ["connected", "holders", "is_pseudo", "others", "real_path", "stable_name"]
 
 BY_ID = Path("/dev/serial/by-id")
 """Where udev keeps names made from maker, model and serial number."""
@@ -74,23 +74,52 @@ def holders(path: str) -> dict[int, str]:
     return {pid: f"{_command(pid)} (pid {pid})" for pid in _processes() if _has_open(pid, real)}
 
 
+def others(path: str) -> tuple[str, ...]:
+    """Name the other programs that have a device open and so take bytes from whoever reads it.
+
+    Takes some tens of milliseconds: not for the event loop. Of a pseudo terminal whoever has the
+    far end is left out: a simulator holds both ends.
+
+    Args:
+        path: Any name of the device; what is no device is held by none.
+    """
+    found = holders(path)
+    found.pop(os.getpid(), None)
+    if found and is_pseudo(path):
+        index = Path(real_path(path)).name
+        found = {pid: name for pid, name in found.items() if not _has_far_end(pid, index)}
+    return tuple(found.values())
+
+
 def _processes() -> Iterator[int]:
     with contextlib.suppress(OSError):  # no /proc in this place
-        yield from (int(entry.name) for entry in Path("/proc").iterdir() if entry.name.isdigit())
+        yield from (int(one.name) for one in os.scandir("/proc") if one.name.isdigit())
 
 
 def _has_open(pid: int, real: str) -> bool:
+    return any(target == real for _, target in _open_files(pid))
+
+
+def _has_far_end(pid: int, index: str) -> bool:
+    """Whether a process holds the far end of a pseudo terminal (proc(5), fdinfo: tty-index)."""
+    for number, target in _open_files(pid):
+        if target.endswith("/ptmx"):
+            with contextlib.suppress(OSError):
+                text = Path(f"/proc/{pid}/fdinfo/{number}").read_text(encoding="utf-8")
+                if f"tty-index:\t{index}" in text.splitlines():
+                    return True
+    return False
+
+
+def _open_files(pid: int) -> Iterator[tuple[str, str]]:
+    """Give the descriptors of a process and where they lead; plain strings, there are many."""
     try:
-        return any(_target(link) == real for link in Path(f"/proc/{pid}/fd").iterdir())
+        links = list(os.scandir(f"/proc/{pid}/fd"))
     except OSError:  # not ours to look into, or just ended
-        return False
-
-
-def _target(link: Path) -> str | None:
-    try:
-        return str(link.readlink())
-    except OSError:  # closed meanwhile
-        return None
+        return
+    for link in links:
+        with contextlib.suppress(OSError):  # closed meanwhile
+            yield link.name, os.readlink(link.path)  # noqa: PTH115 - thousands of them
 
 
 def _command(pid: int) -> str:

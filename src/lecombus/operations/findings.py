@@ -42,6 +42,7 @@ __all__ = [
     "lapse_finding",
     "line_finding",
     "lock_finding",
+    "silence_finding",
     "state_finding",
 ]
 
@@ -209,6 +210,16 @@ def line_finding(line: LineInfo) -> Finding | None:
         f"die Leitung ist {GERMAN_LINE[line.state]}: {line.reason}",
     )
     return Finding("line", Weight.REASON, text, LINE_REMEDY)
+
+
+def silence_finding(info: DriveInfo, line: LineInfo) -> Finding | None:
+    """Say that no drive of the line answers, or that another program reads the port."""
+    remark = line.remarks.get("silence")
+    if remark is None or info.state not in (DriveState.OFFLINE, DriveState.DEGRADED):
+        return None
+    what, _, remedy = remark.rpartition(": ")
+    text = Text(f"{what}", f"Leitung gestört: {what}")
+    return Finding("line-silent", Weight.REASON, text, Text(remedy, remedy))
 
 
 def state_finding(info: DriveInfo) -> Finding | None:

@@ -30,6 +30,7 @@ from lecombus.operations.findings import (
     lapse_finding,
     line_finding,
     lock_finding,
+    silence_finding,
     state_finding,
 )
 from lecombus.operations.requests import Requests
@@ -187,7 +188,9 @@ class Why:
 
     def _own(self, info: DriveInfo) -> list[Finding]:
         """What the line, the drive's own state and its fault say."""
-        found = [line_finding(self._store.line()) or state_finding(info), fault_finding(info)]
+        line = self._store.line()
+        found = [line_finding(line) or silence_finding(info, line)]
+        found += [None if found[0] else state_finding(info), fault_finding(info)]
         return [one for one in found if one is not None]
 
     def _more(self, info: DriveInfo) -> list[Finding]:

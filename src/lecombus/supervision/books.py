@@ -70,6 +70,7 @@ class Books:
         self._is_drive = is_drive
         self._faults = faults
         self.disturbances = 0
+        self.failures = 0
         self._configurations = configurations
         self._identities = identities
 
@@ -77,6 +78,8 @@ class Books:
         """Book one exchange."""
         if not report.result.clean:
             self.disturbances += 1
+        if report.result.kind is not ResultKind.ANSWERED:
+            self.failures += report.result.kind is not ResultKind.SENT
         result = report.result
         answer = result.answer
         kind = report.step.kind

@@ -103,6 +103,17 @@ class Health:
         """How a drive is doing."""
         return self._records[name].state
 
+    def was_heard(self, name: str) -> bool:
+        """Whether a drive has answered since the line was opened."""
+        record = self._records.get(name)
+        return record is not None and record.heard
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether all drives were tried and none answers."""
+        records = self._records.values()
+        return bool(records) and all(one.state is DriveState.OFFLINE for one in records)
+
     def line_opened(self) -> None:
         """Begin anew with every drive: nobody knows what happened while the line was away."""
         now = self._clock()
@@ -129,7 +140,9 @@ class Health:
         if record is None:
             return
         if kind is ResultKind.ANSWERED:
-            record.heard = True
+            if not record.heard:
+                record.heard = True
+                self._tell_held_back(name)
             if record.misses or record.state is DriveState.OFFLINE:
                 self._answered(name, record)
         elif kind is not ResultKind.LOST:
@@ -195,6 +208,13 @@ class Health:
                     record.audit_due, record.due_from_s = True, self._clock()
                 self._wants_audit(name)
 
+    def _tell_held_back(self, heard: str) -> None:
+        """Log the drives that are offline: with the first one heard it is no longer all of them."""
+        for name, record in self._records.items():
+            is_told = record.told is DriveState.OFFLINE
+            if name != heard and record.state is DriveState.OFFLINE and not is_told:
+                self._log(name, record, record.state, self._store.drive(name).reason)
+
     def _missed(self, name: str, record: _Record, fault: str) -> None:
         if not record.misses:
             record.silent_from_s = self._clock()
@@ -215,9 +235,16 @@ class Health:
     def _set(
         self, name: str, record: _Record, state: DriveState, reason: str, *, is_news: bool = True
     ) -> None:
-        if is_news and state is not record.told:
-            log = logger.warning if state is DriveState.OFFLINE else logger.info
-            log("drive=%s event=state from=%s to=%s reason=%s", name, record.told, state, reason)
-            record.told = state
+        # That no drive at all answers is said once for all of them (`port_watch`).
+        unheard = state is DriveState.OFFLINE and not any(
+            one.heard for one in self._records.values()
+        )
+        if is_news and state is not record.told and not unheard:
+            self._log(name, record, state, reason)
         record.state = state
         self._store.drive_state(name, state, reason)
+
+    def _log(self, name: str, record: _Record, state: DriveState, reason: str) -> None:
+        log = logger.warning if state is DriveState.OFFLINE else logger.info
+        log("drive=%s event=state from=%s to=%s reason=%s", name, record.told, state, reason)
+        record.told = state

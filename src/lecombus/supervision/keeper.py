@@ -213,7 +213,9 @@ class Keeper:
         for name, feed in feeds.items():
             # The schedule does not count for drives that are offline; short lapses it does.
             counted = feed.lapses > self._lapses.get(name, 0)
-            if name not in self._run_out and (counted or name in run_out):
+            is_new = name not in self._run_out and (counted or name in run_out)
+            # Of a drive not heard since the port was opened nobody knows that it is there at all.
+            if is_new and self._health.was_heard(name):
                 logger.warning("drive=%s event=watchdog-missed time_s=%g", name, feed.time_s)
         self._run_out = run_out
         self._lapses = {name: feed.lapses for name, feed in feeds.items()}
@@ -224,7 +226,8 @@ class Keeper:
     def _audit_failed(self, name: str, exc: LecombusError) -> None:
         if name in self._entries:
             self._health.audit_failed(name, str(exc))
-        if not is_of_the_line(exc):  # `port-lost` says it once for all drives
+        # `port-lost` or `line-silent` says it once for all drives, `state` for one.
+        if not is_of_the_line(exc) and self._health.was_heard(name):
             logger.info("drive=%s event=audit-failed reason=%s", name, exc)
 
     def _feed(self, name: str, time_s: float | None) -> None:

@@ -1,0 +1,60 @@
+"""Who else has a port open."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from lecombus.line import devices
+from lecombus.line.unheard import others_at
+
+
+@pytest.fixture
+def terminal() -> Iterator[str]:
+    """A pseudo terminal of which this process holds both ends."""
+    far, near = os.openpty()
+    yield os.ttyname(near)
+    os.close(near)
+    os.close(far)
+
+
+def until_open(path: str, process: subprocess.Popen[bytes]) -> None:
+    for _ in range(500):
+        if process.pid in devices.holders(path):
+            return
+        time.sleep(0.01)
+    raise AssertionError("it never opened the port")
+
+
+def test_a_program_that_reads_the_port_is_named_with_its_pid(terminal: str) -> None:
+    assert others_at(terminal) == ()
+    with subprocess.Popen(["cat", terminal], stdout=subprocess.DEVNULL) as cat:
+        try:
+            until_open(terminal, cat)
+            assert others_at(terminal) == (f"cat (pid {cat.pid})",)
+        finally:
+            cat.kill()
+
+
+def test_whoever_has_the_far_end_of_a_pseudo_terminal_is_not_in_the_way() -> None:
+    script = (
+        "import os, sys; far, near = os.openpty(); print(os.ttyname(near), flush=True); "
+        "sys.stdin.read()"
+    )
+    with subprocess.Popen(
+        ["python3", "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as simulator:
+        assert simulator.stdout is not None
+        port = simulator.stdout.readline().strip()
+        assert simulator.pid in devices.holders(port)
+        assert others_at(port) == ()
+        simulator.kill()
+
+
+@pytest.mark.parametrize("port", ["socket://127.0.0.1:4001", "sim:", "/dev/none"])
+def test_what_is_no_device_is_held_by_none(port: str) -> None:
+    assert others_at(port) == ()
