@@ -9,11 +9,14 @@ import pytest
 from lecombus.drives import LineTiming, family, read_cost
 from lecombus.drives.costs import LATENESS_S
 from lecombus.drives.measured import (
+    ATTEMPTS,
+    FADE_S,
+    JUDGED_EVERY_S,
     KEPT_S,
     MOST_CODES,
     MOST_LEAST_S,
     MOST_S,
-    WINDOW_S,
+    RECENT_S,
     MeasuredTimes,
     SlowAnswers,
     manual_s,
@@ -39,10 +42,56 @@ def reckoned_s(found: MeasuredTimes, code: Code = STATUS, *, write: bool = False
 
 
 def test_once_is_no_measure_and_twice_is() -> None:
-    assert reckoned_s(measured(SLOW_S, 0.01, 0.01)) is None
-    twice_s = reckoned_s(measured(SLOW_S, 0.01, SLOW_S))
+    assert reckoned_s(measured(SLOW_S)) is None
+    twice_s = reckoned_s(measured(SLOW_S, SLOW_S))
     assert twice_s is not None
     assert SLOW_S <= twice_s <= 1.25 * SLOW_S
+
+
+@pytest.mark.parametrize(("late", "most"), [(0.05, 0), (0.1, 8), (0.25, 200)])
+def test_some_answers_that_are_late_are_no_slow_drive(late: float, most: int) -> None:
+    rng = random.Random(3)
+    found, slow = MeasuredTimes(), 0
+    for number in range(4000):
+        time_s = SLOW_S if rng.random() < late else 0.01
+        found.note(STATUS, TOLD_S, time_s, float(number), write=False)
+        slow += reckoned_s(found) is not None
+    assert slow <= most
+
+
+def test_a_drive_that_becomes_slow_is_learnt_after_some_attempts_and_forgotten_as_soon() -> None:
+    found = measured(*[0.01] * 100)
+    for number in range(ATTEMPTS // 2 + 1):
+        assert reckoned_s(found) is None
+        found.note(STATUS, TOLD_S, SLOW_S, 100.0 + number, write=False)
+    assert reckoned_s(found) is not None
+    for number in range(ATTEMPTS):
+        found.note(STATUS, TOLD_S, SLOW_S, 110.0 + number, write=False)
+    for number in range(ATTEMPTS // 2):
+        assert reckoned_s(found) is not None
+        found.note(STATUS, TOLD_S, 0.01, 120.0 + number, write=False)
+    assert found.slow == SlowAnswers()
+
+
+def test_attempts_without_an_answer_speak_for_a_slow_drive_but_alone_they_prove_nothing() -> None:
+    found = measured(*[0.01] * ATTEMPTS)
+    for number in range(100):
+        found.missed(STATUS, 10.0 + number, write=False)
+    assert reckoned_s(found) is None
+    for number in range(2):
+        found.missed(STATUS, 110.0 + number, write=False)
+        found.note_late(STATUS, TOLD_S, 0.9, 110.1 + number)
+    assert reckoned_s(found) is not None
+    for number in range(100):
+        found.missed(STATUS, 120.0 + number, write=False)
+    assert reckoned_s(found) is not None, "silence forgets nothing"
+
+
+def test_one_wild_measure_among_others_does_not_count() -> None:
+    found = measured(SLOW_S, SLOW_S, 30.0, SLOW_S)
+    used_s = reckoned_s(found)
+    assert used_s is not None
+    assert used_s <= 1.25 * SLOW_S
 
 
 def test_what_is_about_the_manual_s_time_changes_nothing() -> None:
@@ -62,21 +111,30 @@ def test_never_below_the_manual_and_never_far_above() -> None:
         assert told_s <= used_s <= max(told_s, most_s)
 
 
-def test_slowness_that_ends_is_forgotten_after_two_windows_of_answers() -> None:
-    found = measured(SLOW_S, SLOW_S)
-    for at_s in (WINDOW_S + 1.0, WINDOW_S + 2.0):
-        found.note(STATUS, TOLD_S, 0.01, at_s, write=False)
+def test_a_code_seldom_read_is_forgotten_by_its_first_answer_in_time() -> None:
+    found = measured(*[SLOW_S] * ATTEMPTS)
+    found.note(STATUS, TOLD_S, 0.01, FADE_S - 1.0, write=False)
     assert reckoned_s(found) is not None
-    for at_s in (2 * WINDOW_S + 2.0, 2 * WINDOW_S + 3.0):
-        found.note(STATUS, TOLD_S, 0.01, at_s, write=False)
+    found.note(STATUS, TOLD_S, 0.01, FADE_S + ATTEMPTS, write=False)
     assert reckoned_s(found) is None
     assert found.slow == SlowAnswers()
 
 
-def test_silence_forgets_nothing() -> None:
+def test_what_was_late_with_others_is_forgotten_with_them() -> None:
     found = measured(SLOW_S, SLOW_S)
-    found.note(STATUS, TOLD_S, 0.01, 50 * WINDOW_S, write=False)
-    assert reckoned_s(found) is not None
+    for number in range(2):
+        found.note(OTHER, TOLD_S, SLOW_S, 2.0 + number, write=False)
+    assert reckoned_s(found, OTHER) is not None
+    for number in range(2):
+        found.note(STATUS, TOLD_S, 0.01, 4.0 + RECENT_S + number, write=False)
+    assert found.slow == SlowAnswers()
+
+
+def test_all_is_forgotten_when_somebody_says_so() -> None:
+    found = measured(SLOW_S, SLOW_S)
+    found.forget()
+    assert found.slow == SlowAnswers()
+    assert found.rows() == []
 
 
 def test_a_code_no_longer_asked_for_is_forgotten_while_the_drive_answers_others() -> None:
@@ -84,7 +142,7 @@ def test_a_code_no_longer_asked_for_is_forgotten_while_the_drive_answers_others(
     for at_s in (10.0, KEPT_S / 2, KEPT_S - 1.0):
         found.note(OTHER, TOLD_S, 0.01, at_s, write=False)
     assert reckoned_s(found) is not None
-    for at_s in (KEPT_S + 2.0, KEPT_S + WINDOW_S):
+    for at_s in (KEPT_S + 2.0, KEPT_S + JUDGED_EVERY_S):
         found.note(OTHER, TOLD_S, 0.01, at_s, write=False)
     assert reckoned_s(found) is None
     assert [row.code for row in found.rows()] == [OTHER]

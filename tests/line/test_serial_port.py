@@ -7,6 +7,7 @@ import errno
 import fcntl
 import logging
 import os
+import selectors
 import subprocess
 import sys
 import termios
@@ -458,6 +459,24 @@ def test_discarded_input_is_never_given_on(pty: Pty) -> None:
         pty.send(b"new")
         await recorder.until(lambda: bool(recorder.data))
         assert recorder.data == b"new"
+
+    with_port(pty, body)
+
+
+def test_what_lies_in_the_kernel_is_given_on_when_it_is_looked_at(pty: Pty) -> None:
+    """The loop has no turn meanwhile: nothing is awaited between the bytes and the look."""
+
+    async def body(port: SerialPort, heard: Heard) -> None:
+        port.look()
+        assert not heard.data
+        os.write(pty.master, b"answer")
+        with selectors.DefaultSelector() as selector:
+            selector.register(port._fd, selectors.EVENT_READ)
+            assert selector.select(5.0)
+        port.look()
+        assert bytes(heard.data) == b"answer"
+        port.abort()
+        port.look()
 
     with_port(pty, body)
 

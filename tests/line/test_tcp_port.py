@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import selectors
 import socket
 import struct
 from collections.abc import Awaitable, Callable, Iterator
@@ -219,6 +220,28 @@ def test_discarded_input_is_never_given_on(server: Server) -> None:
         server.peer.sendall(b"new")
         await recorder.until(lambda: bool(recorder.data))
         assert recorder.data == b"new"
+
+    with_port(server, body)
+
+
+def test_what_lies_in_the_kernel_is_given_on_when_it_is_looked_at(server: Server) -> None:
+    """The loop has no turn meanwhile: nothing is awaited between the bytes and the look."""
+
+    async def body(port: TcpPort, heard: Heard) -> None:
+        port.look()
+        assert not heard.data
+        server.peer.send(b"answer")
+        assert port._transport is not None
+        sock = port._transport.get_extra_info("socket")
+        with selectors.DefaultSelector() as selector:
+            selector.register(sock.fileno(), selectors.EVENT_READ)
+            assert selector.select(5.0)
+        port.look()
+        assert bytes(heard.data) == b"answer"
+        server.peer.close()
+        port.look()
+        port.abort()
+        port.look()
 
     with_port(server, body)
 

@@ -56,6 +56,7 @@ class PortTap:
         self._said = said
         self.carries_parity = inner.carries_parity
         self.discard_input = inner.discard_input
+        self.look = inner.look
         self.abort = inner.abort
         self.describe = inner.describe
 

@@ -12,12 +12,23 @@ there is a socket to ask for.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
+import random
+from collections.abc import Callable, Coroutine, Sequence
 from contextvars import Context
 from heapq import heappop, heappush
-from typing import Any, TypeVar, TypeVarTuple
+from typing import Any, Protocol, TypeVar, TypeVarTuple
 
-__all__ = ["DeadlockError", "TimeLimitError", "VirtualLoop", "run"]
+__all__ = [
+    "DeadlockError",
+    "Machine",
+    "Paused",
+    "Starved",
+    "TimeLimitError",
+    "VirtualLoop",
+    "run",
+]
+
+from lecombus.simulator.memory import MemoryPort
 
 T = TypeVar("T")
 Ts = TypeVarTuple("Ts")
@@ -35,12 +46,67 @@ class TimeLimitError(AssertionError):
     """Virtual time went past the limit given."""
 
 
+class Machine(Protocol):
+    """When a process that wants to run does run."""
+
+    def runs_s(self, wanted_s: float) -> float:
+        """Tell when it runs on; `wanted_s` or later."""
+
+
+class Paused:
+    """A machine that does not run the process in some spans of time (SIGSTOP and SIGCONT).
+
+    Args:
+        spans: From when to when it is paused, in order.
+    """
+
+    def __init__(self, spans: Sequence[tuple[float, float]]) -> None:
+        self._spans = list(spans)
+
+    def runs_s(self, wanted_s: float) -> float:
+        """See `Machine`."""
+        while self._spans and self._spans[0][1] <= wanted_s:
+            del self._spans[0]
+        if self._spans and self._spans[0][0] <= wanted_s:
+            return self._spans[0][1]
+        return wanted_s
+
+
+class Starved:
+    """A machine that lets the process wait, now and then, wherever it is.
+
+    Args:
+        rng: Decides when and for how long.
+        chance: Of each step, 0..1.
+        most_s: The longest it waits, seconds.
+        until_s: Until when.
+    """
+
+    def __init__(self, rng: random.Random, chance: float, most_s: float, until_s: float) -> None:
+        self._rng, self._chance, self._most_s = rng, chance, most_s
+        self._until_s = until_s
+
+    def runs_s(self, wanted_s: float) -> float:
+        """See `Machine`."""
+        if wanted_s < self._until_s and self._rng.random() < self._chance:
+            return wanted_s + self._rng.uniform(0.0, self._most_s)
+        return wanted_s
+
+
 class VirtualLoop(asyncio.SelectorEventLoop):
     """The loop.
 
+    With a `machine` it does not always run when it wants to. It then finds its timers first and
+    the bytes that came meanwhile last, as a loop does whose wait was interrupted by a signal.
+
     Args:
         limit_s: How much virtual time may pass before `TimeLimitError`.
+
+    Attributes:
+        machine: When it runs; None: always.
     """
+
+    machine: Machine | None = None
 
     def __init__(self, limit_s: float = 1e6) -> None:
         self._virtual_s = _START_S
@@ -50,6 +116,8 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         super().__init__()
 
     def time(self) -> float:
+        if self.machine is not None:  # taken from the processor in the middle of a callback
+            self._virtual_s = self.machine.runs_s(self._virtual_s)
         return self._virtual_s
 
     def call_at(
@@ -74,12 +142,22 @@ class VirtualLoop(asyncio.SelectorEventLoop):
             self._ask_sockets()
         if not ready and not self._stopping:  # type: ignore[attr-defined]
             self._jump()
-        while timers and timers[0][0] <= self._virtual_s:
-            ready.append(heappop(timers)[2])
+        if self.machine is None:
+            while timers and timers[0][0] <= self._virtual_s:
+                ready.append(heappop(timers)[2])
+        else:
+            ready.extend(self._due_bytes_last())
         for _ in range(len(ready)):
             handle = ready.popleft()
             if not handle.cancelled():
                 handle._run()
+
+    def _due_bytes_last(self) -> list[asyncio.TimerHandle]:
+        """Take the timers that are due; those that stand for bytes from a port come last."""
+        due = []
+        while self._timers and self._timers[0][0] <= self._virtual_s:
+            due.append(heappop(self._timers)[2])
+        return sorted(due, key=_is_of_port)
 
     def _ask_sockets(self) -> None:
         selector = self._selector  # type: ignore[attr-defined]
@@ -94,8 +172,15 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         if not timers:
             raise DeadlockError("nothing is ready and no timer is set")
         self._virtual_s = max(self._virtual_s, timers[0][0])
+        if self.machine is not None:
+            self._virtual_s = self.machine.runs_s(self._virtual_s)
         if self._virtual_s > self._limit_s:
             raise TimeLimitError(f"more than {self._limit_s - _START_S} s of virtual time passed")
+
+
+def _is_of_port(handle: asyncio.TimerHandle) -> bool:
+    callback = handle._callback  # type: ignore[attr-defined]
+    return isinstance(getattr(callback, "__self__", None), MemoryPort)
 
 
 def run(main: Coroutine[Any, Any, T], *, limit_s: float = 1e6) -> T:

@@ -1,22 +1,29 @@
 """How long a drive really thinks, where that is longer than its manual says.
 
-Strategy: of every code that is read or written, the two longest answers of this window and of the
-one before are kept, and the second longest counts: once may be this computer. What is not clearly
-slower than the manual changes nothing, so that costs and time-outs of ordinary drives are those of
-the manual to the digit. What is slower is reckoned with from then on, in steps of a quarter, never
-with less than the manual's time and never with more than ten times that (or half a second, if that
-is more) or one second: a stop waits for the time-out of what is under way, and that is twice as
-long.
+Strategy: of every code that is read or written the last eight attempts are kept: answered in the
+manual's time, answered clearly later, or not answered. A code is slow if two answers or more came
+late, and late and missing ones together are more than the others. So a few answers that a
+disturbance delays change nothing, a code that has become slow is learnt after some five attempts,
+and one that is answered in time again is forgotten as soon. Late ones that lie a minute back are
+forgotten by the first answer in time: a code that is seldom read must not wait for eight of them.
+
+What is slow is reckoned with by the median of what was late, in steps of a quarter, never with less
+than the manual's time and never with more than ten times that (or half a second, if that is more)
+or one second: a stop waits for the time-out of what is under way, and that is twice as long. What
+is not slow changes nothing: costs and time-outs of ordinary drives are those of the manual to the
+digit.
 
 A drive of which every code that was measured is slow is slow as a whole: codes not yet measured are
 reckoned with by the least of the ratios found, except where the manual tells the most it can be.
 
-What must not live here: where measures come from (`line`), what is said about them (`supervision`).
+What must not live here: where measures come from, and whether one is certain (`line`, `protocol`:
+what the daemon was too late to see is no measure), what is said about them (`supervision`).
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
@@ -26,11 +33,18 @@ from lecombus.protocol.addressing import Code
 from .costs import LATENESS_S
 from .family import Family
 
-__all__ = ["AnswerRow", "MeasuredTimes", "SlowAnswers", "manual_s"]
+__all__ = ["AnswerRow", "MeasuredTimes", "SlowAnswers", "manual_s", "slow_from_s"]
 
-WINDOW_S: Final = 600.0
+ATTEMPTS: Final = 8
+"""So many attempts at a code are remembered."""
+LATE_LEAST: Final = 2
+"""Once may be anything."""
+FADE_S: Final = 60.0
+"""What was late longer ago is forgotten when an answer comes in time."""
 KEPT_S: Final = 7200.0
 """A code that was not asked for in so long is forgotten while the drive answers others."""
+RECENT_S: Final = 10.0
+JUDGED_EVERY_S: Final = 600.0
 MOST_CODES: Final = 16
 """Codes of one drive that are remembered: of more, the slowest."""
 WHOLE_CODES: Final = 2
@@ -87,7 +101,7 @@ class AnswerRow:
         code: The code.
         write: A write rather than a read.
         manual_s: The longest that manual or roster tell, seconds.
-        measured_s: The second longest measured.
+        measured_s: How long it takes, as far as measured.
         slow: It is reckoned with.
     """
 
@@ -98,37 +112,75 @@ class AnswerRow:
     slow: bool
 
 
-class _Longest:
-    """The two longest answers of this window and of the one before."""
+class _Attempts:
+    """The last attempts at one code: when, and after how long it was answered."""
 
-    __slots__ = ("_before", "_began_s", "_now", "last_s", "manual_s")
+    __slots__ = ("_from_s", "_last", "_untimely", "_usual_s", "last_s", "manual_s")
 
     def __init__(self, manual_s: float, now_s: float) -> None:
+        self._last: deque[tuple[float, float]] = deque(maxlen=ATTEMPTS)  # inf: not answered
+        self._untimely = False  # late or missing ones are among them
+        self._usual_s = 0.0  # of the answers in time, about the mean of the last
+        self.last_s = now_s
+        self.take_manual(manual_s)
+
+    def take_manual(self, manual_s: float) -> None:
+        """Compare with another time from now on: roster or family changed."""
         self.manual_s = manual_s
-        self._began_s = self.last_s = now_s
-        self._now = self._before = (0.0, 0.0)
+        self._from_s = slow_from_s(manual_s)
 
     def note(self, time_s: float, now_s: float) -> bool:
         """Take an answer; say whether that may have changed what counts."""
         self.last_s = now_s
-        changed = now_s - self._began_s >= WINDOW_S
-        if changed:
-            self._before, self._now, self._began_s = self._now, (0.0, 0.0), now_s
-        first_s, second_s = self._now
-        if time_s > second_s:
-            self._now = (time_s, first_s) if time_s > first_s else (first_s, time_s)
-            changed = True
-        return changed
+        self._last.append((now_s, time_s))
+        if time_s > self._from_s:
+            self._untimely = True
+            return True
+        share = 1.0 / ATTEMPTS if self._usual_s else 1.0
+        self._usual_s += share * (time_s - self._usual_s)
+        if not self._untimely:
+            return len(self._last) <= LATE_LEAST
+        kept = [one for one in self._last if one[1] <= self._from_s or one[0] >= now_s - FADE_S]
+        self._last = deque(kept, maxlen=ATTEMPTS)
+        self._untimely = any(one[1] > self._from_s for one in self._last)
+        return True
+
+    def note_missing(self, now_s: float) -> None:
+        """Take an attempt without an answer; it takes the place of no late one."""
+        last = self._last
+        if len(last) == ATTEMPTS:
+            given_up = next((one for one in last if not self._from_s < one[1] < math.inf), None)
+            if given_up is None:
+                return
+            last.remove(given_up)
+        last.append((now_s, math.inf))
+        self._untimely = True
+
+    def withdraw_missing(self) -> None:
+        """Forget that the last attempt was not answered: its answer has come late."""
+        if self._last and self._last[-1][1] == math.inf:
+            self._last.pop()
 
     @property
-    def time_s(self) -> float:
-        """The second longest; 0: there were not two yet."""
-        return sorted((*self._now, *self._before))[-2]
+    def answers(self) -> int:
+        """How many of them were answered."""
+        return sum(time_s < math.inf for _, time_s in self._last)
 
     @property
     def is_slow(self) -> bool:
-        """Whether that is clearly more than the manual's time."""
-        return self.time_s > slow_from_s(self.manual_s)
+        """Whether it takes clearly more than the manual's time, as a rule."""
+        untimely = [time_s for _, time_s in self._last if time_s > self._from_s]
+        late = len(untimely) - untimely.count(math.inf)
+        return late >= LATE_LEAST and 2 * len(untimely) > len(self._last)
+
+    @property
+    def time_s(self) -> float:
+        """How long it takes: the median of what was late, if it is slow; 0: never answered."""
+        if not self.is_slow:
+            return self._usual_s
+        untimely = sorted(time_s for _, time_s in self._last if time_s > self._from_s)
+        late = [time_s for time_s in untimely if time_s < math.inf]
+        return late[min((len(untimely) - 1) // 2, len(late) - 1)]
 
 
 class MeasuredTimes:
@@ -141,7 +193,8 @@ class MeasuredTimes:
     def __init__(self, latency_s: float = 0.0) -> None:
         self.slow = SlowAnswers()
         self._latency_s = latency_s
-        self._codes: dict[tuple[Code, bool], _Longest] = {}
+        self._codes: dict[tuple[Code, bool], _Attempts] = {}
+        self._judged_s = 0.0
 
     def note(
         self, code: Code, told_s: float, thought_s: float, now_s: float, *, write: bool
@@ -155,26 +208,41 @@ class MeasuredTimes:
             now_s: When that was.
             write: A write rather than a read.
         """
-        longest = self._codes.get((code, write))
+        attempts = self._codes.get((code, write))
         time_s = max(thought_s - self._latency_s, 0.0)
-        if longest is None:
+        if attempts is None:
             if not self._has_room(time_s / told_s):
                 return
-            longest = self._codes[code, write] = _Longest(told_s, now_s)
-        elif longest.manual_s != told_s:
-            longest.manual_s = told_s
-        if longest.note(time_s, now_s):
+            attempts = self._codes[code, write] = _Attempts(told_s, now_s)
+        elif attempts.manual_s != told_s:
+            attempts.take_manual(told_s)
+        if attempts.note(time_s, now_s) or now_s - self._judged_s > JUDGED_EVERY_S:
+            self._judge(now_s)
+
+    def missed(self, code: Code, now_s: float, *, write: bool) -> None:
+        """Take note that a code was not answered, nothing having been heard."""
+        attempts = self._codes.get((code, write))
+        if attempts is not None:
+            attempts.note_missing(now_s)
             self._judge(now_s)
 
     def answered_s(self, code: Code) -> float | None:
         """Tell when a read of a code was last answered; None: not remembered."""
-        longest = self._codes.get((code, False))
-        return None if longest is None else longest.last_s
+        attempts = self._codes.get((code, False))
+        return None if attempts is None else attempts.last_s
 
     def note_late(self, code: Code, told_s: float, thought_s: float, now_s: float) -> None:
         """Take a read's answer that came after it was given up: it was too slow in any case."""
         least_s = 1.001 * slow_from_s(told_s) + self._latency_s
+        attempts = self._codes.get((code, False))
+        if attempts is not None:
+            attempts.withdraw_missing()
         self.note(code, told_s, max(thought_s, least_s), now_s, write=False)
+
+    def forget(self) -> None:
+        """Forget all that was measured."""
+        self._codes.clear()
+        self.slow = SlowAnswers()
 
     def rows(self) -> list[AnswerRow]:
         """Give what was measured, the slowest first."""
@@ -196,12 +264,16 @@ class MeasuredTimes:
         return True
 
     def _judge(self, now_s: float) -> None:
+        self._judged_s = now_s
         for key in [key for key, one in self._codes.items() if now_s - one.last_s > KEPT_S]:
             del self._codes[key]
-        measured = {key: one for key, one in self._codes.items() if one.time_s > 0.0}
+        measured = {key: one for key, one in self._codes.items() if one.answers >= LATE_LEAST}
         slow = {key: one for key, one in measured.items() if one.is_slow}
         if not slow and not self.slow.reads and not self.slow.writes:
             return
+        was_slow = {(code, False) for code in self.slow.reads}
+        if any(key in was_slow and key not in slow for key in measured):
+            self._recovered(slow, now_s)
         whole = len(slow) == len(measured) >= WHOLE_CODES
         found = SlowAnswers(
             reads={code: _used_s(one) for (code, write), one in slow.items() if not write},
@@ -210,6 +282,14 @@ class MeasuredTimes:
         )
         if found != self.slow:
             self.slow = found
+
+    def _recovered(self, slow: dict[tuple[Code, bool], _Attempts], now_s: float) -> None:
+        """Forget what was late and is not asked for, once another code is in time again.
+
+        It was late with the others, as a rule. If it is slow by itself that is soon learnt again.
+        """
+        for key in [key for key, one in slow.items() if now_s - one.last_s > RECENT_S]:
+            del slow[key], self._codes[key]
 
 
 def manual_s(family: Family, code: Code, *, write: bool, answer_time_s: float | None) -> float:
@@ -232,9 +312,9 @@ def bounded(time_s: float, told_s: float) -> float:
     return float(min(max(round(0.001 * STEP**steps, 6), told_s), most_s))
 
 
-def _used_s(one: _Longest) -> float:
+def _used_s(one: _Attempts) -> float:
     return bounded(one.time_s, one.manual_s)
 
 
-def _ratio(one: _Longest) -> float:
+def _ratio(one: _Attempts) -> float:
     return one.time_s / one.manual_s

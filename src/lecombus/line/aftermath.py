@@ -13,7 +13,7 @@ What must not live here: what a result means (jobs), who keeps books (observer).
 
 from __future__ import annotations
 
-from ..protocol.exchange import Result
+from ..protocol.exchange import Result, ResultKind
 from ..schedule import Request
 from .observer import ExchangeReport, Observer
 from .questions import Question
@@ -66,11 +66,13 @@ class Aftermath:
         self, request: Request, job: Job, question: Question, result: Result, quarantined_s: float
     ) -> None:
         station, step = job.station, job.step
+        is_write = step.kind is StepKind.WRITE
         if result.thought_s is not None and result.clean:
             station.measured.note(
-                step.code, question.told_s, result.thought_s, result.ended_s,
-                write=step.kind is StepKind.WRITE,
-            )  # fmt: skip
+                step.code, question.told_s, result.thought_s, result.ended_s, write=is_write
+            )
+        elif result.kind is ResultKind.NO_REPLY:
+            station.measured.missed(step.code, result.ended_s, write=is_write)
         self.reports.append(
             ExchangeReport(
                 request.drive,

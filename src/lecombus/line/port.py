@@ -2,7 +2,7 @@
 
 Here live the two protocols (`Port`, which the worker calls, and `Receiver`, which a port calls)
 and the settings a port is opened with. A serial device, a TCP connection and the simulator all
-stand behind the same five calls, so that the worker, its tests and the daemon know none of them.
+stand behind the same six calls, so that the worker, its tests and the daemon know none of them.
 
 Theory of operation: a port gives bytes on as they come, in whatever pieces, and never interprets
 them. All calls happen on the one event loop thread. A port that goes away says so by exactly one
@@ -67,6 +67,13 @@ class Port(Protocol):
 
     def discard_input(self) -> None:
         """Drop every byte the operating system holds that was not given on yet."""
+
+    def look(self) -> None:
+        """Give on, from inside this call, what has arrived and lies in the operating system.
+
+        What the loop gives on by itself it gives when it comes to it. Nothing is proven not to
+        have come before this was called. A loss found here follows from the loop.
+        """
 
     def abort(self) -> None:
         """Close at once, dropping what was not sent; harmless on a closed port."""

@@ -15,7 +15,7 @@ import math
 from dataclasses import dataclass, replace
 
 from ..drives import Cost, LineTiming, read_cost, write_cost
-from ..drives.measured import SlowAnswers
+from ..drives.measured import SlowAnswers, slow_from_s
 from ..protocol.addressing import Code, Form, encode_code
 from ..protocol.exchange import ACK_FIELD, Ask
 from ..protocol.parser import with_parity
@@ -183,6 +183,7 @@ class Questions:
         ask = Ask(
             sent, field, cost.request_s, cost.first_byte_s, cost.whole_s, cost.gap_s,
             self._timing.char_s,
+            cost.request_s + slow_from_s(told_s) + self._timing.adapter_latency_s,
         )  # fmt: skip
         return Question(ask, cost.worst_s - cost.whole_s, hold_s, cost.request_s, told_s)
 

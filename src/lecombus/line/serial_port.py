@@ -99,6 +99,11 @@ class SerialPort(SerialTransport):
         with contextlib.suppress(termios.error):  # hung up: the reader is about to find out
             termios.tcflush(self._fd, termios.TCIFLUSH)
 
+    def look(self) -> None:
+        """Read what the kernel holds; see `Port.look`."""
+        if not self._closing:
+            self._read_ready()
+
     def abort(self) -> None:
         """Close at once; see `Port.abort`."""
         self._silent = True

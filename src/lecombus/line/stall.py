@@ -42,6 +42,11 @@ class StallWatch:
         self._stall_s = self._configured_s
         return True
 
+    def excuse(self, for_s: float) -> None:
+        """Take out of the count a time in which the process did not run."""
+        if self._unheard_from_s is not None:
+            self._unheard_from_s += for_s
+
     def failed(self, result: Result) -> float | None:
         """An exchange had no answer.
 
@@ -53,6 +58,7 @@ class StallWatch:
             return None
         if self._unheard_from_s is None:
             self._unheard_from_s = result.started_s
+        self._unheard_from_s += result.overdue_s
         silent_s = result.ended_s - self._unheard_from_s
         if not self._stall_s or silent_s < self._stall_s:
             return None

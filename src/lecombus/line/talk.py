@@ -11,9 +11,10 @@ runs while a drive thinks and costs the line nothing. While it thinks the next c
 its telegram written out (`_rehearse`); when a read's value has come that telegram goes out before
 anything else is done about either (`_follow`). Whatever is out of the ordinary is concluded first.
 
-* An exchange is fed by the receive path and watched by one timer; a stall of the whole machine past
-  a deadline does not lose an answer that is already in the kernel, because bytes are looked at
-  before timers.
+* An exchange is fed by the receive path and watched by one timer. When that fires the port is
+  looked at before anything is judged: the process may not have been run for a while, and an answer
+  that lies in the kernel is in time. It is looked at, too, when a pause ended late, before the next
+  telegram goes out: an old answer that came meanwhile could be taken for that telegram's.
 * After an exchange without its answer the line is left alone until it has been silent for the time
   in which the old answer could still come (quarantine); what comes then is counted and thrown away,
   and the doubt about it lives on in `doubts`. A stop breaks a quarantine: it begins with EOT, which
@@ -54,6 +55,9 @@ from .waits import Deadline, Lateness, Pause
 __all__ = ["Talk"]
 
 logger = logging.getLogger(__name__)
+
+LATE_S: Final = 0.002
+"""A pause that ended so much too late may have let bytes come unseen, seconds."""
 
 LONGEST_REST_S: Final = 1.0
 """Who has nothing to say looks round at least this often: that is its sign of life."""
@@ -116,6 +120,7 @@ class Talk:
         self._pause = Pause(self._wake, lateness)
         self._ended: asyncio.Future[None] | None = None
         self._time: Callable[[], float] = _loop_time
+        self._looked_s = 0.0  # when nothing lay in the port last
         self._ending = False
 
     # ---- what the worker calls ----------------------------------------------------------------
@@ -169,9 +174,11 @@ class Talk:
         if self._talkative:
             logger.debug("line=%s event=received bytes=%s", self._name, data.hex(" "))
         if self._under_way is not None:
-            result = self._exchange.feed(data, now)
+            result = self._exchange.feed(data, now, self._looked_s)
             if result is not None:
                 self._end_exchange(result)
+            elif self._exchange.is_foreign:  # it is over when there was a pause: look for that
+                self._deadline.set(self._exchange.look_s(now))
             return
         late = self._listening.stray(data, now, self._questions.gap_s)
         self.observer.stray_bytes(data, late)
@@ -190,10 +197,18 @@ class Talk:
     def _wake(self) -> None:
         """Go on after a pause; an error ends the talk, not a callback."""
         try:
+            if self._pause.late_s > LATE_S:
+                self._stall.excuse(self._pause.late_s)
+                self._look()
             self._go_on()
         except BaseException as exc:
             if not self._ends_by(exc):
                 raise
+
+    def _look(self) -> None:
+        """Take what lies in the port: a process that was not run has not been given it yet."""
+        if self._connection.port is not None and not self._connection.is_lost:
+            self._connection.port.look()
 
     def _ends_by(self, exc: BaseException) -> bool:
         """End the talk by an error, whatever it is: it must not vanish in a callback."""
@@ -275,14 +290,15 @@ class Talk:
 
     def _begin(self, question: Question, now: float, loss: LineLostError | None) -> None:
         """Begin the exchange of a telegram that was handed over, and use the time it takes."""
-        self._exchange.begin(question.ask, now)
+        self._looked_s = self._time()
+        self._exchange.begin(question.ask, now, self._looked_s)
         if loss is not None:
             self._connection.note_loss(loss)
             self._end_exchange(self._exchange.lost(now))
             return
         if self._talkative:
             logger.debug("line=%s event=sent bytes=%s", self._name, question.ask.sent.hex(" "))
-        self._deadline.set(self._exchange.deadline_s())
+        self._deadline.set(self._exchange.look_s(now))
         self._publish()
         self._rehearse(now)
         self.observer.thinking(question.thinking_s)
@@ -324,11 +340,17 @@ class Talk:
     # ---- an exchange ends -----------------------------------------------------------------------
 
     def _on_deadline(self) -> None:
-        if self._under_way is None:
+        saying = self._under_way
+        if saying is None:
             return
-        result = self._exchange.expire(self._time())
+        now = self._time()
+        self._look()
+        if self._under_way is not saying:
+            return  # its answer lay there
+        self._looked_s = now
+        result = self._exchange.expire(now)
         if result is None:
-            self._deadline.set(self._exchange.deadline_s())
+            self._deadline.set(self._exchange.look_s(now))
         else:
             self._end_exchange(result)
 

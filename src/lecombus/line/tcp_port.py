@@ -72,6 +72,17 @@ class TcpPort(asyncio.Protocol):
             while os.read(fd, _READ_SIZE):
                 pass
 
+    def look(self) -> None:
+        """Read what the kernel holds; see `Port.look`. An end or a break is left to the loop."""
+        transport = self._transport
+        if transport is None or transport.is_closing():
+            return
+        data = b""
+        with contextlib.suppress(OSError):  # empty, or broken
+            data = os.read(transport.get_extra_info("socket").fileno(), _READ_SIZE)
+        if data:
+            self.data_received(data)
+
     def abort(self) -> None:
         """Close at once; see `Port.abort`."""
         self._silent = True

@@ -75,16 +75,19 @@ class Pause:
     Args:
         over: Called.
         lateness: Told how late that was, where it was the time.
+
+    Attributes:
+        late_s: How late the last one was over, seconds; 0: it was nudged.
     """
 
-    __slots__ = ("_handle", "_lateness", "_listens", "_over", "_until_s")
+    __slots__ = ("_handle", "_lateness", "_listens", "_over", "_until_s", "late_s")
 
     def __init__(self, over: Callable[[], None], lateness: Lateness) -> None:
         self._over = over
         self._lateness = lateness
         self._handle: asyncio.Handle | None = None
         self._listens = False
-        self._until_s = 0.0
+        self._until_s = self.late_s = 0.0
 
     @property
     def is_on(self) -> bool:
@@ -95,6 +98,7 @@ class Pause:
         """Call back at `at_s` or, unless `deaf`, when nudged."""
         assert self._handle is None, "one pause at a time"
         self._until_s, self._listens = at_s, not deaf
+        self.late_s = 0.0
         self._handle = asyncio.get_running_loop().call_at(at_s, self._passed)
 
     def nudge(self) -> None:
@@ -111,7 +115,8 @@ class Pause:
             self._handle = None
 
     def _passed(self) -> None:
-        self._lateness.note(asyncio.get_running_loop().time() - self._until_s)
+        self.late_s = asyncio.get_running_loop().time() - self._until_s
+        self._lateness.note(self.late_s)
         self._end()
 
     def _end(self) -> None:

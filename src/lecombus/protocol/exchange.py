@@ -23,12 +23,19 @@ be this exchange's answer is never handed up, and after a bad answer the exchang
 until its deadline: the right answer may still come, and the line must fall silent anyway before
 anyone speaks (EDB2102EN 8.3.5).
 
+Silence is proven by looking. A process that was not run for a while finds bytes in its port of
+which it cannot tell when they came, so the caller says until when it knows that nothing had come:
+a pause is one, and an answer a late one, only if somebody looked meanwhile and found nothing.
+`look_s` says when to look. An answer found after its deadline is in time, because it may have been;
+`overdue_s` says how much older than it seems it may be.
+
 Pure: time is an argument in seconds. Time-outs are given by the caller; retries, quarantine and
 the meaning of an answer belong to the line room.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum, StrEnum
 
@@ -80,6 +87,7 @@ class Ask:
             the time its members are left alone.
         gap_s: The longest pause inside an answer, seconds.
         char_s: Wire time of a character, seconds.
+        late_s: An answer that begins later than this after the start is later than it should be.
     """
 
     sent: bytes
@@ -89,6 +97,7 @@ class Ask:
     whole_s: float
     gap_s: float
     char_s: float
+    late_s: float = math.inf
 
 
 @dataclass(slots=True)
@@ -105,7 +114,9 @@ class Result:
         received: The first bytes that could not be used.
         clean: False when anything but echo and answer was heard.
         thought_s: From the end of the request to the first byte of the answer, what the adapter
-            adds included; None: there was no answer.
+            adds included; None: there was no answer, or nobody looked when it would have been late.
+        overdue_s: How long after its last moment the exchange was ended, because the process did
+            not run: what it brought may be so much older than `ended_s`.
     """
 
     kind: ResultKind
@@ -117,6 +128,7 @@ class Result:
     received: bytes = b""
     clean: bool = True
     thought_s: float | None = None
+    overdue_s: float = 0.0
 
 
 class _Phase(Enum):
@@ -146,8 +158,9 @@ class Exchange:
         self._phase = _WAIT
         self._ask = Ask(b"", b"", 0.0, 0.0, 0.0, 0.0, 0.0)
         self.started_s = 0.0
+        self._said_s = self._quiet_s = 0.0
         self._earliest_s = 0.0
-        self._last_byte_s = self._answer_at_s = 0.0
+        self._last_byte_s = self._answer_at_s = self._before_s = 0.0
         self._echo_at = 0
         self._echo_fault = ""
         self._fault = ""
@@ -158,10 +171,17 @@ class Exchange:
         """Find out anew whether the line echoes; after every reopening of a port."""
         self.echo = self._configured_echo
 
-    def begin(self, ask: Ask, now_s: float) -> None:
-        """Start an exchange whose telegram is being handed to the port at `now_s`."""
+    def begin(self, ask: Ask, now_s: float, said_s: float | None = None) -> None:
+        """Start an exchange whose telegram is handed to the port.
+
+        Args:
+            ask: The telegram, and what is expected after it.
+            now_s: Before it was handed over.
+            said_s: After that, from when on its answer is waited for; None: at once.
+        """
         self._ask = ask
         self.started_s = self._last_byte_s = now_s
+        self._said_s = self._quiet_s = now_s if said_s is None else said_s
         self._earliest_s = now_s + EARLIEST_SHARE * ask.request_s
         self._echo_at = 0
         self._echo_fault = self._fault = ""
@@ -174,17 +194,19 @@ class Exchange:
         else:
             self._phase = _ECHO if self.echo else _WAIT
 
-    def feed(self, data: bytes, now_s: float) -> Result | None:
+    def feed(self, data: bytes, now_s: float, quiet_s: float | None = None) -> Result | None:
         """Take bytes that arrived.
 
         Args:
             data: The bytes, parity bits included.
             now_s: When they were read.
+            quiet_s: When the port was last looked at and nothing was there; None: just now.
 
         Returns:
             The result when the exchange has ended with its answer, else None.
         """
-        paused = now_s - self._last_byte_s > self._ask.gap_s
+        self._quiet_s = now_s if quiet_s is None else quiet_s
+        paused = self._quiet_s - self._last_byte_s > self._ask.gap_s
         self._last_byte_s = now_s
         if self._phase is not _WAIT:
             data = self._not_of_the_answer(data, paused)
@@ -194,7 +216,7 @@ class Exchange:
             self._reject(data, "bytes came that nobody asked for")
             return None
         if self._phase is _WAIT:
-            self._answer_at_s = now_s
+            self._answer_at_s, self._before_s = now_s, self._quiet_s
         return self._parse(data, now_s)
 
     def _not_of_the_answer(self, data: bytes, paused: bool) -> bytes:
@@ -215,12 +237,26 @@ class Exchange:
         """When to call `expire`: it moves while an answer is coming in."""
         ask = self._ask
         if not ask.field:
-            return self.started_s + ask.whole_s
-        first = self.started_s + ask.first_byte_s
+            return self._said_s + ask.whole_s
+        first = self._said_s + ask.first_byte_s
         if self._phase is not _ANSWER:
             return first
         # Never later, however slowly characters drip in: costs and promises reckon with it.
-        return max(first, min(self._last_byte_s + ask.gap_s, self.started_s + ask.whole_s))
+        return max(first, min(self._last_byte_s + ask.gap_s, self._said_s + ask.whole_s))
+
+    def look_s(self, now_s: float) -> float:
+        """When to look at the port next: at the deadline, or before it where a silence counts."""
+        if self._phase is _FOREIGN:
+            look_s = self._last_byte_s + self._ask.gap_s
+        else:
+            look_s = self._said_s + self._ask.late_s
+        deadline_s = self.deadline_s()
+        return look_s if now_s < look_s < deadline_s else deadline_s
+
+    @property
+    def is_foreign(self) -> bool:
+        """Whether what comes now is not the answer, until there was a pause."""
+        return self._phase is _FOREIGN
 
     def hasten(self, ask: Ask) -> None:
         """Wait no longer than by another ask for the same, unless the answer is coming in."""
@@ -262,12 +298,18 @@ class Exchange:
     ) -> Result:
         clean = not (self._fault or self._echo_fault or self._late)
         kept = bytes(self._kept) if self._kept else b""
-        thought_s = None
+        ask, thought_s = self._ask, None
+        last_s = self._said_s + ask.whole_s
         if answer is not None:
-            thought_s = self._answer_at_s - self.started_s - self._ask.request_s
+            late_s = self._said_s + ask.late_s
+            if self._answer_at_s <= late_s or self._before_s >= late_s:
+                thought_s = self._answer_at_s - self._said_s - ask.request_s
+        elif ask.field:
+            last_s = self.deadline_s()
         return Result(
-            kind, self.started_s, now_s, answer, fault, self._late, kept, clean, thought_s
-        )
+            kind, self.started_s, now_s, answer, fault, self._late, kept, clean, thought_s,
+            now_s - last_s if now_s > last_s else 0.0,
+        )  # fmt: skip
 
     def _match_echo(self, data: bytes) -> bytes:
         sent = self._ask.sent

@@ -69,6 +69,13 @@ class MemoryPort:
             self._line.poll(self._loop.time())
             self._arm()
 
+    def look(self) -> None:
+        """Hand over what has arrived, without waiting for the loop to come to it."""
+        due_s = self._line.next_event_s()
+        if self._open and due_s is not None and due_s + self._latency_s <= self._loop.time():
+            self._disarm()
+            self._due()
+
     def abort(self) -> None:
         """Close; the receiver hears nothing any more. Harmless when repeated."""
         self._open = False

@@ -98,7 +98,8 @@ class Books:
                 self._wear.written(report.drive, report.step.code)
             if type(answer) is ValueAnswer:
                 code = report.step.code
-                self._store.value_read(report.drive, code, answer.value, result.ended_s)
+                as_of_s = result.ended_s - result.overdue_s
+                self._store.value_read(report.drive, code, answer.value, as_of_s)
                 self._metrics.minutes.value(report.drive, code, result.ended_s)
                 self._words.seen(report.drive, code, answer.value)
                 self._faults.seen(report.drive, code, answer.value)

@@ -1,0 +1,102 @@
+"""A minute after a disturbance has ended, a line is as it was before it."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+
+import anyio
+import pytest
+
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.exchange import ResultKind
+from lecombus.readings import DriveState
+from support.disturbances import AFTER_S, LINES, PATTERNS, Picture, look, roster_text
+from support.site_host import Plant, until, with_plant
+from support.virtual_loop import Paused
+
+QUICK = [
+    (31, "paused a quarter of a second, run as long"),
+    (12, "starved: one step in five up to 60 ms late"),
+    (12, "10 % of answers 0.2 s late"),
+    (31, "5 % late"),
+    (12, "all answers 0.2 s late"),
+    (8, "60 % lost"),
+    (8, "late, lost, noisy and paused"),
+]
+LATE_ONLY = [name for name, one in PATTERNS.items() if one.machine and not one.faults]
+
+
+def check(size: int, name: str) -> None:
+    """Look at a line, disturb it, and look again a minute later."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await anyio.sleep(30.0)
+        before = await look(plant, 10)
+        assert before.worse_than(Picture(wrote_s={"": 0.2})) == []
+        await PATTERNS[name].happen(plant)
+        for _ in range(int(AFTER_S)):
+            plant.site.note_cadence()
+            await anyio.sleep(1.0)
+        assert (await look(plant, 11)).worse_than(before) == []
+
+    with_plant(test, roster_text(*LINES[size]), seed=3, spread=0.3)
+
+
+@pytest.mark.parametrize(("size", "name"), QUICK)
+def test_a_minute_after_a_disturbance_all_is_as_before(size: int, name: str) -> None:
+    check(size, name)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("size", LINES)
+@pytest.mark.parametrize("name", PATTERNS)
+def test_after_every_disturbance_on_every_line(size: int, name: str) -> None:
+    check(size, name)
+
+
+@pytest.mark.parametrize("name", LATE_ONLY)
+def test_no_answer_is_missed_because_the_daemon_was_late(name: str) -> None:
+    """The drives do nothing wrong, so nothing is lost, no drive changes state, and none is slow."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await anyio.sleep(5.0)
+        began = len(plant.reports)
+        states: set[DriveState] = set()
+        tell = plant.site.store.drive_state
+
+        def told(drive: str, state: DriveState, reason: str = "") -> None:
+            states.add(state)
+            tell(drive, state, reason)
+
+        plant.site.store.drive_state = told  # type: ignore[method-assign]
+        await replace(PATTERNS[name], lasts_s=30.0).happen(plant)
+        reports = plant.reports[began:]
+        assert {one.result.kind for one in reports} == {ResultKind.ANSWERED}
+        assert len(reports) > 50
+        assert states <= {DriveState.ONLINE}
+        for drive in plant.roster.drives:
+            assert not plant.site.requests.station(drive.name).measured.slow.reads
+
+    with_plant(test, roster_text(*LINES[8]), seed=3, spread=0.3)
+
+
+def test_a_value_that_lay_in_the_kernel_is_not_shown_as_fresh() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        loop, site = asyncio.get_running_loop(), plant.site
+        reading = asyncio.ensure_future(site.operations.read("d1", Code(46)))
+
+        def is_asked() -> bool:
+            saying = site.worker.talk._under_way
+            return saying is not None and (saying[0].drive, saying[1].step.code) == ("d1", Code(46))
+
+        await until(is_asked)
+        loop.machine = Paused([(plant.now_s, plant.now_s + 5.0)])  # type: ignore[attr-defined]
+        found = await reading
+        assert found.value is not None
+        assert (found.age_s or 0.0) > 4.5
+
+    with_plant(test, roster_text(*LINES[8]), seed=3)
