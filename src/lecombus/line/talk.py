@@ -177,8 +177,8 @@ class Talk:
             result = self._exchange.feed(data, now, self._looked_s)
             if result is not None:
                 self._end_exchange(result)
-            elif self._exchange.is_foreign:  # it is over when there was a pause: look for that
-                self._deadline.set(self._exchange.look_s(now))
+            elif self._exchange.disturbed:  # until there was a pause: look for that
+                self._deadline.set(self._exchange.look_s())
             return
         late = self._listening.stray(data, now, self._questions.gap_s)
         self.observer.stray_bytes(data, late)
@@ -298,7 +298,8 @@ class Talk:
             return
         if self._talkative:
             logger.debug("line=%s event=sent bytes=%s", self._name, question.ask.sent.hex(" "))
-        self._deadline.set(self._exchange.look_s(now))
+        ask = question.ask
+        self._deadline.set(self._looked_s + min(ask.late_s, ask.first_byte_s))
         self._publish()
         self._rehearse(now)
         self.observer.thinking(question.thinking_s)
@@ -343,16 +344,18 @@ class Talk:
         saying = self._under_way
         if saying is None:
             return
-        now = self._time()
-        self._look()
-        if self._under_way is not saying:
-            return  # its answer lay there
-        self._looked_s = now
-        result = self._exchange.expire(now)
-        if result is None:
-            self._deadline.set(self._exchange.look_s(now))
-        else:
-            self._end_exchange(result)
+        now, look_s = self._time(), self._exchange.look_s()
+        if now >= look_s:
+            self._look()
+            if self._under_way is not saying:
+                return  # its answer lay there
+            self._looked_s = now
+            result = self._exchange.expire(now)
+            if result is not None:
+                self._end_exchange(result)
+                return
+            look_s = self._exchange.look_s()
+        self._deadline.set(look_s)
 
     def _end_exchange(self, result: Result) -> None:
         """Conclude the exchange under way and go on; an error ends the talk, not a callback."""

@@ -149,6 +149,9 @@ class Exchange:
     Args:
         parity: Bytes carry even parity in bit 7.
         echo: True or False where the roster says so, None to find out.
+
+    Attributes:
+        disturbed: Something came that is not the answer.
     """
 
     def __init__(self, *, parity: bool, echo: bool | None = None) -> None:
@@ -166,6 +169,7 @@ class Exchange:
         self._fault = ""
         self._late = 0
         self._kept = bytearray()
+        self.disturbed = False
 
     def forget_echo(self) -> None:
         """Find out anew whether the line echoes; after every reopening of a port."""
@@ -186,6 +190,7 @@ class Exchange:
         self._echo_at = 0
         self._echo_fault = self._fault = ""
         self._late = 0
+        self.disturbed = False
         if self._kept:
             self._kept.clear()
         self._parser.reset()
@@ -244,19 +249,14 @@ class Exchange:
         # Never later, however slowly characters drip in: costs and promises reckon with it.
         return max(first, min(self._last_byte_s + ask.gap_s, self._said_s + ask.whole_s))
 
-    def look_s(self, now_s: float) -> float:
+    def look_s(self) -> float:
         """When to look at the port next: at the deadline, or before it where a silence counts."""
         if self._phase is _FOREIGN:
             look_s = self._last_byte_s + self._ask.gap_s
         else:
             look_s = self._said_s + self._ask.late_s
         deadline_s = self.deadline_s()
-        return look_s if now_s < look_s < deadline_s else deadline_s
-
-    @property
-    def is_foreign(self) -> bool:
-        """Whether what comes now is not the answer, until there was a pause."""
-        return self._phase is _FOREIGN
+        return look_s if self._quiet_s < look_s < deadline_s else deadline_s
 
     def hasten(self, ask: Ask) -> None:
         """Wait no longer than by another ask for the same, unless the answer is coming in."""
@@ -264,11 +264,12 @@ class Exchange:
             self._ask = ask
 
     def expire(self, now_s: float) -> Result | None:
-        """End the exchange if its deadline has passed.
+        """End the exchange if its deadline has passed; the port was looked at just now.
 
         Returns:
             The result, or None when `deadline_s` has moved on.
         """
+        self._quiet_s = now_s
         if now_s < self.deadline_s():
             return None
         kind, fault = self._verdict()
@@ -322,6 +323,7 @@ class Exchange:
         if data[: len(due)] != due:
             self._echo_fault = "the echo differs from what was sent: a collision or a broken line"
             self._phase = _FOREIGN
+            self.disturbed = True
             self._keep(data)
             return b""
         self._echo_at += len(due)
@@ -374,6 +376,7 @@ class Exchange:
     def _reject(self, data: bytes, fault: str) -> None:
         self._fault = self._fault or fault
         self._phase = _FOREIGN
+        self.disturbed = True
         self._keep(data)
 
     def _start_over(self) -> None:
