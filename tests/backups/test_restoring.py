@@ -60,6 +60,32 @@ def test_a_drive_that_somebody_enables_is_no_longer_written_to() -> None:
     assert result.inhibited_now is False
 
 
+def test_a_stop_ends_it_and_what_was_written_is_told() -> None:
+    one = drive()
+
+    def stop(here: FakeDrive, code: Code) -> None:
+        here.stopped = code == Code(11)
+
+    one.before_write = stop
+    result = restored(one)
+    assert one.writes == [("C0001", "3")]
+    assert [str(code) for code in result.written] == ["C0001"]
+    assert result.stopped == "the drive was stopped meanwhile: nothing more is written to it"
+    assert (result.complete, result.refused) == (False, {})
+
+
+def test_a_stop_keeps_it_from_saving() -> None:
+    one = drive({11: "50"}, "93xx")
+
+    def stop(here: FakeDrive, code: Code) -> None:
+        here.stopped = code == Code(3)
+
+    one.before_write = stop
+    result = restored(one, {"C0011": "60"})
+    assert "not saved by C0003: the drive was stopped meanwhile" in result.stopped
+    assert not result.complete
+
+
 def test_an_enable_after_the_last_write_is_found_out_too() -> None:
     one = drive(after_write=lambda one, code: one.enable_it() if code.number == 2011 else None)
     assert "somebody enabled" in restored(one).stopped

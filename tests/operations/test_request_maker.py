@@ -35,20 +35,20 @@ def write(number: int, value: str, urgency: Priority | None = None) -> Request:
 
 
 @pytest.mark.parametrize(
-    ("number", "value", "priority", "motion", "supersedes"),
+    ("number", "value", "priority", "supersedes"),
     [
-        (46, "20", Priority.CONTROL, True, ("a", Code(46))),
-        (40, "1", Priority.CONTROL, True, None),
-        (135, "H0008", Priority.CONTROL, True, None),
-        (11, "60", Priority.INTERACTIVE, False, None),
-        (4711, "1", Priority.INTERACTIVE, False, None),
+        (46, "20", Priority.CONTROL, ("a", Code(46))),
+        (40, "1", Priority.CONTROL, None),
+        (135, "H0008", Priority.CONTROL, None),
+        (11, "60", Priority.INTERACTIVE, None),
+        (4711, "1", Priority.INTERACTIVE, None),
     ],
 )
 def test_what_moves_a_drive_runs_as_control_and_only_a_setpoint_gives_way_to_a_later_one(
-    number: int, value: str, priority: Priority, motion: bool, supersedes: object
+    number: int, value: str, priority: Priority, supersedes: object
 ) -> None:
     made = write(number, value)
-    assert (made.priority, made.motion, made.supersedes) == (priority, motion, supersedes)
+    assert (made.priority, made.writes, made.supersedes) == (priority, True, supersedes)
 
 
 def test_a_write_may_wait_for_idle_line_time_unless_it_moves_the_drive() -> None:

@@ -138,7 +138,7 @@ def test_a_lost_line_refuses_all_and_keeps_cycles_and_feeding() -> None:
 
 def test_a_write_that_may_have_happened_is_not_called_refused() -> None:
     world = World().drives("a")
-    write = world.submit("a", P.CONTROL, motion=True)
+    write = world.submit("a", P.CONTROL, writes=True)
     world.schedule.next(0.0)
     world.schedule.finished(write, 0.0, 0.1, False)
     world.schedule.again(write, 0.1, not_before_s=1.0)

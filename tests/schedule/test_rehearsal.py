@@ -50,7 +50,7 @@ def loaded(seed: int, *, follows: bool) -> World:
         drive, motion = random.choice("abcdef"), random.random() < 0.5
 
         def control(drive: str = drive, motion: bool = motion) -> None:
-            world.submit(drive, P.CONTROL, motion=motion, supersedes=(drive,))
+            world.submit(drive, P.CONTROL, writes=motion, supersedes=(drive,))
 
         world.at(random.uniform(0.0, 10.0), control)
         world.at(random.uniform(0.0, 10.0), lambda d=drive: world.submit(d, P.STOP, stops=(d,)))  # type: ignore[misc]

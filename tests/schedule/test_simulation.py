@@ -53,7 +53,7 @@ class Chaos:
             drive,
             random.choice([P.CONTROL, P.CONTROL, P.INTERACTIVE, P.BACKGROUND]),
             worst_s=random.choice([0.03, 0.1, 0.6]),
-            motion=random.random() < 0.4,
+            writes=random.random() < 0.4,
             supersedes=(drive, random.randrange(2)) if random.random() < 0.4 else None,
             expires_at_s=world.now_s + random.uniform(0, 1) if random.random() < 0.3 else None,
             members=("a", "b") if drive == "group" else (),
@@ -117,7 +117,7 @@ def _ends_tell_the_truth(world: World) -> None:
     sent = {id(s.request): s.at_s for s in reversed(world.sent)}  # the first time of each
     for request, outcome, _, _ in world.ended:
         if outcome in (Outcome.EXPIRED, Outcome.SUPERSEDED) and (
-            request.motion or request.supersedes is not None
+            request.writes or request.supersedes is not None
         ):
             assert id(request) not in sent
         if outcome is Outcome.EXPIRED:
@@ -138,7 +138,7 @@ def _nothing_overtakes_a_stop(chaos: Chaos, world: World) -> None:
                 feeds = sent.request.priority is P.WATCHDOG and stop.drive in sent.silent
                 assert sent.request.priority is P.STOP or feeds
             moves = set(sent.request.members or (sent.request.drive,)) & set(stop.stops)
-            if sent.request.motion and moves and sent.request.serial < stop.serial:
+            if sent.request.writes and moves and sent.request.serial < stop.serial:
                 assert sent.at_s < stop.submitted_at_s or sent.at_s == stop.submitted_at_s
 
 

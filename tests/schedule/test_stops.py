@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from lecombus.schedule import Outcome, Priority, Schedule
+from lecombus.schedule.request import STOPPED
 from schedule.world import World
 
 P = Priority
@@ -26,61 +27,61 @@ def test_a_stop_goes_before_feeds_that_are_late() -> None:
 
 def test_a_stop_ends_the_waiting_motion_of_the_drives_it_stops_only() -> None:
     world = World().drives("a", "b")
-    moving = world.submit("a", P.CONTROL, motion=True)
+    moving = world.submit("a", P.CONTROL, writes=True)
     plain = world.submit("a", P.CONTROL)
-    other = world.submit("b", P.CONTROL, motion=True)
-    held_back = world.submit("a", P.INTERACTIVE, motion=True)
+    other = world.submit("b", P.CONTROL, writes=True)
+    held_back = world.submit("a", P.INTERACTIVE, writes=True)
     stop = world.submit("a", P.STOP, stops=("a",))
-    assert world.outcome(moving) == (Outcome.SUPERSEDED, "stopped")
-    assert world.outcome(held_back) == (Outcome.SUPERSEDED, "stopped")
+    assert world.outcome(moving) == (Outcome.SUPERSEDED, STOPPED)
+    assert world.outcome(held_back) == (Outcome.SUPERSEDED, STOPPED)
     world.run(1.0)
     assert [sent.request for sent in world.sent] == [stop, plain, other]
 
 
 def test_a_stop_ends_deferred_motion() -> None:
     world = World().drives("a")
-    moving = world.submit("a", P.CONTROL, motion=True)
+    moving = world.submit("a", P.CONTROL, writes=True)
     world.schedule.next(0.0)
     world.schedule.defer(moving, 1.0, 0.0)
     stop = world.submit("a", P.STOP, stops=("a",))
-    assert world.outcome(moving) == (Outcome.SUPERSEDED, "stopped")
+    assert world.outcome(moving) == (Outcome.SUPERSEDED, STOPPED)
     assert [sent.request for sent in world.run(2.0).sent] == [stop]
 
 
 def test_a_stop_of_one_member_ends_the_multicast_that_would_move_it() -> None:
     world = World().drives("a", "b")
-    moving = world.submit("both", P.CONTROL, motion=True, members=("a", "b"))
+    moving = world.submit("both", P.CONTROL, writes=True, members=("a", "b"))
     world.submit("b", P.STOP, stops=("b",))
-    assert world.outcome(moving) == (Outcome.SUPERSEDED, "stopped")
+    assert world.outcome(moving) == (Outcome.SUPERSEDED, STOPPED)
     assert world.schedule.stats(0.0).depth[P.CONTROL] == 0
 
 
 def test_motion_under_way_when_a_stop_comes_is_never_repeated() -> None:
     world = World().drives("a")
-    moving = world.submit("a", P.CONTROL, motion=True)
+    moving = world.submit("a", P.CONTROL, writes=True)
     assert world.schedule.next(0.0) is moving
     stop = world.submit("a", P.STOP, stops=("a",))
     world.schedule.finished(moving, 0.0, 0.1, False)
     world.schedule.again(moving, 0.1)
     # It was on the line once, so "never sent" would be untrue.
-    assert world.outcome(moving) == (Outcome.UNKNOWN, "stopped")
+    assert world.outcome(moving) == (Outcome.UNKNOWN, STOPPED)
     assert [sent.request for sent in world.run(1.0).sent] == [stop]
 
 
 def test_motion_chosen_but_not_sent_when_a_stop_comes_ends_as_never_sent() -> None:
     world = World().drives("a")
-    moving = world.submit("a", P.CONTROL, motion=True)
+    moving = world.submit("a", P.CONTROL, writes=True)
     world.schedule.next(0.0)
     world.submit("a", P.STOP, stops=("a",))
     world.schedule.defer(moving, 0.0, 0.0)
-    assert world.outcome(moving) == (Outcome.SUPERSEDED, "stopped")
+    assert world.outcome(moving) == (Outcome.SUPERSEDED, STOPPED)
 
 
 def test_motion_asked_for_after_the_stop_is_sent_and_may_be_repeated() -> None:
     world = World().drives("a")
     stop = world.submit("a", P.STOP, stops=("a",))
     world.step()
-    moving = world.submit("a", P.CONTROL, motion=True)
+    moving = world.submit("a", P.CONTROL, writes=True)
     assert world.schedule.next(world.now_s) is moving
     world.schedule.finished(moving, 0.1, 0.2, False)
     world.schedule.again(moving, 0.2)
@@ -93,7 +94,7 @@ def test_motion_asked_for_after_the_stop_is_sent_and_may_be_repeated() -> None:
 def test_stops_are_neither_superseded_nor_limited_nor_expired() -> None:
     world = World(Schedule(limits={P.STOP: 1})).drives("a")
     for _ in range(3000):
-        world.submit("a", P.STOP, supersedes="stop", stops=("a",), expires_at_s=0.0, motion=True)
+        world.submit("a", P.STOP, supersedes="stop", stops=("a",), expires_at_s=0.0, writes=True)
     world.run(100.0)
     assert len(world.sent) == 3000
     assert {outcome for _, outcome, _, _ in world.ended} == {Outcome.DONE}
@@ -144,8 +145,8 @@ def test_a_setpoint_for_one_drive_is_not_overtaken_by_a_multicast_that_came_befo
 def test_a_stop_that_waits_stands_for_a_later_one_and_ends_the_motion_that_came_between() -> None:
     world = World().drives("a")
     stop = world.submit("a", P.STOP, stops=("a",))
-    moving = world.submit("a", P.CONTROL, motion=True)
+    moving = world.submit("a", P.CONTROL, writes=True)
     assert world.schedule.join(stop)
-    assert world.outcome(moving) == (Outcome.SUPERSEDED, "stopped")
+    assert world.outcome(moving) == (Outcome.SUPERSEDED, STOPPED)
     assert world.step() is stop
     assert not world.schedule.join(stop), "it was said: the later one must be said too"

@@ -84,8 +84,10 @@ class FakeOperations:
         verify: bool,
         urgency: Priority | None = None,
         restoring: bool = False,
+        unless_stopped_since: str | None = None,
     ) -> WriteReport:
         self.written_as = (urgency, restoring)
+        self.unless_stopped_since = unless_stopped_since
         await self._ask("write", drive, code, value, expires_s, verify)
         return self.report(drive, code)
 

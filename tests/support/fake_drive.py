@@ -53,6 +53,7 @@ class FakeDrive:
     before_read: Callable[[FakeDrive, Code], None] = lambda drive, code: None
     refuses: Callable[[FakeDrive, Code, Value], str] = lambda drive, code, value: ""
     pauses: int = 0
+    stopped: bool = False
 
     def __post_init__(self) -> None:
         self.texts.update({**INHIBITED, **{k: v for k, v in self.texts.items() if k in (40, 150)}})
@@ -86,6 +87,8 @@ class FakeDrive:
 
     async def write(self, code: Code, value: Value, *, verify: bool) -> Written:
         self.before_write(self, code)
+        if self.stopped:
+            return Written(False, "superseded", "ended by a stop of the drive")
         if self.is_away():
             return Written(False, "line-lost", self.away)
         why = self.refuses(self, code, value)

@@ -35,6 +35,7 @@ TEXT_LIMIT: Final = 250
 """A little more than the longest value (241 characters), so that its own error can speak."""
 
 TARGET_LIMIT: Final = 200
+STOPS_LIMIT: Final = 40
 
 EXPONENT_LIMIT: Final = 30
 """A number such as 1E+999999 is a few bytes here and a megabyte once written out."""
@@ -48,6 +49,7 @@ RIGHT: Final[Mapping[str, str]] = {
     "verify": "true or false",
     "priority": '"interactive", or "background" for long work that only takes idle line time',
     "restore": "true or false",
+    "stops": "what `GET /v1/drives/{drive}/restore` gives as `stops`",
     "action": '"quick-stop" or "inhibit"',
     "identity": 'what the drive said of itself, such as {"C1810": "33S2102I_10000"}',
     "unit": '"Hz", or "%" of the highest frequency or speed',
@@ -158,6 +160,15 @@ class DriveWriteBody(WriteBody):
         Field(
             description="Part of restoring a backup: parameters that the roster's `writable` does "
             "not list may be written where it says `restore: true`"
+        ),
+    ] = None
+
+    stops: Annotated[
+        str | None,
+        Field(
+            max_length=STOPS_LIMIT,
+            description="Not written if the drive was told to stop since this was given: "
+            "`stops` of `GET /v1/drives/{drive}/restore`. For work of several writes",
         ),
     ] = None
 

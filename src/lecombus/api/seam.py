@@ -99,6 +99,7 @@ class OperationsPort(Protocol):
         verify: bool,
         urgency: Priority | None = None,
         restoring: bool = False,
+        unless_stopped_since: str | None = None,
     ) -> WriteReport:
         """Write a code and return how that ended.
 

@@ -52,6 +52,7 @@ def add_writes(app: FastAPI, ops: OperationsPort, keys: Idempotency) -> None:
                 verify=bool(body.verify),
                 urgency=None if body.priority is None else body.priority.priority,
                 restoring=bool(body.restore),
+                unless_stopped_since=body.stops,
             )
             problem = report_problem(report)
             return problem.response() if problem else json_response(report_json(report))

@@ -13,7 +13,8 @@ Strategy, in this order:
    changed the drive meanwhile is found out.
 4. Only then, and only if all is as wanted, it is saved where the family needs that.
 
-It never enables a drive. What must not live here: deciding what is written (`plan`), files.
+A stop of the drive ends it, wherever it is. It never enables a drive. What must not live here:
+deciding what is written (`plan`), files.
 """
 
 from __future__ import annotations
@@ -64,6 +65,12 @@ class Restored:
     def complete(self) -> bool:
         """Whether the drive now reads what the backup holds, for good."""
         return not (self.refused or self.changed or self.stopped or self.saved is False)
+
+
+STOPPED: Final = "the drive was stopped meanwhile: nothing more is written to it"
+
+SUPERSEDED: Final = "superseded"
+"""The kind of a write that a stop ended."""
 
 
 class StopRestoreError(Exception):
@@ -195,6 +202,8 @@ class Work:
         code, value = self._plan.save
         await self._wait()
         said = await self._access.write(code, value, verify=False)
+        if said.kind == SUPERSEDED:
+            raise StopRestoreError(f"not saved by {code}: {STOPPED}")
         if not said.done:
             raise StopRestoreError(f"not saved by {code}: {said.text}")
         self.result.saved = True
@@ -222,6 +231,8 @@ class Work:
         for _ in range(TRIES):
             await self._check_inhibit()
             said = await self._access.write(step.code, step.value, verify=True)
+            if said.kind == SUPERSEDED:
+                raise StopRestoreError(STOPPED)
             if said.done or not is_passing(said.kind):
                 return said
             self._was_away = True

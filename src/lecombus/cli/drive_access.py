@@ -65,11 +65,13 @@ class RestoreRights:
         reason: Why not; empty when it does.
         remedy: What to do about it.
         owned: Codes that lecombus sets from the roster.
+        stops: Changes with every stop of the drive.
     """
 
     reason: str
     remedy: str
     owned: tuple[Code, ...]
+    stops: str = ""
 
 
 class HttpDrive:
@@ -80,6 +82,7 @@ class HttpDrive:
         where: How the daemon was found, for messages.
         drive: The drive's name.
         clock: Monotonic time, seconds.
+        stops: As the restore rights have it: what is written ends with the next stop of the drive.
     """
 
     def __init__(
@@ -88,11 +91,14 @@ class HttpDrive:
         where: str,
         drive: str,
         clock: Callable[[], float] = time.monotonic,
+        *,
+        stops: str = "",
     ) -> None:
         self._client = client
         self._where = where
         self._name = drive
         self._clock = clock
+        self.stops = stops
         self._path = f"/v1/drives/{quote(drive, safe='')}"
 
     # ---- who it is --------------------------------------------------------------------------
@@ -116,7 +122,7 @@ class HttpDrive:
         said = await self._ask("GET", f"{self._path}/restore")
         reason = "" if said["permitted"] else str(said["reason"])
         owned = tuple(Code.parse(code) for code in said["owned"])
-        return RestoreRights(reason, str(said["remedy"] or ""), owned)
+        return RestoreRights(reason, str(said["remedy"] or ""), owned, str(said.get("stops") or ""))
 
     # ---- what backups ask -------------------------------------------------------------------
 
@@ -150,15 +156,25 @@ class HttpDrive:
             "value": value.raw, "verify": verify, "priority": "background", "restore": True,
             "expires": f"{WRITE_WITHIN_S}s",
         }  # fmt: skip
-        return await self._act("PUT", f"{self._path}/codes/{code}", document)
+        return await self._act("PUT", f"{self._path}/codes/{code}", document | self._ended_by())
 
     async def inhibit(self) -> Written:
-        """Inhibit it: a stop, which waits for nothing."""
-        return await self._act("POST", "/v1/stop", {"action": "inhibit", "target": self._name})
+        """Inhibit it: a stop, which waits for nothing, and ends none of what is written later."""
+        said = await self._act("POST", "/v1/stop", {"action": "inhibit", "target": self._name})
+        try:
+            self.stops = (await self.restore_rights()).stops
+        except CommandError as exc:
+            kind, text = why(exc)
+            return Written(False, kind, text)
+        return said
 
     async def enable(self) -> Written:
-        """Lift the inhibit; the roster must let C0040 be written."""
-        return await self._act("PUT", f"{self._path}/codes/C0040", {"value": 1, "verify": True})
+        """Lift the inhibit, unless it was stopped since; C0040 must be writable by the roster."""
+        document: dict[str, Json] = {"value": 1, "verify": True}
+        return await self._act("PUT", f"{self._path}/codes/C0040", document | self._ended_by())
+
+    def _ended_by(self) -> dict[str, Json]:
+        return {"stops": self.stops} if self.stops else {}
 
     async def why_not_usable(self) -> str:
         """Say why it cannot be asked just now; empty when it can."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
 from dataclasses import dataclass, replace
@@ -193,12 +194,12 @@ def carry_out(wish: Wish, seen: Seen, notes: Notes, socket: str | None, url: str
     begun = before or Progress(wish.backup.name, wish.digest, now, enabled)
     notes.begin(replace(begun, enabled=enabled))
     with progress(wish.drive, quiet=wish.as_json) as bar:
-        result = anyio.run(work, wish, plan, notes, unsaved, socket, url, bar)
+        result, stops = anyio.run(work, wish, plan, notes, unsaved, socket, url, bar)
     if result.complete:
         notes.finish()
     enabling = ""
     if wish.enable and enabled and result.complete:
-        enabling = anyio.run(enable_again, wish, socket, url)
+        enabling = anyio.run(enable_again, wish, stops, socket, url)
     if wish.as_json:
         click.echo(json.dumps(result_json(plan, result, wish.drive)))
     else:
@@ -249,17 +250,25 @@ async def work(
     socket: str | None,
     url: str | None,
     listener: Listener,
-) -> Restored:
-    """Carry out the plan."""
+) -> tuple[Restored, str]:
+    """Carry out the plan.
+
+    Returns:
+        How it ended, and what ends an enable behind it if the drive is stopped meanwhile.
+    """
     async with connect_async(socket, url) as (client, where):
-        return await restore(
-            HttpDrive(client, where, wish.drive), plan, patience_s=wish.patience_s,
-            listener=listener, written=notes.done, unsaved=unsaved,
+        drive = HttpDrive(client, where, wish.drive)
+        with contextlib.suppress(CommandError):  # a daemon that is away is waited for
+            drive.stops = (await drive.restore_rights()).stops
+        result = await restore(
+            drive, plan, patience_s=wish.patience_s, listener=listener, written=notes.done,
+            unsaved=unsaved,
         )  # fmt: skip
+        return result, drive.stops
 
 
-async def enable_again(wish: Wish, socket: str | None, url: str | None) -> str:
+async def enable_again(wish: Wish, stops: str, socket: str | None, url: str | None) -> str:
     """Lift the inhibit; give why it could not be, empty when it was."""
     async with connect_async(socket, url) as (client, where):
-        said = await HttpDrive(client, where, wish.drive).enable()
+        said = await HttpDrive(client, where, wish.drive, stops=stops).enable()
         return "" if said.done else said.text or said.kind

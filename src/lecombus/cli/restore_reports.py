@@ -82,6 +82,8 @@ def show_result(plan: Plan, result: Restored, drive: str, *, enabled: bool) -> N
         show_rows(("code", "outcome", "wanted", "reads", "why"), rows)
     if result.stopped:
         click.echo(f"stopped: {result.stopped}", err=True)
+        if result.written:
+            click.echo(f"written: {', '.join(map(str, result.written))}", err=True)
     written = len(result.written)
     if result.complete:
         saved = " and saved" if result.saved else ""

@@ -9,8 +9,10 @@ What must not live here: HTTP, telegrams, waiting lists.
 
 from __future__ import annotations
 
+import secrets
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from decimal import Decimal
 
 from lecombus.config import DriveEntry, GroupEntry
@@ -27,7 +29,13 @@ from lecombus.errors import (
 from lecombus.line.station import Station
 from lecombus.operations.address_reads import Heard, check_address, read_address
 from lecombus.operations.control_words import ControlWords
-from lecombus.operations.endings import CUT_REMEDY, REMEDIES, kind_of
+from lecombus.operations.endings import (
+    CUT_REMEDY,
+    REMEDIES,
+    STOPPED_REMEDY,
+    kind_of,
+    stopped_first,
+)
 from lecombus.operations.findings import WhyReport
 from lecombus.operations.permissions import Permissions
 from lecombus.operations.refusals import Refusals
@@ -39,6 +47,7 @@ from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value
 from lecombus.readings import Reading
 from lecombus.schedule import Outcome, Priority
+from lecombus.schedule.request import STOPPED
 from lecombus.store import Store
 
 __all__ = ["Operations"]
@@ -79,6 +88,7 @@ class Operations:
         self._disturbances = disturbances
         self._entries: dict[str, DriveEntry] = {}
         self._groups: Mapping[str, GroupEntry] = {}
+        self._mark = secrets.token_hex(4)
         self._stops_said: Counter[str] = Counter()
         self._lifts_said: Counter[str] = Counter()
 
@@ -170,6 +180,7 @@ class Operations:
         verify: bool = False,
         urgency: Priority | None = None,
         restoring: bool = False,
+        unless_stopped_since: str | None = None,
     ) -> WriteReport:
         """Write a code and say what came of it.
 
@@ -182,6 +193,7 @@ class Operations:
             urgency: The class to run in; None: by what is written. What moves a drive keeps its
                 own.
             restoring: It belongs to the restore of a backup: other codes may be written then.
+            unless_stopped_since: A `stop_mark` of the drive: a stop that was said since ends it.
 
         Raises:
             OperationError: It may not be written, or the value is not one for this code.
@@ -191,6 +203,9 @@ class Operations:
         station = self._requests.station(drive)
         wire = self._permissions.permitted(drive, station, code, value, restoring=restoring)
         expires_at_s = None if expires_s is None else self._clock() + expires_s
+        mark = self.stop_mark(drive)
+        if unless_stopped_since is not None and self._is_outdated(drive, unless_stopped_since):
+            return stopped_first(drive, code)
         if wears(station.family, code):
             there = await self.already_there(
                 station, code, wire, verify=verify, within_s=expires_s, urgency=urgency
@@ -198,6 +213,8 @@ class Operations:
             if there is not None:
                 return there
             # Much may have become of the drive meanwhile.
+            if self._is_outdated(drive, mark):
+                return stopped_first(drive, code)
             station = self._requests.station(drive)
             wire = self._permissions.permitted(drive, station, code, value, restoring=restoring)
             self._wear.take(drive, code)
@@ -207,6 +224,14 @@ class Operations:
         )
         report = self.report(drive, code, ending, *await ending.wait())
         return await self._refusals.explain(report, station, wire)
+
+    def stop_mark(self, drive: str) -> str:
+        """Give a mark that another stop of the drive outdates, for work of several steps."""
+        return f"{self._mark}-{self._requests.stops_said[drive]}"
+
+    def _is_outdated(self, drive: str, mark: str) -> bool:
+        """Whether a stop was said since; a mark of another run of lecombus tells nothing."""
+        return mark.startswith(f"{self._mark}-") and mark != self.stop_mark(drive)
 
     async def already_there(
         self,
@@ -293,7 +318,7 @@ class Operations:
         Raises:
             OperationError: `no-such-drive`.
         """
-        return self._permissions.restore_rights(drive)
+        return replace(self._permissions.restore_rights(drive), stops=self.stop_mark(drive))
 
     def report(
         self, drive: str, code: Code, ending: Ending, outcome: Outcome, reason: str
@@ -304,5 +329,7 @@ class Operations:
         remedy = REMEDIES.get(kind, "")
         if outcome is Outcome.UNKNOWN and kind == "line-lost":
             remedy = CUT_REMEDY
+        elif reason == STOPPED:
+            remedy = STOPPED_REMEDY
         reading = self._store.reading(drive, code)
         return WriteReport(drive, code, outcome, reason, kind=kind, remedy=remedy, reading=reading)

@@ -9,10 +9,13 @@ from collections.abc import Mapping
 from typing import Final
 
 from lecombus.errors import CutReplyError, NakError
+from lecombus.operations.reports import WriteReport
 from lecombus.operations.requests import Ending, is_line_lost
+from lecombus.protocol.addressing import Code
 from lecombus.schedule import Outcome
+from lecombus.schedule.request import STOPPED
 
-__all__ = ["CUT_REMEDY", "REMEDIES", "kind_of"]
+__all__ = ["CUT_REMEDY", "REMEDIES", "STOPPED_REMEDY", "kind_of", "stopped_first"]
 
 REMEDIES: Final[Mapping[str, str]] = {
     "nak": "check that the code may be written now: inhibited, in range, the control source set "
@@ -22,8 +25,17 @@ REMEDIES: Final[Mapping[str, str]] = {
     "line-lost": "the port is being reopened; ask again when the line is open",
     "expired": "allow more time, or ask less of the line",
 }
+STOPPED_REMEDY: Final = "ask for it again if it is still wanted: a stop ends all that waits"
 CUT_REMEDY = "the port is being reopened; read the code then to see what it holds"
 """Where it may have happened, asking again blindly is not the thing to do."""
+
+
+def stopped_first(drive: str, code: Code) -> WriteReport:
+    """What is told of a write that was not in the line yet when its drive was stopped."""
+    return WriteReport(
+        drive, code, Outcome.SUPERSEDED, f"{STOPPED}: nothing was sent", kind="superseded",
+        remedy=STOPPED_REMEDY,
+    )  # fmt: skip
 
 
 def kind_of(ending: Ending, outcome: Outcome, reason: str) -> str:

@@ -11,7 +11,7 @@ What must not live here: HTTP, telegrams, waiting lists, the stop (`stop_operati
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from decimal import Decimal
 
 from lecombus.config import GroupEntry
@@ -27,7 +27,7 @@ from lecombus.errors import (
     ScheduleError,
 )
 from lecombus.line.station import Station
-from lecombus.operations.endings import REMEDIES, kind_of
+from lecombus.operations.endings import REMEDIES, kind_of, stopped_first
 from lecombus.operations.multicasts import shared_form
 from lecombus.operations.reports import GroupInfo, GroupReport, WriteReport, group_report
 from lecombus.operations.requests import Ending
@@ -79,6 +79,7 @@ class GroupOperations(StopOperations):
         expires_at_s = None if expires_s is None else self._clock() + expires_s
         stations, wires = self._permitted_all(group, code, value)
         there: Sequence[WriteReport | None] = [None] * len(stations)
+        marks = {one.name: self.stop_mark(one.name) for one in stations}
         if any(wears(one.family, code) for one in stations):
             there = await self._already_there(
                 stations, code, wires, verify=bool(verify), within_s=expires_s
@@ -87,7 +88,10 @@ class GroupOperations(StopOperations):
             if len(known) == len(stations):
                 return group_report(group, "one-by-one", known)
             stations, wires = self._permitted_all(group, code, value)  # what became of them
+            there = self._unless_stopped(stations, code, there, marks)
         address, form = self._address(group, stations, code, wires), shared_form(stations, code)
+        if any(one is not None and one.outcome is Outcome.SUPERSEDED for one in there):
+            address = None  # one telegram would reach those that were stopped too
         if address is None or form is None or len({wire.raw for wire in wires}) != 1:
             waits = self._submit_each(
                 stations, code, wires, there, expires_at_s, verify=bool(verify)
@@ -103,6 +107,19 @@ class GroupOperations(StopOperations):
         to = Station(group, address, stations[0].family, (form,))
         reports = await self._write_shared(to, stations, code, wires[0], expires_at_s, verify)
         return group_report(group, "multicast", reports)
+
+    def _unless_stopped(
+        self,
+        stations: Sequence[Station],
+        code: Code,
+        there: Sequence[WriteReport | None],
+        marks: Mapping[str, str],
+    ) -> list[WriteReport | None]:
+        """End the write for members that were stopped while others were read."""
+        return [
+            stopped_first(one.name, code) if self._is_outdated(one.name, marks[one.name]) else known
+            for one, known in zip(stations, there, strict=True)
+        ]
 
     def _address(
         self, group: str, stations: Sequence[Station], code: Code, wires: Sequence[Value]
@@ -241,7 +258,6 @@ class GroupOperations(StopOperations):
             settle=self._words.guard([one.name for one in stations], code, ending.settle),
             expires_at_s=expires_at_s,
         )  # fmt: skip
-        request.motion = motion
         ending.request = request
         try:
             self._requests.worker.submit(request)

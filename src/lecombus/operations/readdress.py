@@ -38,6 +38,7 @@ from lecombus.drives.restoring import saving_rule
 from lecombus.drives.standstill import Standstill, ask_standstill
 from lecombus.errors import ExchangeError, NoReplyError, OperationError
 from lecombus.line.station import Station
+from lecombus.operations.endings import stopped_first
 from lecombus.operations.identities import Identities
 from lecombus.operations.reports import WriteReport
 from lecombus.operations.requests import Requests
@@ -54,6 +55,9 @@ logger = logging.getLogger(__name__)
 
 MOVED = "address"
 """The remark on a drive whose address is not the roster's."""
+
+WRITE_TRIES = 3
+"""How often a write is asked for again that a stop ended."""
 
 PAUSES_S = (0.1, 0.4, 1.0, 2.0)
 """Before each look for the drive at its new address: some take a moment."""
@@ -136,18 +140,23 @@ class Readdress:
         """
         async with self._one_at_a_time:
             station = self._requests.station(drive)
+            stops = self._requests.stops_said[drive]
             self._check(drive, station, address)
             held = await self._see_that_it_is_stopped(station)
             async with self._at(station, address) as there:
                 await self._see_silence(drive, there)
                 self._check(drive, station, address)
                 code = address_code(station.family)
+                if self._requests.stops_said[drive] != stops:
+                    return stopped_first(drive, code)
                 logger.warning(
                     "drive=%s event=readdress from=%d to=%d", drive, station.address, address
                 )
                 outcome, reason = await self._requests.write(
                     station, code, Value.decimal(address), verify=False
                 )
+                if outcome is Outcome.SUPERSEDED:
+                    return stopped_first(drive, code)
                 if outcome not in (Outcome.DONE, Outcome.UNKNOWN):
                     return WriteReport(drive, code, outcome, reason, kind="nak")
                 found = await self._find(drive, there, address)
@@ -267,7 +276,7 @@ class Readdress:
         rule = saving_rule(station.family)
         if rule is None or rule.value is None:
             return report
-        outcome, reason = await self._requests.write(
+        outcome, reason = await self._write_to_the_end(
             station, rule.codes[0], Value.decimal(rule.value), verify=False
         )
         if outcome is Outcome.DONE:
@@ -292,7 +301,7 @@ class Readdress:
         if held == station.address:
             text = f"it still answers at address {station.address}: nothing was changed"
             return WriteReport(drive, code, Outcome.REFUSED, text, kind="not-in-effect")
-        outcome, reason = await self._requests.write(
+        outcome, reason = await self._write_to_the_end(
             station, code, Value.decimal(station.address), verify=True
         )
         if outcome is Outcome.VERIFIED:
@@ -326,6 +335,16 @@ class Readdress:
         )
 
     # ---- parts ------------------------------------------------------------------------------
+
+    async def _write_to_the_end(
+        self, station: Station, code: Code, value: Value, *, verify: bool
+    ) -> tuple[Outcome, str]:
+        """Write what keeps a drive where it can be stopped; behind a stop it is asked for again."""
+        for _ in range(WRITE_TRIES):
+            ended = await self._requests.write(station, code, value, verify=verify)
+            if ended[0] is not Outcome.SUPERSEDED:
+                break
+        return ended
 
     def _remember(self, drive: str, moved: Moved) -> None:
         self._state.drive(drive).moved = moved

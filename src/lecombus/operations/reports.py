@@ -128,6 +128,7 @@ class RestoreRights:
         drive: The drive's name.
         permitted: The roster says `restore: true`, and nothing keeps the drive from being written.
         owned: Codes that lecombus itself sets from the roster: a restore leaves them alone.
+        stops: What each write of the restore gives back, so that a stop said since ends it.
         reason: Why it is not permitted.
         remedy: What the user can do about it.
     """
@@ -137,6 +138,7 @@ class RestoreRights:
     owned: tuple[Code, ...] = ()
     reason: str = ""
     remedy: str = ""
+    stops: str = ""
 
     def as_json(self) -> dict[str, Json]:
         """Return the JSON form."""
@@ -144,6 +146,7 @@ class RestoreRights:
             "drive": self.drive,
             "permitted": self.permitted,
             "owned": [str(code) for code in self.owned],
+            "stops": self.stops,
             "reason": self.reason or None,
             "remedy": self.remedy or None,
         }

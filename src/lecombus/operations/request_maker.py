@@ -152,7 +152,7 @@ class RequestMaker:
         """Make a request that writes one code.
 
         What moves the drive runs in the control class, whatever `urgency` says; a later setpoint
-        for the same code takes the place of one that still waits.
+        for the same code takes the place of one that still waits. A stop ends whatever it is.
         """
         cost = write_cost(
             self.timing,
@@ -179,7 +179,7 @@ class RequestMaker:
             job,
             expires_at_s=expires_at_s,
             supersedes=(station.name, code) if setpoint else None,
-            motion=motion,
+            writes=True,
         )
 
     def stop(
@@ -261,6 +261,7 @@ class RequestMaker:
             self._counted(priority, settle),
             job,
             stops=stops,
+            writes=not stops,
             members=tuple(one.name for one in members),
             expires_at_s=expires_at_s,
         )

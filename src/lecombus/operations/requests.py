@@ -8,6 +8,7 @@ would have, and the worker never knows who was waiting.
 from __future__ import annotations
 
 import asyncio
+from collections import Counter
 from collections.abc import Callable
 
 from lecombus.errors import CutReplyError, ExchangeError, LecombusError, LineError, OperationError
@@ -62,12 +63,17 @@ class Requests:
         worker: The line.
         maker: Makes the requests with their costs.
         clock: Monotonic time, seconds.
+
+    Attributes:
+        stops_said: How often each drive was told to stop, for work of several steps: what is not
+            in the schedule yet when a stop comes must not be written either.
     """
 
     def __init__(self, worker: LineWorker, maker: RequestMaker, clock: Callable[[], float]) -> None:
         self.worker = worker
         self.maker = maker
         self._clock = clock
+        self.stops_said: Counter[str] = Counter()
         self._stations: dict[str, Station] = {}
 
     def add_station(self, station: Station) -> None:

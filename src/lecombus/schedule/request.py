@@ -17,6 +17,7 @@ __all__ = [
     "DEFERRED",
     "OUT",
     "QUEUED",
+    "STOPPED",
     "UNDER_WAY",
     "Outcome",
     "Priority",
@@ -30,6 +31,10 @@ OUT: Final = 0
 QUEUED: Final = 1
 DEFERRED: Final = 2
 UNDER_WAY: Final = 3
+
+
+STOPPED: Final = "ended by a stop of the drive"
+"""Why a write ended for which a stop came while it waited, or between two of its steps."""
 
 
 class Priority(IntEnum):
@@ -90,8 +95,8 @@ class Request:
         work: What the line is to say; opaque here.
         expires_at_s: It is not begun after this time.
         supersedes: A later request with the same key takes the place of this one while it waits.
-        motion: A stop for the drive ends it while it waits.
-        stops: For a stop: the drives whose waiting motion writes it ends.
+        writes: It may change the drive: a stop of the drive ends it while it waits.
+        stops: For a stop: the drives whose waiting writes it ends.
         members: For a multicast: the drives it reaches.
         submitted_at_s: When the schedule took it; for a cyclic slot, when it was due.
         cut_outcome: How it ends when a stop, a later request, a parked drive or a lost line cuts
@@ -109,7 +114,7 @@ class Request:
     work: object = None
     expires_at_s: float | None = None
     supersedes: Hashable | None = None
-    motion: bool = False
+    writes: bool = False
     stops: tuple[str, ...] = ()
     members: tuple[str, ...] = ()
     submitted_at_s: float = 0.0
@@ -135,7 +140,7 @@ class Request:
         """
         if self.cut_outcome is not None:
             outcome = self.cut_outcome
-        elif self.attempts and (self.motion or self.supersedes is not None):
+        elif self.attempts and (self.writes or self.supersedes is not None):
             outcome = Outcome.UNKNOWN
         self.end(outcome, reason)
 

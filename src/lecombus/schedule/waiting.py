@@ -5,10 +5,10 @@ lane of its drive (queues.py) or for a time, and is taken out by `leave`, or end
 superseded by a later request with the same key, ended by a stop, refused because its drive is
 parked, or withdrawn. Each end is counted and told exactly once.
 
-Stops. Accepting a stop ends the motion requests that wait for the drives it stops, multicasts that
-reach one of them included, and notes its serial number with these drives. A motion request that
-was on the line at that moment is compared with that number when it comes back, and ended: a motion
-write is never repeated after a stop that came later.
+Stops. Accepting a stop ends every write that waits for the drives it stops, settings too (they may
+make the stop void) and multicasts that reach one of them, and notes its serial number with these
+drives. A write that was on the line at that moment is compared with that number when it comes
+back, and ended: no write is repeated after a stop that came later.
 
 Times. Deferred requests, holds of drives and whatever else the schedule puts off share one heap.
 
@@ -28,6 +28,7 @@ from lecombus.schedule.request import (
     DEFERRED,
     OUT,
     QUEUED,
+    STOPPED,
     UNDER_WAY,
     Outcome,
     Priority,
@@ -46,7 +47,6 @@ EXPIRE_BATCH: Final = 64  # expired requests ended per choice: about 0.1 ms
 _FIRST_AHEAD: Final = -(1 << 62)  # places of requests that go ahead of their class
 _LAST: Final = 1 << 63  # added to the places of stops of silent drives: behind all others
 
-_STOPPED: Final = "stopped"
 _REPLACED: Final = "a later request took its place"
 _TOO_LATE: Final = "it was too late to begin"
 
@@ -59,10 +59,10 @@ class DriveState:
         "held",
         "held_until_s",
         "lanes",
-        "motion",
         "multicast_at",
         "parked",
         "stopped_at",
+        "writes",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -70,7 +70,7 @@ class DriveState:
         self.held_until_s = 0.0
         self.lanes: list[tuple[ClassQueue, Lane]] = []  # kept from their queues while held
         self.entries: list[Entry] = []  # kept from the cadence while held
-        self.motion: set[Request] = set()  # waiting motion requests that reach it
+        self.writes: set[Request] = set()  # waiting writes that reach it
         self.multicast_at = 0  # serial of the last multicast that reaches it
         self.parked: str | None = None  # why it is offline
         self.stopped_at = 0  # serial of the last stop
@@ -163,7 +163,7 @@ class Waiting:
             raise QueueFullError(priority=priority.name.lower(), depth=depth, limit=limit)
 
     def _submit_stop(self, request: Request) -> None:
-        """Take a stop, and end the motion that waits for the drives it stops."""
+        """Take a stop, and end the writes that wait for the drives it stops."""
         self.number(request)
         if request.drive in self.silent:
             request.place += _LAST
@@ -171,7 +171,7 @@ class Waiting:
         request.state = QUEUED
         queue.put(request)
         queue.depth += 1
-        self._end_motion(request)
+        self._end_writes(request)
 
     def join(self, request: Request) -> bool:
         """Let a stop that waits and was never said stand for another one asked for just now.
@@ -183,21 +183,21 @@ class Waiting:
         if request.state != QUEUED or request.attempts:
             return False
         self._serial += 1
-        request.serial = self._serial  # motion asked for before the later stop ends as well
-        self._end_motion(request)
+        request.serial = self._serial  # writes asked for before the later stop end as well
+        self._end_writes(request)
         return True
 
-    def _end_motion(self, request: Request) -> None:
-        """End the motion that waits for the drives a stop stops."""
+    def _end_writes(self, request: Request) -> None:
+        """End the writes that wait for the drives a stop stops."""
         ended: list[Request] = []
         for name in request.stops:
             drive = self.drives.get(name)
             if drive is not None:
                 drive.stopped_at = request.serial
-                ended += drive.motion
-        for motion in ended:
-            if not motion.settled:  # a multicast stands with each of its members
-                self.end_waiting(motion, Outcome.SUPERSEDED, _STOPPED)
+                ended += drive.writes
+        for write in ended:
+            if not write.settled:  # a multicast stands with each of its members
+                self.end_waiting(write, Outcome.SUPERSEDED, STOPPED)
 
     # -- coming back ------------------------------------------------------------------------------
 
@@ -260,8 +260,8 @@ class Waiting:
         drive = self.drives.get(request.drive)
         if drive is not None and drive.parked is not None and type(request.source) is not Probe:
             self.end(request, Outcome.REFUSED, drive.parked)
-        elif request.motion and self._stopped_since(request):
-            self.end(request, Outcome.SUPERSEDED, _STOPPED)
+        elif request.writes and self._stopped_since(request):
+            self.end(request, Outcome.SUPERSEDED, STOPPED)
         elif self._replaced_since(request):
             self.end(request, Outcome.SUPERSEDED, _REPLACED)
         else:
@@ -287,9 +287,9 @@ class Waiting:
         queue.depth += 1
         if request.supersedes is not None and request.priority is not Priority.STOP:
             self._latest[request.supersedes] = request
-        if request.motion and request.priority is not Priority.STOP:
+        if request.writes and request.priority is not Priority.STOP:
             for drive in self._reached(request):
-                drive.motion.add(request)
+                drive.writes.add(request)
 
     def leave(self, request: Request) -> None:
         """Take a waiting request out, chosen or ended."""
@@ -297,9 +297,9 @@ class Waiting:
         if request.cell is not None:
             queue.remove(request)
         queue.depth -= 1
-        if request.motion:
+        if request.writes:
             for drive in self._reached(request):
-                drive.motion.discard(request)
+                drive.writes.discard(request)
 
     def forget_key(self, request: Request) -> None:
         """Note that a request is no longer one that a later one could take the place of."""

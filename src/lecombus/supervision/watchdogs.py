@@ -34,6 +34,9 @@ PATIENCE_S = 120.0
 
 REMARK = "watchdog"
 
+WRITE_TRIES = 3
+"""How often a setting is written again that a stop ended."""
+
 LEAST_FED_S = 0.05
 """A watchdog shorter than this (the 2102's least, EDB2102EN 6.3.3) cannot be kept on any line of
 this kind; trying to would take the line from everybody else."""
@@ -246,9 +249,15 @@ class WatchdogAudit:
         return await self._requests.read(station, code, priority, timeout_s=PATIENCE_S)
 
     async def _write(self, station: Station, code: Code, value: float) -> bool:
-        """Write and read back; what did not take shows when the setting is read again."""
+        """Write and read back; what did not take shows when the setting is read again.
+
+        A stop ends every write that waits for its drive; this one is asked for again behind it.
+        """
         wire = Value.decimal(round(value))
-        outcome, reason = await self._requests.write(station, code, wire, verify=True)
+        for _ in range(WRITE_TRIES):
+            outcome, reason = await self._requests.write(station, code, wire, verify=True)
+            if outcome is not Outcome.SUPERSEDED:
+                break
         if outcome is not Outcome.VERIFIED:
             logger.warning(
                 "drive=%s code=%s event=watchdog-not-set value=%s outcome=%s reason=%s",

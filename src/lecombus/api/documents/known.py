@@ -184,5 +184,9 @@ class RestoreDocument(Document):
     owned: Annotated[
         list[str], Field(description="Codes that lecombus sets from the roster, left alone")
     ]
+    stops: Annotated[
+        str,
+        Field(description="Given back in each write of the restore: a stop said since ends it"),
+    ]
     reason: Annotated[str | None, Field(description="Why it is not permitted")]
     remedy: Annotated[str | None, Field(description="What to do about it")]

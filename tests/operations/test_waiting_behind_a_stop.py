@@ -1,0 +1,190 @@
+"""A stop ends every write that waits for its drive: a setting behind it could undo it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+import anyio
+import anyio.lowlevel
+import pytest
+
+from lecombus.drives import StopAction, Verb
+from lecombus.operations.reports import VerbReport, WriteReport
+from lecombus.protocol.addressing import Code
+from lecombus.schedule import Outcome
+from support.site_host import Plant, roster_of, until, with_plant
+
+WRITABLE = (
+    ", restore: true, allow_address_change: true, cyclic: [{code: C0150, every: 1s}], "
+    "unchecked: [C0777], writable: [C0001, C0011, C0012, C0040, C0046, C0127, C0135, C0777, C1920]"
+)
+ROSTER = roster_of(
+    [("a", 11, "821x"), ("b", 12, "821x"), ("c", 13, "821x")], drive=WRITABLE,
+    rest="groups:\n  two: {members: [a, b], multicast: yes}\n",
+)  # fmt: skip
+QUICK, INHIBIT = StopAction.QUICK_STOP, StopAction.INHIBIT
+
+
+async def busy(plant: Plant) -> list[asyncio.Task[object]]:
+    """Let the line have something to do, so that what is asked for now waits."""
+    reads = [asyncio.ensure_future(plant.site.operations.read("c", Code(150))) for _ in range(20)]
+    await anyio.sleep(0.03)
+    return reads  # type: ignore[return-value]
+
+
+@pytest.mark.parametrize("action", [QUICK, INHIBIT])
+@pytest.mark.parametrize(
+    ("code", "value"),
+    [(1, 0), (127, 1), (777, 5), (11, 60), (12, 7), (46, 20), (135, "H0000"), (1920, 1)],
+)
+def test_a_stop_ends_it_whatever_it_is(code: int, value: int | str, action: StopAction) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        reads = await busy(plant)
+        before = list(plant.line["a"].log)
+        writing = asyncio.create_task(plant.site.operations.write("a", Code(code), value))
+        other = asyncio.create_task(plant.site.operations.write("b", Code(777), 5))
+        await anyio.lowlevel.checkpoint()
+        stop = await plant.site.operations.stop(action, "a")
+        assert stop.outcome is Outcome.VERIFIED
+        written = await writing
+        assert (written.outcome, written.kind) == (Outcome.SUPERSEDED, "superseded")
+        assert "ended by a stop of the drive" in written.reason
+        assert "ask for it again if it is still wanted" in written.remedy
+        await asyncio.gather(*reads)
+        await anyio.sleep(2.0)
+        since = [one for one in plant.line["a"].log if one not in before and one.kind == "write"]
+        assert {one.code for one in since} <= {40, 135}, "only the stop itself"
+        assert (await other).kind != "superseded", "another drive's goes on"
+
+    with_plant(test, ROSTER)
+
+
+def test_a_write_asked_for_after_the_stop_goes_out() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        stopping = asyncio.create_task(plant.site.operations.stop(INHIBIT, "a"))
+        await anyio.lowlevel.checkpoint()
+        report = await plant.site.operations.write("a", Code(1920), 1)
+        assert (await stopping).outcome is Outcome.VERIFIED
+        assert report.outcome is Outcome.DONE
+
+    with_plant(test, ROSTER)
+
+
+def told_to_stop(plant: Plant) -> Callable[[], bool]:
+    return lambda: any(b"\x02" in one.data for one in plant.sent_to(11, plant.now_s))
+
+
+@pytest.mark.parametrize("code", [12, 1920])
+@pytest.mark.parametrize("target", ["a", "two", "all"])
+def test_a_stop_ends_what_a_group_waits_for(code: int, target: str) -> None:
+    """C0012 is stored, so that every member is read before it is written."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await busy(plant)
+        before = {name: len(plant.line[name].log) for name in "ab"}
+        writing = asyncio.create_task(plant.site.operations.write_group("two", Code(code), 1))
+        await anyio.lowlevel.checkpoint()
+        assert (await plant.site.operations.stop(INHIBIT, target)).outcome is Outcome.VERIFIED
+        report = await writing
+        ended = {one.drive: one.outcome for one in report.members}
+        assert ended["a"] is Outcome.SUPERSEDED
+        await anyio.sleep(2.0)
+        for name in "a" if target == "a" else "ab":
+            log = list(plant.line[name].log)[before[name] :]
+            assert not [one for one in log if one.code == code and one.kind != "read"]
+        assert plant.line["a"].text(code) != "1"
+
+    with_plant(test, ROSTER)
+
+
+@pytest.mark.parametrize("after_s", [0.0, 0.01, 0.03, 0.05])
+def test_a_stop_ends_a_stored_setting_while_it_is_read_first(after_s: float) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        writing = asyncio.create_task(plant.site.operations.write("a", Code(12), 7))
+        await anyio.sleep(after_s)
+        stop = asyncio.create_task(plant.site.operations.stop(QUICK, "a"))
+        written = await writing
+        said = [one.text for one in plant.line["a"].log if one.kind == "write" and one.code == 12]
+        assert (written.outcome is Outcome.SUPERSEDED) is (not said)
+        assert not said or after_s >= 0.03
+        assert (await stop).outcome is Outcome.VERIFIED
+
+    with_plant(test, ROSTER)
+
+
+def test_a_stop_ends_a_restore_that_is_between_two_writes() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        operations = plant.site.operations
+        await operations.stop(INHIBIT, "a")
+        mark = operations.restore_rights("a").stops
+        first = await operations.write(
+            "a", Code(12), 7, verify=True, restoring=True, unless_stopped_since=mark
+        )
+        assert first.outcome is Outcome.VERIFIED
+        await operations.stop(QUICK, "b")
+        second = await operations.write(
+            "a", Code(11), 60, restoring=True, unless_stopped_since=mark
+        )
+        assert second.outcome is Outcome.DONE, "another drive was stopped"
+        await operations.stop(QUICK, "a")
+        third = await operations.write("a", Code(12), 8, restoring=True, unless_stopped_since=mark)
+        assert (third.outcome, third.kind) == (Outcome.SUPERSEDED, "superseded")
+        assert plant.line["a"].text(12) == "7"
+        foreign = await operations.write("a", Code(12), 9, unless_stopped_since="ff00-3")
+        assert foreign.outcome is Outcome.DONE, "a mark from before a restart tells nothing"
+
+    with_plant(test, ROSTER)
+
+
+def test_a_stop_ends_a_change_of_address_before_it_is_written() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await plant.site.operations.stop(INHIBIT, "a")
+        moving = asyncio.create_task(plant.site.readdress.change("a", 19))
+        await anyio.sleep(0.05)
+        assert (await plant.site.operations.stop(QUICK, "a")).outcome is Outcome.VERIFIED
+        report = await moving
+        assert report.outcome is Outcome.SUPERSEDED
+        assert plant.line["a"].address == 11
+
+    with_plant(test, ROSTER)
+
+
+def test_a_watchdog_that_is_being_set_is_set_behind_the_stop() -> None:
+    async def test(plant: Plant) -> None:
+        await until(
+            lambda: any(one.data[3:] == b"" or b"\x02" in one.data for one in plant.sent_to(11))
+        )
+        assert (await plant.site.operations.stop(INHIBIT, "a")).outcome is Outcome.VERIFIED
+        await plant.online()
+        assert plant.line["a"].text(1922) == "2"
+        assert "watchdog" not in plant.site.store.drive("a").remarks
+
+    watchdog = "{time: 2s, action: quick-stop, configure: true}"
+    with_plant(test, roster_of([("a", 11, "821x")], watchdog=watchdog))
+
+
+@pytest.mark.parametrize("verb", [Verb.ENABLE, Verb.SET_SPEED])
+def test_a_stop_ends_the_step_of_a_verb_that_waits(verb: Verb) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        reports: list[VerbReport | WriteReport] = []
+
+        async def act() -> None:
+            more = {"value": 20, "unit": "Hz"} if verb is Verb.SET_SPEED else {}
+            reports.append(await plant.site.operations.verb("a", verb, **more))  # type: ignore[arg-type]
+
+        acting = asyncio.create_task(act())
+        await anyio.sleep(0.02)
+        assert (await plant.site.operations.stop(INHIBIT, "a")).outcome is Outcome.VERIFIED
+        await acting
+        assert reports[0].outcome is Outcome.SUPERSEDED
+        assert plant.line["a"].model.inhibited()
+
+    with_plant(test, ROSTER)
