@@ -75,13 +75,13 @@ def test_a_stop_ends_it_and_what_was_written_is_told() -> None:
 
 
 def test_a_stop_keeps_it_from_saving() -> None:
-    one = drive({11: "50"}, "93xx")
+    one = drive({5: "1000"}, kind="93xx")
 
     def stop(here: FakeDrive, code: Code) -> None:
         here.stopped = code == Code(3)
 
     one.before_write = stop
-    result = restored(one, {"C0011": "60"})
+    result = restored(one, {"C0005": "1011"})
     assert "not saved by C0003: the drive was stopped meanwhile" in result.stopped
     assert not result.complete
 
