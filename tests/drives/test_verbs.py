@@ -334,6 +334,22 @@ def test_c0127_decides_between_hertz_and_percent() -> None:
     assert refused(known("822x", c127=""), Verb.SET_SPEED).remedy == "set C0127 = 0 or 1"
 
 
+@pytest.mark.parametrize("name", ["820x", "821x", "822x", "824x", "8200vector"])
+@pytest.mark.parametrize(
+    ("number", "unit", "written"),
+    [("35.43", "Hz", "35.43"), ("0.0001", "Hz", "0.0001"), ("33.33", "%", "16.7")],
+)
+def test_a_frequency_without_a_step_in_the_manual_is_taken_as_given(
+    name: str, number: str, unit: str, written: str
+) -> None:
+    """Only a converted one is rounded, to the one decimal place of the manual's example."""
+    step = speed_step(known(name), Decimal(number), unit)
+    assert isinstance(step, WriteStep)
+    assert "in steps of" not in refused(known(name), Verb.SET_SPEED, "9999", "Hz").remedy
+    if (name, unit) != ("820x", "%"):  # which takes a percentage as it is, by C0141
+        assert (step.code, step.value.raw) == (Code(46), written)
+
+
 @pytest.mark.parametrize(
     ("name", "number", "unit", "told"),
     [
@@ -346,6 +362,8 @@ def test_c0127_decides_between_hertz_and_percent() -> None:
         ("93xx", "-100.01", "%", "-100 to 100 %"),
         ("smvector", "60.1", "Hz", "0 to 60 Hz (C1103 = 60 Hz)"),
         ("smvector", "30.05", "Hz", "in steps of 0.1"),
+        ("8200vector", "30.00001", "Hz", "0 to 50 Hz"),
+        ("821x", "30.00001", "Hz", "0 to 50 Hz"),
         ("smvector", "1E+29", "%", "0 to 60 Hz"),
     ],
 )

@@ -38,6 +38,13 @@ __all__ = ["speed_step"]
 MOST = 1_000_000
 """No unit gives a speed more than this; what is more could not even be converted exactly."""
 
+FINEST = Decimal("0.0001")
+"""No number on the wire is finer (EDB2102EN 8.3.1)."""
+
+CONVERTED = Decimal("0.1")
+"""What a converted speed is rounded to where the manual gives no step: its own example of C0046 has
+one decimal place (EDB2102EN 8.3.2), and a drive may refuse more."""
+
 
 def speed_step(known: Known, number: Decimal, unit: str) -> WriteStep:
     """Say what is written for a speed.
@@ -71,15 +78,17 @@ def speed_step(known: Known, number: Decimal, unit: str) -> WriteStep:
     if not low <= given <= high:
         told = f"{number} {unit}" if rule.unit == unit else f"{number} {unit} ({given} {rule.unit})"
         raise _bad_speed(known, rule, in_force, f"{told} is out of the range of {known.drive}")
-    if given % rule.step:
-        raise _bad_speed(known, rule, in_force, f"{number} {unit} is finer than {rule.step}")
+    finest = rule.step or FINEST
+    if given % finest:
+        raise _bad_speed(known, rule, in_force, f"{number} {unit} is finer than {finest}")
     return WriteStep(rule.code, Value.decimal(given))
 
 
 def _converted(number: Decimal, rule: SetpointRule, full: Decimal) -> Decimal:
     """Convert between Hz and % of the highest frequency, to what the drive can hold."""
     exact = number * full / 100 if rule.unit == "Hz" else number * 100 / full
-    return (exact / rule.step).quantize(Decimal(1), ROUND_HALF_EVEN) * rule.step
+    step = rule.step or CONVERTED
+    return (exact / step).quantize(Decimal(1), ROUND_HALF_EVEN) * step
 
 
 def _bounds(
@@ -177,7 +186,9 @@ def _bad_speed(
         low, high = _bounds(known, one, scale)
         by = f" ({_listed(scale)})" if scale and one.unit == "Hz" else ""
         ranges.append(f"{low} to {high} {one.unit}{by}")
-    remedy = f"it takes {' or '.join(ranges)}, in steps of {rule.step}"
+    remedy = f"it takes {' or '.join(ranges)}"
+    if rule.step is not None:
+        remedy += f", in steps of {rule.step}"
     scale = _scale(known, rule)
     if len(in_force) == 1 and len(set(scale.values())) == 1:
         remedy += ", or % of that" if rule.unit == "Hz" else f", or Hz of {_listed(scale)}"

@@ -137,7 +137,8 @@ class SetpointRule:
         unit: Its unit, `Hz` or `%`.
         low: The least value.
         high: The greatest value.
-        step: What values are rounded to when they are converted, and may not be finer than.
+        step: What values are rounded to when they are converted, and may not be finer than; None
+            where the manual gives none.
         least: The setting that holds the least value in force; None: `low` is it.
         full_scale: The setting in Hz that 100 % stands for, and that a frequency may not exceed.
         when: The setting in which the drive takes it from there; None: in every one.
@@ -148,7 +149,7 @@ class SetpointRule:
     unit: str
     low: Decimal
     high: Decimal
-    step: Decimal
+    step: Decimal | None
     least: Code | None
     full_scale: Code | None
     when: Condition | None

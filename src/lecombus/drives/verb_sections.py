@@ -149,18 +149,19 @@ class _Reader:
         if len(bounds) != 2 or read_decimal(bounds[0]) >= read_decimal(bounds[1]):
             table.fail("range is the least and the greatest value: [0, 480]")
         full, least, when = table.get("full_scale"), table.get("least"), table.get("when")
+        step = table.get("step")
         rule = SetpointRule(
             code=self._written(table.take("code")),
             unit=unit.text(),
             low=read_decimal(bounds[0]),
             high=read_decimal(bounds[1]),
-            step=read_decimal(table.take("step")),
+            step=read_decimal(step) if step else None,
             least=self._read(least) if least else None,
             full_scale=self._read(full) if full else None,
             when=self._condition(when.table()) if when else None,
             source=read_source(table, self._manual),
         )
-        if rule.step <= 0:
+        if rule.step is not None and rule.step <= 0:
             table.fail("step is over 0")
         table.done()
         return rule

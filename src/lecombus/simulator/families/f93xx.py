@@ -63,7 +63,10 @@ class Drive93XX(Module2102):
         self.writers[3] = lambda text: self.params.save() if text != "0" else None
 
     def _fault_memory(self, subcode: int) -> str:
-        """Subcode 1 is the active fault, 2 and up what was before; 0 stands for 1."""
+        """Subcode 1 is the active fault, 2 and up what was before; 0 stands for 1.
+
+        Only C0168 is said to have subcodes. What C0067 and C0161 hold is not said: the same here.
+        """
         return str(self.troubles.shifted(subcode))
 
     # Control
