@@ -48,6 +48,7 @@ def code_document(family: Family, info: CodeInfo) -> dict[str, Json]:
         "step": info.step,
         "selection": selection,
         "selection_partial": info.selection_partial,
+        "array": info.array,
         "default": info.default,
         "readable": info.readable,
         "writable": info.writable,

@@ -9,7 +9,9 @@ import pytest
 from cli.conftest import Run
 from lecombus.cli import describe
 from lecombus.cli.describe_words import GERMAN
+from lecombus.backups.document import wanted_codes
 from lecombus.drives import FAMILY_NAMES, family
+from lecombus.protocol import Code
 
 ENGLISH = {english for english, german in GERMAN.items() if english != german}
 
@@ -111,3 +113,34 @@ def test_what_is_not_there_is_refused_with_what_is(
     ran = run("describe", *words)
     assert (ran.status, ran.out) == (2, "")
     assert message in ran.err
+
+
+@pytest.mark.parametrize(
+    ("family", "said"),
+    [
+        ("821x", "value 0\tno fault; writing 0 resets a fault"),
+        ("8200vector", "value 0\tno fault; writing 0 resets a fault"),
+        ("93xx", "value 0\tno fault; writing 0 resets a fault"),
+        ("smvector", "value 1\treset fault"),
+    ],
+)
+def test_c0043_says_which_value_resets_a_fault(run: Run, family: str, said: str) -> None:
+    assert said in run("describe", family, "C0043").out.splitlines()
+
+
+def test_an_820x_has_no_c0043_and_what_resets_a_fault_there_is_said(run: Run) -> None:
+    ran = run("describe", "820x", "C0043")
+    assert ran.status == 2
+    assert "820x has no C0043: inhibit followed by enable resets a fault" in ran.err
+
+
+@pytest.mark.parametrize("code", ["C0012", "C0013"])
+@pytest.mark.parametrize("family", ["820x", "821x", "8200vector", "93xx"])
+def test_ramps_are_in_seconds(run: Run, family: str, code: str) -> None:
+    assert "unit\ts" in run("describe", family, code).out.splitlines()
+
+
+def test_a_code_with_subcodes_that_the_manual_does_not_count_says_so(run: Run) -> None:
+    shown = run("describe", "8200vector", "C0417").out
+    assert "subcodes\tby the drive's own manual" in shown.splitlines()
+    assert Code(417) not in wanted_codes(family("8200vector"))

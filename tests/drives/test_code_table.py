@@ -65,6 +65,16 @@ C0038        | INVERTERS   | VD | rw |
 C0039        | INVERTERS   | VD | rw |
 C0039/1..15  | 93xx        | VD | rw |
 C0050        | INVERTERS   | VD | r  |
+C0120        | INVERTERS   | VD | rw |
+C0357/1..3   | 8200vector  | VD | rw |
+C0370        | 8200vector  | VD | rw |
+C0410        | 8200vector  | VD | rw |
+C0412        | 8200vector  | VD | rw |
+C0417        | 8200vector  | VD | rw |
+C0421        | 8200vector  | VD | rw |
+C0500        | LATER       | VD | rw |
+C0501        | LATER       | VD | rw |
+C0599        | 8200vector  | VD | rw |
 C0102/1..3   | 93xx        | VD | rw |
 C0103/1..3   | 93xx        | VD | rw |
 C0141        | 820x        | VD | rw | 0..100
@@ -186,7 +196,7 @@ def test_what_the_module_holds_is_lost_with_its_supply(name: str) -> None:
 @pytest.mark.parametrize("name", ALL.split())
 def test_what_needs_inhibit(name: str) -> None:
     needing = {info.code.number for info in family(name).described() if info.needs_inhibit}
-    everything_stored = {1, 9, 11, 12, 13, 37, 38, 39, 125, 2001, 2011}
+    everything_stored = {1, 9, 11, 12, 13, 37, 38, 39, 120, 125, 2001, 2011}
     expected = {"820x": everything_stored, "93xx": {5}}.get(name, set())
     assert needing == expected
 

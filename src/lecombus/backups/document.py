@@ -132,7 +132,9 @@ def wanted_codes(family: Family, also: Iterable[Code] = ()) -> tuple[Code, ...]:
         also: Further codes, which no description needs to know.
     """
     described = {
-        info.code for info in family.described() if info.readable and not info.secret
+        info.code
+        for info in family.described()
+        if info.readable and not info.secret and not info.array
     } | set(family.identity)
     secret = {info.code for info in family.described() if info.secret}
     return tuple(sorted((described | set(also)) - secret))

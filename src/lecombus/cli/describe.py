@@ -14,11 +14,12 @@ from lecombus.cli.reports import Document
 from lecombus.cli.screen import on_terminal, show_rows
 from lecombus.descriptions import bits_document, code_document, family_document
 from lecombus.drives import FAMILY_NAMES, CodeInfo, Family, Language, WriteClass, family
-from lecombus.drives.codes import OTHERS
+from lecombus.drives.codes import BY_OWN_MANUAL, OTHERS
 from lecombus.protocol import Code
 
 __all__ = ["command"]
 
+FAULT_RESET = Code(43)
 HEADINGS = ("code", "name", "format", "values", "access", "kept", "source")
 
 
@@ -56,22 +57,25 @@ def command(
         return Exit.DONE
     info = described.info(code)
     if info is None:
-        near = ", ".join(str(one.code) for one in neighbours(described, code))
-        raise CommandError(
-            Exit.USAGE,
-            Problem(
-                f"{code} of {family_name} is not described",
-                f"near it are {near}; any code may be read all the same" if near else
-                "any code may be read all the same",
-                "no-such-code",
-                code=str(code),
-            ),
-        )  # fmt: skip
+        raise not_described(described, code)
     if as_json:
         click.echo(encode(code_document(described, info)))
     else:
         show_rows(("", ""), list(properties(described, info, language)))
     return Exit.DONE
+
+
+def not_described(described: Family, code: Code) -> CommandError:
+    """Say that a code has no description, and what is near it or does the same."""
+    problem = f"{code} of {described.name} is not described"
+    remedy = "any code may be read all the same"
+    near = ", ".join(str(one.code) for one in neighbours(described, code))
+    if near:
+        remedy = f"near it are {near}; {remedy}"
+    if code == FAULT_RESET and described.verbs and described.verbs.reset.code is None:
+        problem = f"{described.name} has no {code}: inhibit followed by enable resets a fault"
+        remedy = "lecombus reset-fault does it; the drive restarts, and stays inhibited"
+    return CommandError(Exit.USAGE, Problem(problem, remedy, "no-such-code", code=str(code)))
 
 
 def configured(described: Family, number: int | None) -> Family:
@@ -132,6 +136,8 @@ def properties(described: Family, info: CodeInfo, language: Language) -> Iterato
         yield f"{say('value')} {number}", text.in_language(language)
     if info.selection_partial:
         yield say("values"), OTHERS[language]
+    if info.array:
+        yield say("subcodes"), BY_OWN_MANUAL[language]
     if info.default is not None:
         yield say("default"), info.default
     yield say("access"), access(info, say)

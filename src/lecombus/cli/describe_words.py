@@ -27,6 +27,7 @@ GERMAN: Final[Mapping[str, str]] = {
     "access": "Zugriff",
     "kept": "Speicherort",
     "parameter set": "Parametersatz",
+    "subcodes": "Subcodes",
     "source": "Quelle",
     "bit": "Bit",
     "bits": "Bits",

@@ -15,7 +15,8 @@ An entry reads, with all keys there are::
 
 `subcodes: [1, 8]` makes one entry many: each gets its subcode after its name. A value made of
 bits has `bits: {0: [english, german]}` in place of a range or a selection. `selection_partial:
-true` marks a selection of which the manual names some values only. What must hold
+true` marks a selection of which the manual names some values only, `array: true` a code whose
+values are reached by subcodes, of which it does not say how many. What must hold
 between codes and the rest of a family is `loading`.
 """
 
@@ -175,6 +176,7 @@ def _read_entry(table: Table, manual: str) -> _Entry:
         default=_default(table.get("default"), kind, digits, limits),
         secret=read_flag(table, "secret"),
         selection_partial=read_flag(table, "selection_partial"),
+        array=read_flag(table, "array"),
     )
     entry = _Entry(info, _subcodes(table.get("subcodes"), code), read_flag(table, "sets"))
     table.done()

@@ -21,13 +21,17 @@ from lecombus.protocol.values import Format, Value
 
 from .texts import Language, Text
 
-__all__ = ["OTHERS", "CodeInfo", "PlainWhen", "Storage", "WriteClass"]
+__all__ = ["BY_OWN_MANUAL", "OTHERS", "CodeInfo", "PlainWhen", "Storage", "WriteClass"]
 
 
 RANGE_WORDS = {Language.EN: ("to", "in steps of"), Language.DE: ("bis", "in Schritten von")}
+BY_OWN_MANUAL = {
+    Language.EN: "by the drive's own manual",
+    Language.DE: "nach dem Handbuch des Antriebs",
+}
 OTHERS = {
-    Language.EN: "others by the drive's own manual",
-    Language.DE: "weitere nach dem Handbuch des Antriebs",
+    Language.EN: f"others {BY_OWN_MANUAL[Language.EN]}",
+    Language.DE: f"weitere {BY_OWN_MANUAL[Language.DE]}",
 }
 """Stands after a selection of which the manual names some values only."""
 
@@ -97,6 +101,7 @@ class CodeInfo:
         parameter_set: Which parameter set this reaches, from 1.
         secret: A password: never in a backup, a metric or a list of values.
         selection_partial: The manual names only some of the values that there are.
+        array: Its values are reached by subcodes, of which the manual does not say how many.
     """
 
     code: Code
@@ -123,6 +128,7 @@ class CodeInfo:
     parameter_set: int = 1
     secret: bool = False
     selection_partial: bool = False
+    array: bool = False
 
     def name_in(self, language: Language) -> str:
         """Return its name in a language."""

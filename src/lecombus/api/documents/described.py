@@ -49,6 +49,9 @@ class CodeDocument(Document):
     selection_partial: Annotated[
         bool, Field(description="The drive takes values that its manual for the line does not name")
     ]
+    array: Annotated[
+        bool, Field(description="Its values have subcodes; its manual does not say how many")
+    ]
     default: Annotated[str | None, Field(description="As on the wire")]
     readable: bool
     writable: bool

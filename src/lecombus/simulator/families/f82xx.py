@@ -126,6 +126,9 @@ class Vector8200(Drive82XX):
     def __init__(self) -> None:
         arrays = (
             *(d(39, "40", (0, 650), subcode=n, decimals=2, sets=True) for n in range(1, 4)),
+            *(d(357, "3000", (0, 65000), subcode=n) for n in range(1, 4)),
+            d(370, "0", (0, 255)),
+            d(599, "5", (1, 50)),
             *(d(410, "255", (0, 255), subcode=n) for n in range(1, 33)),
             *(d(412, "255", (0, 255), subcode=n) for n in range(1, 10)),
             *(d(417, "0", (0, 255), subcode=n) for n in range(1, 17)),
