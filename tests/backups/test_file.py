@@ -174,4 +174,6 @@ def test_a_backup_holds_every_code_that_can_be_read_and_no_password(name: str) -
     secrets = {info.code for info in drive.described() if info.secret}
     assert secrets.isdisjoint(wanted_codes(drive, secrets))
     for info in drive.described():
-        assert (info.code in wanted) == (info.readable and not info.secret and not info.array), info.code
+        assert (info.code in wanted) == (info.readable and not info.secret and not info.array), (
+            info.code
+        )
