@@ -28,6 +28,8 @@ from lecombus.protocol.values import Value
 DESCRIBED = [name for name in FAMILY_NAMES if name != "generic"]
 LATER_82XX = ["821x", "822x", "824x", "8200vector"]
 WORD, STATUS, ENABLE = Code(135), Code(150), Code(40)
+UNSEEN = ["8200vector", "93xx"]
+"""Families in which no status word shows a quick stop."""
 
 SETTINGS = {
     "820x": {1: "3", 11: "50"},
@@ -41,8 +43,9 @@ SETTINGS = {
 FAULT = {"820x": "H0180", "smvector": "H0180"}
 
 
-def known(name: str, word: str = "H0000", status: str = "H0000", **settings: str) -> Known:
-    """A drive as its settings (`c1="0"` changes C0001) and words describe it."""
+def known(name: str, word: str = "H0000", status: str = "", **settings: str) -> Known:
+    """A drive as its settings (`c1="0"` changes C0001) and words describe it; it runs."""
+    status = status or ("H0000" if name in ("820x", "smvector") else "H0600")
     values = {Code(number): Value.parse(text) for number, text in SETTINGS.get(name, {}).items()}
     values |= {WORD: Value.parse(word), STATUS: Value.parse(status)}
     for key, text in settings.items():
@@ -78,18 +81,52 @@ def speed(given: Known, number: str, unit: str) -> tuple[int, str]:
 @pytest.mark.parametrize("name", DESCRIBED)
 def test_enable_releases_quick_stop_and_inhibit_and_leaves_other_bits(name: str) -> None:
     steps = enable_steps(known(name, "H120C", "H0080"))
-    assert steps == (BitsStep(WORD, clear_mask=0x0208), WriteStep(ENABLE, Value.decimal(1)))
+    release = BitsStep(WORD, clear_mask=0x0208, always=name in UNSEEN)
+    assert steps == (release, WriteStep(ENABLE, Value.decimal(1)))
     assert isinstance(steps[0], BitsStep)
     assert steps[0].applied(0x120C) == 0x1004
 
 
 @pytest.mark.parametrize("name", DESCRIBED)
 def test_enable_writes_only_what_keeps_the_drive_still(name: str) -> None:
-    assert enable_steps(known(name)) == ()
+    release = BitsStep(WORD, clear_mask=0x0208, always=name in UNSEEN)
+    # A quick stop of the watchdog that no word shows is released in any case.
+    unseen = (release,) if name in UNSEEN else ()
+    assert enable_steps(known(name)) == unseen
     quick_stopped = known(name, "H0008")
-    assert enable_steps(quick_stopped) == (BitsStep(WORD, clear_mask=0x0208),)
+    assert enable_steps(quick_stopped) == (release,)
     inhibited = known(name, "H0000", "H0080")
-    assert enable_steps(inhibited) == (WriteStep(ENABLE, Value.decimal(1)),)
+    assert enable_steps(inhibited) == (*unseen, WriteStep(ENABLE, Value.decimal(1)))
+
+
+@pytest.mark.parametrize("name", [one for one in DESCRIBED if one not in UNSEEN])
+def test_a_quick_stop_that_only_the_status_shows_is_set_and_released_by_the_control_word(
+    name: str,
+) -> None:
+    stopped = known(name, "H0004", c68="H1100")
+    assert not is_enabled(stopped)
+    first, second = enable_steps(stopped)
+    assert (first, second) == (
+        BitsStep(WORD, set_mask=0x0008), BitsStep(WORD, clear_mask=0x0208)
+    )  # fmt: skip
+    closed = {"smvector": {"c1420": "2"}}.get(name, {"c1": "0"})
+    assert refused(known(name, "H0004", c68="H1100", **closed), Verb.ENABLE).kind == "setting"
+
+
+@pytest.mark.parametrize("name", [one for one in DESCRIBED if one != "smvector"])
+def test_every_word_that_shows_an_inhibit_counts(name: str) -> None:
+    for more in ({"c68": "H0000"}, {"c40": "0"}):
+        given = known(name, **more)
+        assert not is_enabled(given), more
+        assert enable_steps(given)[-1] == WriteStep(ENABLE, Value.decimal(1))
+    assert is_enabled(known(name, c68="H0100", c40="1"))
+    assert not is_enabled(known(name, "H0200"))
+
+
+@pytest.mark.parametrize("status", ["H0000", "H0100", "H0300"])
+@pytest.mark.parametrize("name", LATER_82XX)
+def test_a_controller_status_that_keeps_it_still_is_not_enabled(name: str, status: str) -> None:
+    assert not is_enabled(known(name, status=status))
 
 
 @pytest.mark.parametrize("name", DESCRIBED)

@@ -284,6 +284,80 @@ def test_an_enable_against_an_open_terminal_is_taken_back(kind: str) -> None:
     with_drive(test, kind)
 
 
+async def silence_for_the_watchdog(plant: Plant) -> None:
+    """Let the drive's watchdog act, and wait until it is online again."""
+    plant.end.unplug()
+    await anyio.sleep(4.0)
+    plant.line.advance(asyncio.get_running_loop().time())
+    plant.end.replug()
+    await plant.online(within_s=60.0)
+
+
+@pytest.mark.parametrize("as_written", [False, True], ids=["state", "written"])
+@pytest.mark.parametrize("action", ["quick-stop", "inhibit"])
+@pytest.mark.parametrize("kind", DESCRIBED)
+def test_an_enable_lifts_what_the_watchdog_did_whatever_the_control_word_reads(
+    kind: str, action: str, as_written: bool
+) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        drive = plant.line["a"].model
+        await do(plant, Verb.SET_SPEED, value=Decimal(50), unit="%")
+        assert (await do(plant, Verb.ENABLE)).outcome is Outcome.VERIFIED
+        await silence_for_the_watchdog(plant)
+        assert drive.inhibited() or drive.stop_wanted()
+        assert drive.read_control_word() == "H0000" or not as_written
+        report = await do(plant, Verb.ENABLE)
+        assert (report.outcome, report.reason) == (Outcome.VERIFIED, "")
+        assert report.written
+        await anyio.sleep(10.0)
+        assert drive.motor.output > 0.0
+
+    watchdog = f"{{time: 2s, action: {action}, configure: true}}"
+    roster = roster_of([("a", 11, kind)], watchdog=watchdog)
+    with_plant(test, roster, word_as_written=as_written)
+
+
+@pytest.mark.parametrize("kind", [one for one in DESCRIBED if one not in ("8200vector", "93xx")])
+def test_a_quick_stop_that_the_control_word_does_not_lift_is_told_and_taken_back(
+    kind: str,
+) -> None:
+    async def test(plant: Plant) -> None:
+        drive = plant.line["a"].model
+        assert (await do(plant, Verb.ENABLE)).outcome is Outcome.VERIFIED
+        shown = drive.readers[68]
+        drive.readers[68] = lambda code: f"H{int(shown(code)[1:], 16) | 0x1000:04X}"
+        report = await do(plant, Verb.ENABLE)
+        assert (report.outcome, report.kind) == (Outcome.REFUSED, "not-in-effect")
+        assert "C0068 reads H" in report.reason
+        assert "a quick stop holds it that C0135 does not lift" in report.cause
+        assert "check the terminal for quick stop" in report.remedy
+        assert "inhibited again" in report.remedy
+        assert drive.inhibited()
+        why = await plant.site.operations.why("a", fresh=True)
+        assert "quick-stop" in [one.name for one in why.findings]
+
+    with_drive(test, kind)
+
+
+@pytest.mark.parametrize("kind", [one for one in DESCRIBED if one != "smvector"])
+def test_an_inhibit_that_only_c0068_or_c0040_shows_is_no_enable(kind: str) -> None:
+    async def test(plant: Plant) -> None:
+        drive = plant.line["a"].model
+        assert (await do(plant, Verb.ENABLE)).outcome is Outcome.VERIFIED
+        shown = drive.readers[68]
+        drive.readers[68] = lambda code: f"H{int(shown(code)[1:], 16) & ~0x0100:04X}"
+        report = await do(plant, Verb.ENABLE)
+        assert (report.outcome, "C0068 reads H" in report.reason) == (Outcome.REFUSED, True)
+        drive.readers[68] = shown
+        assert (await do(plant, Verb.ENABLE)).outcome is Outcome.VERIFIED
+        drive.readers[40] = lambda _: "0"
+        report = await do(plant, Verb.ENABLE)
+        assert (report.outcome, "C0040 reads 0" in report.reason) == (Outcome.REFUSED, True)
+
+    with_drive(test, kind)
+
+
 def test_a_drive_that_is_away_or_locked_is_stopped_and_nothing_else() -> None:
     async def test(plant: Plant) -> None:
         plant.line["a"].model.preset(1494, "1.30")

@@ -24,11 +24,19 @@ class WriteStep:
 
 @dataclass(frozen=True, slots=True)
 class BitsStep:
-    """Change bits of the control word as it is then."""
+    """Change bits of the control word as it is then.
+
+    Args:
+        code: The control word.
+        set_mask: Bits set.
+        clear_mask: Bits cleared.
+        always: Write it also where the bits are so already.
+    """
 
     code: Code
     set_mask: int = 0
     clear_mask: int = 0
+    always: bool = False
 
     def applied(self, word: int) -> int:
         """Give the word with the bits changed."""

@@ -21,6 +21,7 @@ from lecombus.protocol.addressing import Code
 
 from .family import Family
 from .operating import OperatingState, join_states
+from .stops import StopAction
 from .verb_facts import (
     Known,
     active_set_word,
@@ -45,8 +46,21 @@ __all__ = [
     "is_enabled",
     "questions",
     "reset_steps",
+    "shown_stops",
     "states",
+    "stop_words",
 ]
+
+NOT_ENABLED = frozenset(
+    {
+        OperatingState.INHIBITED,
+        OperatingState.OPERATION_INHIBITED,
+        OperatingState.START_LOCK,
+        OperatingState.INITIALISING,
+        OperatingState.POWER_OFF,
+    }
+)
+"""What a status word may show of a drive that does not follow an enable."""
 
 
 def questions(drive: str, family: Family, verb: Verb) -> tuple[Code, ...]:
@@ -69,6 +83,8 @@ def _questions(family: Family, rules: VerbRules, verb: Verb) -> Iterator[Code]:
             yield demand.condition.code
     if verb is not Verb.SET_SPEED:
         yield from rules.enable.proofs
+    if verb is Verb.ENABLE:
+        yield from stop_words(family)
     if verb is Verb.RESET_FAULT:
         yield from (code for code in (rules.reset.code, rules.reset.number) if code is not None)
     if verb is Verb.SET_SPEED:
@@ -108,7 +124,9 @@ def enable_steps(known: Known) -> tuple[VerbStep, ...]:
     """Say how a drive is enabled: quick stop released first, then the inhibit lifted.
 
     Returns:
-        The steps; none where neither inhibit nor quick stop is there.
+        The steps; none where every word shows that neither inhibit nor quick stop is there. Where
+        no status word shows a quick stop, the control word is written in any case: the drive's
+        watchdog may have set one that a control word read back as written does not show.
 
     Raises:
         OperationError: `fault-active`, `setting`, `no-control-word`, `no-verb`.
@@ -125,13 +143,20 @@ def enable_steps(known: Known) -> tuple[VerbStep, ...]:
     steps: list[VerbStep] = []
     bits = control_bits(known, rules)
     word = control_word(known, rules)
-    stopping = word & (bits.quick_stop | bits.inhibit)
-    inhibited = bool(word & bits.inhibit) or not enable_shown(known)
+    shown = shown_stops(known)
+    inhibited = not enable_shown(known) or any(one is StopAction.INHIBIT for _, one in shown)
+    quick_stopped = any(one is StopAction.QUICK_STOP for _, one in shown)
     objection = next(objections(known, rules, Access.CONTROL_WORD), None)
-    if word & bits.quick_stop and objection is not None:
+    if (quick_stopped or word & bits.quick_stop) and objection is not None:
         raise objected(known, objection)
-    if stopping and objection is None:
-        steps.append(BitsStep(bits.code, clear_mask=bits.quick_stop | bits.inhibit))
+    if objection is None:
+        if quick_stopped and not word & bits.quick_stop:
+            # Only a change may lift what did not come by this word: the watchdog's, for one.
+            steps.append(BitsStep(bits.code, set_mask=bits.quick_stop))
+        unseen = not _status_shows_quick_stop(known)
+        if quick_stopped or word & (bits.quick_stop | bits.inhibit) or unseen:
+            mask = bits.quick_stop | bits.inhibit
+            steps.append(BitsStep(bits.code, clear_mask=mask, always=unseen))
     if inhibited:
         steps.append(WriteStep(rules.enable.code, rules.enable.value))
     if steps:
@@ -158,14 +183,60 @@ def enable_shown(known: Known) -> bool:
 def is_enabled(known: Known) -> bool:
     """Say whether the drive shows that it is enabled: no inhibit, no fault, no quick stop.
 
-    Its control word counts only where its settings let the line write it.
+    Its control word counts only where its settings let the line write it; then it must be known.
+    """
+    rules = rules_of(known.drive, known.family, Verb.ENABLE)
+    word_known = isinstance(known.number(rules.control), int) or not _line_controls(known, rules)
+    return enable_shown(known) and word_known and not has_fault(known) and not shown_stops(known)
+
+
+def stop_words(family: Family) -> tuple[Code, ...]:
+    """Name the codes whose values can show that a drive is inhibited or in quick stop."""
+    rules = family.verbs
+    found = [rules.control] if rules is not None else []
+    found += family.words
+    for stop in family.stops.values():
+        found += stop.proofs
+    return tuple(dict.fromkeys(found))
+
+
+def shown_stops(known: Known) -> tuple[tuple[Code, StopAction], ...]:
+    """Name the codes that were read and show a stop, and which.
+
+    The control word shows one only where the drive's settings let the line write it.
     """
     rules = rules_of(known.drive, known.family, Verb.ENABLE)
     bits = control_bits(known, rules)
+    found: list[tuple[Code, StopAction]] = []
+    for action, rule in known.family.stops.items():
+        found += [
+            (code, action)
+            for code, proof in rule.proofs.items()
+            if code in known.values and proof.holds(known.values[code])
+        ]
     word = known.number(bits.code)
-    ours = next(objections(known, rules, Access.CONTROL_WORD), None) is None
-    stopped = ours and not (isinstance(word, int) and not word & bits.quick_stop)
-    return enable_shown(known) and not has_fault(known) and not stopped
+    if isinstance(word, int) and word & bits.inhibit:
+        found.append((bits.code, StopAction.INHIBIT))
+    for code, info in known.configured.words.items():
+        number = known.number(code)
+        if isinstance(number, int) and NOT_ENABLED & set(info.shown_states(number)):
+            found.append((code, StopAction.INHIBIT))
+    if not _line_controls(known, rules):
+        found = [one for one in found if one[0] != bits.code]
+    return tuple(dict.fromkeys(found))
+
+
+def _line_controls(known: Known, rules: VerbRules) -> bool:
+    return next(objections(known, rules, Access.CONTROL_WORD), None) is None
+
+
+def _status_shows_quick_stop(known: Known) -> bool:
+    """Say whether a status word of the family tells a quick stop, whoever set it."""
+    return any(
+        rule.state is OperatingState.QUICK_STOP
+        for word in known.configured.words.values()
+        for rule in word.states
+    )
 
 
 # ---- reset-fault ----------------------------------------------------------------------------

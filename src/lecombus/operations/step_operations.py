@@ -60,7 +60,7 @@ from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority
 from lecombus.store import Store
 
-__all__ = ["TROUBLE", "StepOperations"]
+__all__ = ["TROUBLE", "StepOperations", "words_of"]
 
 EFFECT_WITHIN_S = 2.0
 """What a drive is given to show that it is enabled or that its fault is gone, seconds."""
@@ -149,7 +149,7 @@ class StepOperations(GroupOperations):
                 kind="no-control-word", drive=name, code=str(step.code),
                 remedy="ask again when nobody else writes it",
             )  # fmt: skip
-        if step.applied(word) == word:
+        if step.applied(word) == word and not step.always:
             return WriteReport(name, step.code, Outcome.DONE)
         # Nothing is waited for between the look at the word and its place in the queue.
         if self._stopped_meanwhile(run):
@@ -196,11 +196,13 @@ class StepOperations(GroupOperations):
                 values[code] = await self._requests.read(station, code, Priority.INTERACTIVE)
         return Known(station.name, station.family, values)
 
-    async def _watch(self, run: Run, before: Known, shown: Callable[[Known], bool]) -> Known:
-        """Look at the words until they show something, or for as long as they may take."""
+    async def _watch(
+        self, run: Run, before: Known, shown: Callable[[Known], bool], codes: Sequence[Code]
+    ) -> Known:
+        """Look at codes until they show something, or for as long as they may take."""
         until_s = self._clock() + EFFECT_WITHIN_S
         while True:
-            seen = await self._learn(run.station, words_of(run.station))
+            seen = await self._learn(run.station, codes)
             known = Known(before.drive, before.family, {**before.values, **seen.values})
             if shown(known) or self._clock() >= until_s or self._stopped_meanwhile(run):
                 return known

@@ -32,9 +32,10 @@ from lecombus.drives.verbs import (
     is_enabled,
     questions,
     reset_steps,
+    stop_words,
 )
 from lecombus.operations.reports import VerbReport, WriteReport
-from lecombus.operations.step_operations import TROUBLE, StepOperations
+from lecombus.operations.step_operations import TROUBLE, StepOperations, words_of
 from lecombus.operations.stop_operations import STOP_REMEDY
 from lecombus.operations.verb_reports import (
     GOOD,
@@ -146,7 +147,7 @@ class VerbOperations(StepOperations):
         if failed is not None and not run.written:
             return told(run, failed)
         # Whatever became of the last step: what was written may have enabled it already.
-        known = await self._watch(run, known, is_enabled)
+        known = await self._watch(run, known, is_enabled, stop_words(run.station.family))
         if self._stopped_meanwhile(run):
             return told(run, superseded(run), states=await self._states(run.station))
         if is_enabled(known):
@@ -174,7 +175,7 @@ class VerbOperations(StepOperations):
         failed = await self._carry_out(run, steps)
         if failed is not None and not may_have_happened(failed):
             return told(run, failed)
-        known = await self._watch(run, known, lambda now: not has_fault(now))
+        known = await self._watch(run, known, lambda now: not has_fault(now), words_of(run.station))
         if has_fault(known):
             return told(
                 run, still_there(known, fault_text(known)), states=await self._states(run.station)

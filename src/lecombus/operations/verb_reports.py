@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from lecombus.drives import OperatingState, Verb
+from lecombus.drives import OperatingState, StopAction, Verb
 from lecombus.drives.verb_facts import Known, rules_of
-from lecombus.drives.verbs import fault_number, has_fault
+from lecombus.drives.verbs import fault_number, has_fault, shown_stops
 from lecombus.errors import LineError
 from lecombus.line.station import Station
 from lecombus.operations.reports import VerbReport, WriteReport
@@ -101,20 +101,34 @@ def lifted(run: Run) -> WriteReport:
 def not_shown(known: Known) -> WriteReport:
     """What is told of a drive that was enabled and does not show it."""
     rules = rules_of(known.drive, known.family, Verb.ENABLE)
-    proof = next(iter(rules.enable.proofs))
-    reads = known.values[proof].raw if proof in known.values else "nothing"
+    stops = shown_stops(known)
+    codes = tuple(dict.fromkeys(code for code, _ in stops)) or tuple(rules.enable.proofs)[:1]
+    reads = ", ".join(f"{code} reads {_raw(known, code)}" for code in codes)
     cause, remedy = f"probably {rules.enable.otherwise}", "put that in order, then enable it again"
+    if stops and all(action is StopAction.QUICK_STOP for _, action in stops):
+        cause = (
+            f"a quick stop holds it that {rules.control} does not lift: a terminal's, or one that "
+            "its watchdog set"
+        )
+        remedy = (
+            "check the terminal for quick stop; if there is none, switch the drive off and on, "
+            "then enable it again"
+        )
     if has_fault(known):
         cause, remedy = "it has a fault now", f"`lecombus why {known.drive}` says which"
     return WriteReport(
         known.drive,
         rules.enable.code,
         Outcome.REFUSED,
-        f"{known.drive} took the enable and does not show it: {proof} reads {reads}",
+        f"{known.drive} took the enable and does not show it: {reads}",
         cause=cause,
         kind="not-in-effect",
         remedy=remedy,
     )
+
+
+def _raw(known: Known, code: Code) -> str:
+    return known.values[code].raw if code in known.values else "nothing"
 
 
 def fault_text(known: Known) -> str:
