@@ -20,6 +20,7 @@ QUICK = [
     (12, "starved: one step in five up to 60 ms late"),
     (12, "10 % of answers 0.2 s late"),
     (31, "5 % late"),
+    (12, "all answers 0.2 s late"),
     (8, "60 % lost"),
     (8, "late, lost, noisy and paused"),
 ]

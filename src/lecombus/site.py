@@ -135,7 +135,7 @@ class Site:
             self.health.restarted,
         )  # fmt: skip
         self.custody = Custody(self.identities, self.wear, self.readdress)
-        self._slow = SlowDrives(self.store)
+        self._slow = SlowDrives(self.store, self.schedule.costs_changed)
         self._strain = Strain(self.store)
         self.port_watch = PortWatch(self.store, line)
         self._reads = CyclicReads(self.requests, self.schedule, self.store, self.metrics.minutes)

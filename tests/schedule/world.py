@@ -38,6 +38,7 @@ class World:
     rehearses: bool = False  # the next choice is made beforehand, while an exchange lasts
     follows: bool = False  # and what was foreseen is begun before the exchange is booked
     followed: int = 0
+    lasts_s: float | None = None  # how long an answered exchange lasts; None: what it says
     made: int = 0
 
     def __post_init__(self) -> None:
@@ -104,7 +105,8 @@ class World:
         if self.rehearses:
             self.schedule.rehearse(request, started_s, started_s + request.cost_s)
         reached = request.drive not in self.silent
-        self.now_s += request.cost_s if reached else request.worst_s
+        cost_s = request.cost_s if self.lasts_s is None else self.lasts_s
+        self.now_s += cost_s if reached else request.worst_s
         self.sent.append(Sent(started_s, self.now_s, request, reached, silent))
         self._happen()  # what comes in during the exchange comes before its end is known
         self._begun = self.schedule.foreseen(self.now_s) if self.follows and reached else None

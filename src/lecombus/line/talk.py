@@ -274,6 +274,8 @@ class Talk:
         if not isinstance(question, Question):
             self._postpone(request, question, now)
             return
+        if request.cut_by_s:
+            question = question.cut_by(request.cut_by_s)
         self._under_way = (request, job, question)
         self._begin(question, now, self._connection.say(question.ask.sent))
 

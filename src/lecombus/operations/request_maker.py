@@ -46,6 +46,7 @@ class _ReadCost(NamedTuple):
     cost: Cost
     line_s: float
     worst_s: float
+    told: tuple[float, float] | None
 
 
 def ignore_end(outcome: Outcome, reason: str) -> None:
@@ -104,7 +105,13 @@ class RequestMaker:
             self._counted(priority, settle),
             job,
             expires_at_s=expires_at_s,
+            told=cost.told,
         )
+
+    def _told(self, told: Cost, measured: Cost) -> tuple[float, float] | None:
+        """Give cost and longest time by manual and roster, where others were measured."""
+        pause_s = self.timing.turnaround_s
+        return None if told == measured else (told.expected_s + pause_s, told.worst_s + pause_s)
 
     def cost_of_read_s(self, station: Station, code: Code) -> float:
         """Give the line time of a read that is answered, seconds."""
@@ -118,7 +125,11 @@ class RequestMaker:
                 self._costs.clear()
             form, pause_s = form_of(station, code), self.timing.turnaround_s
             cost = read_cost(self.timing, station.family, code, form, station.answer_s(code))
-            kept = _ReadCost(slow, cost, cost.expected_s + pause_s, cost.worst_s + pause_s)
+            told = read_cost(self.timing, station.family, code, form, station.answer_time_s)
+            kept = _ReadCost(
+                slow, cost, cost.expected_s + pause_s, cost.worst_s + pause_s,
+                self._told(told, cost),
+            )  # fmt: skip
             self._costs[station, code] = kept
         return kept
 
@@ -162,6 +173,8 @@ class RequestMaker:
             form_of(station, code),
             station.answer_s(code, write=True),
         )
+        form = form_of(station, code)
+        told = write_cost(self.timing, station.family, code, value, form, station.answer_time_s)
         info = station.family.info(code)
         write_class = station.family.write_class(code, value)
         job = WriteJob(
@@ -180,6 +193,7 @@ class RequestMaker:
             expires_at_s=expires_at_s,
             supersedes=(station.name, code) if setpoint else None,
             writes=True,
+            told=self._told(told, cost),
         )
 
     def stop(

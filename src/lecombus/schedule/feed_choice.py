@@ -90,10 +90,10 @@ class FeedChoice:
 
     def plain(self, feed: Feed) -> Request:
         """Make the read that does nothing but feed a drive."""
-        cost_s = feed.cost_s
         request = feed.made()
-        if feed.cost_s > cost_s:
+        if feed.costs.take(request):
             self._feeds.changed()
+            request.shorten(feed.worst_s)
         return request
 
     def _serves(self, request: Request, feed: Feed, now_s: float) -> bool:

@@ -18,6 +18,9 @@ The spare. Costs are those of answered exchanges, and a lost answer holds the li
 feeding begins while L is still further away than three failed attempts, though never further than
 half of what it is at best, so that short watchdogs do not take the whole line (`spare_s`).
 
+What was measured of slow drives counts in all of this, unless it leaves no room for a single failed
+feed. It may be wrong, and could not be held if it were right: then the manual counts.
+
 A feed that can no longer be in time is left out of L: waiting for it would cost the others
 theirs. A drive that does not answer is tried again after half the time that is left, or sooner if
 else its spare attempts would not fit, so that it cannot keep the line for itself; once its
@@ -31,6 +34,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Final
 
+from lecombus.schedule.feed_costs import FeedCosts
 from lecombus.schedule.request import Request
 
 __all__ = ["HARD_PART", "SOFT_PART", "SPARE_ATTEMPTS", "Feed", "Feeding", "Feeds"]
@@ -64,6 +68,7 @@ class Feed:
     __slots__ = (
         "active",
         "cost_s",
+        "costs",
         "drive",
         "due_s",
         "failures",
@@ -93,8 +98,8 @@ class Feed:
         self.feeding = feeding
         self.time_s = feeding.time_s
         self.request: Request | None = feeding.make()  # kept for the first feed: it tells the cost
-        self.cost_s = self.request.cost_s
-        self.worst_s = self.request.worst_s
+        self.costs = FeedCosts(self.request)
+        self.cost_s, self.worst_s = self.costs.measured
         self.active = True
         self.held_until_s = self.retry_at_s = -math.inf
         self.left_out = False  # of the slack check: too late to be in time
@@ -178,10 +183,10 @@ class Feed:
         return fresh or now_s + worst_s + self.cost_s <= self.hard_s
 
     def made(self) -> Request:
-        """Build the feeding request."""
+        """Build the feeding request, with time-outs no longer than is counted with."""
         request = self.request or self.feeding.make()
         self.request = None
-        self.cost_s, self.worst_s = request.cost_s, request.worst_s
+        request.shorten(self.worst_s)
         return request
 
     def next_s(self) -> float:
@@ -196,7 +201,7 @@ class Feed:
 class Feeds:
     """The watchdogs of all drives of a line."""
 
-    __slots__ = ("_due_from_s", "_latest_end_s", "_left_out", "_spare_s", "by_drive")
+    __slots__ = ("_due_from_s", "_latest_end_s", "_left_out", "_spare_s", "by_drive", "by_manual")
 
     def __init__(self) -> None:
         self.by_drive: dict[str, Feed] = {}
@@ -204,11 +209,32 @@ class Feeds:
         self._due_from_s = math.inf  # a lower bound: no feed is due before
         self._left_out = False  # some feeds were left out of the last sums
         self._spare_s: float | None = None  # see `spare_s`; None: to be computed
+        self.by_manual = False  # what was measured does not count: nothing would fit
 
     def changed(self) -> None:
-        """Forget the bounds: a feed was added, taken away, paused or restarted."""
+        """Forget the bounds: a feed was added, taken away, paused, restarted or costs otherwise."""
+        self.count_by(manual=False)
+        if self.is_measured:
+            worst_s = max(feed.costs.told[1] for feed in self.by_drive.values())
+            if self.most_s("")[0] < worst_s:
+                self.count_by(manual=True)
+
+    def count_by(self, *, manual: bool) -> None:
+        """Count with what manual and roster tell, or with what was measured."""
+        self.by_manual = manual
+        for feed in self.by_drive.values():
+            feed.cost_s, feed.worst_s = feed.costs.told if manual else feed.costs.measured
         self._latest_end_s = self._due_from_s = -math.inf
         self._spare_s = None
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether something was measured that makes a feed longer than its manual does."""
+        return any(feed.costs.is_longer for feed in self.by_drive.values())
+
+    def shortest_s(self) -> float:
+        """Tell the shortest watchdog time, seconds."""
+        return min(feed.time_s for feed in self.by_drive.values())
 
     @property
     def calm_until_s(self) -> float:
@@ -435,7 +461,7 @@ class Feeds:
 
     def retry_s(self, now_s: float) -> float:
         """Tell when it is worth asking again whether something fits that does not fit now."""
-        least_s = min(feed.time_s for feed in self.by_drive.values())
+        least_s = self.shortest_s()
         times = [feed.free_s() for feed in self.by_drive.values() if feed.active]
         return min([at_s for at_s in times if at_s > now_s] + [now_s + least_s / 8])
 

@@ -117,6 +117,15 @@ class Members(ABC):
             self._fed_before[name] = old
         self._feeds.changed()
 
+    def costs_changed(self, name: str) -> None:
+        """Reckon anew what feeding a drive costs: something was learnt of it, or forgotten."""
+        feed = self._feeds.by_drive.get(name)
+        if feed is not None:
+            self._spoil()
+            feed.request = feed.feeding.make()
+            if feed.costs.take(feed.request):
+                self._feeds.changed()
+
     def add_cyclic(self, cyclic: Cyclic, now_s: float) -> Entry:
         """Ask something of a drive every period; entries added together are spread evenly.
 

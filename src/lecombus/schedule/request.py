@@ -99,6 +99,8 @@ class Request:
         stops: For a stop: the drives whose waiting writes it ends.
         members: For a multicast: the drives it reaches.
         submitted_at_s: When the schedule took it; for a cyclic slot, when it was due.
+        told: Cost and longest time by manual and roster alone, seconds, where measured answer times
+            made them longer; None: they did not.
         cut_outcome: How it ends when a stop, a later request, a parked drive or a lost line cuts
             it off between two of its steps. The line sets it as soon as something went out that
             may have changed the drive (`UNKNOWN`), and again once that was acknowledged (`DONE`).
@@ -119,6 +121,7 @@ class Request:
     members: tuple[str, ...] = ()
     submitted_at_s: float = 0.0
     cut_outcome: Outcome | None = None
+    told: tuple[float, float] | None = None
     settled: bool = field(default=False, repr=False)
     # -- bookkeeping of the schedule ------------------------------------------------------------
     state: int = field(default=0, init=False, repr=False)  # OUT, QUEUED, DEFERRED, UNDER_WAY
@@ -128,8 +131,16 @@ class Request:
     attempts: int = field(default=0, init=False, repr=False)  # exchanges made for it
     rooms: int = field(default=0, init=False, repr=False)  # feeds run first so that it fits
     latest_s: float | None = field(default=None, init=False, repr=False)  # no feed before it then
+    cut_by_s: float = field(default=0.0, init=False, repr=False)  # taken off its time-outs
     turn: Turn = field(default=Turn.RIGHT, init=False, repr=False)  # by what it went
     source: object = field(default=None, init=False, repr=False)  # the entry or probe behind it
+
+    def shorten(self, worst_s: float) -> None:
+        """Have it hold the line no longer than this, but for what its manual allows."""
+        if self.told is not None and worst_s < self.worst_s:
+            least_s = min(max(worst_s, self.told[1]), self.worst_s)
+            self.cut_by_s += self.worst_s - least_s
+            self.worst_s = least_s
 
     def cut(self, outcome: Outcome, reason: str) -> None:
         """End it though it may have been sent already.

@@ -24,6 +24,7 @@ Pure: no clock, no I/O; `now_s` is monotonic seconds. What the requests say is n
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Final
 
@@ -43,6 +44,9 @@ __all__ = ["Schedule"]
 REFUSE_BATCH: Final = 16  # requests refused per choice for want of slack
 # Feeds run to let one request fit, per fed drive, before it is put off for a while.
 ROOMS_PER_FEED: Final = 4
+# Of the longest that ever fits: so long an exchange with a drive that was measured may be.
+MEASURED_PART: Final = 0.5
+BY_MANUAL_PART: Final = 0.5  # of the shortest watchdog time: see `_admit_by_manual`
 
 
 class Schedule(Members):
@@ -68,6 +72,7 @@ class Schedule(Members):
             self._waiting, self._feeds, self._cadence, self._probes, self._shares
         )
         self._speaking_to: str | None = None
+        self._by_manual_from_s = -math.inf
         self._more = False  # the last choice stopped early: there is more to do at once
 
     def _spoil(self) -> None:
@@ -205,14 +210,24 @@ class Schedule(Members):
         feeds = self._feeds
         own = feeds.own_first(now_s, request.worst_s, request.drive)
         if own is not None:
-            return to_feed(own.made())
+            return to_feed(self._feed_choice.plain(own))
         fits = feeds.fits(now_s, request.worst_s, request.drive)
         late = feeds.late(now_s)
         if late is not None:
             return to_feed(self._feed_choice.telegram(late, now_s))
         if fits:
             return request
+        return self._make_room(request, now_s)
+
+    def _make_room(self, request: Request, now_s: float) -> Request | None:
+        """Run what must go before a request that does not fit now, or end it if it never will."""
+        feeds = self._feeds
         reason = feeds.never(request.worst_s, request.drive)
+        if reason and request.told is not None:
+            request.shorten(feeds.most_s(request.drive)[0] * MEASURED_PART)
+            reason = feeds.never(request.worst_s, request.drive)
+        if reason and feeds.is_measured and not feeds.by_manual:
+            return self._admit_by_manual(request, now_s)
         if reason:
             self._refuse(request, reason, now_s)
             return None
@@ -223,6 +238,26 @@ class Schedule(Members):
                 return to_feed(self._feed_choice.telegram(feed, now_s))
         self._put_off(request, feeds.retry_s(now_s))
         return None
+
+    def _admit_by_manual(self, request: Request, now_s: float) -> Request | None:
+        """Let go now and then what fits by the manual, but never by what was measured.
+
+        What was measured may be wrong by now, and must not close the line. If it is right, a
+        watchdog may be fed late because of this: so it is one exchange in half the time of the
+        shortest watchdog, and no more.
+        """
+        feeds = self._feeds
+        if now_s < self._by_manual_from_s:
+            self._put_off(request, self._by_manual_from_s)
+            return None
+        feeds.count_by(manual=True)
+        try:
+            if not feeds.fits(now_s, request.worst_s, request.drive):
+                return self._make_room(request, now_s)
+        finally:
+            feeds.count_by(manual=False)
+        self._by_manual_from_s = now_s + BY_MANUAL_PART * feeds.shortest_s()
+        return request
 
     def _refuse(self, request: Request, reason: str, now_s: float) -> None:
         if request.state == QUEUED:

@@ -9,7 +9,7 @@ What must not live here: when a drive is slow, and by how much (`drives.measured
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from lecombus.drives.measured import AnswerRow, SlowAnswers
 from lecombus.line.station import Station
@@ -29,10 +29,12 @@ class SlowDrives:
 
     Args:
         store: Where remarks stand.
+        changed: Told of the drives that are reckoned with otherwise from now on.
     """
 
-    def __init__(self, store: Store) -> None:
+    def __init__(self, store: Store, changed: Callable[[str], None]) -> None:
         self._store = store
+        self._changed = changed
         self._seen: dict[str, SlowAnswers] = {}
         self._logged: set[str] = set()
 
@@ -42,6 +44,7 @@ class SlowDrives:
             slow = station.measured.slow
             if self._seen.get(station.name) is not slow:
                 self._seen[station.name] = slow
+                self._changed(station.name)
                 self._say(station)
 
     def forget(self, drive: str) -> None:
