@@ -95,6 +95,35 @@ def test_what_is_valid_but_suspicious_is_said(text: str, piece: str) -> None:
     assert any(piece in words for words in warned(text)), warned(text)
 
 
+@pytest.mark.parametrize(
+    ("family", "writable", "verbs"),
+    [
+        ("8200vector", "[C0012]", "enable (C0040, C0135); reset-fault (C0043); set-speed (C0046)"),
+        ("8200vector", "[C0040, C0135, C0046]", "reset-fault (C0043)"),
+        ("820x", "[C0040]", "enable (C0135); reset-fault (C0135); set-speed (C0046 or C0141)"),
+        ("821x", "[C0040, C0043, C0135, C0141]", ""),
+        ("93xx", "[C0040, C0043, C0135]", "set-speed (C0141)"),
+        ("smvector", "[C0040, C0043, C0135]", "set-speed (C1061)"),
+        ("generic", "[C0012]", ""),
+        ("8200vector", "[]", ""),
+    ],
+)
+def test_a_list_that_takes_verbs_away_is_told_with_the_codes_they_need(
+    family: str, writable: str, verbs: str
+) -> None:
+    told = [
+        text for text in warned(drive_with(SAFE if family != "generic" else "cyclic: []",
+                                           f"writable: {writable}", family=family))
+        if "leaves out" in text
+    ]  # fmt: skip
+    expected = (
+        f"feeder: `writable` leaves out what these need: {verbs}; to add codes to the family's "
+        "list, write `also_writable` instead"
+    )
+    assert told == ([expected] if verbs else [])
+    assert not any("leaves out" in text for text in warned(drive_with(family=family)))
+
+
 @pytest.mark.parametrize("family", ["8200vector", "smvector", "93xx"])
 def test_a_watched_drive_on_a_plain_line_is_fine(family: str) -> None:
     assert warned(drive_with(SAFE, family=family)) == []

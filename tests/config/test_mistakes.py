@@ -283,6 +283,10 @@ def test_a_wrong_code(code: str, expected: str) -> None:
         ("writable: C0046", "8:15: `writable` is a single value, put it in brackets: [C0046]"),
         ("writable: [C46, C0046]", "8:21: C0046 is writable already (line 8), keep one of the "
          "two"),
+        ("also_writable: [C0009]", "8:21: C0009 is its address and is never written like other "
+         "codes, remove it: `lecombus readdress` changes an address, with allow_address_change"),
+        ("also_writable: [C46, C0046]", "8:26: C0046 is writable already (line 8), keep one of the "
+         "two"),
         ("writable: [C0009]", "8:16: C0009 is its address and is never written like other "
          "codes, remove it: `lecombus readdress` changes an address, with allow_address_change"),
         ("writable: [C39/1]\n    addressing: standard", "8:16: C0039/1 needs extended addressing, "

@@ -44,6 +44,14 @@ def test_an_empty_list_means_nothing_rather_than_the_default() -> None:
     assert (drive.cyclic, drive.writable) == ((), frozenset())
 
 
+@pytest.mark.parametrize("name", FAMILY_NAMES)
+def test_also_writable_adds_to_the_list_that_holds(name: str) -> None:
+    (drive,) = parsed(drive_with("also_writable: [C0012, C0046]", family=name)).drives
+    assert drive.writable == family(name).writable | {Code(12), Code(46)}
+    (drive,) = parsed(drive_with("writable: [C0040]", "also_writable: [C0012]", family=name)).drives
+    assert drive.writable == {Code(12), Code(40)}
+
+
 def test_what_is_written_of_a_drive_is_converted() -> None:
     (drive,) = parsed(
         drive_with(

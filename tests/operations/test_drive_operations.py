@@ -10,7 +10,7 @@ import anyio
 import anyio.lowlevel
 import pytest
 
-from lecombus.drives import StopAction
+from lecombus.drives import StopAction, Verb
 from lecombus.errors import (
     CutReplyError,
     ExchangeError,
@@ -148,9 +148,10 @@ def test_of_a_code_that_nobody_can_write_no_roster_is_said_to_help() -> None:
 @pytest.mark.parametrize(
     ("writable", "told"),
     [
-        ("", "there are C0040, C0043, C0046, C0135, C1922, C1923"),
-        (", writable: [C0046]", "there is C0046"),
-        (", writable: []", "there is nothing"),
+        ("", "C0040, C0043, C0046, C0135, C1922, C1923 may be written"),
+        (", writable: [C0046]", "C0046 may be written"),
+        (", writable: [C0046], also_writable: [C0012]", "C0012, C0046 may be written"),
+        (", writable: []", "nothing may be written"),
     ],
 )
 def test_a_refusal_says_what_may_be_written(writable: str, told: str) -> None:
@@ -158,10 +159,23 @@ def test_a_refusal_says_what_may_be_written(writable: str, told: str) -> None:
         with pytest.raises(OperationError) as caught:
             await write(plant, Code(1), 1)
         assert caught.value.remedy == (
-            f"add C0001 to this drive's `writable` list in the roster, where now {told}"
+            "write `also_writable: [C0001]` for this drive into the roster and reload it; now "
+            f"{told}"
         )
 
     with_plant(test, roster_of(AB, drive=f", cyclic: []{writable}"))
+
+
+def test_what_is_also_writable_takes_nothing_away() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        assert (await write(plant, Code(12), 7)).outcome is Outcome.DONE
+        speed = {"value": Decimal(20), "unit": "Hz"}
+        for verb, keys in ((Verb.ENABLE, {}), (Verb.SET_SPEED, speed)):
+            report = await plant.site.operations.verb("a", verb, **keys)  # type: ignore[arg-type]
+            assert report.outcome in (Outcome.DONE, Outcome.VERIFIED)
+
+    with_plant(test, roster_of(AB, drive=", cyclic: [], also_writable: [C0012]"))
 
 
 def test_a_drive_is_not_written_to_before_it_is_audited_nor_while_it_is_offline() -> None:

@@ -90,7 +90,8 @@ def _drive(entry: Entry, lease: LeaseEntry) -> DriveEntry:
         watchdog=None if watchdog is None else WatchdogEntry(**_fields(watchdog)),
         cyclic=tuple(status if cyclic is None
                      else [CyclicEntry(**_fields(item.value)) for item in cyclic]),
-        writable=of.writable if writable is None else frozenset(item.value for item in writable),
+        writable=(of.writable if writable is None else frozenset(item.value for item in writable))
+        | frozenset(item.value for item in entry.get("also_writable", ())),
         unchecked=frozenset(item.value for item in entry.get("unchecked", ())),
         restore=entry.get("restore", False),
         answer_time_s=entry.get("answer_time"),

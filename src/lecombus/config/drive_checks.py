@@ -24,6 +24,9 @@ from lecombus.protocol.addressing import Code, Form
 
 __all__ = ["check_drive", "check_lapse"]
 
+WRITABLE = ("writable", "also_writable")
+"""The keys that list what may be written."""
+
 
 def check_drive(drive: Entry, mistakes: Mistakes) -> None:
     """Note everything that is wrong inside one drive's entry."""
@@ -121,7 +124,7 @@ def _codes(drive: Entry, key: str) -> list[Item]:
         return [Item(at, code) for at, code in known if code is not None]
     if not isinstance(items, Items):
         return []
-    if key in ("writable", "unchecked"):
+    if key in (*WRITABLE, "unchecked"):
         return list(items)
     entries = [item.value for item in items if "code" in item.value.values]
     return [Item(entry.place("code"), entry.get("code")) for entry in entries]
@@ -138,6 +141,7 @@ def _check_doubles(drive: Entry, mistakes: Mistakes) -> None:
     ways = (
         ("cyclic", "read cyclically"),
         ("writable", "writable"),
+        ("also_writable", "writable"),
         ("unchecked", "unchecked"),
         ("identity", "given"),
     )
@@ -158,7 +162,7 @@ def _check_forms(drive: Entry, mistakes: Mistakes) -> None:
         addressing = "both" if Form.EXTENDED in family(name).forms else "standard"
     if addressing != "standard":
         return
-    for key in ("cyclic", "writable", "identity"):
+    for key in ("cyclic", *WRITABLE, "identity"):
         for item in _codes(drive, key):
             if not item.value.knows(Form.STANDARD):
                 what = f"{item.value} needs extended addressing, which this drive does not have"
@@ -170,7 +174,7 @@ def _check_writable(drive: Entry, of: Family, mistakes: Mistakes) -> None:
     """Refuse codes that change how the drive is reached; listed beside the key, they do nothing."""
     if drive.get("allow_address_change", "allow_address_change" in drive.nodes):
         return
-    for item in _codes(drive, "writable"):
+    for item in (item for key in WRITABLE for item in _codes(drive, key)):
         moved = moves_drive(of, item.value)
         if moved is not None:
             what = f"{item.value} {moved} and is never written like other codes"

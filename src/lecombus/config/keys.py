@@ -118,7 +118,10 @@ _DRIVE: Final = Table("drive", (
     Key("cyclic", ListOf(_CYCLIC, "the cyclic read"),
         "What is read all the time. Absent: the family's status set; [] for nothing."),
     Key("writable", ListOf(_CODE, "the code"),
-        "What may be written. Absent: the family's set; [] for nothing."),
+        "What may be written, instead of the family's set; [] for nothing. To add codes to that "
+        "set, use also_writable."),
+    Key("also_writable", ListOf(_CODE, "the code"),
+        "What may be written in addition to `writable` or, without it, to the family's set."),
     Key("unchecked", ListOf(_CODE, "the code"),
         "Codes that take any value, because this drive's range is not its manual's."),
     Key("allow_address_change", YesNo(),

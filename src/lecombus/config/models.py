@@ -143,7 +143,8 @@ class DriveEntry(_Model):
         forms: The addressing forms used with it, the cheaper first.
         watchdog: What its watchdog shall be; None: not looked after.
         cyclic: What is read all the time; the family's status set unless the roster says.
-        writable: What may be written; the family's set unless the roster says.
+        writable: What may be written: the roster's `writable`, else the family's set, and
+            `also_writable`.
         unchecked: What is written without asking whether its manual allows the value.
         restore: Whether a backup may be restored into it, beyond what `writable` lists.
         answer_time_s: Its processing time where it differs from its family's; None: the family's.

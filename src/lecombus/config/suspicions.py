@@ -19,7 +19,7 @@ from lecombus.config.feeding import feeding_of, least_time_s
 from lecombus.config.models import DriveEntry, LineEntry, Roster
 from lecombus.config.timing import line_timing, with_slow_adapter
 from lecombus.config.unheld import written_up
-from lecombus.drives import LineTiming, WriteClass, family
+from lecombus.drives import LineTiming, Verb, WriteClass, family
 from lecombus.durations import format_duration
 from lecombus.protocol.addressing import Code
 
@@ -50,6 +50,7 @@ def find_warnings(roster: Roster) -> list[str]:
     found.extend(_groups(roster))
     found.extend(_gathered(text for drive in roster.drives for text in _watchdog(drive)))
     found.extend(_gathered(text for drive in roster.drives for text in _writable(drive)))
+    found.extend(_gathered(text for drive in roster.drives for text in _verbs(drive)))
     return found
 
 
@@ -265,3 +266,31 @@ def _writable(drive: DriveEntry) -> Iterator[tuple[str, str]]:
             yield drive.name, f"{code} ({info.name}) is never written like other codes"
     if drive.lease.required and drive.lease.on_lapse == "hold":
         yield drive.name, "on_lapse hold lets the drive run on, and shows as a permanent alarm"
+
+
+def _verbs(drive: DriveEntry) -> Iterator[tuple[str, str]]:
+    """Warn of a list that was meant to add a code and takes verbs away."""
+    rules = family(drive.family).verbs
+    if rules is None or not drive.writable:
+        return
+    setpoints = [rule.code for rule in rules.setpoints]
+    needs = {
+        Verb.ENABLE: [rules.enable.code, rules.control],
+        Verb.RESET_FAULT: [rules.reset.code or rules.control],
+        # One way to give a speed is enough: which one it takes follows from the drive's settings.
+        Verb.SET_SPEED: [] if drive.writable & set(setpoints) else setpoints,
+    }
+    missing = {
+        verb: [code for code in codes if code not in drive.writable]
+        for verb, codes in needs.items()
+    }
+    told = [
+        f"{verb} ({(' or ' if verb is Verb.SET_SPEED else ', ').join(map(str, codes))})"
+        for verb, codes in missing.items() if codes
+    ]  # fmt: skip
+    if told:
+        yield (
+            drive.name,
+            f"`writable` leaves out what these need: {'; '.join(told)}; to add codes to the "
+            "family's list, write `also_writable` instead",
+        )

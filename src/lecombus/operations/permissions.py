@@ -136,7 +136,7 @@ class Permissions:
         info = family.info(code)
         text = f"{code} of {drive} is not writable"
         remedy = (
-            f"add {code} to this drive's `writable` list in the roster, where now "
+            f"write `also_writable: [{code}]` for this drive into the roster and reload it; now "
             f"{listed(writable)}"
         )
         if info is not None and not info.writable:
@@ -170,7 +170,7 @@ def refuse_moving(drive: str, family: Family, code: Code) -> None:
 
 
 def listed(writable: Collection[Code]) -> str:
-    """Say what may be written to a drive, to stand after "where now"."""
+    """Say what may be written to a drive, to stand after "now"."""
     if not writable:
-        return "there is nothing"
-    return f"there {'is' if len(writable) == 1 else 'are'} {', '.join(map(str, sorted(writable)))}"
+        return "nothing may be written"
+    return f"{', '.join(map(str, sorted(writable)))} may be written"
