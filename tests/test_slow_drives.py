@@ -9,6 +9,7 @@ import anyio
 import pytest
 
 from lecombus.api.exact import encode
+from lecombus.errors import OperationError
 from lecombus.planning import make_plan
 from lecombus.planning.facts import roster_of as running
 from lecombus.protocol.addressing import Code
@@ -122,6 +123,25 @@ def test_a_code_that_is_answered_quickly_again_is_reckoned_by_the_manual() -> No
         assert "C0150" not in remarks(plant, "b").partition("answers later")[2]
 
     with_plant(test, roster_of(TWO, drive=", cyclic: [{code: C0150, every: 2s}]"))
+
+
+def test_what_was_learnt_is_dropped_when_somebody_says_so_and_learnt_again() -> None:
+    async def test(plant: Plant) -> None:
+        slow_down(plant, "b", 3.0)
+        await work(plant, 60)
+        station = plant.site.requests.station("b")
+        assert station.answer_s(Code(150)) is not None
+        report = plant.site.custody.forget_times("b")
+        assert Code(150) in {row.code for row in report.forgotten}
+        assert station.answer_s(Code(150)) is None
+        assert "answers later" not in remarks(plant, "b")
+        assert plant.site.custody.forget_times("b").forgotten == ()
+        await work(plant, 30)
+        assert station.answer_s(Code(150)) is not None
+        with pytest.raises(OperationError, match="no drive"):
+            plant.site.custody.forget_times("c")
+
+    with_plant(test, roster_of(TWO, drive=", cyclic: [{code: C0150, every: 500ms}]"))
 
 
 def test_a_new_roster_entry_begins_anew() -> None:

@@ -134,13 +134,19 @@ class Site:
             self.requests, self.store, self.words, self.wear, clock, lambda: books.disturbances,
             self.health.restarted,
         )  # fmt: skip
-        self.custody = Custody(self.identities, self.wear, self.readdress)
         self._slow = SlowDrives(self.store, self.schedule.costs_changed)
+        self.custody = self._make_custody()
         self._strain = Strain(self.store)
         self.port_watch = PortWatch(self.store, line)
         self._reads = CyclicReads(self.requests, self.schedule, self.store, self.metrics.minutes)
         self._entries: dict[str, DriveEntry] = {}
         self.apply(roster)
+
+    def _make_custody(self) -> Custody:
+        return Custody(
+            self.identities, self.wear, self.readdress, self.requests,
+            lambda station: self._slow.look([station]),
+        )  # fmt: skip
 
     def _make_configurations(self) -> Configurations:
         return Configurations(

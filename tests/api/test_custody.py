@@ -5,7 +5,12 @@ from __future__ import annotations
 import httpx
 import pytest
 
-from lecombus.api.documents import IdentityDocument, OutcomeDocument, WearDocument
+from lecombus.api.documents import (
+    ForgottenTimesDocument,
+    IdentityDocument,
+    OutcomeDocument,
+    WearDocument,
+)
 from lecombus.errors import OperationError
 from support.api_line import Line
 
@@ -33,6 +38,17 @@ async def test_accept_takes_the_identity_that_was_shown(client: httpx.AsyncClien
         answer = await client.post(path, json=wrong)
         assert answer.status_code == 422
         assert "identity" in answer.json()["detail"]
+
+
+async def test_measured_answer_times_are_forgotten_and_shown(client: httpx.AsyncClient) -> None:
+    path = "/v1/drives/feeder/forget-times"
+    for body in (b"", b"{}"):
+        answer = await client.post(path, content=body)
+        assert answer.status_code == 200
+        (row,) = ForgottenTimesDocument.model_validate_json(answer.content).forgotten
+        assert (row.code, row.write, float(row.measured_s)) == ("C0150", False, 0.25)
+    assert (await client.post(path, json={"code": "C0150"})).status_code == 422
+    assert (await client.get(path)).status_code == 405
 
 
 async def test_an_address_is_a_whole_number(client: httpx.AsyncClient) -> None:

@@ -275,6 +275,7 @@ async def test_openapi_describes_every_path_and_refers_to_nothing_missing(
         "/v1/drives/{drive}/accept",
         "/v1/drives/{drive}/address",
         "/v1/drives/{drive}/described",
+        "/v1/drives/{drive}/forget-times",
         "/v1/drives/{drive}/identity",
         "/v1/drives/{drive}/restore",
         "/v1/drives/{drive}/verbs/{verb}",

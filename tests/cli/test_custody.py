@@ -1,4 +1,4 @@
-"""accept, readdress and wear: shown before done, and never done unasked."""
+"""accept, readdress, wear and forget-times: shown before done, and never done unasked."""
 
 from __future__ import annotations
 
@@ -165,3 +165,12 @@ def test_wear_lists_what_was_written(run: Run, daemon: DaemonStub) -> None:
     daemon.answers["GET /v1/drives/feeder/wear"] = (200, document)
     assert run("wear", "feeder").out.startswith("C0012\tacceleration time\t42\t2\t")
     assert run("wear", "feeder", "--json").out == document + "\n"
+
+
+def test_forget_times_shows_what_is_forgotten(run: Run, daemon: DaemonStub) -> None:
+    row = {"code": "C0150", "write": False, "manual_s": 0.02, "measured_s": 0.25}
+    document = json.dumps({"drive": "feeder", "forgotten": [row]})
+    daemon.answers["POST /v1/drives/feeder/forget-times"] = (200, document)
+    ran = run("forget-times", "feeder")
+    assert (ran.status, ran.out) == (0, "C0150\tread\t0.020\t0.250\n")
+    assert run("forget-times", "feeder", "--json").out.strip() == document

@@ -13,9 +13,11 @@ from fastapi import FastAPI
 from lecombus.api import create_app
 from lecombus.drives import OperatingState, StopAction, Text, Verb, family
 from lecombus.drives.faults.reasons import Weight
+from lecombus.drives.measured import AnswerRow
 from lecombus.errors import LecombusError
 from lecombus.metrics import Metrics
 from lecombus.operations.address_reads import Heard, HeardKind
+from lecombus.operations.custody import TimesReport
 from lecombus.operations.findings import Finding, MemoryEntry, WhyReport
 from lecombus.operations.identities import IdentityReport
 from lecombus.operations.reports import (
@@ -164,6 +166,9 @@ class FakeCustody:
 
     async def readdress(self, drive: str, address: int) -> WriteReport:
         return WriteReport(drive, Code(9), Outcome.VERIFIED, f"at {address}")
+
+    def forget_times(self, drive: str) -> TimesReport:
+        return TimesReport(drive, (AnswerRow(Code(150), False, 0.02, 0.25, True),))
 
     def accept(self, drive: str, shown: Mapping[str, str]) -> IdentityReport:
         return IdentityReport(drive, shown, shown, {}, "2026-11-22T00:00:00.000Z", "")

@@ -217,6 +217,10 @@ class SpeedBody(VerbBody):
         return value
 
 
+class NoKeysBody(Body):
+    """Nothing to say: no body at all, or `{}`."""
+
+
 class AcceptBody(Body):
     """The identity that whoever accepts a drive has seen."""
 

@@ -1,4 +1,4 @@
-"""The paths of looking after a drive: who it is, taking another in its place, wear, where it is.
+"""The paths of looking after a drive: who it is, another in its place, wear, address, times.
 
 What must not live here: what an identity is, when a drive is written to (`operations`).
 """
@@ -17,9 +17,14 @@ from lecombus.api.answers import (
     json_response,
     report_json,
 )
-from lecombus.api.bodies import AcceptBody, AddressBody
+from lecombus.api.bodies import AcceptBody, AddressBody, NoKeysBody
 from lecombus.api.checking import check_query, read_body
-from lecombus.api.documents import IdentityDocument, OutcomeDocument, WearDocument
+from lecombus.api.documents import (
+    ForgottenTimesDocument,
+    IdentityDocument,
+    OutcomeDocument,
+    WearDocument,
+)
 from lecombus.api.idempotency import Idempotency
 from lecombus.api.problems import report_problem
 from lecombus.api.seam import CustodyPort
@@ -31,6 +36,7 @@ def add_custody(app: FastAPI, custody: CustodyPort, keys: Idempotency) -> None:
     """Add the paths."""
     add_what_is_known(app, custody)
     add_what_is_done(app, custody, keys)
+    add_what_is_forgotten(app, custody, keys)
 
 
 def add_what_is_known(app: FastAPI, custody: CustodyPort) -> None:
@@ -83,5 +89,26 @@ def add_what_is_done(app: FastAPI, custody: CustodyPort, keys: Idempotency) -> N
 
         async def act() -> Response:
             return json_response(custody.accept(drive, body.identity).as_json())
+
+        return await keys.run(key, content_of(request, raw), act)
+
+
+def add_what_is_forgotten(app: FastAPI, custody: CustodyPort, keys: Idempotency) -> None:
+    """Add measured answer times that are dropped."""
+
+    @app.post(
+        "/v1/drives/{drive}/forget-times",
+        **described(ForgottenTimesDocument, *REFUSALS, body=NoKeysBody),
+    )
+    async def forget_times(request: Request, drive: str, key: Key = None) -> Response:
+        """Forget how long a drive was measured to think; manual and roster count from then on.
+
+        What it takes is measured all the time, so a drive that is slow is soon learnt again.
+        """
+        check_query(request)
+        _, raw = await read_body(request, NoKeysBody, may_be_empty=True)
+
+        async def act() -> Response:
+            return json_response(custody.forget_times(drive).as_json())
 
         return await keys.run(key, content_of(request, raw), act)

@@ -13,6 +13,7 @@ from typing import Protocol
 
 from lecombus.drives import StopAction, Verb
 from lecombus.operations.address_reads import Heard
+from lecombus.operations.custody import TimesReport
 from lecombus.operations.findings import WhyReport
 from lecombus.operations.identities import IdentityReport
 from lecombus.operations.reports import (
@@ -62,6 +63,13 @@ class CustodyPort(Protocol):
 
         Raises:
             LineError, ExchangeError, ScheduleError, OperationError: Nothing was changed.
+        """
+
+    def forget_times(self, drive: str) -> TimesReport:
+        """Forget how long a drive was measured to think.
+
+        Raises:
+            OperationError: No such drive.
         """
 
     def accept(self, drive: str, shown: Mapping[str, str]) -> IdentityReport:

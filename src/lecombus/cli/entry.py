@@ -46,6 +46,7 @@ COMMANDS = {
     "rebaud": "Give all drives of a line another baud rate, with the daemon stopped.",
     "wear": "Show how often a drive's memory was written.",
     "accept": "Take another drive in the place of the one that was there.",
+    "forget-times": "Forget how long a drive was measured to take for its answers.",
     "describe": "Say what is known of the codes of a family of drives.",
     "backup": "Read all parameters of a drive into a file.",
     "diff": "Show what two backups, or drives, differ in.",

@@ -1,4 +1,4 @@
-"""Looking after drives: who one is, what another in its place is, its wear, its address.
+"""Looking after drives: who one is, another in its place, wear, address, measured answer times.
 
 One place for the faces to ask.
 
@@ -7,14 +7,47 @@ What must not live here: how any of it is done.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
+from lecombus.drives.measured import AnswerRow
+from lecombus.line.station import Station
 from lecombus.operations.identities import Identities, IdentityReport
 from lecombus.operations.readdress import Readdress
 from lecombus.operations.reports import WriteReport
+from lecombus.operations.requests import Requests
 from lecombus.operations.wear import Wear, WearReport
+from lecombus.readings import Json, seconds
 
-__all__ = ["Custody"]
+__all__ = ["Custody", "TimesReport"]
+
+
+@dataclass(frozen=True, slots=True)
+class TimesReport:
+    """What was forgotten of a drive's answer times.
+
+    Args:
+        drive: The drive.
+        forgotten: What was reckoned with, the slowest first.
+    """
+
+    drive: str
+    forgotten: tuple[AnswerRow, ...]
+
+    def as_json(self) -> dict[str, Json]:
+        """Give the document."""
+        return {
+            "drive": self.drive,
+            "forgotten": [
+                {
+                    "code": str(row.code),
+                    "write": row.write,
+                    "manual_s": seconds(row.manual_s),
+                    "measured_s": seconds(row.measured_s),
+                }
+                for row in self.forgotten
+            ],
+        }
 
 
 class Custody:
@@ -24,16 +57,39 @@ class Custody:
         identities: Who they are.
         wear: How often their memories were written.
         readdress: Changes their addresses.
+        requests: Knows the drives.
+        times_changed: Told of a drive whose measured times are others now.
     """
 
-    def __init__(self, identities: Identities, wear: Wear, readdress: Readdress) -> None:
+    def __init__(
+        self,
+        identities: Identities,
+        wear: Wear,
+        readdress: Readdress,
+        requests: Requests,
+        times_changed: Callable[[Station], None],
+    ) -> None:
         self._identities = identities
         self._wear = wear
         self._readdress = readdress
+        self._requests = requests
+        self._times_changed = times_changed
 
     async def readdress(self, drive: str, address: int) -> WriteReport:
         """Give a drive another address and follow it there (see `Readdress.change`)."""
         return await self._readdress.change(drive, address)
+
+    def forget_times(self, drive: str) -> TimesReport:
+        """Reckon with what manual and roster tell of a drive, until it is measured anew.
+
+        Raises:
+            OperationError: `no-such-drive`.
+        """
+        station = self._requests.station(drive)
+        rows = tuple(row for row in station.measured.rows() if row.slow)
+        station.measured.forget()
+        self._times_changed(station)
+        return TimesReport(drive, rows)
 
     def wear(self, drive: str) -> WearReport:
         """Return how often a drive's memory was written.

@@ -16,10 +16,9 @@ is one comparison; it is computed again, O(n log n), only when the bound is reac
 
 The spare. Costs are those of answered exchanges, and a lost answer holds the line for longer. So
 feeding begins while L is still further away than three failed attempts, though never further than
-half of what it is at best, so that short watchdogs do not take the whole line (`spare_s`).
-
-What was measured of slow drives counts in all of this, unless it leaves no room for a single failed
-feed. It may be wrong, and could not be held if it were right: then the manual counts.
+half of what it is at best, so that short watchdogs do not take the whole line (`spare_s`). What was
+measured of slow drives counts in all of this, unless it leaves no room for a single failed feed: it
+may be wrong, and could not be held if it were right. Then the manual counts.
 
 A feed that can no longer be in time is left out of L: waiting for it would cost the others
 theirs. A drive that does not answer is tried again after half the time that is left, or sooner if

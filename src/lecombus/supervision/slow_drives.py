@@ -60,7 +60,8 @@ class SlowDrives:
         text = (
             f"answers later than its manual says ({', '.join(map(_words, rows[:SHOWN]))}"
             f"{', ..' if len(rows) > SHOWN else ''}); its time-outs are widened: give its "
-            "answer_time in the roster, or look at what delays it"
+            "answer_time in the roster, look at what delays it, or, if that is past, "
+            f"`lecombus forget-times {station.name}`"
         )
         self._store.note(station.name, KEY, text)
         if station.name not in self._logged:

@@ -9,7 +9,11 @@ What must not live here: anything a request passes through.
 
 from __future__ import annotations
 
-from lecombus.api.documents.custody import IdentityDocument, WearDocument
+from lecombus.api.documents.custody import (
+    ForgottenTimesDocument,
+    IdentityDocument,
+    WearDocument,
+)
 from lecombus.api.documents.described import CodeDocument, DescribedDocument
 from lecombus.api.documents.findings import WhyDocument
 from lecombus.api.documents.known import (
@@ -34,6 +38,7 @@ __all__ = [
     "DescribedDocument",
     "DriveDocument",
     "DrivesDocument",
+    "ForgottenTimesDocument",
     "GroupOutcomeDocument",
     "GroupsDocument",
     "HeardDocument",

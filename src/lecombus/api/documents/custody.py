@@ -1,4 +1,4 @@
-"""Who a drive is, and how often its memory was written."""
+"""Who a drive is, how often its memory was written, and how long it was measured to think."""
 
 from __future__ import annotations
 
@@ -8,7 +8,13 @@ from pydantic import Field
 
 from lecombus.api.documents.common import Document, Exact
 
-__all__ = ["CodeWearDocument", "IdentityDocument", "WearDocument"]
+__all__ = [
+    "AnswerTimeDocument",
+    "CodeWearDocument",
+    "ForgottenTimesDocument",
+    "IdentityDocument",
+    "WearDocument",
+]
 
 
 class IdentityDocument(Document):
@@ -39,3 +45,19 @@ class WearDocument(Document):
     burst: Annotated[int, Field(description="Writes of one code that may follow each other")]
     every_s: Annotated[Exact, Field(description="Until one more may follow; 0: no limit")]
     codes: list[CodeWearDocument]
+
+
+class AnswerTimeDocument(Document):
+    """How long one code was measured to take."""
+
+    code: Annotated[str, Field(examples=["C0150"])]
+    write: Annotated[bool, Field(description="Written rather than read")]
+    manual_s: Annotated[Exact, Field(description="The longest that manual and roster tell")]
+    measured_s: Annotated[Exact, Field(description="What was measured, the adapter taken off")]
+
+
+class ForgottenTimesDocument(Document):
+    """What was reckoned with of a drive's answer times, and no longer is."""
+
+    drive: str
+    forgotten: list[AnswerTimeDocument]
