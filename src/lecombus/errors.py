@@ -212,7 +212,7 @@ class RefusedError(ExchangeError):
 
 
 class NakError(RefusedError):
-    """The drive answered a write with NAK: the value was not changed."""
+    """The drive answered with NAK: a value was not changed, a question not answered."""
 
 
 class ChecksumReportedError(RefusedError):

@@ -71,6 +71,10 @@ def play(job: Job, results: str) -> tuple[str, Outcome | None, str]:
         ("none none none", UNKNOWN),
         ("eot same", DONE),
         ("eot eot", REFUSED),
+        ("nak same", DONE),
+        ("nak nak", REFUSED),
+        ("nak none same", DONE),
+        ("none nak", REFUSED),
         ("none", None),
         ("lost", UNKNOWN),
         ("none lost", UNKNOWN),
@@ -83,6 +87,24 @@ def test_a_read_is_repeated_a_limited_number_of_times(
     assert play(job, results)[1] is outcome
     assert job.cut_outcome is None, "a read that is cut off has changed nothing"
     assert (job.value is not None) == (outcome is DONE)
+
+
+@pytest.mark.parametrize("retries", range(4))
+@pytest.mark.parametrize("kind", list(WriteClass))
+def test_a_refusal_is_repeated_once_at_most_and_only_of_a_plain_value(
+    retries: int, kind: WriteClass
+) -> None:
+    job = WriteJob(STATION, CODE, Value.decimal(7), write_class=kind, retries=retries)
+    said = 0
+    verdict: tuple[Outcome, str] | None = None
+    while verdict is None:
+        verdict = job.advance(RESULTS["nak"])
+        said += 1
+        if verdict is None:
+            assert job.cut_outcome is REFUSED, "it was refused, and not said again yet"
+    assert said == (2 if kind is WriteClass.PLAIN and retries else 1)
+    read = ReadJob(STATION, CODE, retries)
+    assert (read.advance(RESULTS["nak"]) is None) == (retries > 0)
 
 
 def test_the_error_of_a_read_says_who_what_and_how_often() -> None:
@@ -100,14 +122,22 @@ def test_the_error_of_a_read_says_who_what_and_how_often() -> None:
 TABLE = [
     # class, verify, results, what was said, outcome, a word of the reason
     ("plain", False, "ack", "W", DONE, ""),
-    ("plain", False, "nak", "W", REFUSED, "NAK"),
-    ("plain", True, "nak", "W", REFUSED, "NAK"),
+    # A NAK may be a damaged telegram: once more, as one of the repetitions.
+    ("plain", False, "nak nak", "WW", REFUSED, "NAK"),
+    ("plain", True, "nak nak", "WW", REFUSED, "NAK"),
+    ("plain", False, "nak ack", "WW", DONE, ""),
+    ("plain", True, "nak ack same", "WWR", VERIFIED, ""),
+    ("plain", False, "nak none same", "WWR", VERIFIED, ""),
+    ("plain", False, "nak none other nak", "WWRW", REFUSED, "NAK"),
+    ("plain", False, "nak none other none other", "WWRWR", REFUSED, "still reads 5"),
     ("plain", False, "none same", "WR", VERIFIED, ""),
     ("plain", False, "garbled same", "WR", VERIFIED, ""),
     ("plain", False, "echo same", "WR", VERIFIED, ""),
     ("plain", False, "none other ack", "WRW", DONE, ""),
     ("plain", True, "none other ack same", "WRWR", VERIFIED, ""),
-    ("plain", False, "none other nak", "WRW", REFUSED, "NAK"),
+    ("plain", False, "none other nak nak", "WRWW", REFUSED, "NAK"),
+    ("plain", False, "none other nak ack", "WRWW", DONE, ""),
+    ("plain", False, "none other none other nak", "WRWRW", REFUSED, "NAK"),
     ("plain", False, "none other none other none other", "WRWRWR", REFUSED, "still reads 5"),
     ("plain", False, "none none none none", "WRRR", UNKNOWN, "could not be read back"),
     ("plain", False, "none eot eot", "WRR", UNKNOWN, "not acknowledged and could not be read back"),

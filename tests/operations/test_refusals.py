@@ -10,9 +10,10 @@ import pytest
 
 from lecombus.api.problems import problem_of, report_problem
 from lecombus.drives import StopAction
-from lecombus.errors import UnknownCodeError
+from lecombus.errors import NakError, UnknownCodeError
 from lecombus.operations.reports import WriteReport
 from lecombus.protocol.addressing import Code
+from lecombus.readings import DriveState, Quality
 from lecombus.schedule import Outcome
 from support.site_host import Plant, roster_of, with_plant
 
@@ -152,6 +153,32 @@ def test_a_read_of_a_code_that_is_not_there_says_what_may_be_the_matter() -> Non
         assert "no such subcode" in caught.value.cause
 
     with_plant(test, roster("vector"))
+
+
+def test_a_read_that_is_refused_by_nak_says_what_may_be_the_matter_and_the_drive_is_there() -> None:
+    """A device of another maker that answers NAK where others say that they lack a code."""
+
+    async def test(plant: Plant) -> None:
+        plant.line.faults.nak_reads = True
+        await plant.online()
+        with pytest.raises(NakError) as caught:
+            await plant.site.operations.read("counter", Code(4711))
+        problem = problem_of(caught.value, drive="counter", code="C4711")
+        assert (problem.status, problem.kind) == (409, "nak")
+        assert "does not have this code, or the question was damaged" in problem.cause
+        assert "check the number" in problem.remedy
+        await anyio.sleep(60.0)
+        assert plant.site.store.drive("counter").state is DriveState.ONLINE
+        reading = plant.site.store.reading("counter", Code(6000))
+        assert reading is not None
+        assert (reading.quality, reading.reason) == (
+            Quality.BAD, "the drive refused the question (NAK)",
+        )  # fmt: skip
+        outcomes = {one.result.kind.value for one in plant.reports}
+        assert outcomes == {"answered"}
+
+    drives = [("counter", 31, "generic"), ("vector", 11, "8200vector")]
+    with_plant(test, roster_of(drives, drive=", cyclic: [{code: C6000, every: 1s}]"))
 
 
 def test_a_drive_that_is_silent_is_not_given_a_cause_of_its_own() -> None:

@@ -212,6 +212,43 @@ def test_a_line_that_never_falls_silent_does_not_hold_the_exchange_for_ever() ->
     assert now_s < T0 + 0.5
 
 
+def test_a_nak_to_a_read_is_its_answer_once_a_pause_follows_it() -> None:
+    exchange = begun(echo=None)
+    assert exchange.feed(NAK, T0 + 0.020) is None
+    assert exchange.disturbed
+    assert exchange.deadline_s() == pytest.approx(T0 + 0.020 + 0.010), "a pause, no time-out"
+    assert exchange.expire(T0 + 0.029) is None
+    result = exchange.expire(T0 + 0.030)
+    assert result is not None
+    assert (result.kind, type(result.answer)) == (ResultKind.ANSWERED, NakAnswer)
+    assert (result.fault, result.clean, exchange.echo) == ("", True, False)
+
+
+def test_a_nak_before_the_value_is_noise() -> None:
+    exchange = begun()
+    assert exchange.feed(NAK, T0 + 0.012) is None
+    result = trickle(exchange, ANSWER, 0.020)
+    assert result is not None
+    assert isinstance(result.answer, ValueAnswer)
+    assert (result.late, result.clean) == (1, False)
+
+
+@pytest.mark.parametrize("data", [NAK + NAK, NAK + LATE, b"x" + NAK, LATE + NAK, NAK + ANSWER[:4]])
+def test_a_nak_among_other_bytes_proves_nothing(data: bytes) -> None:
+    exchange = begun()
+    assert trickle(exchange, data, 0.02) is None
+    assert given_up(exchange).answer is None
+
+
+def test_a_nak_that_may_be_an_old_one_is_not_taken_for_a_reads_answer() -> None:
+    exchange = Exchange(parity=False, echo=False)
+    exchange.begin(ask(), T0, takes_nak=False)
+    assert exchange.feed(NAK, T0 + 0.02) is None
+    result = given_up(exchange)
+    assert (result.kind, result.late) == (ResultKind.NO_REPLY, 1)
+    assert result.ended_s == pytest.approx(T0 + 0.060)
+
+
 def test_nothing_at_all_is_no_reply() -> None:
     result = given_up(begun())
     assert (result.kind, result.ended_s, result.clean) == (ResultKind.NO_REPLY, T0 + 0.060, True)
@@ -327,7 +364,7 @@ def test_whatever_comes_an_exchange_ends_in_time_with_what_was_asked_for_or_noth
     if isinstance(result.answer, ValueAnswer | UnknownCodeAnswer):
         assert result.answer.field == asked.field
     elif result.answer is not None:
-        assert asked.field == ACK_FIELD
+        assert asked.field == ACK_FIELD or isinstance(result.answer, NakAnswer)
 
 
 @settings(max_examples=100, deadline=None)

@@ -5,9 +5,11 @@ Neither reads the other. Where they disagree, one of them has misread the manual
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
-from lecombus.drives import FAMILY_NAMES, Family, family
+from lecombus.drives import FAMILY_NAMES, CodeInfo, Family, family
 from lecombus.drives.codes import Storage
 from lecombus.line.port import PortOpener
 from lecombus.protocol.addressing import Code, Form, encode_code
@@ -28,6 +30,19 @@ def answers(drive: SimDrive, code: Code) -> Value:
     return Value.parse(drive.text(code.number, code.subcode))
 
 
+def described_there(name: str) -> list[CodeInfo]:
+    """What is described of the simulated drive, in every parameter set.
+
+    The simulated 820X is of version 1.2, which has no C0120 (EDB2102EN 6.4.2). Of codes whose
+    subcodes the manual does not count the first is looked at.
+    """
+    return [
+        replace(info, code=Code(info.code.number, 1)) if info.array else info
+        for info in family(name).codes.values()
+        if (name, info.code) != ("820x", Code(120))
+    ]
+
+
 def test_both_know_the_same_families() -> None:
     assert set(MODELS) == set(FAMILY_NAMES)
 
@@ -36,11 +51,11 @@ def test_both_know_the_same_families() -> None:
 def test_every_described_code_answers_in_the_described_format(name: str) -> None:
     drive, _ = drive_of(name)
     wrong = []
-    for code, info in family(name).codes.items():
-        value = answers(drive, code)
+    for info in described_there(name):
+        value = answers(drive, info.code)
         digits = len(value.raw) - 1 if info.hex_digits else None
         if (value.format, digits) != (info.format, info.hex_digits):
-            wrong.append((str(code), value.raw, info.format))
+            wrong.append((str(info.code), value.raw, info.format))
     assert wrong == []
 
 
@@ -48,9 +63,10 @@ def test_every_described_code_answers_in_the_described_format(name: str) -> None
 def test_both_agree_on_what_can_be_written_at_all(name: str) -> None:
     drive, _ = drive_of(name)
     differ = [
-        str(code)
-        for code, info in family(name).codes.items()
-        if info.writable and not drive.model.params.find(code.number, code.subcode).writable
+        str(info.code)
+        for info in described_there(name)
+        if info.writable
+        and not drive.model.params.find(info.code.number, info.code.subcode).writable
     ]
     assert differ == []
 
@@ -63,7 +79,7 @@ def test_both_agree_on_limits_defaults_and_where_values_live(name: str) -> None:
         Kept.MODULE: Storage.MODULE, Kept.PROCESS: Storage.VOLATILE,
     }  # fmt: skip
     differ: list[tuple[object, ...]] = []
-    for info in family(name).described():
+    for info in described_there(name):
         spec = drive.model.params.find(info.code.number, info.code.subcode)
         limits = (spec.low, spec.high)
         if info.default is not None and info.default != spec.default:
@@ -86,7 +102,7 @@ def test_the_master_expects_the_answer_times_that_the_drive_takes(name: str) -> 
     drive, host = drive_of(name)
     described: Family = family(name)
     char_s = 10 / 19200
-    for code in described.codes:
+    for code in (info.code for info in described_there(name)):
         if code.subcode or code.number > 6229:
             continue
         telegram = read_telegram(11, code.number)

@@ -8,7 +8,8 @@ the time it could still take to arrive. While it does:
 * no read is sent whose answer would look the same: the other addressing form is used where the
   drive knows both (its answer repeats the form), else the read waits;
 * no write is sent while an acknowledgement is in doubt, except a stop, which goes out at once
-  but whose acknowledgement is then not believed.
+  but whose acknowledgement is then not believed;
+* a NAK is not taken for a read's answer while a NAK to anything else may still come.
 
 This module keeps the doubts and answers these questions; it sends nothing and waits for nothing.
 Source: EDB2102EN 8.3 (telegrams without address in the answer), 8.3.5 (time monitoring).
@@ -16,6 +17,7 @@ Source: EDB2102EN 8.3 (telegrams without address in the answer), 8.3.5 (time mon
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from ..protocol.addressing import Code
@@ -52,15 +54,25 @@ class Doubts:
         self.window_s = window_s
         self._until_s: dict[bytes, float] = {}
         self._asked: dict[bytes, Asked] = {}
+        self._nak_until_s = -math.inf
 
     def add(self, field: bytes, now_s: float, asked: Asked | None = None) -> None:
         """Note that the answer with this code field (or `ACK_FIELD`) did not come in time."""
         if self.window_s > 0.0 and field:
             again = self.blocked_until_s(field, now_s) > now_s
-            self._until_s[field] = now_s + self.window_s
+            self._until_s[field] = self._nak_until_s = now_s + self.window_s
             self._asked.pop(field, None)
             if asked is not None and not again:
                 self._asked[field] = asked
+
+    def refused(self, field: bytes, now_s: float) -> None:
+        """Note that a read was answered by NAK: noise may have made it, so its value may come."""
+        if self.window_s > 0.0 and field != ACK_FIELD:
+            self._until_s[field] = now_s + self.window_s
+
+    def nak_may_come(self, now_s: float) -> bool:
+        """Say whether an exchange given up may still be answered by NAK."""
+        return now_s < self._nak_until_s
 
     def sole(self, field: bytes, now_s: float) -> Asked | None:
         """Tell what an old answer answers, if only one may still come and it is that one.

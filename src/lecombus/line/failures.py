@@ -20,18 +20,21 @@ from ..errors import (
 )
 from ..protocol.exchange import Result, ResultKind
 from ..protocol.telegrams import NakAnswer, TransmissionErrorAnswer, UnknownCodeAnswer
-from .station import Station, Step
+from .station import Station, Step, StepKind
 
 __all__ = ["error_of"]
 
 _BY_ANSWER: dict[type, tuple[type[ExchangeError], str]] = {
-    NakAnswer: (NakError, "the drive refused the write (NAK): nothing was changed"),
+    NakAnswer: (NakError, "the drive refused it (NAK)"),
     TransmissionErrorAnswer: (
         ChecksumReportedError,
         "the drive saw a transmission error in the question",
     ),
     UnknownCodeAnswer: (UnknownCodeError, "the drive has no such code"),
 }
+
+REFUSED_WRITE = "the drive refused the write (NAK): nothing was changed"
+REFUSED_READ = "the drive refused the question (NAK)"
 
 _BY_KIND: dict[ResultKind, type[ExchangeError]] = {
     ResultKind.NO_REPLY: NoReplyError,
@@ -51,6 +54,8 @@ def error_of(station: Station, step: Step, result: Result, attempt: int) -> Exch
         attempt: Which attempt it was, 1 upwards.
     """
     cls, text = _BY_ANSWER.get(type(result.answer), (UnexpectedReplyError, ""))
+    if cls is NakError:
+        text = REFUSED_READ if step.kind is StepKind.READ else REFUSED_WRITE
     if result.answer is None:
         cls, text = _BY_KIND[result.kind], result.fault
     record = ExchangeRecord(

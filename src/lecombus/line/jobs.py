@@ -5,7 +5,9 @@ Rules held here (EDB2102EN 8.3.5; CMVLC401A 6):
 * a read may be repeated, a limited number of times;
 * a write whose acknowledgement did not come is read back first. Only a plain value is then
   written again; an edge, a step, a save is not: it may have happened;
-* NAK is an answer and is not repeated.
+* NAK is an answer: nothing was changed. It can also mean that the telegram was damaged on its way
+  (EDB2102EN 8.3.1; CMVLC401A 6.1), so a plain value is written once more, and a read is asked once
+  more; never an edge, a step or a save. That counts as one of the repetitions.
 
 What must not live here: telegrams, time-outs, who goes first.
 """
@@ -15,10 +17,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from ..drives import WriteClass
-from ..errors import ExchangeError
+from ..errors import ExchangeError, NakError
 from ..protocol.addressing import Code
 from ..protocol.exchange import Result, ResultKind
-from ..protocol.telegrams import AckAnswer, UnknownCodeAnswer, ValueAnswer
+from ..protocol.telegrams import AckAnswer, Answer, NakAnswer, UnknownCodeAnswer, ValueAnswer
 from ..protocol.values import Value
 from ..schedule.request import Outcome
 from .failures import error_of
@@ -59,8 +61,8 @@ class ReadJob:
             return Outcome.DONE, ""
         self.error = error_of(self.station, self.step, result, self.attempts)
         if self.attempts <= self.retries and not _is_lost(result):
-            # One damaged character makes "no such code" of a value, so that is asked twice.
-            doubtful = type(answer) is UnknownCodeAnswer and self.attempts == 1
+            # One damaged character makes "no such code" of a value, and a NAK of a question.
+            doubtful = type(answer) in (UnknownCodeAnswer, NakAnswer) and self.attempts == 1
             if self.error.retryable or doubtful:
                 return None
         refused = result.kind is ResultKind.ANSWERED
@@ -87,6 +89,7 @@ class WriteJob:
     __slots__ = (
         "_acknowledged",
         "_proving",
+        "_refused",
         "attempts",
         "code",
         "error",
@@ -120,6 +123,7 @@ class WriteJob:
         self.error: ExchangeError | None = None
         self.attempts = 0
         self._acknowledged = False
+        self._refused = False
         self._proving: ReadJob | None = None
 
     def advance(self, result: Result) -> Verdict:
@@ -134,6 +138,8 @@ class WriteJob:
             return self._prove() if self.verify else (Outcome.DONE, "")
         self.error = error_of(self.station, self.step, result, self.attempts)
         if result.kind is ResultKind.ANSWERED:
+            if self._repeats_after(answer):
+                return None
             return Outcome.REFUSED, str(self.error)
         if _is_lost(result) or self.write_class is not WriteClass.PLAIN:
             return Outcome.UNKNOWN, f"{self.error}; not repeated, it may have happened"
@@ -141,8 +147,18 @@ class WriteJob:
 
     @property
     def cut_outcome(self) -> Outcome | None:
-        """Acknowledged, or perhaps done."""
-        return Outcome.DONE if self._acknowledged else Outcome.UNKNOWN
+        """Acknowledged, refused and not yet said again, or perhaps done."""
+        if self._acknowledged:
+            return Outcome.DONE
+        return Outcome.REFUSED if isinstance(self.error, NakError) else Outcome.UNKNOWN
+
+    def _repeats_after(self, answer: Answer | None) -> bool:
+        """Whether a refusal may have been a damaged telegram: a plain value is said once more."""
+        plain = self.write_class is WriteClass.PLAIN and self.attempts <= self.retries
+        if type(answer) is not NakAnswer or self._refused or not plain:
+            return False
+        self._refused = True
+        return True
 
     def _prove(self) -> Verdict:
         self._proving = ReadJob(self.station, self.code, self.retries)

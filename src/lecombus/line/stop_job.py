@@ -292,7 +292,8 @@ class StopJob:
         self._turn(refused=unknown)
         if unknown and self._turned:
             return
-        asked_enough = result.kind is ResultKind.ANSWERED or self._failed_reads > self.retries
+        said = result.kind is ResultKind.ANSWERED and type(answer) is not NakAnswer
+        asked_enough = said or self._failed_reads > self.retries
         if not self.attempts or asked_enough or over:
             self._inhibit(self._unreadable(step, result, value), result.ended_s)
 

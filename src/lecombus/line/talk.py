@@ -35,7 +35,7 @@ from typing import Final
 from ..drives import LineTiming
 from ..errors import LineLostError
 from ..protocol.exchange import Exchange, Result, ResultKind
-from ..protocol.telegrams import ValueAnswer
+from ..protocol.telegrams import NakAnswer, ValueAnswer
 from ..schedule import Outcome, Priority, Request, Schedule
 from .aftermath import Aftermath
 from .connection import Connection
@@ -293,7 +293,8 @@ class Talk:
     def _begin(self, question: Question, now: float, loss: LineLostError | None) -> None:
         """Begin the exchange of a telegram that was handed over, and use the time it takes."""
         self._looked_s = self._time()
-        self._exchange.begin(question.ask, now, self._looked_s)
+        takes_nak = not self._doubts.nak_may_come(now)
+        self._exchange.begin(question.ask, now, self._looked_s, takes_nak=takes_nak)
         if loss is not None:
             self._connection.note_loss(loss)
             self._end_exchange(self._exchange.lost(now))
@@ -435,6 +436,8 @@ class Talk:
         self._silence.exchange_ended(ended)
         if result.kind is ResultKind.ANSWERED:
             self._heard()
+            if type(result.answer) is NakAnswer:
+                self._doubts.refused(question.ask.field, ended)
             self._doubts.answered(question.ask.field, ended)
             return 0.0
         if result.kind is ResultKind.SENT:

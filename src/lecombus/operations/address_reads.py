@@ -20,6 +20,7 @@ from lecombus.errors import (
     CutReplyError,
     EchoError,
     ExchangeError,
+    NakError,
     NoReplyError,
     OperationError,
     UnknownCodeError,
@@ -45,6 +46,8 @@ class HeardKind(StrEnum):
     NO_SUCH_CODE = "no-such-code"
     TRANSMISSION_ERROR = "transmission-error"
     """The drive saw a transmission error in the question (`?`): it is there."""
+    REFUSED = "refused"
+    """NAK: it is there, and does not carry out the question."""
     SILENCE = "silence"
     GARBLED = "garbled"
     ECHO = "echo"
@@ -53,6 +56,7 @@ class HeardKind(StrEnum):
 
 _KINDS: tuple[tuple[type[ExchangeError], HeardKind], ...] = (
     (UnknownCodeError, HeardKind.NO_SUCH_CODE),
+    (NakError, HeardKind.REFUSED),
     (ChecksumReportedError, HeardKind.TRANSMISSION_ERROR),
     (NoReplyError, HeardKind.SILENCE),
     (EchoError, HeardKind.ECHO),
@@ -85,6 +89,7 @@ class Heard:
             HeardKind.VALUE,
             HeardKind.NO_SUCH_CODE,
             HeardKind.TRANSMISSION_ERROR,
+            HeardKind.REFUSED,
         )
 
     @property

@@ -33,6 +33,7 @@ from lecombus.errors import (
     ChecksumReportedError,
     ExchangeError,
     LecombusError,
+    NakError,
     RefusedError,
     UnknownCodeError,
 )
@@ -132,6 +133,8 @@ class Refusals:
         happened = Happened.UNKNOWN
         if isinstance(error, ChecksumReportedError):
             happened = Happened.DAMAGED
+        elif isinstance(error, NakError):
+            happened = Happened.DENIED
         elif not isinstance(error, UnknownCodeError):
             return
         known = self._known(station, code, happened, None)

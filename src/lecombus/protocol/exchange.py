@@ -10,16 +10,19 @@ two the exchange is in one phase::
              differ: FOREIGN, the echo fault is remembered
     PROBE    first byte is that of the sent telegram: ECHO     NO_REPLY
              else: as WAIT
-    WAIT     too early to be an answer: FOREIGN                NO_REPLY
+    WAIT     too early to be an answer: FOREIGN                NO_REPLY; after a NAK: ANSWERED
              the answer asked for: ends, ANSWERED
              a whole answer to something else: WAIT, counted
+             NAK to a read: WAIT, for no longer than a pause
              a bad answer: FOREIGN; the beginning of one: ANSWER
     ANSWER   as WAIT                                           GARBLED (half an answer)
     FOREIGN  swallowed; after a pause: WAIT                    GARBLED, or ECHO if remembered
 
 PROBE is how `echo: auto` finds out: the host's telegrams begin with EOT and no answer does, so
 the first byte that returns tells; it is remembered only when the whole echo has come. What cannot
-be this exchange's answer is never handed up, and after a bad answer the exchange goes on listening
+be this exchange's answer is never handed up. A NAK to a read is one (CMVLC401A 6.1, and devices
+of other makers), but a single byte is easily made by noise: it counts when a pause follows it.
+After a bad answer the exchange goes on listening
 until its deadline: the right answer may still come, and the line must fall silent anyway before
 anyone speaks (EDB2102EN 8.3.5).
 
@@ -151,7 +154,7 @@ class Exchange:
         echo: True or False where the roster says so, None to find out.
 
     Attributes:
-        disturbed: Something came that is not the answer.
+        disturbed: Something came after which a silence counts: what is not the answer, or a NAK.
     """
 
     def __init__(self, *, parity: bool, echo: bool | None = None) -> None:
@@ -169,21 +172,27 @@ class Exchange:
         self._fault = ""
         self._late = 0
         self._kept = bytearray()
+        self._takes_nak = True
+        self._refused = False
         self.disturbed = False
 
     def forget_echo(self) -> None:
         """Find out anew whether the line echoes; after every reopening of a port."""
         self.echo = self._configured_echo
 
-    def begin(self, ask: Ask, now_s: float, said_s: float | None = None) -> None:
+    def begin(
+        self, ask: Ask, now_s: float, said_s: float | None = None, *, takes_nak: bool = True
+    ) -> None:
         """Start an exchange whose telegram is handed to the port.
 
         Args:
             ask: The telegram, and what is expected after it.
             now_s: Before it was handed over.
             said_s: After that, from when on its answer is waited for; None: at once.
+            takes_nak: A NAK may be a read's answer: none of an earlier exchange may still come.
         """
         self._ask = ask
+        self._takes_nak, self._refused = takes_nak, False
         self.started_s = self._last_byte_s = now_s
         self._said_s = self._quiet_s = now_s if said_s is None else said_s
         self._earliest_s = now_s + EARLIEST_SHARE * ask.request_s
@@ -245,6 +254,8 @@ class Exchange:
             return self._said_s + ask.whole_s
         first = self._said_s + ask.first_byte_s
         if self._phase is not _ANSWER:
+            if self._refused and self._phase is _WAIT:
+                return min(first, self._last_byte_s + ask.gap_s)
             return first
         # Never later, however slowly characters drip in: costs and promises reckon with it.
         return max(first, min(self._last_byte_s + ask.gap_s, self._said_s + ask.whole_s))
@@ -272,6 +283,10 @@ class Exchange:
         self._quiet_s = now_s
         if now_s < self.deadline_s():
             return None
+        if self._refused and self._phase is _WAIT and not self._fault:
+            if self.echo is None:
+                self.echo = False
+            return self._result(ResultKind.ANSWERED, now_s, NakAnswer())
         kind, fault = self._verdict()
         return self._result(kind, now_s, None, fault)
 
@@ -342,8 +357,13 @@ class Exchange:
                 self._reject(answer.received, f"the answer is bad: {answer.fault.value}")
                 return None
             if self._fits(answer):
+                self._late += self._refused  # the NAK before it was not the answer
                 return self._accept(answer, now_s)
-            self._late += 1
+            if self._is_refusal(answer):
+                self._refused = self.disturbed = True
+            else:
+                self._late += 1 + self._refused
+                self._refused = False
             data = self._parser.tail
             self._parser.reset()
             self._phase = _WAIT
@@ -359,6 +379,12 @@ class Exchange:
         if isinstance(answer, UnknownCodeAnswer | TransmissionErrorAnswer):
             return answer.field == field
         return False
+
+    def _is_refusal(self, answer: Answer) -> bool:
+        """Whether a read was answered by a NAK that stands alone so far."""
+        if type(answer) is not NakAnswer or self._ask.field == ACK_FIELD or not self._takes_nak:
+            return False
+        return not (self._parser.tail or self._fault or self._late or self._refused)
 
     def _accept(self, answer: Answer, now_s: float) -> Result | None:
         """End with the answer, unless other bytes came with it.

@@ -248,13 +248,16 @@ class SimDrive:
 
     # Telegrams
 
-    def hear(self, heard: Heard, now_s: float, rng: random.Random) -> Reply | None:
+    def hear(
+        self, heard: Heard, now_s: float, rng: random.Random, *, nak_reads: bool = False
+    ) -> Reply | None:
         """Take a request to its own address.
 
         Args:
             heard: The request.
             now_s: When its last character arrived.
             rng: Decides the spread of the answer time.
+            nak_reads: Say NAK to a read that it cannot carry out (CMVLC401A 6.1 beside 6.3).
 
         Returns:
             The answer; None when it stays silent.
@@ -266,14 +269,17 @@ class SimDrive:
         if model.standard_only and heard.field[:1] == b"!":
             return None
         if heard.damaged:
-            return self._complain(heard)
+            return self._complain(heard, nak_reads=nak_reads)
         model.feed(now_s)
         code = read_code_field(heard.field)
         number, subcode = self._resolve(code) if code else (-1, 0)
         before = model.comm_error
         model.comm_error = before if number == 68 and heard.text is None else CommError.NONE
         if heard.text is None:
-            return self._spread_out(self._read(heard.field, number, subcode, now_s), rng)
+            reply = self._read(heard.field, number, subcode, now_s)
+            if nak_reads and reply.data == unknown_code(heard.field):
+                reply = Reply(bytes((NAK,)), reply.after_s)
+            return self._spread_out(reply, rng)
         return self._spread_out(self._write(heard.text, number, subcode, now_s), rng)
 
     def hear_group(self, heard: Heard, now_s: float) -> None:
@@ -312,11 +318,15 @@ class SimDrive:
         offset, selected = self._bank
         return number + offset, selected
 
-    def _complain(self, heard: Heard) -> Reply:
-        """Parity or block check wrong: `?` to a read, NAK to a write. Source: EDB2102EN 8.3."""
+    def _complain(self, heard: Heard, *, nak_reads: bool) -> Reply:
+        """Parity or block check wrong: `?` to a read, NAK to a write.
+
+        Source: EDB2102EN 8.3; CMVLC401A 6.1 (NAK, also after ENQ), 6.3 (`?`).
+        """
         self.model.comm_error = CommError.CHECKSUM
         self.model.extended_fault = ExtendedFault.PARITY
-        data = value_reply(heard.field, "?") if heard.text is None else bytes((NAK,))
+        asks = heard.text is None and not nak_reads
+        data = value_reply(heard.field, "?") if asks else bytes((NAK,))
         return Reply(data, self.model.think_s(-1, write=False, now_s=0.0))
 
     def _read(self, field: bytes, number: int, subcode: int, now_s: float) -> Reply:

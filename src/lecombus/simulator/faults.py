@@ -46,6 +46,9 @@ class Faults:
         parity: One character of the answer has bad parity.
         half: The answer breaks off.
         nak: A write is refused for no reason.
+        damaged: The request is damaged on its way to the drive, which notices: NAK to a write, and
+            to a read `?` or NAK (see `nak_reads`).
+        nak_reads: A drive says NAK to a read that it cannot carry out: damaged, or no such code.
         power_cycle: The drive loses its power when asked.
         power_off_s: How long it is then away, seconds.
         echo: The host hears itself.
@@ -66,6 +69,8 @@ class Faults:
     parity: float = 0.0
     half: float = 0.0
     nak: float = 0.0
+    damaged: float = 0.0
+    nak_reads: bool = False
     power_cycle: float = 0.0
     power_off_s: float = 1.0
     echo: bool = False
@@ -85,10 +90,11 @@ _CHANCES: Final = (
     "parity",
     "half",
     "nak",
+    "damaged",
     "power_cycle",
     "bad_echo",
 )
-_SWITCHES: Final = ("echo", "unplugged")
+_SWITCHES: Final = ("echo", "unplugged", "nak_reads")
 _TRIP: Final = re.compile(r"(\d{1,2}):(\d{1,4})(:stays)?\Z")
 _DURATION: Final = re.compile(r"(\d+(?:\.\d+)?)(ms|s)\Z")
 
@@ -99,7 +105,7 @@ def parse_faults(text: str) -> Faults:
     Args:
         text: `NAME=CHANCE` items with commas between; `late=CHANCE[:[LEAST-]MOST[:KIND]]`,
             `power_cycle=CHANCE[:DURATION]`, `absent=11+12`, `trip=11:50+12:15:stays`, `echo`,
-            `unplugged`. Empty: no faults.
+            `unplugged`, `nak-reads`. Empty: no faults.
 
     Raises:
         ValueError: An item is not understood; says which and what is right.

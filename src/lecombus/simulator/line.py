@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from enum import Enum, auto
 from heapq import heappop, heappush
 from typing import Final
@@ -352,7 +353,9 @@ class SimLine:
         if heard.text is not None and not heard.damaged and self._spoiler.happens(faults.nak):
             reply: Reply | None = drive.refuse(at_s)
         else:
-            reply = drive.hear(heard, at_s, self._spoiler.rng)
+            if self._spoiler.happens(faults.damaged):
+                heard = replace(heard, damaged=True)
+            reply = drive.hear(heard, at_s, self._spoiler.rng, nak_reads=faults.nak_reads)
         if reply is None or self._spoiler.happens(faults.lost):
             return
         begin_s = at_s + reply.after_s * self._think_scale

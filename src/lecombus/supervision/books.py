@@ -25,6 +25,11 @@ from lecombus.supervision.health import Health
 
 __all__ = ["Books"]
 
+_REFUSALS: Mapping[type, str] = {
+    UnknownCodeAnswer: NO_SUCH_CODE,
+    NakAnswer: "the drive refused the question (NAK)",
+}
+
 _OUTCOMES: Mapping[ResultKind, str] = {
     ResultKind.SENT: "sent",
     ResultKind.NO_REPLY: "no_reply",
@@ -140,7 +145,7 @@ class Books:
         result = report.result
         refused = type(result.answer) is NakAnswer or type(result.answer) is UnknownCodeAnswer
         if report.step.kind is StepKind.READ:
-            reason = NO_SUCH_CODE if refused else result.fault or "bad answer"
+            reason = _REFUSALS.get(type(result.answer), result.fault or "bad answer")
             self._store.value_failed(report.drive, report.step.code, reason)
         return "refused" if refused else "unexpected" if outcome == "answered" else outcome
 

@@ -49,6 +49,7 @@ class Happened(StrEnum):
     IGNORED = "ignored"
     UNKNOWN = "unknown"
     DAMAGED = "damaged"
+    DENIED = "denied"
 
 
 class When(StrEnum):
