@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
 import click
 import pytest
 
+import lecombus
 from cli.conftest import Run
 from lecombus.cli import entry
 from lecombus.errors import CodeValueError, LineLostError, OperationError
@@ -198,6 +202,65 @@ def test_a_pipe_that_closes_is_no_error(roster: Path) -> None:
             check=False,
         )
     assert (done.returncode, done.stderr) == (141, b"")
+
+
+@pytest.fixture
+def launcher(tmp_path: Path) -> Path:
+    """The command as it is installed, beside a Python that has lecombus."""
+    python = tmp_path / "python"
+    python.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} "$@"\n')
+    python.chmod(0o755)
+    source = Path(lecombus.__file__).parents[2] / "bin" / "lecombus"
+    command = tmp_path / "lecombus"
+    command.write_bytes(source.read_bytes())
+    command.chmod(0o755)
+    return command
+
+
+@pytest.mark.parametrize("after_ms", range(0, 121, 12))
+def test_a_ctrl_c_while_a_command_starts_shows_no_traceback(
+    launcher: Path, roster: Path, after_ms: int
+) -> None:
+    process = subprocess.Popen(
+        [launcher, "check", "-c", roster], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    with process:
+        time.sleep(after_ms / 1000)
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=30)
+    assert said == b""
+    assert process.returncode in (-signal.SIGINT, 130, 0)
+
+
+def test_a_ctrl_c_that_came_before_the_first_line_of_ours_ends_it(launcher: Path) -> None:
+    """It was held back, and takes effect when the command can take it."""
+    script = launcher.with_name("python")
+    script.write_text(f"#!/bin/sh\nkill -INT $$\n{script.read_text().splitlines()[1]}\n")
+    ran = subprocess.run([launcher, "--version"], capture_output=True, timeout=30, check=False)
+    assert (ran.returncode, ran.stdout, ran.stderr) == (-signal.SIGINT, b"", b"")
+
+
+def test_a_job_that_was_started_deaf_to_ctrl_c_stays_so(launcher: Path) -> None:
+    script = f"trap '' INT; exec {shlex.quote(str(launcher))} --version"
+    look = launcher.with_name("python")
+    text = look.read_text().splitlines()[1]
+    look.write_text(f"#!/bin/sh\nkill -INT $$\n{text}\n")
+    ran = subprocess.run(["sh", "-c", script], capture_output=True, timeout=30, check=False)
+    assert (ran.returncode, ran.stderr) == (0, b"")
+
+
+def test_the_command_is_started_with_the_python_beside_it_and_its_own_name(launcher: Path) -> None:
+    link = launcher.with_name("linked")
+    link.symlink_to(launcher)
+    ran = subprocess.run(
+        [link, "--version"], capture_output=True, text=True, timeout=30, check=False
+    )
+    assert (ran.returncode, ran.stdout) == (0, f"lecombus {lecombus.__version__}\n")
+    words = "import lecombus.__main__ as m; m._take_name(); print(open('/proc/self/comm').read())"
+    named = subprocess.run(
+        [sys.executable, "-c", words], capture_output=True, text=True, check=True
+    )
+    assert named.stdout.strip() == "lecombus"
 
 
 def test_asking_for_help_imports_nothing_heavy() -> None:
