@@ -56,6 +56,9 @@ SHUTDOWN_STOP_S = 8.0
 
 TICK_S = 1.0
 
+RELOAD = "reload"
+"""The key of the remark that a reload was refused."""
+
 
 def run(path: Path, *, log_format: str = "logfmt") -> int:
     """Run the line of a roster until SIGTERM or SIGINT.
@@ -217,15 +220,25 @@ class Daemon:
             roster = await anyio.to_thread.run_sync(load_roster, self._path)
             changes = self.site.apply(roster)
         except RosterError as exc:
-            for mistake in exc.mistakes:
-                logger.error("event=reload-refused mistake=%s", mistake)
+            self._refuse_reload(self.site, [str(mistake) for mistake in exc.mistakes])
         except LecombusError as exc:
-            logger.error("event=reload-refused mistake=%s", exc)
+            self._refuse_reload(self.site, [str(exc)])
         else:
             self._roster = roster
+            self.site.store.note_line(RELOAD, None)
             logger.info("event=reloaded drives=%d %s", len(roster.drives), changes)
         finally:
             self._notifier.tell("READY=1")
+
+    def _refuse_reload(self, site: Site, mistakes: list[str]) -> None:
+        """Say that the old roster stays, in the log and until a reload is good."""
+        for mistake in mistakes:
+            logger.error("event=reload-refused mistake=%s", mistake)
+        more = ""
+        if len(mistakes) > 1:
+            more = f" (and {len(mistakes) - 1} more: `lecombus check -c {self._path}`)"
+        text = f"the last reload was refused, the old roster is used: {mistakes[0]}{more}"
+        site.store.note_line(RELOAD, text)
 
     async def _tick(self, faces: anyio.abc.TaskGroup, site: Site) -> None:
         """Once a second: tell the service manager how we are, and the store how the cadence is."""

@@ -32,7 +32,9 @@ inside `protocol/` and becomes an error only above it. This module imports nothi
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from difflib import get_close_matches
 
 __all__ = [
     "ChecksumReportedError",
@@ -57,7 +59,26 @@ __all__ = [
     "ScheduleError",
     "UnexpectedReplyError",
     "UnknownCodeError",
+    "meant",
 ]
+
+LONGEST_COMPARED = 64
+"""Characters of a word that are compared with those known: a word may come from anybody."""
+
+
+def meant(word: str, known: Iterable[str], what: str) -> str:
+    """Return the remedy for a name that is not known: the nearest there is, or all of them.
+
+    Args:
+        word: What was given.
+        known: What would be right.
+        what: What these are, such as `the drives`.
+    """
+    folded = {name.casefold(): name for name in known}
+    near = get_close_matches(word[:LONGEST_COMPARED].casefold(), folded, n=1)
+    if near:
+        return f"did you mean {folded[near[0]]}?"
+    return f"{what} are: {', '.join(folded.values()) or 'none'}"
 
 
 class LecombusError(Exception):

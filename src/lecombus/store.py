@@ -15,10 +15,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, Final
 
-from lecombus.errors import OperationError
+from lecombus.errors import OperationError, meant
 from lecombus.judging import ON_DEMAND_FRESH_S, Judge
 from lecombus.motion import Doing, Motion, motion_of, setpoint_codes
 from lecombus.readings import (
@@ -381,8 +380,9 @@ class Store:
 
 def no_such_drive(name: str, known: tuple[str, ...]) -> OperationError:
     """Return the error for an unknown drive, with the nearest name there is."""
-    near = get_close_matches(name, known, n=1)
-    remedy = f"did you mean {near[0]}?" if near else f"drives are: {', '.join(known) or 'none'}"
     return OperationError(
-        f"there is no drive {name}", kind="no-such-drive", drive=name, remedy=remedy
+        f"there is no drive {name}",
+        kind="no-such-drive",
+        drive=name,
+        remedy=meant(name, known, "the drives"),
     )

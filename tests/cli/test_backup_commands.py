@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,9 +15,11 @@ from backups.backups import backup_of
 from cli.conftest import Run
 from cli.daemon_stub import DaemonStub
 from lecombus.backups import Restored, make_plan
+from lecombus.cli.backup_files import Notes
 from lecombus.cli.restore_reports import result_json, show_result
 from lecombus.drives import family
 from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
 
 DRIVE = "/v1/drives/feeder"
 READ = "?fresh=true&priority=background"
@@ -301,8 +305,33 @@ def test_an_interrupted_restore_is_told_and_gone_on_with(
     drive.code("C0011", "60")
     drive.code("C2011", "70")
     ran = run("restore", str(path), "feeder", "--yes")
-    assert (ran.status, "1 codes were written" in ran.out) == (0, True)
+    assert (ran.status, ": 1 code written then" in ran.out) == (0, True)
     assert not notes.exists()
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+def test_a_ctrl_c_during_a_restore_says_what_was_written_and_how_to_go_on(
+    run: Run, drive: Drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, as_json: bool
+) -> None:
+    (tmp_path / "expected").touch()
+    path = to_restore(run, drive, tmp_path)
+    drive.takes("C0011")
+    drive.takes("C2011")
+    plain = Notes.done
+
+    def done(notes: Notes, code: Code, value: Value) -> None:
+        plain(notes, code, value)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(Notes, "done", done)
+    ran = run("restore", str(path), "feeder", "--yes", *(["--json"] if as_json else []))
+    assert ran.status == 130
+    if as_json:
+        document = json.loads(ran.out)
+        assert (document["written"], document["stopped"]) == (["C0011"], "interrupted")
+    else:
+        assert "interrupted: 1 of 2 codes written to feeder and read back" in ran.err
+        assert "Run the same command again: it goes on with what is missing" in ran.err
 
 
 def test_another_files_unfinished_restore_is_told(run: Run, drive: Drive, tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from types import ModuleType, SimpleNamespace
 
 import click
 import pytest
+import serial
 
 import lecombus
 from cli.conftest import Run
@@ -129,6 +130,35 @@ def test_an_error_becomes_its_status_and_one_line(
     raising(monkeypatch, error)
     ran = run("demo")
     assert (ran.status, ran.out, ran.err.lstrip("\n")) == (status, "", said)
+
+
+def test_a_port_that_may_not_be_opened_is_not_permitted(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The error of the line's room has the system's as its cause, by number."""
+
+    def refuse(device: object) -> None:
+        raise serial.SerialException(13, "could not open port /dev/pts/7: Permission denied")
+
+    monkeypatch.setattr("lecombus.line.serial_device.Device.open", refuse)
+    ran = run("read", "--port", "/dev/null", "--address", "11", "C0150")
+    assert (ran.status, ran.out) == (4, "")
+    assert "permission denied; the user needs to be in group" in ran.err
+    assert "roster" not in ran.err
+
+
+@pytest.mark.parametrize(
+    ("word", "meant"), [("statsu", "status"), ("Stop", "stop"), ("setspeed", "set-speed")]
+)
+def test_a_misspelt_command_is_told_the_nearest(run: Run, word: str, meant: str) -> None:
+    ran = run(word)
+    assert ran.status == 2
+    assert ran.err == f"there is no command `{word}`; did you mean {meant}?\n"
+
+
+def test_without_a_roster_nothing_is_said_of_ports_that_need_one(run: Run) -> None:
+    ran = run("read", "--port", "nonsense", "--address", "11", "C0150")
+    assert ran.err.count("sim:") == 0
 
 
 def test_a_bug_is_not_hidden(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -161,7 +161,11 @@ def test_a_running_simulator_is_told_from_another_terminal(
         assert json.loads(ran.out)["value"] == 50
         wrong = run(*words, "trip feedr 50")
         assert (wrong.status, wrong.out) == (1, "")
-        assert "one of feeder" in wrong.err
+        assert "did you mean feeder?" in wrong.err
+        two = run(*words, "trip feeder 50", "--tell", "reset feeder", "--json")
+        assert json.loads(two.out)[0]["told"] == "trip feeder 50"
+        none = run(*words, "trip feedr 50", "--json")
+        assert (none.status, json.loads(none.out)) == (1, [])
     gone = run("simulate", "--control", str(tmp_path / "nothing"), "--tell", "drives")
     assert gone.status == 3
     assert "no simulator is told through" in gone.err

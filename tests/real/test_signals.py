@@ -180,9 +180,18 @@ def test_a_wrong_roster_is_refused_at_sighup_with_every_mistake_and_the_old_one_
         assert all(str(daemon.roster) in row for row in refused)
         assert "94xx" in refused[0] + refused[1]
         assert daemon.states() == {"belt": "online", "winder": "online"}
+        remark = daemon.get("/v1/line")["remarks"]["reload"]
+        assert remark.startswith("the last reload was refused, the old roster is used: ")
+        assert "1 more: `lecombus check" in remark
         reloading = manager.told.index("RELOADING=1")
         assert manager.told[reloading + 1].startswith("MONOTONIC_USEC=")
         assert "READY=1" in manager.told[reloading:]
+        daemon.roster.write_text(good)
+        daemon.tell(signal.SIGHUP)
+        until(
+            lambda: "reload" not in daemon.get("/v1/line")["remarks"],
+            "a good reload ends the remark",
+        )
         assert daemon.end() == 0
         assert fired(end) == {"belt": 0, "winder": 0, "fan": 0}
 

@@ -28,6 +28,7 @@ from lecombus.cli.client import connect_async
 from lecombus.cli.drive_access import HttpDrive
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.progress_bar import progress
+from lecombus.cli.screen import counted
 from lecombus.drives import family
 from lecombus.protocol import Code
 from lecombus.readings import Json
@@ -91,7 +92,7 @@ def command(
     else:
         missing = f", {len(backup.not_read)} not readable" if backup.not_read else ""
         read = len(backup.entries) - len(backup.not_read)
-        click.echo(f"{drive}: {read} codes read{missing}, written to {output}", err=True)
+        click.echo(f"{drive}: {counted(read, 'code')} read{missing}, written to {output}", err=True)
     return Exit.FAILED if left else Exit.DONE
 
 
@@ -144,7 +145,7 @@ async def read_drive(
 def incomplete(drive: str, left: Sequence[Answer], output: Path | None) -> CommandError:
     """Say why no backup was written."""
     first = left[0]
-    codes = "1 code" if len(left) == 1 else f"{len(left)} codes"
+    codes = counted(len(left), "code")
     kept = f"; {output} is as it was" if output is not None and output.exists() else ""
     return CommandError(
         Exit.FAILED,

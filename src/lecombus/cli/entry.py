@@ -7,6 +7,7 @@ with `--json`) and the exit status that `exits` defines; only a bug shows a trac
 
 from __future__ import annotations
 
+import errno
 import json
 import logging
 import os
@@ -23,6 +24,7 @@ from lecombus.errors import (
     ConfigError,
     LecombusError,
     OperationError,
+    meant,
 )
 
 __all__ = ["COMMANDS", "lecombus", "main"]
@@ -69,7 +71,8 @@ class _Commands(click.Group):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
-            return None
+            remedy = meant(cmd_name, COMMANDS, "the commands")
+            raise CommandError(Exit.USAGE, Problem(f"there is no command `{cmd_name}`", remedy))
         module = import_module(f"lecombus.cli.{cmd_name.replace('-', '_')}")
         command: click.Command = module.command
         return command
@@ -147,6 +150,9 @@ def _as_command_error(exc: Exception) -> CommandError:
     if isinstance(exc, OSError):
         return _as_system_error(exc)
     status = Exit.USAGE if isinstance(exc, ConfigError | CodeValueError) else Exit.FAILED
+    cause = exc.__cause__  # such as a port that may not be opened
+    if isinstance(cause, OSError) and cause.errno in (errno.EACCES, errno.EPERM):
+        status = Exit.FORBIDDEN
     lines = str(exc).splitlines() or [type(exc).__name__]
     if isinstance(exc, OperationError):
         found = Problem(" ".join(lines), exc.remedy, exc.kind, exc.drive, exc.code)

@@ -13,7 +13,7 @@ from lecombus.cli.arguments import daemon_options
 from lecombus.cli.client import connect
 from lecombus.cli.exits import Exit
 from lecombus.cli.plan_live import live_of, measured_roster, show_answers, show_live, show_unheld
-from lecombus.cli.screen import show_table
+from lecombus.cli.screen import counted, show_table
 from lecombus.config import Roster, line_timing, load_roster
 from lecombus.config.unheld import find_unheld, written_up
 from lecombus.durations import format_duration
@@ -166,7 +166,7 @@ def _show_waits(plan: Plan) -> None:
         for one in plan.waits
     ]
     silent = plan.silent_stop
-    text = f"{silent.counts}; {silent.telegrams} telegrams at least"
+    text = f"{silent.counts}; {counted(silent.telegrams, 'telegram')} at least"
     times = _time(silent.quiet_s), _time(silent.loaded_s), _time(silent.attempt_s)
     rows.insert(1, ("stop, silent drive", *times, text))
     click.echo(SILENCE)

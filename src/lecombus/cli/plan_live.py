@@ -13,7 +13,7 @@ import click
 
 from lecombus.cli.client import Answer, connect
 from lecombus.cli.exits import CommandError, Exit, Problem
-from lecombus.cli.screen import show_table
+from lecombus.cli.screen import counted, show_table
 from lecombus.config import DriveEntry, Roster, load_roster
 from lecombus.config.unheld import Unheld
 from lecombus.durations import format_duration
@@ -132,8 +132,8 @@ def show_live(live: LivePlan) -> None:
         click.echo("that is since its start, when drives are audited: ask again later")
     if live.failed:
         click.echo(
-            f"{live.failed} exchanges were not answered; promises hold while drives answer and at "
-            "most the exchange under way is lost"
+            f"{counted(live.failed, 'exchange')} without an answer; promises hold while drives "
+            "answer and at most the exchange under way is lost"
         )
     _show_classes(live)
     _show_drives(live)

@@ -32,8 +32,16 @@ from lecombus.cli.client import connect_async
 from lecombus.cli.drive_access import HttpDrive, RestoreRights, Whose
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.progress_bar import progress
-from lecombus.cli.restore_reports import plan_json, result_json, show_plan, show_result
+from lecombus.cli.restore_reports import (
+    plan_json,
+    result_json,
+    show_interrupted,
+    show_plan,
+    show_result,
+)
+from lecombus.cli.screen import counted
 from lecombus.drives import family
+from lecombus.protocol import Code, Value
 
 __all__ = ["command"]
 
@@ -193,8 +201,19 @@ def carry_out(wish: Wish, seen: Seen, notes: Notes, socket: str | None, url: str
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     begun = before or Progress(wish.backup.name, wish.digest, now, enabled)
     notes.begin(replace(begun, enabled=enabled))
-    with progress(wish.drive, quiet=wish.as_json) as bar:
-        result, stops = anyio.run(work, wish, plan, notes, unsaved, socket, url, bar)
+    result = Restored()
+    try:
+        with progress(wish.drive, quiet=wish.as_json) as bar:
+            result, stops = anyio.run(
+                work, wish, plan, notes, unsaved, socket, url, bar, result.written
+            )
+    except KeyboardInterrupt:
+        result.stopped = "interrupted"
+        if wish.as_json:
+            click.echo(json.dumps(result_json(plan, result, wish.drive)))
+        else:
+            show_interrupted(plan, result, wish.drive)
+        raise
     if result.complete:
         notes.finish()
     enabling = ""
@@ -218,8 +237,8 @@ def left_by(notes: Notes, wish: Wish) -> Progress | None:
 def tell_before(before: Progress | None, notes: Notes, wish: Wish) -> None:
     """Say that a restore was interrupted before."""
     if before is not None:
-        count = len(before.done)
-        click.echo(f"going on with a restore begun at {before.begun}: {count} codes were written")
+        codes = counted(len(before.done), "code")
+        click.echo(f"going on with a restore begun at {before.begun}: {codes} written then")
     elif notes.left is not None:
         click.echo(
             f"a restore of {notes.left.file}, begun at {notes.left.begun}, was not finished: "
@@ -250,18 +269,24 @@ async def work(
     socket: str | None,
     url: str | None,
     listener: Listener,
+    kept: dict[Code, Value],
 ) -> tuple[Restored, str]:
-    """Carry out the plan.
+    """Carry out the plan; `kept` is told of each code that was written, also if it is cut short.
 
     Returns:
         How it ended, and what ends an enable behind it if the drive is stopped meanwhile.
     """
+
+    def written(code: Code, value: Value) -> None:
+        notes.done(code, value)
+        kept[code] = value
+
     async with connect_async(socket, url) as (client, where):
         drive = HttpDrive(client, where, wish.drive)
         with contextlib.suppress(CommandError):  # a daemon that is away is waited for
             drive.stops = (await drive.restore_rights()).stops
         result = await restore(
-            drive, plan, patience_s=wish.patience_s, listener=listener, written=notes.done,
+            drive, plan, patience_s=wish.patience_s, listener=listener, written=written,
             unsaved=unsaved,
         )  # fmt: skip
         return result, drive.stops

@@ -5,11 +5,11 @@ from __future__ import annotations
 import click
 
 from lecombus.backups import Plan, Restored, Skip, Step
-from lecombus.cli.screen import on_terminal, show_rows
+from lecombus.cli.screen import counted, on_terminal, show_rows
 from lecombus.protocol import Value
 from lecombus.readings import Json
 
-__all__ = ["plan_json", "result_json", "show_plan", "show_result"]
+__all__ = ["plan_json", "result_json", "show_interrupted", "show_plan", "show_result"]
 
 
 def show_plan(plan: Plan, drive: str, *, enabled: bool | None, enable: bool) -> None:
@@ -84,13 +84,13 @@ def show_result(plan: Plan, result: Restored, drive: str, *, enabled: bool) -> N
         click.echo(f"stopped: {result.stopped}", err=True)
         if result.written:
             click.echo(f"written: {', '.join(map(str, result.written))}", err=True)
-    written = len(result.written)
+    written = counted(len(result.written), "code")
     if result.complete:
         saved = " and saved" if result.saved else ""
-        click.echo(f"{drive}: {written} codes written and read back{saved}, all as in the file")
+        click.echo(f"{drive}: {written} written and read back{saved}, all as in the file")
     else:
         rest = "run it again: it goes on with what is missing"
-        click.echo(f"{drive}: {written} codes written, not complete; {rest}", err=True)
+        click.echo(f"{drive}: {written} written, not complete; {rest}", err=True)
         if result.saved is False:
             click.echo("not saved: what was written is lost at power-off", err=True)
     if enabled:
@@ -100,6 +100,18 @@ def show_result(plan: Plan, result: Restored, drive: str, *, enabled: bool) -> N
     elif result.inhibited_now is not True:
         told = "is not" if result.inhibited_now is False else "does not say whether it is"
         click.echo(f"{drive} {told} inhibited now: take it for one that may start", err=True)
+
+
+def show_interrupted(plan: Plan, result: Restored, drive: str) -> None:
+    """Say what a restore that was cut short by Ctrl-C has done, and how to go on."""
+    written = len(result.written)
+    of = f"{written} of {counted(len(plan.steps), 'code')}"
+    more = "" if written == len(plan.steps) else "; the one under way may have been written too"
+    click.echo(
+        f"interrupted: {of} written to {drive} and read back{more}; it may be inhibited, and holds "
+        "a part of the backup. Run the same command again: it goes on with what is missing",
+        err=True,
+    )
 
 
 def plan_json(plan: Plan, drive: str) -> dict[str, Json]:

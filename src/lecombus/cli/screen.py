@@ -17,6 +17,7 @@ import click
 __all__ = [
     "Styled",
     "age",
+    "counted",
     "harmless",
     "mark",
     "on_terminal",
@@ -108,6 +109,11 @@ def mark(word: str) -> str:
     if isinstance(word, Styled):
         return word.style
     return _STYLES.get(word, "")
+
+
+def counted(number: int, noun: str) -> str:
+    """Return `1 code` or `5 codes`."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def age(seconds: object) -> str:

@@ -72,11 +72,11 @@ def command(
     lecombus simulate --pty PATH --tell "trip feeder 50"; help lists what there is.
 
     In a pipe the first line is the port and nothing else. With --json: {"port", "line", "baud",
-    "drives": [{"drive", "address", "family"}]}.
+    "drives": [{"drive", "address", "family"}]}; with --tell [{"told", "answer"}], one a LINE.
     """
     where = control_path(pty, control)
     if lines:
-        tell_simulator(where, lines)
+        tell_simulator(where, lines, as_json=as_json)
         return Exit.DONE
     _check_ends(roster, pty, tcp)
     assert roster is not None

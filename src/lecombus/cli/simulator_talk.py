@@ -5,6 +5,7 @@ Must not live here: what can be told (simulator/control.py).
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import sys
@@ -27,8 +28,10 @@ def control_path(pty: Path | None, control: Path | None) -> Path | None:
     return pty.with_name(pty.name + ".control") if pty is not None else None
 
 
-def tell_simulator(path: Path | None, lines: tuple[str, ...]) -> None:
+def tell_simulator(path: Path | None, lines: tuple[str, ...], *, as_json: bool) -> None:
     """Tell a running simulator lines, one after another, and print what it answers.
+
+    As JSON it is printed when all of them are done, or when one is wrong.
 
     Raises:
         CommandError: It is not there, or says that a line is wrong.
@@ -36,17 +39,32 @@ def tell_simulator(path: Path | None, lines: tuple[str, ...]) -> None:
     if path is None:
         remedy = "give the --pty or the --control that the simulator was started with"
         raise CommandError(Exit.USAGE, Problem("--tell does not know whom to tell", remedy))
-    for line in lines:
-        try:
-            answer = tell(path, line)
-        except ControlError as exc:
-            raise CommandError(Exit.FAILED, Problem(str(exc))) from exc
-        except OSError as exc:
-            problem = f"no simulator is told through {path}: {exc.strerror or exc}"
-            remedy = "start it with `lecombus simulate`, and name its --pty or --control here"
-            raise CommandError(Exit.UNREACHABLE, Problem(problem, remedy)) from exc
-        if answer:
-            click.echo(answer)
+    told: list[dict[str, str]] = []
+    try:
+        for line in lines:
+            answer = _tell(path, line)
+            told.append({"told": line, "answer": answer})
+            if answer and not as_json:
+                click.echo(answer)
+    finally:
+        if as_json:
+            click.echo(json.dumps(told, ensure_ascii=False))
+
+
+def _tell(path: Path, line: str) -> str:
+    """Tell one line and give the answer.
+
+    Raises:
+        CommandError: The simulator is not there, or says that the line is wrong.
+    """
+    try:
+        return tell(path, line)
+    except ControlError as exc:
+        raise CommandError(Exit.FAILED, Problem(str(exc))) from exc
+    except OSError as exc:
+        problem = f"no simulator is told through {path}: {exc.strerror or exc}"
+        remedy = "start it with `lecombus simulate`, and name its --pty or --control here"
+        raise CommandError(Exit.UNREACHABLE, Problem(problem, remedy)) from exc
 
 
 def listen_to_terminal(do: Callable[[str], str]) -> bool:

@@ -175,7 +175,9 @@ def _gathered(keys: tuple[str, ...]) -> list[str]:
     if len(of_drives) < 2:
         return list(keys)
     others = [key for key in keys if key not in of_drives]
-    return [*others, f"{of_drives[0]} and {len(of_drives) - 1} more drives'"]
+    more = len(of_drives) - 1
+    of_more = "1 more drive's" if more == 1 else f"{more} more drives'"
+    return [*others, f"{of_drives[0]} and {of_more}"]
 
 
 def _columns(rows: list[tuple[str, ...]]) -> list[str]:

@@ -18,7 +18,7 @@ from functools import cache
 from importlib import resources
 from typing import Final
 
-from lecombus.errors import ConfigError, DescriptionError
+from lecombus.errors import ConfigError, DescriptionError, meant
 from lecombus.protocol.addressing import Code
 
 from .code_entries import CodeBook
@@ -75,7 +75,8 @@ def family(name: str) -> Family:
         DescriptionError: Its data file is wrong.
     """
     if name not in FAMILY_NAMES:
-        raise ConfigError(f"there is no family {name}; {', '.join(FAMILY_NAMES)} are known")
+        remedy = meant(name, FAMILY_NAMES, "the families")
+        raise ConfigError(f"there is no family {name}; {remedy}")
     return load_family(name, _packaged)
 
 

@@ -69,7 +69,7 @@ def url_mistake(url: str, *, others: tuple[str, ...] = ()) -> str | None:
         except ValueError as exc:
             return str(exc)
     elif scheme or not url.startswith("/"):
-        known = ", ".join(SCHEMES)
+        known = ", ".join(one for one in SCHEMES if one != "sim:" or "sim" in others)
         return f"{url!r} is no port: use a device path such as /dev/serial/by-id/.., or {known}"
     return None
 

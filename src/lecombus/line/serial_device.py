@@ -23,6 +23,7 @@ import errno
 import fcntl
 import logging
 import os
+import stat
 import termios
 from pathlib import Path
 
@@ -156,18 +157,17 @@ def _why_not_open(settings: PortSettings, exc: Exception) -> str:
         now = ", ".join(devices.connected()) or "none"
         return f"{path}: no such device; is the adapter plugged in? connected now: {now}"
     if code in (errno.EACCES, errno.EPERM):
-        group = _group(path)
-        return f"{path}: permission denied; the user needs to be in group {group} (usermod -aG)"
+        return f"{path}: permission denied; {_who_may(path)}"
     if code in (errno.EBUSY, errno.EAGAIN):
         return _in_use(path, devices.holders(path))
     if settings.parity == "port" and code == errno.EINVAL and isinstance(exc, termios.error):
-        return f"{path}: the device does not frame 7E1; use `parity: line`"
+        return f"{path}: the device does not frame 7E1; parity `line` needs no such device"
     if settings.direction == "rts" and code in (errno.ENOTTY, errno.EINVAL):
-        return f"{path}: the device has no RTS line; use `direction: adapter`"
+        return f"{path}: the device has no RTS line; direction `adapter` needs none"
     if "RS485" in str(exc):
         return (
-            f"{path}: the driver cannot switch an RS-485 transceiver (direction: kernel); use an "
-            "adapter that switches by itself and `direction: adapter`, or `direction: rts`"
+            f"{path}: the driver cannot switch an RS-485 transceiver (direction `kernel`); use an "
+            "adapter that switches by itself and direction `adapter`, or direction `rts`"
         )
     return f"{path}: cannot be used as a serial port: {reason(exc)}"
 
@@ -177,11 +177,15 @@ def _in_use(path: str, holders: dict[int, str]) -> str:
     return f"{path}: in use by {who}; stop that first, or let it use another port"
 
 
-def _group(path: str) -> str:
-    try:
-        return Path(path).group()
-    except (OSError, KeyError):
-        return "dialout"
+def _who_may(path: str) -> str:
+    """Say who may open a device that this user may not."""
+    group, mode = "dialout", stat.S_IRGRP | stat.S_IWGRP
+    with contextlib.suppress(OSError, KeyError):
+        mode = Path(path).stat().st_mode
+        group = Path(path).group()
+    if mode & stat.S_IRGRP and mode & stat.S_IWGRP:
+        return f"the user needs to be in group {group} (usermod -aG)"
+    return "only its owner may open it: give its group the right to (chmod g+rw), or ask as root"
 
 
 def reason(exc: Exception) -> str:

@@ -262,9 +262,10 @@ def lock_finding(remark: str) -> Finding:
 
 def lapse_finding(lapses: int) -> Finding:
     """Say that lecombus fed the drive's watchdog too late."""
+    often = ("once", "einmal") if lapses == 1 else (f"{lapses} times", f"{lapses}-mal")
     text = Text(
-        f"its watchdog was fed too late {lapses} times since lecombus started, and has acted then",
-        f"die Überwachung wurde seit dem Start {lapses} mal zu spät bedient und hat angesprochen",
+        f"its watchdog was fed too late {often[0]} since lecombus started, and has acted then",
+        f"die Überwachung wurde seit dem Start {often[1]} zu spät bedient und hat angesprochen",
     )
     return Finding("watchdog-lapsed", Weight.HINT, text, LAPSE_REMEDY)
 

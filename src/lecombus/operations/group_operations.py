@@ -25,6 +25,7 @@ from lecombus.errors import (
     OperationError,
     QueueFullError,
     ScheduleError,
+    meant,
 )
 from lecombus.line.station import Station
 from lecombus.operations.endings import REMEDIES, kind_of, stopped_first
@@ -292,6 +293,6 @@ class GroupOperations(StopOperations):
             raise OperationError(
                 f"there is no group {group!r}",
                 kind="no-such-group",
-                remedy="the groups are: " + ", ".join(self._groups),
+                remedy=meant(group, self._groups, "the groups"),
             )
         return entry

@@ -11,7 +11,14 @@ import asyncio
 from collections import Counter
 from collections.abc import Callable
 
-from lecombus.errors import CutReplyError, ExchangeError, LecombusError, LineError, OperationError
+from lecombus.errors import (
+    CutReplyError,
+    ExchangeError,
+    LecombusError,
+    LineError,
+    OperationError,
+    meant,
+)
 from lecombus.line.jobs import ReadJob
 from lecombus.line.station import Station
 from lecombus.line.worker import LineWorker
@@ -105,7 +112,7 @@ class Requests:
                 f"there is no drive {name!r} on this line",
                 kind="no-such-drive",
                 drive=name,
-                remedy="the drives are: " + ", ".join(self._stations),
+                remedy=meant(name, self._stations, "the drives"),
             )
         return station
 

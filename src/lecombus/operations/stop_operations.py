@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 from lecombus.drives import StopAction, knows_stop, needs_control_word, stop_value
 from lecombus.drives.stops import usable_word
-from lecombus.errors import OperationError
+from lecombus.errors import OperationError, meant
 from lecombus.line.station import Station
 from lecombus.line.stop_job import STOP_PATIENCE_S, StopJob
 from lecombus.operations.control_words import ControlWords
@@ -144,7 +144,7 @@ class StopOperations(Operations):
             f"there is no drive and no group {target!r}",
             kind="no-such-drive",
             drive=target,
-            remedy="they are: " + ", ".join((*self._entries, *self._groups)),
+            remedy=meant(target, (*self._entries, *self._groups), "they"),
         )
 
     def _shared_stop(

@@ -126,7 +126,7 @@ class Wear:
         limit = self._entries[drive].stored_writes
         raise OperationError(
             f"{code} of {drive} is stored in the drive at every write, and was written "
-            f"{limit.burst} times in a short time",
+            f"{'once' if limit.burst == 1 else f'{limit.burst} times'} in a short time",
             kind="too-many-writes",
             drive=drive,
             code=str(code),

@@ -39,7 +39,7 @@ def why_nothing(
             who = "the port frames 7E1 itself" if parity == "line" else "the port frames 8N1"
             return (
                 f"address {address} answers, but no character has the parity expected: {who}",
-                f"try --parity {other}, and write `parity: {other}` in the roster",
+                f"try --parity {other}; a roster then needs `parity: {other}`",
             )
     if heard:
         address, received = next(((one.address, one.received) for one in unclear), heard[-1])

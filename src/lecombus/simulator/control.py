@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import Final, Protocol, TypeVar
 
 from lecombus.durations import DurationError, parse_duration
@@ -100,7 +101,9 @@ class Control:
             return self.line[int(word) if word.isdecimal() else word]
         except KeyError:
             there = ", ".join(drive.name for drive in self.line.drives)
-            raise ControlError(f"there is no drive `{word}`: one of {there}") from None
+            near = get_close_matches(word, [drive.name for drive in self.line.drives], n=1)
+            right = f"did you mean {near[0]}?" if near else f"one of {there}"
+            raise ControlError(f"there is no drive `{word}`: {right}") from None
 
 
 # The commands. Each is given the words after its name, as many as its form has.
@@ -197,7 +200,8 @@ def _wear(control: Control, words: list[str]) -> str:
     drive = control.drive(words[0])
     counts = sorted(drive.model.params.wear.items(), key=lambda item: -item[1])
     lines = [f"{code_text(*key)}: {count}" for key, count in counts]
-    return "\n".join((f"{drive.name}: {drive.wear} writes into its memory", *lines))
+    writes = "1 write" if drive.wear == 1 else f"{drive.wear} writes"
+    return "\n".join((f"{drive.name}: {writes} into its memory", *lines))
 
 
 def _terminal(control: Control, words: list[str]) -> str:

@@ -54,14 +54,14 @@ def _state(drive: SimDrive) -> str:
 
 def describe(drive: SimDrive) -> str:
     """All about a drive, a line each."""
-    model = drive.model
+    model, fired = drive.model, drive.watchdog_fired
     lines = (
         summary(drive),
         f"  baud rate           {drive.baud}",
         f"  control word        H{model.control:04X}",
         f"  enable terminal     {'closed' if model.terminal_enable else 'open'}",
         f"  fault memory        {' '.join(map(str, model.troubles.memory)) or 'empty'}",
-        f"  watchdog expired    {drive.watchdog_fired} times",
+        f"  watchdog acted      {'once' if fired == 1 else f'{fired} times'}",
         f"  writes into memory  {drive.wear}",
         f"  telegrams heard     {drive.heard}",
     )
