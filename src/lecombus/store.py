@@ -345,6 +345,10 @@ class Store:
         """Return how the line is doing."""
         return self._judge.line()
 
+    def time_of_day(self) -> float:
+        """Return what time it is, Unix seconds."""
+        return self._wall()
+
     def subscribe(self, subscriber: Subscriber) -> None:
         """Call `subscriber` after every change; it must return at once and never raise."""
         self._subscribers = (*self._subscribers, subscriber)

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Awaitable, Callable
 from itertools import pairwise
 
 import anyio
 import pytest
 
-from lecombus.drives import FAMILY_NAMES, Language, family
+from lecombus.drives import FAMILY_NAMES, Language, StopAction, Verb, family
 from lecombus.drives.faults.reasons import Weight, asked_codes, load_reasons, reasons
 from lecombus.errors import DescriptionError, OperationError
 from lecombus.operations.findings import WhyReport
+from lecombus.operations.reports import VerbReport
 from lecombus.protocol.addressing import Code
 from lecombus.readings import DriveState
+from lecombus.schedule import Outcome
 from support.site_host import Plant, roster_of, until, with_plant
 
 FAMILIES = [
@@ -382,3 +385,133 @@ def test_a_wrong_reason_is_refused_with_its_place(old: str, new: str, why: str) 
     assert len(load_reasons({"reasons.yaml": RULE}.__getitem__)) == 1
     with pytest.raises(DescriptionError, match=why):
         load_reasons({"reasons.yaml": RULE.replace(old, new, 1)}.__getitem__)
+
+
+# ---- the last enable ------------------------------------------------------------------------
+
+
+async def enable(plant: Plant, drive: str) -> VerbReport:
+    return await plant.site.operations.verb(drive, Verb.ENABLE)
+
+
+@pytest.mark.parametrize("drive", [one for one in TRIPS if one != "fan"])
+def test_an_enable_that_was_taken_back_is_remembered_until_one_succeeds(drive: str) -> None:
+    async def test(plant: Plant) -> None:
+        model = plant.line[drive].model
+        model.set_terminal(high=False)
+        report = await enable(plant, drive)
+        assert report.outcome is Outcome.REFUSED
+        model.set_terminal(high=True)
+        for fresh in (True, False):
+            why = await plant.site.operations.why(drive, fresh=fresh)
+            first = why.findings[0]
+            assert (first.name, first.weight) == ("enable-taken-back", Weight.REASON)
+            assert "was taken back: " in why.answer.en
+            assert report.reason in why.answer.en
+            assert report.cause in why.answer.en
+            assert "lecombus enable" in first.remedy.en
+            assert "inhibited-by-line" in names(why)
+        last = why.as_json(Language.DE)["last_enable"]
+        assert isinstance(last, dict)
+        assert (last["outcome"], last["taken_back"]) == ("refused", True)
+        assert str(last["time"]) in why.answer.en
+        assert (last["reason"], last["cause"]) == (report.reason, report.cause)
+        assert (await enable(plant, drive)).outcome is Outcome.VERIFIED
+        why = await plant.site.operations.why(drive, fresh=True)
+        assert not any(name.startswith("enable-") for name in names(why))
+        assert why.as_json(Language.EN)["last_enable"] is None
+
+    at(drive, test)
+
+
+def test_an_enable_that_was_refused_is_remembered_with_its_remedy() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.site.operations.write("belt", Code(1), 0)
+        with pytest.raises(OperationError) as refused:
+            await enable(plant, "belt")
+        why = await plant.site.operations.why("belt", fresh=True)
+        (found,) = [one for one in why.findings if one.name == "enable-refused"]
+        assert (found.weight, found.remedy.en) == (Weight.HINT, refused.value.remedy)
+        assert str(refused.value) in found.text.en
+        assert "was refused: " in found.text.en
+        # Enabled in another way: what was refused then explains nothing now.
+        await plant.site.operations.write("belt", Code(1), 3)
+        await run_motor(plant, "belt")
+        why = await plant.site.operations.why("belt", fresh=True)
+        assert why.last_enable is None
+        await plant.site.operations.write("belt", Code(40), 0)
+        assert (await plant.site.operations.why("belt", fresh=True)).last_enable is None
+
+    drives = [one for one in FAMILIES if one[0] == "belt"]
+    roster = roster_of(drives, drive=", also_writable: [C0001]")
+
+    async def main(plant: Plant) -> None:
+        await plant.online()
+        await test(plant)
+
+    with_plant(main, roster)
+
+
+def test_a_refused_enable_of_an_smvector_whose_network_terminal_is_open_is_remembered() -> None:
+    async def test(plant: Plant) -> None:
+        plant.line["fan"].model.set_terminal(high=False)
+        report = await enable(plant, "fan")
+        assert report.outcome is Outcome.REFUSED
+        why = await plant.site.operations.why("fan", fresh=True)
+        assert why.last_enable is not None
+        assert why.last_enable.reason == report.reason
+        assert "was refused: " in why.answer.en
+        assert why.findings[0].name == "enable-refused"
+        plant.line["fan"].model.set_terminal(high=True)
+        assert (await enable(plant, "fan")).outcome is Outcome.VERIFIED
+        assert (await plant.site.operations.why("fan")).last_enable is None
+
+    at("fan", test)
+
+
+def test_an_enable_that_a_stop_ended_is_no_refusal() -> None:
+    async def test(plant: Plant) -> None:
+        enabling = asyncio.create_task(enable(plant, "vector"))
+        await anyio.sleep(0.05)
+        await plant.site.operations.stop(StopAction.INHIBIT, "vector")
+        assert (await enabling).outcome is Outcome.SUPERSEDED
+        assert (await plant.site.operations.why("vector", fresh=True)).last_enable is None
+
+    at("vector", test)
+
+
+def test_another_drive_of_the_same_name_has_no_last_enable() -> None:
+    async def test(plant: Plant) -> None:
+        plant.line["vector"].model.set_terminal(high=False)
+        assert (await enable(plant, "vector")).outcome is Outcome.REFUSED
+        operations, roster = plant.site.operations, plant.site.roster
+        operations.set_roster(roster.drives, roster.groups)
+        assert (await operations.why("vector")).last_enable is not None
+        other = roster.drives[0].model_copy(update={"address": 15})
+        operations.set_roster([other], roster.groups)
+        operations.set_roster(roster.drives, roster.groups)
+        assert (await operations.why("vector")).last_enable is None
+
+    at("vector", test)
+
+
+@pytest.mark.parametrize(("drive", "unseen"), [("vector", True), ("servo", True), ("belt", False)])
+def test_a_quick_stop_of_the_watchdog_that_no_word_shows_is_a_hint_until_an_enable(
+    drive: str, unseen: bool
+) -> None:
+    async def main(plant: Plant) -> None:
+        await plant.online(within_s=60.0)
+        assert (await enable(plant, drive)).outcome is Outcome.VERIFIED
+        plant.end.unplug()
+        await anyio.sleep(4.0)
+        plant.end.replug()
+        await plant.online(within_s=60.0)
+        for told in (unseen, False):
+            why = await plant.site.operations.why(drive, fresh=True)
+            (lapse,) = [one for one in why.findings if one.name == "watchdog-lapsed"]
+            assert ("no status word of this family shows one" in lapse.text.en) is told
+            assert (await enable(plant, drive)).outcome is Outcome.VERIFIED
+
+    chosen = [one for one in FAMILIES if one[0] == drive]
+    watchdog = "{time: 2s, action: quick-stop, configure: true}"
+    with_plant(main, roster_of(chosen, watchdog=watchdog), word_as_written=True)

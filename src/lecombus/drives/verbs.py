@@ -48,6 +48,7 @@ __all__ = [
     "reset_steps",
     "shown_stops",
     "states",
+    "status_shows_quick_stop",
     "stop_words",
 ]
 
@@ -153,7 +154,7 @@ def enable_steps(known: Known) -> tuple[VerbStep, ...]:
         if quick_stopped and not word & bits.quick_stop:
             # Only a change may lift what did not come by this word: the watchdog's, for one.
             steps.append(BitsStep(bits.code, set_mask=bits.quick_stop))
-        unseen = not _status_shows_quick_stop(known)
+        unseen = not status_shows_quick_stop(known.configured)
         if quick_stopped or word & (bits.quick_stop | bits.inhibit) or unseen:
             mask = bits.quick_stop | bits.inhibit
             steps.append(BitsStep(bits.code, clear_mask=mask, always=unseen))
@@ -230,11 +231,11 @@ def _line_controls(known: Known, rules: VerbRules) -> bool:
     return next(objections(known, rules, Access.CONTROL_WORD), None) is None
 
 
-def _status_shows_quick_stop(known: Known) -> bool:
+def status_shows_quick_stop(family: Family) -> bool:
     """Say whether a status word of the family tells a quick stop, whoever set it."""
     return any(
         rule.state is OperatingState.QUICK_STOP
-        for word in known.configured.words.values()
+        for word in family.words.values()
         for rule in word.states
     )
 

@@ -98,6 +98,11 @@ class Operations:
 
     def set_roster(self, entries: Sequence[DriveEntry], groups: Mapping[str, GroupEntry]) -> None:
         """Take the roster's drives and groups, at the start and at every reload."""
+        now = {entry.name: (entry.address, entry.family) for entry in entries}
+        self._why.forget(
+            name for name, entry in self._entries.items()
+            if now.get(name) != (entry.address, entry.family)
+        )  # fmt: skip
         self._entries = {entry.name: entry for entry in entries}
         self._groups = dict(groups)
         self._permissions.entries = self._entries

@@ -34,9 +34,11 @@ from lecombus.readings import (
 
 __all__ = [
     "Finding",
+    "LastEnable",
     "MemoryEntry",
     "WhyReport",
     "answer_of",
+    "enable_finding",
     "fault_finding",
     "finding_of",
     "lapse_finding",
@@ -115,6 +117,40 @@ class MemoryEntry:
 
 
 @dataclass(frozen=True, slots=True)
+class LastEnable:
+    """The last enable of a drive, where it was refused or taken back.
+
+    Args:
+        at_s: When it ended, Unix seconds.
+        outcome: `refused` or `unknown`.
+        taken_back: The drive took it, did not show it, and was inhibited again.
+        reason: What happened.
+        cause: Why, probably.
+        remedy: What to do.
+        by_drive: The drive refused or ignored it; else a setting kept it from being sent.
+    """
+
+    at_s: float
+    outcome: str
+    taken_back: bool
+    reason: str
+    cause: str
+    remedy: str
+    by_drive: bool
+
+    def as_json(self) -> dict[str, Json]:
+        """Return the JSON form."""
+        return {
+            "time": rfc3339(self.at_s),
+            "outcome": self.outcome,
+            "taken_back": self.taken_back,
+            "reason": self.reason or None,
+            "cause": self.cause or None,
+            "remedy": self.remedy or None,
+        }
+
+
+@dataclass(frozen=True, slots=True)
 class WhyReport:
     """Why a drive does not turn, as far as that is known.
 
@@ -126,6 +162,7 @@ class WhyReport:
         output: Its output frequency or speed, as known.
         history: Its fault memories that hold a fault, the newest first.
         history_known: Whether any of them has been read.
+        last_enable: The last enable, where it was refused or taken back and none succeeded since.
     """
 
     drive: DriveInfo
@@ -135,6 +172,7 @@ class WhyReport:
     output: Reading | None
     history: tuple[MemoryEntry, ...]
     history_known: bool
+    last_enable: LastEnable | None = None
 
     def as_json(self, language: Language) -> dict[str, Json]:
         """Return the JSON form in a language."""
@@ -157,6 +195,7 @@ class WhyReport:
             },
             "history": [one.as_json(language) for one in self.history],
             "history_known": self.history_known,
+            "last_enable": None if self.last_enable is None else self.last_enable.as_json(),
         }  # fmt: skip
 
 
@@ -182,6 +221,12 @@ STARTING_REMEDY: Final = Text(
 LAPSE_REMEDY: Final = Text(
     "see lecombus_watchdog_misses_total; a longer time, fewer drives or a higher baud rate",
     "siehe lecombus_watchdog_misses_total; längere Zeit, weniger Antriebe oder höhere Baudrate",
+)
+UNSEEN_STOP: Final = Text(
+    "a quick stop that it set may last, for no status word of this family shows one: lecombus "
+    "enable releases it when the motor may turn",
+    "ein Quickstop davon kann noch bestehen, denn kein Statuswort dieser Familie zeigt ihn: "
+    "lecombus enable löst ihn, wenn der Motor drehen darf",
 )
 NUMBER_REMEDY: Final = Text(
     "look at the keypad, or in the fault memories below",
@@ -260,13 +305,37 @@ def lock_finding(remark: str) -> Finding:
     return Finding("locked", Weight.HINT, text, Text("", ""))
 
 
-def lapse_finding(lapses: int) -> Finding:
-    """Say that lecombus fed the drive's watchdog too late."""
+def enable_finding(last: LastEnable) -> Finding:
+    """Say that the last enable was refused or taken back, and why."""
+    en, de = ("taken back", "zurückgenommen") if last.taken_back else ("refused", "abgelehnt")
+    if not last.taken_back and last.outcome != "refused":
+        en, de = "not brought to its end", "nicht zu Ende geführt"
+    why = "; ".join(filter(None, (last.reason, last.cause)))
+    time = rfc3339(last.at_s)
+    text = Text(
+        f"the last enable, at {time}, was {en}: {why}",
+        f"die letzte Freigabe, um {time}, wurde {de}: {why}",
+    )
+    # A setting that is still in the way is a reason of its own.
+    weight = Weight.REASON if last.by_drive else Weight.HINT
+    name = "enable-taken-back" if last.taken_back else "enable-refused"
+    return Finding(name, weight, text, Text(last.remedy, last.remedy))
+
+
+def lapse_finding(lapses: int, *, unseen: bool) -> Finding:
+    """Say that lecombus fed the drive's watchdog too late.
+
+    Args:
+        lapses: How often since lecombus started.
+        unseen: It was not enabled since, and no status word of it shows a quick stop.
+    """
     often = ("once", "einmal") if lapses == 1 else (f"{lapses} times", f"{lapses}-mal")
     text = Text(
         f"its watchdog was fed too late {often[0]} since lecombus started, and has acted then",
         f"die Überwachung wurde seit dem Start {often[1]} zu spät bedient und hat angesprochen",
     )
+    if unseen:
+        text = Text(f"{text.en}; {UNSEEN_STOP.en}", f"{text.de}; {UNSEEN_STOP.de}")
     return Finding("watchdog-lapsed", Weight.HINT, text, LAPSE_REMEDY)
 
 

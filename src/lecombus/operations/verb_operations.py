@@ -34,6 +34,7 @@ from lecombus.drives.verbs import (
     reset_steps,
     stop_words,
 )
+from lecombus.errors import OperationError
 from lecombus.operations.reports import VerbReport, WriteReport
 from lecombus.operations.step_operations import TROUBLE, StepOperations, words_of
 from lecombus.operations.stop_operations import STOP_REMEDY
@@ -91,15 +92,29 @@ class VerbOperations(StepOperations):
         self._permissions.check_ready(drive)
         expires_at_s = None if expires_s is None else self._clock() + expires_s
         run = Run(station, verb, self._stops_said[drive], expires_at_s, verify)
+        # A setpoint may follow another that is under way.
+        with contextlib.nullcontext() if verb is Verb.SET_SPEED else self._alone(drive, verb):
+            try:
+                report = await self._whole(run, value, unit)
+            except OperationError as exc:
+                if verb is Verb.ENABLE:
+                    self._why.enable_refused(drive, exc)
+                raise
+            if verb is Verb.ENABLE:
+                self._why.enable_ended(report, taken_back=run.taken_back)
+            return report
+
+    async def _whole(self, run: Run, value: Decimal | None, unit: str) -> VerbReport:
+        """Carry out a verb to its end, also where something goes wrong half way."""
+        name, verb = run.station.name, run.verb
         try:
             if verb is Verb.SET_SPEED:
                 assert value is not None
                 return await self._set_speed(run, value, unit)
-            with self._alone(drive, verb):
-                known = await self._learn(station, questions(drive, station.family, verb))
-                if verb is Verb.ENABLE:
-                    return await self._enable(run, known)
-                return await self._reset_fault(run, known)
+            known = await self._learn(run.station, questions(name, run.station.family, verb))
+            if verb is Verb.ENABLE:
+                return await self._enable(run, known)
+            return await self._reset_fault(run, known)
         except TROUBLE as exc:
             if not run.written:
                 raise
@@ -158,8 +173,9 @@ class VerbOperations(StepOperations):
     async def _take_back(self, run: Run, report: WriteReport) -> VerbReport:
         """Inhibit a drive that did not show its enable, so that it does not start by itself."""
         undone = (await self.stop(StopAction.INHIBIT, run.station.name)).members[0]
+        run.taken_back = undone.outcome is Outcome.VERIFIED
         remedy = f"{report.remedy}; it was inhibited again, so that it does not start by itself"
-        if undone.outcome is not Outcome.VERIFIED:
+        if not run.taken_back:
             remedy = f"the enable could not be taken back ({undone.reason}): {STOP_REMEDY}"
         shown = await self._states(run.station)
         return told(run, replace(report, remedy=remedy), states=shown)

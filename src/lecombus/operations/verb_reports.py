@@ -49,6 +49,7 @@ class Run:
         expires_at_s: No write of it is begun after this.
         verify: Read back what is written.
         written: What went out.
+        taken_back: It was an enable that the drive did not show, and was inhibited again.
     """
 
     station: Station
@@ -58,6 +59,7 @@ class Run:
     verify: bool = False
     lifts: int | None = None
     written: list[tuple[Code, str]] = field(default_factory=list)
+    taken_back: bool = False
 
 
 def may_have_happened(report: WriteReport) -> bool:

@@ -3,7 +3,8 @@
 Strategy: nothing is concluded that is not known. What the line and the drive's own state say
 comes first (a drive that is silent says nothing more), then the fault it shows, then what its
 words and values say by the reasons of the data files (`drives.faults.reasons`), then what lecombus
-itself knows (locks, a watchdog fed too late), then the fault memories. A value that is not fresh
+itself knows (locks, a watchdog fed too late), then the fault memories. An enable that was refused
+or taken back is remembered, with its cause, until one succeeds. A value that is not fresh
 is used and called stale; one that is not known proves nothing. With `fresh` the few codes that
 matter are read first, in the interactive class.
 
@@ -12,19 +13,23 @@ What must not live here: HTTP, terminals, what a fault number or a bit means.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Final
 
-from lecombus.drives import Family
+from lecombus.drives import Family, Verb
 from lecombus.drives.faults import NO_FAULT
 from lecombus.drives.faults.reasons import Weight, asked_codes, holding
 from lecombus.drives.operating import OperatingState, join_states
-from lecombus.errors import LecombusError, LineError, UnknownCodeError
+from lecombus.drives.verb_facts import Known
+from lecombus.drives.verbs import is_enabled, status_shows_quick_stop
+from lecombus.errors import LecombusError, LineError, OperationError, UnknownCodeError
 from lecombus.operations.findings import (
     Finding,
+    LastEnable,
     MemoryEntry,
     WhyReport,
     answer_of,
+    enable_finding,
     fault_finding,
     finding_of,
     lapse_finding,
@@ -33,6 +38,7 @@ from lecombus.operations.findings import (
     silence_finding,
     state_finding,
 )
+from lecombus.operations.reports import VerbReport
 from lecombus.operations.requests import Requests
 from lecombus.protocol.addressing import Code
 from lecombus.readings import (
@@ -44,13 +50,18 @@ from lecombus.readings import (
     Quality,
     Reading,
 )
-from lecombus.schedule import Priority
+from lecombus.schedule import Outcome, Priority
 from lecombus.store import Store
 
 __all__ = ["Why"]
 
 FRESH_S: Final = 8.0
 """Reading what matters is given up after this; what was read by then is told."""
+
+TAKEN_BACK_REMEDY: Final = (
+    "put that in order, then enable it again (lecombus enable); until then it stays inhibited, so "
+    "that it does not start by itself"
+)
 
 OUTPUT: Final = Code(50)
 CONTROL_WORD: Final = Code(135)
@@ -72,6 +83,37 @@ class Why:
         self._requests = requests
         self._store = store
         self._clock = clock
+        self._enables: dict[str, LastEnable] = {}
+        self._lapses_then: dict[str, int] = {}
+
+    def enable_ended(self, report: VerbReport, *, taken_back: bool) -> None:
+        """Remember an enable that failed until one succeeds; one that a stop ended says nothing."""
+        drive = report.drive
+        if report.outcome in (Outcome.DONE, Outcome.VERIFIED):
+            self._enables.pop(drive, None)
+            self._lapses_then[drive] = self._lapses(drive)
+        elif report.outcome is not Outcome.SUPERSEDED:
+            self._remember(report, taken_back=taken_back, by_drive=True)
+
+    def enable_refused(self, drive: str, error: OperationError) -> None:
+        """Remember an enable that was refused before anything was sent."""
+        report = VerbReport(
+            drive, Verb.ENABLE, Outcome.REFUSED, str(error), kind=error.kind, remedy=error.remedy
+        )
+        self._remember(report, taken_back=False, by_drive=False)
+
+    def forget(self, drives: Iterable[str]) -> None:
+        """Forget what was remembered of drives that are others now."""
+        for drive in drives:
+            self._enables.pop(drive, None)
+            self._lapses_then.pop(drive, None)
+
+    def _remember(self, report: VerbReport, *, taken_back: bool, by_drive: bool) -> None:
+        remedy = TAKEN_BACK_REMEDY if taken_back else report.remedy
+        self._enables[report.drive] = LastEnable(
+            self._store.time_of_day(), report.outcome.value, taken_back, report.reason,
+            report.cause, remedy, by_drive,
+        )  # fmt: skip
 
     async def why(self, drive: str, *, fresh: bool = False) -> WhyReport:
         """Say why a drive does not turn.
@@ -94,7 +136,10 @@ class Why:
         family = self._family(drive)
         values = self._values(drive, self._codes(family))
         states = shown_states(family, values)
+        last_enable = self._last_enable(drive, values)
         findings = self._own(info)
+        if last_enable is not None:
+            findings.append(enable_finding(last_enable))
         absent = self._absent(drive, family)
         known = {code: one.value for code, one in values.items() if one.value is not None}
         findings += [
@@ -114,7 +159,22 @@ class Why:
             output,
             history,
             is_known,
+            last_enable,
         )
+
+    def _last_enable(self, drive: str, values: Mapping[Code, Reading]) -> LastEnable | None:
+        """Give the last enable if it failed, unless the drive shows now that it is enabled."""
+        last = self._enables.get(drive)
+        family = self._store.family(drive)
+        good = {
+            code: one.value
+            for code, one in values.items()
+            if one.value is not None and one.quality is Quality.GOOD
+        }
+        if last is not None and family.verbs and is_enabled(Known(drive, family, good)):
+            del self._enables[drive]
+            return None
+        return last
 
     # -- what is asked -----------------------------------------------------------------------------
 
@@ -196,11 +256,16 @@ class Why:
     def _more(self, info: DriveInfo) -> list[Finding]:
         """What lecombus knows besides: what locks it, and a watchdog that was fed too late."""
         found = [lock_finding(info.remarks[lock]) for lock in WRITE_LOCKS if lock in info.remarks]
-        feeds = self._requests.worker.schedule.stats(self._clock()).feeds
-        feed = feeds.get(info.name)
-        if feed is not None and feed.lapses:
-            found.append(lapse_finding(feed.lapses))
+        lapses = self._lapses(info.name)
+        if lapses:
+            since = lapses > self._lapses_then.get(info.name, 0)
+            seen = status_shows_quick_stop(self._store.family(info.name))
+            found.append(lapse_finding(lapses, unseen=since and not seen))
         return found
+
+    def _lapses(self, drive: str) -> int:
+        feed = self._requests.worker.schedule.stats(self._clock()).feeds.get(drive)
+        return feed.lapses if feed is not None else 0
 
     def _history(self, drive: str, family: Family) -> tuple[tuple[MemoryEntry, ...], bool]:
         table = family.fault_table

@@ -8,7 +8,13 @@ from pydantic import Field
 
 from lecombus.api.documents.common import Document, Exact, Scalar
 
-__all__ = ["FindingDocument", "MemoryDocument", "OutputDocument", "WhyDocument"]
+__all__ = [
+    "FindingDocument",
+    "LastEnableDocument",
+    "MemoryDocument",
+    "OutputDocument",
+    "WhyDocument",
+]
 
 
 class FindingDocument(Document):
@@ -44,6 +50,19 @@ class OutputDocument(Document):
     stale: bool
 
 
+class LastEnableDocument(Document):
+    """The last enable, where it was refused or taken back and none succeeded since."""
+
+    time: str
+    outcome: Annotated[str, Field(description="refused, or unknown")]
+    taken_back: Annotated[
+        bool, Field(description="The drive did not show the enable and was inhibited again")
+    ]
+    reason: str | None
+    cause: Annotated[str | None, Field(description="Why, probably")]
+    remedy: str | None
+
+
 class WhyDocument(Document):
     """Why a drive does not turn."""
 
@@ -58,3 +77,4 @@ class WhyDocument(Document):
     output: OutputDocument | None
     history: list[MemoryDocument]
     history_known: Annotated[bool, Field(description="Whether a fault memory has been read")]
+    last_enable: LastEnableDocument | None
