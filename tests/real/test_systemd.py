@@ -159,7 +159,55 @@ def test_a_silent_drive_and_a_missed_watchdog_raise_alerts(tmp_path: Path) -> No
             }
         ],
     }
+    assert_alerts(tmp_path, cases)
+
+
+def assert_alerts(tmp_path: Path, cases: dict[str, object]) -> None:
     path = tmp_path / "alerts.yml"
     path.write_text(json.dumps(cases))
     done = run(require("promtool"), "test", "rules", path)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("number", ["50", None])
+def test_a_trip_raises_an_alert_at_once_with_its_number_and_no_other_drive_does(
+    tmp_path: Path, number: str | None
+) -> None:
+    """From the page of a drive that trips after a minute, for a minute."""
+    feeder, belt = ('line="hall-3",drive="feeder"', 'line="hall-3",drive="belt"')
+    series = [
+        {"series": f"lecombus_drive_fault{{{feeder}}}", "values": "0x11 1x11 0x20"},
+        {"series": f"lecombus_drive_fault{{{belt}}}", "values": "0x60"},
+    ]
+    if number is not None:
+        name = f'lecombus_drive_fault_number{{{feeder},kind="trip"}}'
+        series.append({"series": name, "values": f"_x11 {number}x11 _x20"})
+    told = number or "not known yet"
+    alert = {
+        "exp_labels": {"severity": "critical", "line": "hall-3", "drive": "feeder"},
+        "exp_annotations": {
+            "summary": "drive feeder on line hall-3 has tripped",
+            "description": (
+                f"LECOM fault number: {told}. lecombus why names the fault, its usual cause and "
+                "what to do; lecombus reset-fault resets it."
+            ),
+        },
+    }
+    expected = {"50s": [], "65s": [alert], "110s": [alert], "200s": []}
+    assert_alerts(
+        tmp_path,
+        {
+            "rule_files": [str(DEPLOY / "prometheus" / "lecombus.rules.yml")],
+            "evaluation_interval": "5s",
+            "tests": [
+                {
+                    "interval": "5s",
+                    "input_series": series,
+                    "alert_rule_test": [
+                        {"eval_time": at, "alertname": "LecombusDriveTripped", "exp_alerts": alerts}
+                        for at, alerts in expected.items()
+                    ],
+                }
+            ],
+        },
+    )
