@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import os
 import selectors
 import socket
@@ -363,3 +364,13 @@ def test_cancelling_an_opening_leaves_no_connection(server: Server) -> None:
     before = len(os.listdir("/proc/self/fd"))  # noqa: PTH208
     run(main)
     assert len(os.listdir("/proc/self/fd")) == before  # noqa: PTH208
+
+
+def test_a_server_that_the_service_may_not_reach_names_the_drop_in(
+    server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def forbidden(*args: object, **kwargs: object) -> None:
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(asyncio.BaseEventLoop, "create_connection", forbidden)
+    assert "drop-in device-server.conf" in refused(server.url)

@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+from ipaddress import ip_network
 from pathlib import Path
 
 import pytest
@@ -68,11 +69,93 @@ def test_the_unit_exposes_little_of_the_system(unit: Path) -> None:
         require("systemd-analyze"),
         "security",
         "--offline=yes",
-        "--threshold=20",
+        "--threshold=12",
         "--no-pager",
         unit,
     )
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr
+
+
+def test_the_unit_speaks_with_this_machine_only() -> None:
+    for line in ("IPAddressDeny=any", "IPAddressAllow=localhost"):
+        assert f"\n{line}\n" in UNIT.read_text()
+
+
+def drop_in(unit: Path, name: str) -> Path:
+    """Install one of the drop-ins that are shipped beside the unit."""
+    dropped = unit.with_name(f"{unit.name}.d") / name
+    dropped.parent.mkdir()
+    dropped.write_text((DEPLOY / name).read_text())
+    return dropped
+
+
+def test_users_of_the_socket_can_be_told_apart_by_a_drop_in(unit: Path) -> None:
+    dropped = drop_in(unit, "tell-users-apart.conf")
+    assert complaints(unit) == ""
+    dropped.write_text(dropped.read_text().replace("PrivateUsers=no", "PrivateUsers=perhaps"))
+    assert complaints(unit) != "", "the check would see a mistake"
+
+
+NAMESPACE = """
+import ctypes, os, sys
+port, user, group, dialout = sys.argv[1], *map(int, sys.argv[2:])
+ready, go = os.pipe(), os.pipe()
+child = os.fork()
+if not child:
+    os.setgroups([dialout])
+    os.setresgid(group, group, group)
+    os.setresuid(user, user, user)
+    libc = ctypes.CDLL(None, use_errno=True)
+    libc.prctl(4, 1, 0, 0, 0)  # PR_SET_DUMPABLE: the parent writes the maps
+    if libc.unshare(0x10000000):  # CLONE_NEWUSER
+        os._exit(77)
+    os.write(ready[1], b"x")
+    os.read(go[0], 1)
+    assert dialout not in os.getgroups()
+    os.open(port, os.O_RDWR | os.O_NOCTTY)
+    os._exit(0)
+os.close(ready[1])
+if os.read(ready[0], 1):
+    for name, text in (
+        ("setgroups", "deny"),
+        ("uid_map", f"0 0 1\\n{user} {user} 1\\n"),
+        ("gid_map", f"0 0 1\\n{group} {group} 1\\n"),
+    ):
+        with open(f"/proc/{child}/{name}", "w") as file:
+            file.write(text)
+    os.write(go[1], b"x")
+sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+"""What systemd does for PrivateUsers=yes: groups and user first, then a namespace of two users."""
+
+
+def test_a_serial_port_of_the_group_opens_with_private_users() -> None:
+    if os.getuid():
+        missing("only root may set users and groups")
+    far, near = os.openpty()
+    user, dialout = 4242, 4343
+    try:
+        os.chown(near, 0, dialout)
+        os.fchmod(near, 0o660)
+        words = [os.ttyname(near), str(user), str(user)]
+        done = run(sys.executable, "-c", NAMESPACE, *words, str(dialout))
+        if done.returncode == 77:
+            missing("no user namespaces here")
+        assert done.returncode == 0, done.stderr
+        other = run(sys.executable, "-c", NAMESPACE, *words, str(dialout + 1))
+        assert "PermissionError" in other.stderr, "another group does not open it"
+    finally:
+        os.close(far)
+        os.close(near)
+
+
+def test_a_device_server_has_its_drop_in(unit: Path) -> None:
+    dropped = drop_in(unit, "device-server.conf")
+    assert complaints(unit) == ""
+    allowed = re.findall(r"^IPAddressAllow=(.*)$", dropped.read_text(), re.MULTILINE)
+    assert [str(ip_network(one)) for one in allowed[0].split()] == allowed[0].split()
+    dropped.write_text(dropped.read_text().replace("10.0.0.0/8", "10.0.0.0/99"))
+    assert complaints(unit) != "", "the check would see a mistake"
 
 
 def test_the_unit_gives_serial_ports_and_no_other_device() -> None:

@@ -186,6 +186,11 @@ def _watch(sock: socket.socket) -> None:
 def _why_not_open(url: str, exc: Exception) -> str:
     if isinstance(exc, ConnectionRefusedError):
         return f"{url}: connection refused; is the device server running and is that its port?"
+    if isinstance(exc, PermissionError):
+        return (
+            f"{url}: operation not permitted; a firewall of this machine refuses it, or the "
+            "service needs the drop-in device-server.conf (docs/install.md)"
+        )
     if isinstance(exc, TimeoutError):
         return f"{url}: no answer within {CONNECT_TIMEOUT_S:g} s; check host and network"
     if isinstance(exc, socket.gaierror):
