@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Mapping
 from ipaddress import ip_network
 from pathlib import Path
 
@@ -245,7 +246,7 @@ def test_a_silent_drive_and_a_missed_watchdog_raise_alerts(tmp_path: Path) -> No
     assert_alerts(tmp_path, cases)
 
 
-def assert_alerts(tmp_path: Path, cases: dict[str, object]) -> None:
+def assert_alerts(tmp_path: Path, cases: Mapping[str, object]) -> None:
     path = tmp_path / "alerts.yml"
     path.write_text(json.dumps(cases))
     done = run(require("promtool"), "test", "rules", path)
