@@ -14,6 +14,7 @@ import asyncio
 import math
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import anyio
 
@@ -333,6 +334,28 @@ class Adversary:
                 await self._until_nothing_waits()
 
         return attack
+
+    async def crowd(self, length_s: float) -> Measured:
+        """Let clients of all classes ask without a pause, and ask once in a class where none does.
+
+        The request comes when an exchange of the others is lost.
+        """
+        self.measured = Measured()
+        over_s = asyncio.get_running_loop().time() + length_s
+        clients = (Priority.CONTROL, Priority.INTERACTIVE, Priority.BACKGROUND)
+        while asyncio.get_running_loop().time() < over_s:
+            for priority in clients[1:]:
+                self._saturate(*(one for one in clients if one is not priority))
+                await anyio.sleep(2.0)
+                for _ in range(3):
+                    await self._lose(
+                        lambda request, now_s: request in self._open,
+                        partial(self._ask, priority, f"{priority.name.lower()}, crowded"),
+                    )
+                    await self._until_begun()
+                self._saturating.clear()
+                await self._until_nothing_waits()
+        return self.measured
 
     async def _pack_feeds(self) -> None:
         """Ask all drives for something at once, and wait until the first of them must be fed."""

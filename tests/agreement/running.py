@@ -64,9 +64,11 @@ def agree(roster: Roster, measured: Measured) -> list[Agreed]:
     )
     found.append(Agreed("failed exchange", longest[0].times.worst_s, *longest[1]))
     for what, (wait_s, late_s) in measured.waits.items():
-        name, loaded = what.removesuffix(", loaded"), what.endswith(", loaded")
+        name, _, how = what.partition(", ")
         wait = plan.wait(name)
-        found.append(Agreed(what, wait.loaded_s if loaded else wait.quiet_s, wait_s, late_s))
+        promised_s = {"": wait.quiet_s, "loaded": wait.loaded_s, "crowded": wait.crowded_s}[how]
+        assert promised_s is not None
+        found.append(Agreed(what, promised_s, wait_s, late_s))
     fed = [
         Agreed("feed distance", HARD_PART * time_s, measured.fed[drive.name])
         for drive in roster.drives
@@ -88,7 +90,12 @@ def as_measured(site: Site) -> Roster:
 
 
 async def attacked(
-    site: Site, adversary: Adversary, length_s: float, *, real: bool = False
+    site: Site,
+    adversary: Adversary,
+    length_s: float,
+    *,
+    real: bool = False,
+    crowd: bool = False,
 ) -> Measured:
     """Run a line, wait until all its drives are there, and attack it.
 
@@ -97,6 +104,7 @@ async def attacked(
         adversary: Who attacks it.
         length_s: For how long, seconds.
         real: On the real clock: how late this machine is is looked at too.
+        crowd: Not by one attack after the other, but by clients of all classes at once.
     """
     async with anyio.create_task_group() as tasks:
         tasks.start_soon(site.keeper.run)
@@ -105,7 +113,7 @@ async def attacked(
         await adversary.quiet()
         if real:
             tasks.start_soon(adversary.note_lateness)
-        measured = await adversary.run(length_s)
+        measured = await (adversary.crowd(length_s) if crowd else adversary.run(length_s))
         tasks.cancel_scope.cancel()
     return measured
 
@@ -115,7 +123,7 @@ def _all_there(site: Site) -> bool:
     return all(site.store.drive(name).state is DriveState.ONLINE for name in names)
 
 
-def attack_in_virtual_time(case: Case, length_s: float = 60.0) -> Measured:
+def attack_in_virtual_time(case: Case, length_s: float = 60.0, *, crowd: bool = False) -> Measured:
     """Attack a line on the virtual clock."""
     roster = case.roster()
 
@@ -125,7 +133,7 @@ def attack_in_virtual_time(case: Case, length_s: float = 60.0) -> Measured:
         clock = asyncio.get_running_loop().time
         site = Site(roster, memory.open, clock, lambda: WALL_S + clock())
         adversary = Adversary(site, sim, lambda act: act())
-        return await attacked(site, adversary, length_s)
+        return await attacked(site, adversary, length_s, crowd=crowd)
 
     with asyncio.Runner(loop_factory=lambda: VirtualLoop(1e6)) as runner:
         return runner.run(main())

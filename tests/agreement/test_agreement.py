@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import pytest
 
-from agreement.cases import CASES, Case
+from agreement.cases import CASES, CROWDED, Case
 from agreement.running import Agreed, agree, attack_in_virtual_time
 
 LEAST_RATIO = 0.75
@@ -47,3 +47,11 @@ def test_each_promise_is_tight_on_several_lines() -> None:
     }  # fmt: skip
     for what in kinds:
         assert sum(what in case.tight for case in CASES) >= 3, what
+
+
+@pytest.mark.parametrize("case", [*CROWDED, *CASES[-2:]], ids=lambda case: case.name)
+def test_nothing_starves_among_clients_that_ask_without_a_pause(case: Case) -> None:
+    found = agree(case.roster(), attack_in_virtual_time(case, LENGTH_S / 2, crowd=True))
+    waits = {one.what: one for one in found if one.what.endswith(", crowded")}
+    assert waits.keys() == {"interactive, crowded", "background, crowded"}
+    assert [one for one in waits.values() if one.ratio > 1.0 + ROUNDING] == []

@@ -59,8 +59,9 @@ def test_in_a_pipe_too_every_table_says_what_it_is(
         table.split("\n", 1) for table in capsys.readouterr().out.strip().split("\n\n")[1:]
     )
     assert list(tables) == [
-        "how long one request waits at most", "watchdogs", "exchanges", "at other baud rates",
-        "with drives away",
+        "how long one request waits at most",
+        "how long the first request of a class waits at most, whatever others ask for",
+        "watchdogs", "exchanges", "at other baud rates", "with drives away",
     ]  # fmt: skip
     for rows in tables.values():
         assert len({row.count("\t") for row in rows.splitlines()}) == 1

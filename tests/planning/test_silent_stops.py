@@ -7,13 +7,12 @@ from functools import partial
 import pytest
 
 from lecombus.config import line_timing
-from lecombus.config.exchanges import feed_times, stop_attempt_s
+from lecombus.config.exchanges import dearest_feed_times, stop_attempt_s
 from lecombus.drives import StopAction, family
 from lecombus.line import stop_job
 from lecombus.line.station import Station
 from lecombus.operations.request_maker import RequestMaker, ignore_end
 from lecombus.planning import make_plan, silent_stops
-from lecombus.schedule import Priority
 from lecombus.schedule.feeds import Feed, Feeding, Feeds
 
 from .rosters import roster_of
@@ -45,7 +44,8 @@ def test_it_waits_for_one_round_of_feeds_and_the_exchange_under_way() -> None:
     few, many = (
         make_plan(roster_of(count, time="4s", baud=19200, only="93xx")) for count in (5, 25)
     )
-    feed_s = few.watchdogs[0].feed_s
+    roster = roster_of(5, time="4s", baud=19200, only="93xx")
+    feed_s = dearest_feed_times(roster.drives[0], line_timing(roster.line)).usual_s
     longer_s = many.silent_stop.quiet_s - few.silent_stop.quiet_s
     assert longer_s == pytest.approx(20 * feed_s)
     assert few.silent_stop.quiet_s < few.silent_stop.loaded_s
@@ -60,10 +60,10 @@ def test_the_round_is_that_of_the_running_schedule() -> None:
     for drive in roster.drives:
         of = family(drive.family)
         station = Station(drive.name, drive.address, of, drive.forms)
-        make = partial(maker.read, station, of.feed_code, Priority.WATCHDOG)
+        make = partial(maker.feed, station, ())
         feeding = Feeding(4.0, make)
         feeds.by_drive[drive.name] = Feed(drive.name, feeding, 0.0)
-    planned_s = sum(feed_times(drive, timing).usual_s for drive in roster.drives)
+    planned_s = sum(dearest_feed_times(drive, timing).usual_s for drive in roster.drives)
     assert feeds.round_s() == pytest.approx(planned_s)
 
 

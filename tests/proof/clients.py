@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from random import Random
 
 import anyio
@@ -18,6 +18,8 @@ from lecombus.site import Site
 from proof.invariants import Invariants
 from proof.lines import RandomLine
 
+WRITERS = 4
+"""Clients that write setpoints as fast as they are done, on a saturated line."""
 READERS = 12
 """Clients that read as fast as they are answered, on a loaded line."""
 
@@ -54,6 +56,8 @@ class Clients:
                     tasks.start_soon(self._reads, Priority.BACKGROUND)
                     if self._line.is_crowded:
                         tasks.start_soon(self._reads, Priority.INTERACTIVE)
+                for drive in self._drives[:WRITERS] if self._line.is_saturated else ():
+                    tasks.start_soon(self._writes, drive)
             if self._line.kind == "absent":
                 tasks.start_soon(self._come_and_go)
 
@@ -65,6 +69,7 @@ class Clients:
         return not self._over.is_set()
 
     async def _one_thing_after_the_other(self) -> None:
+        deeds: list[Callable[[], Awaitable[None]]]
         deeds = [self._read, self._read, self._write, self._write, self._stop_some]
         if self._line.kind == "quiet":
             deeds.append(self._read_idly)
@@ -75,6 +80,14 @@ class Clients:
         while await self._pause(0.0, 0.05):
             await self._read(priority)
 
+    async def _writes(self, drive: DriveEntry) -> None:
+        now = asyncio.get_running_loop().time
+        while not self._over.is_set():
+            asked_s = now()
+            await self._write(drive)
+            if now() == asked_s:  # refused, unsaid
+                await self._pause(1.0, 1.0)
+
     async def _read_idly(self) -> None:
         await self._read(Priority.BACKGROUND)
 
@@ -83,6 +96,7 @@ class Clients:
         drive = self._random.choice(self._drives)
         code = Code(1410 if drive.family == "smvector" else 9)
         self._seen.asked()
+        self._seen.turns.asked(priority)
         try:
             station = self._site.requests.station(drive.name)
             value = await self._site.requests.read(station, code, priority, timeout_s=60.0)
@@ -91,10 +105,12 @@ class Clients:
         else:
             self._seen.answered("done")
             self._seen.told_address(drive.name, drive.address, value.raw)
+        finally:
+            self._seen.turns.answered(priority)
 
-    async def _write(self) -> None:
-        """Write a setpoint."""
-        drive = self._random.choice(self._drives)
+    async def _write(self, drive: DriveEntry | None = None) -> None:
+        """Write a setpoint, to any drive if none is given."""
+        drive = drive or self._random.choice(self._drives)
         code = Code({"smvector": 140, "93xx": 141}.get(drive.family, 46))
         self._seen.asked()
         try:

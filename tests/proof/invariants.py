@@ -5,6 +5,7 @@
 * Nothing overtakes a stop, and it begins in time (`stops`).
 * Every request ends in exactly one outcome (`outcomes`).
 * On a line whose drives all answer or are away, no watchdog acts (`watchdogs`).
+* No class below control starves, whatever clients ask for (`turns`).
 * No wait, gap or margin is beyond what the plan promised (`promises`).
 
 Here is who hands on to these what the world and the clients tell, and what is said to be broken.
@@ -23,6 +24,7 @@ from proof.lines import RandomLine
 from proof.outcomes import Outcomes
 from proof.promises import Promises
 from proof.stops import Stops
+from proof.turns import Turns
 from proof.watchdogs import Watchdogs
 from proof.wire import Wire
 from support.taps import STRIPPED
@@ -50,6 +52,8 @@ class Invariants:
         plan = make_plan(line.roster)
         self.wire = Wire(sim, line.kind != "faulty", self.say)
         self.promises = Promises(line, plan, sim, self.say)
+        self._now = asyncio.get_running_loop().time
+        self.turns = Turns(line, plan, self._now, self.say)
         self._stops = Stops(line, plan, site, self.say)
         self.watchdogs = Watchdogs(line, plan, sim, self.say)
         self._requests = Outcomes(site.worker, self.say)
@@ -57,7 +61,6 @@ class Invariants:
         self._asked = 0
         self._answered = 0
         self._begun = False
-        self._now = asyncio.get_running_loop().time
 
     # -- what the world tells ----------------------------------------------------------------
 
@@ -66,6 +69,7 @@ class Invariants:
         self.sim.advance(self._now())
         self.watchdogs.begin()
         self._begun = True
+        self.turns.begin()
         self.promises.begin(self._now(), settled=settled)
 
     def end(self) -> None:
@@ -74,6 +78,7 @@ class Invariants:
         self.watchdogs.look(self._now())
         self.wire.end()
         self.promises.end(self._now())
+        self.turns.end()
         self._requests.end()
         if self._asked != self._answered:
             self.say(f"{self._asked} requests had {self._answered} outcomes")
@@ -102,6 +107,7 @@ class Invariants:
             self._stops.reported(report)
             self.watchdogs.ended(report)
             self.promises.ended(report)
+            self.turns.ended(report)
 
     # -- what the clients tell ---------------------------------------------------------------
 

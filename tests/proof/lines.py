@@ -63,6 +63,11 @@ class RandomLine:
         """Whether many clients ask for reads at once, and not only for idle time; of `loaded`."""
         return self.kind == "loaded" and self.seed % 12 != 9
 
+    @property
+    def is_saturated(self) -> bool:
+        """Whether clients also write setpoints as fast as they are done; of those crowded."""
+        return self.seed % 12 == 5
+
     def __str__(self) -> str:
         line = self.roster.line
         return (

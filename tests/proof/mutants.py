@@ -9,7 +9,8 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 
-from lecombus.schedule import feeds
+from lecombus.schedule import Priority, feeds
+from lecombus.schedule.choice import Choice
 from lecombus.schedule.feeds import Feed, Feeds
 from lecombus.schedule.request import Request
 from lecombus.schedule.silent_stops import SilentStops
@@ -17,6 +18,7 @@ from lecombus.schedule.silent_stops import SilentStops
 __all__ = ["MUTANTS", "SEEDS", "mutated"]
 
 _fits = Feeds.fits
+_with_control = Choice._with_control
 
 
 def _no_slack_check(self: Feeds, now_s: float, worst_s: float, drive: str) -> bool:
@@ -39,18 +41,29 @@ def _at_once(self: SilentStops, stop: Request, now_s: float) -> bool:
     return True
 
 
+def _feeds_before_shares(
+    self: Choice, control: Request, entitled: Request | None, now_s: float
+) -> tuple[Request, bool]:
+    """What feeds and control leave is all that the lower classes get."""
+    if self._shares.had_its_turn(Priority.CONTROL) and self._feed_choice.urgent(now_s) is not None:
+        entitled = None
+    return _with_control(self, control, entitled, now_s)
+
+
 MUTANTS = {
     "no slack check": (Feeds, "fits", _no_slack_check),
     "first come instead of deadlines": (feeds, "_hard", _fed_at),
     "no blocking": (Feeds, "fits", _no_blocking),
     "silent drives stopped at any cost": (SilentStops, "goes", _at_once),
+    "feeds before shares": (Choice, "_with_control", _feeds_before_shares),
 }
 
 SEEDS: dict[str, tuple[int, ...]] = {
     "no slack check": (5, 53),
     "first come instead of deadlines": (40,),
-    "no blocking": (37, 53),
+    "no blocking": (69, 101),
     "silent drives stopped at any cost": (50, 58),
+    "feeds before shares": (17,),
 }
 """Lines that show each mutant; without it they are clean."""
 

@@ -64,6 +64,8 @@ class Promises:
         quiet = line.kind == "quiet"
         self._judged = quiet or line.kind == "loaded"
         classes = QUIET if quiet else LOADED if line.is_crowded else UNCROWDED
+        if line.is_saturated:
+            classes = {}
         waits = {which: plan.wait(name) for which, name in classes.items()}
         self._waits = {
             which: (wait.name, wait.quiet_s if quiet else wait.loaded_s)

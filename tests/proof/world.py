@@ -157,5 +157,5 @@ def run_line(line: RandomLine) -> Finding:
     found = world.invariants
     return Finding(
         line, tuple(found.broken), found.exchanges, line_s, time.process_time() - started_s,
-        found.wire.digest, found.promises.most,
+        found.wire.digest, found.promises.most | found.turns.most,
     )  # fmt: skip

@@ -139,6 +139,7 @@ def _show(plan: Plan, shown: Preview) -> None:
         f"{shown.feeding:.0%}; a line that has time feeds early)"
     )
     _show_adapter(plan)
+    _show_room(plan)
     _show_waits(plan)
     _show_watchdogs(plan)
     _show_exchanges(plan)
@@ -174,6 +175,32 @@ def _show_waits(plan: Plan) -> None:
         ("class", "begins within", "under load", "own exchange", "what is counted"), rows,
         title="how long one request waits at most",
     )  # fmt: skip
+    show_table(
+        ("class", "share of the line", "begins within"),
+        [
+            (one.name, f"{one.share:.0%}", _time(one.crowded_s))
+            for one in plan.waits
+            if one.share is not None
+        ],
+        title="how long the first request of a class waits at most, whatever others ask for",
+    )
+
+
+def _show_room(plan: Plan) -> None:
+    """Say which exchanges the watchdogs leave no time for, and which only when it happens so."""
+    room = plan.room
+    if not plan.watchdogs:
+        return
+    if room.most_s <= 0.0:
+        click.echo("the watchdogs leave no time for anything but feeds")
+        return
+    some = ""
+    if room.sure_s < room.most_s:
+        some = f", and is promised nothing above {_time(room.sure_s)} while all classes are full"
+    click.echo(
+        f"an exchange that may hold the line for more than {_time(room.most_s)} is refused: the "
+        f"watchdogs never leave more{some}"
+    )
 
 
 def _show_watchdogs(plan: Plan) -> None:

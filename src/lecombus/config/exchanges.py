@@ -26,6 +26,7 @@ from lecombus.protocol.values import Value
 
 __all__ = [
     "Times",
+    "dearest_feed_times",
     "dearest_read_times",
     "feed_times",
     "form_for",
@@ -102,6 +103,11 @@ def write_times(
 def feed_times(drive: DriveEntry, timing: LineTiming) -> Times:
     """Give the times of the cheapest read, which feeds a watchdog."""
     return read_times(drive, family(drive.family).feed_code, timing)
+
+
+def dearest_feed_times(drive: DriveEntry, timing: LineTiming) -> Times:
+    """Give the times of a feed in the longer form: behind a lost answer it is said in that."""
+    return dearest_read_times(drive, family(drive.family).feed_code, timing)
 
 
 def watched_s(drive: DriveEntry) -> float | None:

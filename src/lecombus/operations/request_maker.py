@@ -113,6 +113,29 @@ class RequestMaker:
         pause_s = self.timing.turnaround_s
         return None if told == measured else (told.expected_s + pause_s, told.worst_s + pause_s)
 
+    def feed(self, station: Station, instead: tuple[Code, ...]) -> Request:
+        """Make the read that feeds a watchdog, reckoned with in the longest form it may be said in.
+
+        Behind a lost answer it is said in the other form, and must be in time then, too.
+        """
+        code = station.family.feed_code
+        request = self.read(station, code, Priority.WATCHDOG, retries=0, instead=instead)
+        request.cost_s, request.worst_s = self._dearest(station, code, station.answer_s(code))
+        if request.told is not None:
+            request.told = self._dearest(station, code, station.answer_time_s)
+        return request
+
+    def _dearest(self, station: Station, code: Code, answer_s: float | None) -> tuple[float, float]:
+        """Give cost and longest time of a read in whatever form it is said."""
+        pause_s = self.timing.turnaround_s
+        costs = [
+            read_cost(self.timing, station.family, code, form, answer_s)
+            for form in station.forms
+            if code.knows(form)
+        ]
+        usual_s = max(cost.expected_s for cost in costs) + pause_s
+        return usual_s, max(cost.worst_s for cost in costs) + pause_s
+
     def cost_of_read_s(self, station: Station, code: Code) -> float:
         """Give the line time of a read that is answered, seconds."""
         return self._read_cost(station, code).cost.expected_s

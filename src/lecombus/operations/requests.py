@@ -185,9 +185,7 @@ class Requests:
         def make() -> Request:
             station = self.station(name)
             instead = tuple(code for code, _ in station.family.status)
-            return self.maker.read(
-                station, station.family.feed_code, Priority.WATCHDOG, retries=0, instead=instead
-            )
+            return self.maker.feed(station, instead)
 
         return make
 

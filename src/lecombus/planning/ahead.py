@@ -22,8 +22,8 @@ from typing import Final
 from lecombus.config import DriveEntry, Roster
 from lecombus.config.exchanges import (
     Times,
+    dearest_feed_times,
     dearest_read_times,
-    feed_times,
     read_times,
     watched_s,
     write_times,
@@ -36,7 +36,7 @@ from lecombus.schedule import Feeding, Outcome, Priority, Request
 from lecombus.schedule.demand import Stream
 from lecombus.schedule.feeds import HARD_PART, SOFT_PART, SPARE_ATTEMPTS, Feed, Feeds
 
-__all__ = ["Ahead", "Blocking", "Longest", "ahead_on"]
+__all__ = ["Ahead", "Blocking", "Longest", "Room", "ahead_on"]
 
 LOW_LATENCY_S: Final = 0.001
 """What an adapter in its low latency mode adds to an answer."""
@@ -79,6 +79,29 @@ class Blocking:
 
 
 @dataclass(frozen=True, slots=True)
+class Room:
+    """What it takes to make room for an exchange beside the feeds.
+
+    Args:
+        most_s: The longest exchange that there is ever room for, seconds; infinite: no feeds.
+        round_s: Feeding every drive once, seconds.
+        alike: All watchdogs have the same time: one round makes room for the longest.
+    """
+
+    most_s: float
+    round_s: float
+    alike: bool
+
+    @property
+    def sure_s(self) -> float:
+        """The longest exchange for which there is room within a known time, seconds.
+
+        Where watchdogs differ, short ones come round again while the long ones are fed.
+        """
+        return self.most_s if self.alike else self.most_s / 2.0
+
+
+@dataclass(frozen=True, slots=True)
 class Ahead:
     """What can go before a request.
 
@@ -101,6 +124,8 @@ class Ahead:
         one_form: The cyclic reads of each code that several drives are asked for, in one form
             only: when one of them is lost the others wait until no old answer may come.
         load: The share of the line that reads and feeds take in the long run.
+        room: What it takes to make room for an exchange beside the feeds.
+        alone_s: The longest that a drive is left alone after a write, seconds.
     """
 
     own: Longest
@@ -118,6 +143,8 @@ class Ahead:
     doubt_s: float
     one_form: tuple[tuple[Stream, ...], ...]
     load: float
+    room: Room
+    alone_s: float
 
     @property
     def once_read_s(self) -> float:
@@ -156,6 +183,8 @@ def ahead_on(roster: Roster, timing: LineTiming) -> Ahead:
         doubt_s=max(roster.line.late_answer_s - timing.quarantine_s, 0.0),
         one_form=tuple(_one_form(roster, timing)),
         load=load_on(drives, timing).total,
+        room=_room(feeds),
+        alone_s=max((family(drive.family).hold_after_write_s for drive in drives), default=0.0),
     )
 
 
@@ -177,7 +206,7 @@ def _feeds_of(roster: Roster, timing: LineTiming) -> Feeds:
     for drive in roster.drives:
         time_s = watched_s(drive)
         if time_s is not None:
-            times = feed_times(drive, timing)
+            times = dearest_feed_times(drive, timing)
             request = Request(
                 drive.name, Priority.WATCHDOG, times.usual_s, times.worst_s, _never_ended
             )
@@ -185,6 +214,11 @@ def _feeds_of(roster: Roster, timing: LineTiming) -> Feeds:
                 drive.name, Feeding(time_s, partial(_same, request)), 0.0
             )
     return feeds
+
+
+def _room(feeds: Feeds) -> Room:
+    times = {feed.time_s for feed in feeds.by_drive.values()}
+    return Room(feeds.most_s("")[0], feeds.round_s(), len(times) < 2)
 
 
 def _own(drive: DriveEntry, timing: LineTiming) -> Iterator[Longest]:
@@ -201,7 +235,7 @@ def _fed(roster: Roster, timing: LineTiming) -> Iterator[Longest]:
     for drive in roster.drives:
         if watched_s(drive) is not None:
             code = family(drive.family).feed_code
-            yield Longest(drive.name, code, feed_times(drive, timing))
+            yield Longest(drive.name, code, dearest_feed_times(drive, timing))
 
 
 def _reads(drive: DriveEntry, timing: LineTiming) -> Iterator[Longest]:
@@ -261,7 +295,7 @@ def _beside(roster: Roster, timing: LineTiming) -> Iterator[Stream]:
     for drive in roster.drives:
         time_s = watched_s(drive)
         if time_s is not None and _needs_feeds(drive, time_s):
-            spare_s = SPARE_ATTEMPTS * feed_times(drive, timing).worst_s
+            spare_s = SPARE_ATTEMPTS * dearest_feed_times(drive, timing).worst_s
             due_s = max(SOFT_PART * time_s, HARD_PART * time_s - spare_s)
             yield Stream(drive.name, _feed_s(drive, timing), due_s)
 

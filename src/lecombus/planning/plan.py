@@ -14,7 +14,7 @@ from typing import Any
 from lecombus.config import DriveEntry, Roster, line_timing
 from lecombus.config.exchanges import Times, feed_times, read_times, stop_s, watched_s
 from lecombus.drives import LineTiming
-from lecombus.planning.ahead import ahead_on
+from lecombus.planning.ahead import Room, ahead_on
 from lecombus.planning.loads import (
     AbsentEffect,
     AdapterEffect,
@@ -63,6 +63,7 @@ class Plan:
         load: What is asked of it all the time.
         exchanges: What it does again and again.
         waits: How long each class waits at most.
+        room: What it takes to make room for an exchange beside the feeds.
         silent_stop: What a stop of a drive that does not answer is promised.
         watchdogs: Each watched drive's, and how short it could be.
         bauds: The same line at every baud rate.
@@ -75,6 +76,7 @@ class Plan:
     load: Load
     exchanges: tuple[PlannedExchange, ...]
     waits: tuple[ClassWait, ...]
+    room: Room
     silent_stop: SilentStop
     watchdogs: tuple[WatchdogPlan, ...]
     bauds: tuple[BaudEffect, ...]
@@ -90,6 +92,7 @@ class Plan:
         found = _finite(dataclasses.asdict(self))
         assert isinstance(found, dict)
         found["load"] = self.load.as_json()
+        found["room"]["sure_s"] = _finite(self.room.sure_s)
         found["adapter"]["load"] = self.adapter.load.as_json()
         for name in ("bauds", "absent"):
             for effect, row in zip(getattr(self, name), found[name], strict=True):
@@ -120,6 +123,7 @@ def make_plan(roster: Roster, timing: LineTiming | None = None) -> Plan:
             for exchange in _exchanges(drive, roster, timing, load)
         ),
         waits=tuple(class_waits(roster, timing, ahead, longest_stop_s)),
+        room=ahead.room,
         silent_stop=silent_stop(roster, timing, ahead),
         watchdogs=tuple(watchdog_plans(roster, timing)),
         bauds=tuple(baud_effects(roster)),

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from lecombus.config import Roster
-from lecombus.config.exchanges import feed_times, stop_attempt_s, watched_s
+from lecombus.config.exchanges import dearest_feed_times, stop_attempt_s, watched_s
 from lecombus.drives import LineTiming, family
 from lecombus.planning.ahead import Ahead
 from lecombus.planning.waits import LATENESS_S
@@ -59,7 +59,7 @@ def silent_stop(roster: Roster, timing: LineTiming, ahead: Ahead) -> SilentStop:
         ahead: What can go before a request on it.
     """
     watched = [drive for drive in roster.drives if watched_s(drive) is not None]
-    feeds = [feed_times(drive, timing) for drive in watched]
+    feeds = [dearest_feed_times(drive, timing) for drive in watched]
     last_s = max((feed.worst_s for feed in feeds), default=0.0)
     alone_s = max((family(drive.family).hold_after_write_s for drive in watched), default=0.0)
     lost_s = (SPARE_ATTEMPTS + 1) * last_s

@@ -18,11 +18,19 @@ own rules (`schedule.choice`, `schedule.shares`), class by class:
 * *Background*: behind all cyclic reads and feeds that come meanwhile, or, if that is sooner, until
   its share has been earned.
 
-Two bounds are given. *Quiet*: one request at a time, nobody else asking, no drive being audited.
+Three bounds are given. *Quiet*: one request at a time, nobody else asking, no drive being audited.
 *Loaded*: lower classes are full, and the exchange under way is the longest that the drives'
-descriptions know, such as a module's own codes; for background, which is the lowest, all classes
-are full. Requests of the same class come on top, and of classes above (but for background): how
-many there are is up to the clients.
+descriptions know, such as a module's own codes. *Crowded*, for the classes below control: all
+classes are full, the higher ones too, for as long as anybody likes. Requests of the same class come
+on top: how many there are is up to the clients.
+
+The crowded bound adds up what the schedule's rules let go before the first request of a class
+(`_crowded`). The line time in which its share is earned, whatever goes meanwhile; the exchange
+under way when it begins, lost, and the one when it is earned. From then on nothing goes by right
+twice in a row: before it go one exchange by credit of each of the other two classes, and one by
+right before each of these three. Where drives are left alone after writes, what waited for that may
+go once more before each by right. Each exchange may have to wait until feeds have made room for it
+(`_rooms_s`); feeds that only press take turns with the exchanges, one with each.
 
 The bounds hold while the drives answer and at most the exchange under way is lost.
 """
@@ -41,7 +49,9 @@ from lecombus.planning.ahead import Ahead, Blocking, Longest
 from lecombus.schedule import Priority
 from lecombus.schedule.demand import FULL, Stream, load_of, response_s
 from lecombus.schedule.feeds import HARD_PART
+from lecombus.schedule.schedule import ROOMS_PER_FEED
 from lecombus.schedule.shares import CLASS_SHARES, CREDIT_EXCHANGES
+from lecombus.schedule.waiting import KEPT_AFTER_S
 
 __all__ = ["LATENESS_S", "ClassWait", "class_waits"]
 
@@ -60,6 +70,11 @@ class ClassWait:
         quiet_s: From a request until its telegram begins, nobody else asking.
         loaded_s: The same with every lower class full and drives being audited.
         own_s: What its own exchange then takes at most.
+        share: The part of the line that the class gets if it wants it, whatever others ask for;
+            None: it waits for no share.
+        crowded_s: From when a request is the first of its class until its telegram begins,
+            whatever others ask for; infinite: feeding alone takes all of the line; None: no bound
+            of this kind, as it waits for no share.
         counts: What the bounds consist of, in words.
     """
 
@@ -68,6 +83,8 @@ class ClassWait:
     loaded_s: float
     own_s: float
     counts: str
+    share: float | None = None
+    crowded_s: float | None = None
 
 
 def class_waits(
@@ -124,6 +141,7 @@ def _interactive(ahead: Ahead) -> ClassWait:
         "the exchange under way, not answered, and feeds that may be due just then"
         if ahead.feeds
         else "the exchange under way, not answered",
+        *_guaranteed(ahead, Priority.INTERACTIVE, ahead.read.times.usual_s),
     )  # fmt: skip
 
 
@@ -147,6 +165,7 @@ def _cyclic(ahead: Ahead) -> ClassWait:
         "cyclic", quiet_s + LATENESS_S, max(quiet_s, loaded_s) + LATENESS_S, own_s,
         "how late a slot may be: the exchange under way, not answered, all other reads once, and "
         "feeds that reads do not stand for",
+        *_guaranteed(ahead, Priority.CYCLIC, max((one.cost_s for one in ahead.cyclic), default=0)),
     )  # fmt: skip
 
 
@@ -162,13 +181,71 @@ def _background(ahead: Ahead) -> ClassWait:
         default=0.0,
     )
     quiet_s = min(quiet_s, _until_earned(ahead, usual_s, lost_s))
-    longest = ahead.any_exchange.times
-    loaded_s = _until_earned(ahead, ahead.read.times.usual_s, longest.worst_s)
+    share, crowded_s = _guaranteed(ahead, Priority.BACKGROUND, ahead.read.times.usual_s)
     return ClassWait(
-        "background", quiet_s + LATENESS_S, loaded_s + LATENESS_S, ahead.read.times.worst_s,
+        "background", quiet_s + LATENESS_S, crowded_s, ahead.read.times.worst_s,
         "all reads and feeds that come meanwhile; under load, clients of all classes: until a "
-        "twentieth of the line has been earned",
+        "twentieth of the line has been earned, and its turn has come",
+        share, crowded_s,
     )  # fmt: skip
+
+
+def _guaranteed(ahead: Ahead, which: Priority, usual_s: float) -> tuple[float, float]:
+    """Give what a class is guaranteed whatever others do: its share, and the crowded bound.
+
+    Args:
+        ahead: What can go before a request.
+        which: The class.
+        usual_s: Its longest exchange, answered, seconds.
+    """
+    return CLASS_SHARES[which], _crowded(ahead, which, usual_s) + LATENESS_S
+
+
+def _crowded(ahead: Ahead, which: Priority, usual_s: float) -> float:
+    if load_of(ahead.feeds) > FULL:
+        return math.inf
+    others = len(CLASS_SHARES) - 1
+    turns = 1 + others + (others + 1)  # the one when it is earned, by credit, by right
+    if ahead.alone_s:
+        turns += others + 1
+    longest = (ahead.own, ahead.read, ahead.write)
+    one_s = max(one.times.usual_s for one in longest)
+    lost_s = _lost_s(ahead, ahead.any_exchange)
+    earned_s = usual_s / CLASS_SHARES[which]
+    rooms_s = _rooms_s(ahead, turns, one_s, ahead.any_exchange.times.worst_s)
+    alone_s = KEPT_AFTER_S + 2.0 * ahead.alone_s if ahead.alone_s else 0.0
+    return earned_s + lost_s + turns * one_s + rooms_s + alone_s
+
+
+def _rooms_s(ahead: Ahead, turns: int, one_s: float, worst_s: float) -> float:
+    """Bound what feeds take while so many exchanges go, and one more is to begin.
+
+    Making room takes a round of the line at most where watchdogs are alike, and else, for exchanges
+    up to half of what there is ever room for, two rounds with all that falls due meanwhile
+    (tests/schedule/test_starvation.py tries it). After a round there is room for exchanges until
+    the slack is down to the longest of them again: where watchdogs are alike no drive is fed twice
+    before that.
+
+    Args:
+        ahead: What can go before a request.
+        turns: How many exchanges.
+        one_s: The longest, answered, seconds.
+        worst_s: The longest, not answered, seconds.
+    """
+    room = ahead.room
+    if not ahead.feeds:
+        return 0.0
+    pressing_s = turns * max(one.cost_s for one in ahead.feeds)
+    if not room.alike:
+        once_s = 2.0 * response_s(0.0, 0.0, ahead.feeds)
+        if worst_s > room.sure_s:  # it is put off in the end
+            once_s = max(once_s, ROOMS_PER_FEED * room.round_s)
+        return (turns + 1) * once_s + pressing_s
+    left_s = room.most_s - max(worst_s, ahead.spare_s)
+    rounds = turns + 1.0
+    if left_s > 0.0:
+        rounds = min(rounds, 1.0 + math.ceil((turns * one_s + pressing_s) / left_s))
+    return rounds * room.round_s + pressing_s
 
 
 def _lateness(ahead: Ahead, blocking: Sequence[Blocking], share: float) -> float:

@@ -235,6 +235,11 @@ class Cadence:
         self.skipped += missed
         self._push(entry)
 
+    def is_due(self, drive: str, now_s: float) -> bool:
+        """Tell whether a slot of a drive is due; it may be set apart."""
+        due_v = now_s - self.offset_s
+        return any(one.active and one.due_v <= due_v for one in self.by_drive.get(drive, ()))
+
     def early(self, drive: str, now_s: float) -> Entry | None:
         """Find the drive's slot that is due soonest, to be run early.
 

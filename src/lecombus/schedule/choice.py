@@ -2,15 +2,21 @@
 
 In this order:
 
-1. Control. After each exchange of its own it lets one other go: an urgent feed, or else the first
-   of a class that has earned its share (shares.py).
+1. Control. After each exchange of its own it lets one other go: the first of a class that has
+   earned its share (shares.py), or else an urgent feed. A share goes before an urgent feed because
+   feeds are urgent without end where control takes all that they leave; what feeds really need
+   goes before both, by the slack check.
 2. Urgent feeds by hard deadline. A feed is urgent when it is due, or when the slack of all
-   watchdogs together is less than the spare kept for failed attempts (feeds.py). While a third of
-   that spare is left, urgent feeds and interactive requests take turns, so that a sweep of feeds
-   does not keep a person waiting; below that feeds go first.
+   watchdogs together is less than the spare kept for failed attempts (feeds.py). While two thirds
+   of that spare are left, urgent feeds and lower classes take turns, so that a sweep of feeds
+   does not keep a person waiting, and feeds that are due do not take all of the line; below that
+   feeds go first.
 3. Interactive, cyclic (next steps of cyclic requests, then probes, then slots by cadence),
    background; of these, too, one that has earned its share goes after one of a higher class.
    Within a class first come, first served; what comes back through `again` goes ahead of its class.
+
+A drive may be left alone for a while after a write. What waited for the end of that goes before
+the next request of a higher class that would have the drive left alone again.
 
 So a lone control request waits for the exchange under way and for what watchdogs need, and for
 nothing else (`planning.waits` counts it so). A feed that is not urgent yet, but will be soon (twice
@@ -73,12 +79,18 @@ class Choice:
             if head is not None:
                 heads[priority] = head
                 costs_s[priority] = head.cost_s
+            elif self._waiting.queues[priority].depth:
+                costs_s[priority] = 0.0
         control = self._waiting.head(Priority.CONTROL, now_s)
         top = Priority.CONTROL if control is not None else next(iter(heads), Priority.BACKGROUND)
         entitled = self._shares.entitled(costs_s, top)
+        kept = self._kept(control or heads.get(top), heads, now_s)
+        if kept is not None:
+            kept.turn = Turn.KEPT
+            return kept, False
         if control is not None:
             return self._with_control(control, None if entitled is None else heads[entitled], now_s)
-        feed = self._feed(heads.get(Priority.INTERACTIVE), now_s)
+        feed = self._feed(bool(heads), now_s)
         if feed is not None:
             return feed
         self._fed_last = False
@@ -104,22 +116,34 @@ class Choice:
     ) -> tuple[Request, bool]:
         """Choose while control waits: after one of its own, one of somebody else's may go."""
         if self._shares.had_its_turn(Priority.CONTROL):
+            if entitled is not None:
+                self._fed_last = False
+                return self._by_class(entitled, True, now_s)
             feed = self._feed_choice.urgent(now_s)
             if feed is not None and feed is not control:
                 self._fed_last = True
                 return to_feed(feed, Turn.FEED_AHEAD), True
-            if entitled is not None:
-                self._fed_last = False
-                return self._by_class(entitled, True, now_s)
         control.turn = Turn.RIGHT
         return control, False
 
-    def _feed(self, interactive: Request | None, now_s: float) -> tuple[Request, bool] | None:
+    def _kept(
+        self, top: Request | None, heads: Mapping[Priority, Request], now_s: float
+    ) -> Request | None:
+        """Find what waited while the drive of the first request was left alone for one like it."""
+        kept = self._waiting.kept_by(top, now_s) if top is not None else set()
+        if top is None or not kept:
+            return None
+        names = top.members or (top.drive,)
+        kept = {one for one in kept if one in heads and heads[one].drive in names}
+        found = self._shares.least_recent(kept)
+        return None if found is None else heads[found]
+
+    def _feed(self, others: bool, now_s: float) -> tuple[Request, bool] | None:
         """Find the feed that goes now, if it is its turn."""
         begun = self._waiting.head(Priority.WATCHDOG, now_s)
         if begun is not None:
             return to_feed(begun), False
-        if interactive is not None and self._fed_last and self._feed_choice.can_wait(now_s):
+        if others and self._fed_last and self._feed_choice.can_wait(now_s):
             return None
         feed = self._feed_choice.urgent(now_s)
         if feed is None:
@@ -129,7 +153,7 @@ class Choice:
 
     def _by_class(self, first: Request, ahead: bool, now_s: float) -> tuple[Request, bool]:
         """Take the first of a class, or a slot in its place that feeds a drive soon in need."""
-        early = self._feed_choice.early_slot(first, now_s)
+        early = None if ahead else self._feed_choice.early_slot(first, now_s)
         chosen = early or first
         chosen.turn = Turn.CREDIT if ahead else Turn.RIGHT
         return chosen, early is not None

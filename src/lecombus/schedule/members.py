@@ -52,7 +52,7 @@ class Members(ABC):
     def add_drive(self, name: str) -> None:
         """Make a drive known."""
         assert name not in self._drives, f"{name} is known already"
-        self._drives[name] = DriveState()
+        self._drives[name] = DriveState(name)
         self._waiting.set_silent(name, silent=False)
 
     def remove_drive(self, name: str, now_s: float, reason: str) -> Feed | None:

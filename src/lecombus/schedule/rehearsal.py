@@ -127,7 +127,14 @@ class Rehearsal:
         control = self._waiting.head(Priority.CONTROL, at_s)
         if control is None and not heads:
             return None
-        waiting = {priority: head.cost_s for priority, head in heads.items()}
+        highest = control or next(iter(heads.values()))
+        if self._waiting.kept_by(highest, started_s, after_s=-math.inf):
+            return None
+        waiting = {
+            priority: heads[priority].cost_s if priority in heads else 0.0
+            for priority in CLASS_SHARES
+            if priority in heads or self._waiting.queues[priority].depth
+        }
         entitled = None
         if len(waiting) + (control is not None) > 1:
             top = Priority.CONTROL if control is not None else next(iter(heads))

@@ -53,13 +53,14 @@ class Turn(IntEnum):
 
     `RIGHT`: it was the first of the highest class. `CREDIT`: by its class's share, before a higher
     class that waited. `FEED`: a watchdog asked for it. `FEED_AHEAD`: the same, before a control
-    request that waited.
+    request that waited. `KEPT`: a higher class had its drive left alone while it waited.
     """
 
     RIGHT = 0
     CREDIT = 1
     FEED = 2
     FEED_AHEAD = 3
+    KEPT = 4
 
 
 class Outcome(StrEnum):

@@ -203,6 +203,8 @@ class Schedule(Members):
             elif what.held and what.held_until_s > now_s:  # it was held on meanwhile
                 self._waiting.at(what.held_until_s, what)
             elif what.held:
+                slots = self._cadence.is_due(what.name, now_s)
+                self._waiting.keep(what, slots=slots, now_s=now_s)
                 self._release(what, now_s)
 
     def _admit(self, request: Request, now_s: float) -> Request | None:
@@ -273,6 +275,7 @@ class Schedule(Members):
     def _put_off(self, request: Request, until_s: float) -> None:
         """Set aside what cannot go now, so that it does not block its class."""
         request.rooms = 0
+        self._shares.passed(request)
         source = request.source
         if request.state == QUEUED:
             self._waiting.put_off(request, until_s)
@@ -296,6 +299,9 @@ class Schedule(Members):
                 self._probes.take(source, now_s)
         request.state = UNDER_WAY
         self._speaking_to = request.drive
+        drive = self._drives.get(request.drive)
+        if drive is not None and drive.kept:
+            drive.kept.pop(request.priority, None)
         return request
 
     def wake_at_s(self, now_s: float) -> float | None:

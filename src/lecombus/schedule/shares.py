@@ -3,7 +3,10 @@
 Classes are served strictly by priority, but three of them are promised a small share of the line
 when they wait behind others. While such a class has something that could go, it earns its share of
 all line time as credit and pays for the line time it uses; once the credit covers its next
-exchange, that one goes first. Credit is capped at a few exchanges and lost when nothing waits.
+exchange, that one goes first. Credit is capped at a few exchanges and lost when nothing waits; it
+is kept while what waits may not go. An exchange that feeds a watchdog is not paid for: else feeds
+that are cyclic reads would use up what other reads wait for. Nobody gets into debt by an answer
+that is lost: else the next request of its class would wait for twenty such times.
 
 Nobody is let first twice. An exchange goes by credit only directly after one that went by right and
 was of the class it goes ahead of, or of a higher one; feeds between them do not count. So a lone
@@ -21,7 +24,7 @@ by one probe per `WINDOW_S`, and the share holds in any window of that length.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from heapq import heappop, heappush
 from typing import Final
 
@@ -63,8 +66,8 @@ class Shares:
         """Choose the class that goes first by its credit.
 
         Args:
-            waiting: The classes that have something that may go, highest first, and the cost of
-                their first request, seconds.
+            waiting: The classes that have something, highest first, and the cost of their first
+                request, seconds; 0: it may not go just now.
             top: The highest class that has something that may go.
         """
         self._waiting = waiting
@@ -96,9 +99,17 @@ class Shares:
             credit_s = self._booked(under_way.priority, under_way.turn, duration_s)
         return _entitled(waiting, credit_s, self._order)
 
+    def least_recent(self, classes: Container[Priority]) -> Priority | None:
+        """Choose the one of some classes that has gone before a higher one least recently."""
+        return next((one for one in self._order if one in classes), None)
+
     def note(self, waiting: Mapping[Priority, float]) -> None:
         """Take note of what waits at a choice that was made by what `foresee` told."""
         self._waiting = waiting
+
+    def passed(self, request: Request) -> None:
+        """Note that a request was put off: feeds have gone for it, and it is the turn of others."""
+        self._last = _last(self._last, request.priority, request.turn)
 
     def book(self, used_by: Priority, turn: Turn, duration_s: float) -> None:
         """Book the line time of one exchange.
@@ -110,7 +121,7 @@ class Shares:
         """
         self._credit_s = self._booked(used_by, turn, duration_s)
         self._last = _last(self._last, used_by, turn)
-        if turn is Turn.CREDIT:
+        if turn is Turn.CREDIT or turn is Turn.KEPT:
             self._order = (*(one for one in self._order if one is not used_by), used_by)
 
     def _booked(self, used_by: Priority, turn: Turn, duration_s: float) -> dict[Priority, float]:
@@ -125,12 +136,9 @@ class Shares:
                 # The cap never takes away credit: heads of different size follow each other.
                 earned_s = credit_s + CLASS_SHARES[priority] * duration_s
                 credit_s = min(earned_s, max(credit_s, CREDIT_EXCHANGES * cost_s))
-            if priority is used_by:
-                # Whoever went by right of its class starts at nothing when it falls behind; who
-                # went by credit and took longer than thought pays that back.
-                credit_s -= duration_s
-                if turn is not Turn.CREDIT and credit_s < 0.0:
-                    credit_s = 0.0
+            if priority is used_by and turn is not Turn.FEED and turn is not Turn.FEED_AHEAD:
+                # Whoever went by right of its class starts at nothing when it falls behind.
+                credit_s = max(credit_s - duration_s, 0.0)
             booked[priority] = credit_s
         return booked
 

@@ -34,7 +34,7 @@ from lecombus.schedule.request import (
     Priority,
     Request,
 )
-from lecombus.schedule.shares import Probe
+from lecombus.schedule.shares import CLASS_SHARES, Probe
 
 __all__ = ["DEFAULT_LIMITS", "DriveState", "Waiting"]
 
@@ -43,6 +43,10 @@ DEFAULT_LIMITS: Final[Mapping[Priority, int]] = {
     Priority.INTERACTIVE: 2000,
     Priority.BACKGROUND: 10000,
 }
+KEPT_S: Final = 3.0
+"""So long after a hold what waited for its end goes before what would begin another, seconds .."""
+KEPT_AFTER_S: Final = 3.0
+""".. if holds have kept it for so long: a client that reads and writes in turn is no stream."""
 EXPIRE_BATCH: Final = 64  # expired requests ended per choice: about 0.1 ms
 _FIRST_AHEAD: Final = -(1 << 62)  # places of requests that go ahead of their class
 _LAST: Final = 1 << 63  # added to the places of stops of silent drives: behind all others
@@ -58,18 +62,25 @@ class DriveState:
         "entries",
         "held",
         "held_until_s",
+        "kept",
+        "kept_until_s",
         "lanes",
         "multicast_at",
+        "name",
         "parked",
         "stopped_at",
         "writes",
     )  # fmt: skip
 
-    def __init__(self) -> None:
+    def __init__(self, name: str) -> None:
+        self.name = name
         self.held = False
         self.held_until_s = 0.0
         self.lanes: list[tuple[ClassQueue, Lane]] = []  # kept from their queues while held
         self.entries: list[Entry] = []  # kept from the cadence while held
+        # Classes that waited for the end of the last hold, each since the end of its first ..
+        self.kept: dict[Priority, float] = {}
+        self.kept_until_s = 0.0  # .. and until when that counts
         self.writes: set[Request] = set()  # waiting writes that reach it
         self.multicast_at = 0  # serial of the last multicast that reaches it
         self.parked: str | None = None  # why it is offline
@@ -387,6 +398,37 @@ class Waiting:
         """Find the first stop: no hold keeps it back, and those of silent drives are the last."""
         queue = self.queues[Priority.STOP]
         return queue.head(_never_held) if queue.depth else None
+
+    def keep(self, drive: DriveState, *, slots: bool, now_s: float) -> None:
+        """Note what waited for the end of a drive's hold.
+
+        Args:
+            drive: The drive.
+            slots: Cyclic slots of the drive did.
+            now_s: Now, when the hold ends.
+        """
+        queues = self.queues
+        before = drive.kept
+        drive.kept = {
+            one: before.get(one, now_s)
+            for one in CLASS_SHARES
+            if queues[one].first_for(drive.name) is not None or (slots and one is Priority.CYCLIC)
+        }
+        drive.kept_until_s = now_s + KEPT_S
+
+    def kept_by(
+        self, request: Request, now_s: float, after_s: float = KEPT_AFTER_S
+    ) -> set[Priority]:
+        """Tell what of lower classes holds of the drives of a request have kept for so long."""
+        found: set[Priority] = set()
+        for drive in self._reached(request):
+            if drive.kept and now_s <= drive.kept_until_s:
+                found.update(
+                    one
+                    for one, since_s in drive.kept.items()
+                    if one > request.priority and since_s + after_s <= now_s
+                )
+        return found
 
     def head(self, priority: Priority, now_s: float) -> Request | None:
         """Find the first request of a class that may go; what has expired there ends."""

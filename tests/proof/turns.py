@@ -1,0 +1,109 @@
+"""Nothing starves: the first request of each class below control begins within the plan's bound.
+
+Seen from the clients' side: a class waits from when a client has asked for something in it, or from
+the end of the last exchange of that class, until the next one begins. A cyclic slot waits from when
+it is due; one that is run early, to feed a drive, is no turn of the others. Stops come on top.
+
+Judged on lines whose drives all answer, whatever load is on them.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+
+from lecombus.line.observer import ExchangeReport
+from lecombus.planning import Plan
+from lecombus.protocol.exchange import ResultKind
+from lecombus.schedule import Priority
+from proof.lines import RandomLine
+
+__all__ = ["Turns"]
+
+
+class Turns:
+    """Judges how long each class had to wait for its turn.
+
+    Args:
+        line: The line.
+        plan: What was printed for it.
+        now: The time.
+        say: Told what did not hold.
+    """
+
+    def __init__(
+        self, line: RandomLine, plan: Plan, now: Callable[[], float], say: Callable[[str], None]
+    ) -> None:
+        self._say = say
+        self._now = now
+        judged = line.kind in ("quiet", "loaded")
+        self._within_s = {
+            Priority[one.name.upper()]: one.crowded_s
+            for one in plan.waits
+            if judged and one.crowded_s is not None
+        }
+        self._asked: Counter[Priority] = Counter()
+        self._since_s: dict[Priority, float] = {}
+        self._stops_s = 0.0
+        self._stops_before_s: dict[Priority, float] = {}
+        self._begun = False
+        self.most: dict[str, float] = {}
+
+    def begin(self) -> None:
+        """Judge from here on."""
+        self._begun = True
+        for priority in self._since_s:
+            self._wait(priority, self._now())
+
+    def asked(self, priority: Priority) -> None:
+        """A client asks for something."""
+        self._asked[priority] += 1
+        if priority not in self._since_s:
+            self._wait(priority, self._now())
+
+    def answered(self, priority: Priority) -> None:
+        """It has its outcome."""
+        self._asked[priority] -= 1
+        if not self._asked[priority]:
+            del self._since_s[priority]
+
+    def ended(self, report: ExchangeReport) -> None:
+        """An exchange ended."""
+        started_s, ended_s = report.result.started_s, report.result.ended_s
+        if report.priority is Priority.STOP:
+            self._stops_s += ended_s + report.quarantined_s - started_s
+        if report.result.kind is ResultKind.LOST:
+            return
+        priority = report.priority
+        if priority is Priority.CYCLIC:
+            if report.waited_s <= 0.0:
+                return
+            since_s = max(self._since_s.get(priority, started_s), started_s - report.waited_s)
+            self._since_s[priority] = since_s
+        if priority in self._since_s:
+            self._judge(priority, started_s)
+            self._wait(priority, ended_s)
+
+    def end(self) -> None:
+        """Judge what still waits."""
+        for priority, asked in self._asked.items():
+            if asked:
+                self._judge(priority, self._now())
+
+    def _wait(self, priority: Priority, since_s: float) -> None:
+        self._since_s[priority] = since_s
+        self._stops_before_s[priority] = self._stops_s
+
+    def _judge(self, priority: Priority, begun_s: float) -> None:
+        promised_s = self._within_s.get(priority)
+        if promised_s is None or not self._begun:
+            return
+        stops_s = self._stops_s - self._stops_before_s.get(priority, self._stops_s)
+        waited_s = begun_s - self._since_s[priority] - stops_s
+        row = f"{priority.name.lower()}, its turn"
+        self.most[row] = max(self.most.get(row, 0.0), waited_s / promised_s)
+        if waited_s > promised_s:
+            self._say(
+                f"{priority.name.lower()} had no turn for {waited_s:.3f} s, promised "
+                f"{promised_s:.3f} s"
+            )
