@@ -150,7 +150,7 @@ def test_a_drive_is_backed_up_changed_and_restored(
 
     assert run("write", "belt", "C0040", "1").status == 0
     ran = run("restore", str(other), "belt", "--yes")
-    assert (ran.status, "1 codes written and read back and saved" in ran.out) == (0, True), ran.err
+    assert (ran.status, "1 code written and read back and saved" in ran.out) == (0, True), ran.err
     assert "belt is inhibited" in ran.out
     assert run("read", "belt", "C0040").out.split("\t")[2] == "0"
     ran = run("diff", str(backup), "belt")
