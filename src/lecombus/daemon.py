@@ -142,7 +142,7 @@ class Daemon:
     async def main(self) -> None:
         """Run until told to end."""
         file = self._roster.state
-        keeping = Keeping(None if file is None else Path(file))
+        keeping = await Keeping.opened(None if file is None else Path(file))
         try:
             await self._run(keeping)
         finally:

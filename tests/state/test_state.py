@@ -144,7 +144,7 @@ def test_a_pipe_in_the_files_place_does_not_hold_up_the_start(tmp_path: Path) ->
     os.mkfifo(path)
     file = StateFile(path)
     assert file.load().drive("feeder") == DriveFacts()
-    assert "cannot be read: Not a file but a pipe" in file.trouble
+    assert "cannot be read: Not a regular file" in file.trouble
     assert not file.is_usable
 
 

@@ -110,9 +110,7 @@ class Wear:
         """Count a write that may have reached the drive's memory."""
         if not counts(self._store.family(drive), code):
             return
-        writes = self._state.drive(drive).writes
-        writes[str(code)] = writes.get(str(code), 0) + 1
-        self._state.touch()
+        self._state.count(drive, str(code))
 
     def check(self, drive: str, code: Code) -> None:
         """Refuse a write that would come too soon.

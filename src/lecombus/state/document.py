@@ -10,7 +10,7 @@ What must not live here: files, clocks, what the facts mean.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field
 from typing import Annotated, Final
 
@@ -92,15 +92,27 @@ class State:
 
     Args:
         drives: The facts by the drives' names.
+
+    Attributes:
+        counted: Told of each write that was counted: drive, code and the count now.
     """
 
     def __init__(self, drives: dict[str, DriveFacts] | None = None) -> None:
         self._drives = drives if drives is not None else {}
         self.changes = 0
+        self.counted: Callable[[str, str, int], None] | None = None
 
     def drive(self, name: str) -> DriveFacts:
         """Return what is kept of a drive; empty facts for one that is new."""
         return self._drives.setdefault(name, DriveFacts())
+
+    def count(self, drive: str, code: str) -> None:
+        """Count a write that may have reached a drive's memory."""
+        writes = self.drive(drive).writes
+        writes[code] = writes.get(code, 0) + 1
+        self.touch()
+        if self.counted is not None:
+            self.counted(drive, code, writes[code])
 
     def touch(self) -> None:
         """Say that something was changed, so that it is written."""

@@ -3,21 +3,21 @@
 Strategy: the new content goes to a neighbour of the file, is brought to the disk (fsync), takes
 the file's name, and the folder is brought to the disk as well. A damaged file is never overwritten:
 it is set aside under its own name with `.damaged` and a number, and said. A file of a later version
-is left alone, and nothing is kept then. Where the path is a link, all this is done where it leads,
-also when there is nothing yet, and the link stays a link; it is looked at anew each time.
+is left alone, and nothing is kept then; so is what is no regular file. Where the path is a link,
+all this is done where it leads, also when there is nothing yet, and the link stays a link; it is
+looked at anew each time.
 
 What must not live here: the event loop (`keeping`), what the content means (`document`).
 """
 
 from __future__ import annotations
 
-import errno
 import os
-import stat
 from pathlib import Path
 from typing import Final
 
 from lecombus.state.document import NewerStateError, State, StateFormatError
+from lecombus.state.places import check_regular, open_regular
 
 __all__ = ["StateFile"]
 
@@ -26,8 +26,6 @@ LARGEST: Final = 8 * 1024 * 1024
 
 SET_ASIDE_MOST: Final = 9
 """Damaged files kept; then the last one is replaced."""
-
-MODE: Final = 0o640
 
 
 class StateFile:
@@ -85,13 +83,13 @@ class StateFile:
         """
         target = self.target
         neighbour = target.with_name(f".{target.name}.new")
-        descriptor = os.open(
-            neighbour, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | os.O_NOFOLLOW, MODE
-        )
+        check_regular(target)
+        descriptor = open_regular(neighbour, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW)
         with os.fdopen(descriptor, "w", encoding="utf-8") as file:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())
+        check_regular(target)
         neighbour.replace(target)
         folder = os.open(target.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
@@ -122,9 +120,7 @@ class StateFile:
         return f", where {self.path} leads," if self.path.is_symlink() else ""
 
     def _read(self, path: Path) -> State:
-        with open(path, "rb", opener=_without_waiting) as file:
-            if stat.S_ISFIFO(os.fstat(file.fileno()).st_mode):
-                raise OSError(errno.EINVAL, "Not a file but a pipe")
+        with os.fdopen(open_regular(path, os.O_RDONLY), "rb") as file:
             data = file.read(LARGEST + 1)
         if len(data) > LARGEST:
             raise StateFormatError("it is far too large")
@@ -146,8 +142,3 @@ class StateFile:
             f"{self.name} was damaged ({why}) and stands as {aside.name} now: what was known of "
             "the drives' identities and write counts begins anew; delete it when it is of no use"
         )
-
-
-def _without_waiting(path: str, flags: int) -> int:
-    """Open a file; a pipe that stands in its place does not hold up the start."""
-    return os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC)
