@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import replace
+from itertools import pairwise
 
 import anyio
 import pytest
 
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.exchange import ResultKind
+from lecombus.protocol.timing import MAX_ANSWER_CHARS
 from lecombus.readings import DriveState
+from lecombus.simulator.faults import Faults
 from support.disturbances import AFTER_S, LINES, PATTERNS, Picture, look, roster_text
-from support.site_host import Plant, until, with_plant
+from support.site_host import Plant, roster_of, until, with_plant
 from support.virtual_loop import Paused
 
 QUICK = [
@@ -100,3 +103,29 @@ def test_a_value_that_lay_in_the_kernel_is_not_shown_as_fresh() -> None:
         assert (found.age_s or 0.0) > 4.5
 
     with_plant(test, roster_text(*LINES[8]), seed=3)
+
+
+@pytest.mark.parametrize("baud", [9600, 19200])
+def test_an_answer_without_end_silences_the_line_no_longer_than_the_longest_answer(
+    baud: int,
+) -> None:
+    """5000 characters take 5.2 s at 9600 baud; the next telegram's EOT ends them."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await anyio.sleep(5.0)
+        plant.line.drive_faults = {2: Faults(endless=1.0)}
+        began = len(plant.reports)
+        await until(lambda: any(one.drive == "b" for one in plant.reports[began:]))
+        plant.line.drive_faults = {}
+        await anyio.sleep(5.0)
+        sent = [one.at_s for one in plant.end.sent if one.at_s > plant.now_s - 5.2]
+        longest_s = MAX_ANSWER_CHARS * 10.0 / baud
+        assert max(b - a for a, b in pairwise(sent)) < longest_s + 0.3
+        answers = [one for one in plant.reports[began:] if one.drive == "a"]
+        assert sum(one.result.kind is not ResultKind.ANSWERED for one in answers) <= 1
+        assert plant.state("a") is DriveState.ONLINE
+        assert plant.state("b") is DriveState.ONLINE
+
+    two = [("a", 1, "8200vector"), ("b", 2, "8200vector")]
+    with_plant(test, roster_of(two, baud=baud, drive=", cyclic: [{code: C0150, every: 200ms}]"))

@@ -44,3 +44,16 @@ def test_babble_that_begins_anew_after_a_pause_is_given_its_time_anew() -> None:
     silence.heard(10.0, GAP_S, nothing_in_doubt=False)
     silence.heard(20.0, GAP_S, nothing_in_doubt=False)
     assert not silence.is_over(20.01)
+
+
+def test_what_is_longer_than_any_answer_is_not_waited_for_but_once_in_a_while() -> None:
+    silence = Silence(0.0)
+    silence.answer_missing(10.0, 0.06)
+    silence.heard(10.05, GAP_S, nothing_in_doubt=False)
+    silence.give_up(10.05)
+    assert silence.is_over(10.05)
+    silence.heard(10.051, GAP_S, nothing_in_doubt=False)
+    assert silence.is_over(10.051), "it goes on, and puts nothing off any more"
+    silence.answer_missing(10.1, 0.06)
+    silence.give_up(10.15)
+    assert not silence.is_over(10.15), "speaking did not end it"

@@ -63,8 +63,8 @@ def command(
 
     FAULTS are NAME=CHANCE with commas between, chance per telegram from 0 to 1: lost, unheard,
     request-noise, damaged (the drive notices and says so), late (:TIME), noise, bad-bcc, parity,
-    half, nak, power-cycle (:TIME), bad-echo; and echo, unplugged, nak-reads (NAK to a read that
-    cannot be carried out, as some devices do), absent=ADDRESS+ADDRESS,
+    half, endless, nak, power-cycle (:TIME), bad-echo; and echo, unplugged, nak-reads (NAK to a read
+    that cannot be carried out, as some devices do), absent=ADDRESS+ADDRESS,
     trip=ADDRESS:NUMBER[:stays]: that drive has this fault from the start, and with `stays` no
     reset helps.
 

@@ -86,6 +86,10 @@ class Listening:
             self._over()
         over = late and not self._doubts.any(now_s)
         self._silence.heard(now_s, gap_s, nothing_in_doubt=over)
+        if self._strays.is_endless:
+            self._strays.begin()
+            self._silence.give_up(now_s)
+            self._over()
         return late
 
     def missed(self, request: Request, job: object, question: Question, result: Result) -> None:

@@ -34,7 +34,7 @@ class Silence:
         self._turnaround_s = turnaround_s
         self._chatter_ends_s = 0.0
         self._least_until_s = 0.0  # without what it was drawn out by
-        self._heard_s = -LONGEST_CHATTER_S
+        self._heard_s = self._gave_up_s = -LONGEST_CHATTER_S
         self.free_at_s = 0.0
         self.quiet_until_s = 0.0
 
@@ -62,6 +62,17 @@ class Silence:
     def cut_short(self, at_s: float) -> None:
         """Draw it out no longer than until a time."""
         self.quiet_until_s = min(self.quiet_until_s, max(at_s, self._least_until_s))
+
+    def give_up(self, now_s: float) -> None:
+        """Wait for no end of what comes: it is longer than any answer.
+
+        The next telegram's EOT silences the drive that says it (EDB2102EN 8.3). If that did not
+        help just now, the drive does not hear it: then others only collide with it.
+        """
+        if now_s - self._gave_up_s < LONGEST_CHATTER_S:
+            return
+        self._gave_up_s = now_s
+        self.quiet_until_s = self._least_until_s = self._chatter_ends_s = now_s
 
     def _quarantine(self, from_s: float, for_s: float) -> None:
         self.quiet_until_s = self._least_until_s = from_s + for_s

@@ -14,6 +14,7 @@ from ..protocol.telegrams import (
     UnknownCodeAnswer,
     ValueAnswer,
 )
+from ..protocol.timing import MAX_ANSWER_CHARS
 from .doubts import Asked, Doubts
 
 __all__ = ["Strays"]
@@ -33,6 +34,7 @@ class Strays:
         self.awaited: tuple[bytes, Asked] | None = None  # asked last, and listened for since
         self.bytes_total = 0
         self.late_answers_total = 0
+        self._begun_at = 0
 
     @property
     def parity(self) -> bool:
@@ -46,7 +48,13 @@ class Strays:
 
     def begin(self) -> None:
         """Listen anew: an exchange has just been given up."""
+        self._begun_at = self.bytes_total
         self._parser.reset()
+
+    @property
+    def is_endless(self) -> bool:
+        """Whether more has come since an exchange was given up than any answer is long."""
+        return self.bytes_total - self._begun_at > MAX_ANSWER_CHARS
 
     def feed(self, data: bytes, now_s: float) -> bool:
         """Take bytes nobody asked for.

@@ -14,7 +14,9 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final
 
-__all__ = ["Faults", "LateKind", "parse_faults"]
+__all__ = ["ENDLESS_CHARS", "Faults", "LateKind", "parse_faults"]
+
+ENDLESS_CHARS: Final = 5000
 
 
 class LateKind(StrEnum):
@@ -45,6 +47,7 @@ class Faults:
         bad_bcc: The answer's block check is wrong.
         parity: One character of the answer has bad parity.
         half: The answer breaks off.
+        endless: The answer goes on and on, for `ENDLESS_CHARS` characters.
         nak: A write is refused for no reason.
         damaged: The request is damaged on its way to the drive, which notices: NAK to a write, and
             to a read `?` or NAK (see `nak_reads`).
@@ -68,6 +71,7 @@ class Faults:
     bad_bcc: float = 0.0
     parity: float = 0.0
     half: float = 0.0
+    endless: float = 0.0
     nak: float = 0.0
     damaged: float = 0.0
     nak_reads: bool = False
@@ -89,6 +93,7 @@ _CHANCES: Final = (
     "bad_bcc",
     "parity",
     "half",
+    "endless",
     "nak",
     "damaged",
     "power_cycle",

@@ -299,6 +299,8 @@ class SimLine:
         for speech in (*self._thinking, *self._speaking):
             if not speech.stubborn and speech.cut_at_s is None:
                 speech.cut_at_s = at_s
+                free_s = at_s + speech.held_up_s  # nothing of it comes after that
+                self._to_host_free_s = min(self._to_host_free_s, free_s)
                 speech.drive.interrupted()
                 self.aborted += 1
         self._thinking = [speech for speech in self._thinking if speech.stubborn]

@@ -40,8 +40,9 @@ class Speech:
     garbled_from_s: float | None = None
 
     def end_s(self, char_s: float) -> float:
-        """When its last character leaves the wire."""
-        return self.begin_s + len(self.data) * char_s
+        """When its last character leaves the wire; none does after an EOT has stopped it."""
+        end_s = self.begin_s + len(self.data) * char_s
+        return end_s if self.cut_at_s is None else min(end_s, self.cut_at_s)
 
 
 @dataclass(slots=True, eq=False)

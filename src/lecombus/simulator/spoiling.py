@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import random
 
-from lecombus.simulator.faults import Faults
+from lecombus.simulator.faults import ENDLESS_CHARS, Faults
 from lecombus.simulator.wire import ACK, NAK, PARITY_TABLE
 
 __all__ = ["Spoiler", "make_noise"]
@@ -43,6 +43,8 @@ class Spoiler:
         rng = self.rng
         if len(reply) > 1 and self.happens(faults.bad_bcc):
             reply = reply[:-1] + bytes((reply[-1] ^ 1 << rng.randrange(7),))
+        if len(reply) > 2 and self.happens(faults.endless):
+            reply = reply[:-2] + b"0" * ENDLESS_CHARS + reply[-2:]
         data = reply.translate(PARITY_TABLE) if self._parity else reply
         if self.happens(faults.parity):
             data = _flip(data, rng.randrange(len(data)), 0x80)
