@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from itertools import pairwise
+from typing import Any
 
 import anyio
 import pytest
@@ -340,15 +341,59 @@ def test_the_stubborn_late_answer_of_one_drive_is_not_used_for_the_next() -> Non
     with_rig(test, retries=3)
 
 
-def test_debug_logs_show_every_telegram_and_every_byte_that_comes(
+def debug_lines(
+    caplog: pytest.LogCaptureFixture, test: Callable[[Rig], Awaitable[None]], **options: Any
+) -> list[str]:
+    with caplog.at_level("DEBUG", logger="lecombus.line"):
+        with_rig(test, **options)
+    return [one.getMessage() for one in caplog.records if "event=telegram" in one.getMessage()]
+
+
+def test_debug_logs_show_every_telegram_whole_and_decoded_one_a_line(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     async def test(rig: Rig) -> None:
         await rig.read("a", 150).done.wait()
+        await rig.write("a", 46, 20).done.wait()
 
-    with caplog.at_level("DEBUG", logger="lecombus.line.talk"):
+    said = debug_lines(caplog, test)
+    assert said[0] == (
+        "line=test drive=a event=telegram direction=sent kind=read code=C0150 "
+        "bytes=84 30 b1 3f 30 05"
+    )
+    assert said[1].startswith(
+        "line=test drive=a event=telegram direction=received kind=value code=C0150 ms="
+    )
+    assert " bytes=82 " in said[1], "STX with its parity bit, and all that follows"
+    assert said[1].endswith(" value=H8678")
+    assert " kind=write code=C0046 bytes=84 30 b1 82 " in said[2]
+    assert said[2].endswith(" value=20")
+    assert " kind=ack code=C0046 " in said[3]
+    assert said[3].endswith(" bytes=06")
+    assert len(said) == 4
+
+
+def test_debug_logs_say_what_did_not_come_and_what_nobody_asked_for(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async def test(rig: Rig) -> None:
+        rig.line.drive_faults[1] = Faults(late=1.0, late_s=(0.1, 0.1))
+        await rig.read("a", 150).done.wait()
+        await anyio.sleep(1.0)
+        await rig.read("b", 150).done.wait()
+
+    said = debug_lines(caplog, test, retries=0)
+    assert [one for one in said if "kind=no-reply" in one and "bytes=none reason=no answer" in one]
+    (unasked,) = [one for one in said if "kind=unasked" in one]
+    assert "bytes=82 " in unasked, "a whole late answer in one line, however it came"
+    assert said.index(unasked) < next(i for i, one in enumerate(said) if "drive=b" in one)
+
+
+@pytest.mark.parametrize("level", ["DEBUG", "INFO"])
+def test_without_debug_nothing_is_collected(caplog: pytest.LogCaptureFixture, level: str) -> None:
+    async def test(rig: Rig) -> None:
+        assert (rig.worker.talk._tap is None) is (level == "INFO")
+        await rig.read("a", 150).done.wait()
+
+    with caplog.at_level(level, logger="lecombus.line"):
         with_rig(test)
-    said = [one.getMessage() for one in caplog.records if one.levelname == "DEBUG"]
-    assert "event=sent bytes=84 30 b1 3f 30 05" in said[0]
-    came = "".join(text.partition("bytes=")[2] for text in said[1:] if "event=received" in text)
-    assert came.startswith("82"), "STX with its parity bit"

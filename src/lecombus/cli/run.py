@@ -20,7 +20,7 @@ __all__ = ["command"]
     envvar="LECOMBUS_LOG_LEVEL",
     default="info",
     show_default=True,
-    help="debug shows every telegram.",
+    help="debug shows every telegram, decoded.",
 )
 @click.option(
     "--log-format",

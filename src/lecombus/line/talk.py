@@ -51,6 +51,7 @@ from .stall import StallWatch
 from .station import Job
 from .stop_job import StopJob
 from .waits import Deadline, Lateness, Pause
+from .wiretap import Wiretap
 
 __all__ = ["Talk"]
 
@@ -105,8 +106,7 @@ class Talk:
         self._schedule = schedule
         self._options = options
         self._connection = connection
-        self._name = line
-        self._talkative = logger.isEnabledFor(logging.DEBUG)
+        self._tap = Wiretap(line) if logger.isEnabledFor(logging.DEBUG) else None
         self._doubts = Doubts(options.late_answer_s if options.quarantine else 0.0)
         self._questions = Questions(timing, self._doubts)
         self._exchange = Exchange(parity=True, echo=options.echo)
@@ -171,8 +171,8 @@ class Talk:
     def received(self, data: bytes) -> None:
         """Take bytes from the port."""
         now = self._time()
-        if self._talkative:
-            logger.debug("line=%s event=received bytes=%s", self._name, data.hex(" "))
+        if self._tap is not None:
+            (self._tap.stray if self._under_way is None else self._tap.heard)(data)
         if self._under_way is not None:
             result = self._exchange.feed(data, now, self._looked_s)
             if result is not None:
@@ -299,8 +299,8 @@ class Talk:
             self._connection.note_loss(loss)
             self._end_exchange(self._exchange.lost(now))
             return
-        if self._talkative:
-            logger.debug("line=%s event=sent bytes=%s", self._name, question.ask.sent.hex(" "))
+        if self._tap is not None and self._under_way is not None:
+            self._tap.sent(self._under_way[1], question.ask.sent)
         ask = question.ask
         self._deadline.set(self._looked_s + min(ask.late_s, ask.first_byte_s))
         self._publish()
@@ -365,6 +365,8 @@ class Talk:
         done, self._under_way = self._under_way, None
         if done is None:
             return
+        if self._tap is not None:
+            self._tap.ended(done[1], result)
         try:
             if not self._follow(done, result):
                 self._conclude(*done, result)
