@@ -249,3 +249,18 @@ def test_a_long_name_is_whole_and_does_not_reach_into_the_picture() -> None:
     assert size is not None
     assert 32 * 0.8 * float(size[1]) < 140.0
     assert drawn.count("font-size:") == 1 + drawn.count(".head{font-size:")
+
+
+@pytest.mark.parametrize(
+    ("time", "verdict"),
+    [("2s", "may act"), ("5s", "if fed 1.9 s before"), ("60s", "outlasts it")],
+)
+def test_which_watchdogs_outlast_a_restart(time: str, verdict: str) -> None:
+    text = (
+        "line: {name: l, port: 'sim:'}\n"
+        "drives: [{name: a, address: 1, family: 8200vector,"
+        f" watchdog: {{time: {time}, action: inhibit}}}},"
+        " {name: b, address: 2, family: 8200vector}]\n"
+    )
+    (one,) = make_plan(parse_roster(text, "r.yaml")).watchdogs
+    assert one.at_restart == verdict

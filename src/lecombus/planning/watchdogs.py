@@ -4,6 +4,10 @@ Method: the demand bound of `schedule.demand`, over the feeds of `config.feeding
 millisecond. Two times are given: the least that can be held, one exchange failing at the worst
 moment, and the least that also outlasts a drive that goes away: it is asked `AWAY_ATTEMPTS` times
 in vain before it is given up.
+
+A restart of the daemon after it was killed is reckoned with `RESTART_S` until the first telegram,
+and one exchange with each drive until all have been spoken to. A watchdog outlasts that if its
+drive was spoken to so shortly before as leaves the rest of its time.
 """
 
 from __future__ import annotations
@@ -12,7 +16,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from lecombus.config import Roster
-from lecombus.config.exchanges import watched_s
+from lecombus.config.exchanges import feed_times, watched_s
 from lecombus.config.feeding import LONGEST_S, Feeding, feeding_of, lowest_s, smallest
 from lecombus.drives import LineTiming
 from lecombus.schedule.feeds import HARD_PART
@@ -21,6 +25,11 @@ __all__ = ["AWAY_ATTEMPTS", "WatchdogPlan", "watchdog_plans"]
 
 AWAY_ATTEMPTS: Final = 4
 """Exchanges in a row that a drive fails before it counts as offline."""
+
+
+RESTART_S: Final = 3.0
+"""From the end of a daemon that was killed to the first telegram of the next: 1.4 to 2.8 s were
+measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +42,8 @@ class WatchdogPlan:
         feed_s: What one feed costs, seconds.
         least_s: The least time that can be held; None: none.
         outlasts_s: The least time that outlasts a drive that goes away; None: none.
+        restart_s: It outlasts a restart of the daemon if the drive was spoken to in so many seconds
+            before; 0: it does not.
     """
 
     drive: str
@@ -40,6 +51,14 @@ class WatchdogPlan:
     feed_s: float
     least_s: float | None
     outlasts_s: float | None
+    restart_s: float
+
+    @property
+    def at_restart(self) -> str:
+        """Say what it does while the daemon is started again."""
+        if self.restart_s >= HARD_PART * self.time_s:
+            return "outlasts it"
+        return f"if fed {self.restart_s:.1f} s before" if self.restart_s else "may act"
 
     @property
     def verdict(self) -> str:
@@ -55,6 +74,7 @@ def watchdog_plans(roster: Roster, timing: LineTiming) -> list[WatchdogPlan]:
     """Plan every watched drive's watchdog, in the roster's order."""
     feeding = feeding_of(roster, timing)
     plans = []
+    restart_s = RESTART_S + sum(feed_times(one, timing).usual_s for one in roster.drives)
     known: dict[tuple[float, float, float, float], tuple[float | None, float | None]] = {}
     for number, drive in enumerate(feeding.drives):
         stream = feeding.streams[number]
@@ -67,7 +87,8 @@ def watchdog_plans(roster: Roster, timing: LineTiming) -> list[WatchdogPlan]:
             )
         least_s, outlasts_s = known[alike]
         time_s = watched_s(drive) or 0.0
-        plans.append(WatchdogPlan(drive.name, time_s, stream.cost_s, least_s, outlasts_s))
+        left_s = max(time_s - restart_s, 0.0)
+        plans.append(WatchdogPlan(drive.name, time_s, stream.cost_s, least_s, outlasts_s, left_s))
     return plans
 
 
