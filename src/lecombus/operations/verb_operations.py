@@ -32,6 +32,7 @@ from lecombus.drives.verbs import (
     is_enabled,
     questions,
     reset_steps,
+    states,
     stop_words,
 )
 from lecombus.errors import OperationError
@@ -157,7 +158,7 @@ class VerbOperations(StepOperations):
             if objection is not None:
                 text, remedy = f"{text}, and not by the line: {objection}", objection.remedy
             report = WriteReport(known.drive, None, Outcome.VERIFIED, text, remedy=remedy)
-            return told(run, report, states=await self._states(run.station))
+            return told(run, report, states=states(known))
         failed = await self._carry_out(run, steps)
         if failed is not None and not run.written:
             return told(run, failed)
@@ -167,7 +168,7 @@ class VerbOperations(StepOperations):
             return told(run, superseded(run), states=await self._states(run.station))
         if is_enabled(known):
             report = WriteReport(known.drive, None, Outcome.VERIFIED)
-            return told(run, report, states=await self._states(run.station))
+            return told(run, report, states=states(known))
         return await self._take_back(run, failed or not_shown(known))
 
     async def _take_back(self, run: Run, report: WriteReport) -> VerbReport:
