@@ -49,6 +49,7 @@ from lecombus.supervision.gates import Gates
 from lecombus.supervision.health import Health
 from lecombus.supervision.keeper import Keeper
 from lecombus.supervision.port_watch import PortWatch
+from lecombus.supervision.second_answers import SecondAnswers
 from lecombus.supervision.slow_drives import SlowDrives
 from lecombus.supervision.strain import Strain
 
@@ -137,6 +138,7 @@ class Site:
         self._slow = SlowDrives(self.store, self.schedule.costs_changed)
         self.custody = self._make_custody()
         self._strain = Strain(self.store)
+        self._second_answers = SecondAnswers(self.store)
         self.port_watch = PortWatch(self.store, line)
         self._reads = CyclicReads(self.requests, self.schedule, self.store, self.metrics.minutes)
         self._entries: dict[str, DriveEntry] = {}
@@ -229,6 +231,8 @@ class Site:
         now_s = self._clock()
         stats = self._gather(now_s)
         self._slow.look(map(self.requests.station, self._entries))
+        addresses = {name: entry.address for name, entry in self._entries.items()}
+        self._second_answers.look(self.worker.talk.duplicates.found(now_s), addresses)
         self.health.note_overdue()
         self.keeper.note_lapses(stats.feeds)
         starting = any(self.health.state(name) is DriveState.STARTING for name in self._entries)

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 
 import pytest
 
 from lecombus.drives import StopAction, WriteClass, family
 from lecombus.errors import ExchangeError, NakError, NoReplyError, UnknownCodeError
+from lecombus.line.duplicates import Duplicates
 from lecombus.line.jobs import MulticastJob, ReadJob, WriteJob
 from lecombus.line.station import Job, Station, Step, StepKind
 from lecombus.line.stop_job import StopJob
-from lecombus.protocol.addressing import Code
+from lecombus.protocol.addressing import Code, Form, encode_code
 from lecombus.protocol.exchange import Result, ResultKind
 from lecombus.protocol.telegrams import AckAnswer, Answer, NakAnswer, UnknownCodeAnswer, ValueAnswer
 from lecombus.protocol.values import Value
@@ -20,6 +22,8 @@ from lecombus.schedule.request import Outcome
 VECTOR = family("8200vector")
 STATION = Station("a", 1, VECTOR, VECTOR.forms)
 CODE = Code(11)
+SHOWN = {150: "H0080", 9: "1"}
+"""What an inhibited drive reads, and its address."""
 
 DONE, VERIFIED, REFUSED, UNKNOWN = (
     Outcome.DONE, Outcome.VERIFIED, Outcome.REFUSED, Outcome.UNKNOWN,
@@ -214,6 +218,27 @@ def value(code: int, raw: str) -> Result:
     return answered(ValueAnswer(b"%02d" % code, Value.parse(raw)))
 
 
+def proven(
+    job: StopJob, reads: Mapping[int, str], at_s: float = 0.02
+) -> tuple[str, tuple[Outcome, str] | None]:
+    """Answer what a stop reads to be shown, in the form asked for, until it ends or is said again.
+
+    Returns:
+        What was read, such as `150s 150e 9s`, and how it ended.
+    """
+    asked: list[str] = []
+    verdict: tuple[Outcome, str] | None = None
+    while verdict is None and job.step.kind is StepKind.READ:
+        step = job.step
+        assert step.form is not None
+        asked.append(f"{step.code.number}{step.form.value[0]}")
+        answer = ValueAnswer(
+            encode_code(step.code, step.form), Value.parse(reads[step.code.number])
+        )
+        verdict = job.advance(late(answered(answer), at_s))
+    return " ".join(asked), verdict
+
+
 def test_an_inhibit_is_said_and_read_back() -> None:
     job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=2)
     assert (job.step.code, str(job.step.value and job.step.value.raw)) == (Code(40), "0")
@@ -241,7 +266,7 @@ def test_a_word_that_cannot_be_read_makes_an_inhibit_of_the_quick_stop(results: 
         job.advance(RESULTS[result] if result != "other" else value(135, "SABC"))
     assert (job.step.kind, job.step.code) == (StepKind.WRITE, Code(40))
     job.advance(RESULTS["ack"])
-    outcome, reason = job.advance(value(150, "H0080")) or (None, "")
+    outcome, reason = proven(job, SHOWN)[1] or (None, "")
     assert outcome is VERIFIED
     assert reason.startswith("quick-stop needs C0135, which ")
     assert reason.endswith("; inhibit: C0150 reads H0080")
@@ -296,7 +321,7 @@ def test_a_refused_quick_stop_becomes_an_inhibit_at_once(
     assert play(job, results)[:2] == (steps, None)
     assert (job.step.code, job.pause_s) == (Code(40), 0.0)
     job.advance(RESULTS["ack"])
-    outcome, reason = job.advance(value(150, "H0080")) or (None, "")
+    outcome, reason = proven(job, SHOWN)[1] or (None, "")
     assert outcome is VERIFIED
     assert reason == "quick-stop was refused by the drive (NAK); inhibit: C0150 reads H0080"
 
@@ -333,9 +358,9 @@ def test_an_inhibit_that_follows_a_quick_stop_is_tried_for_a_while_however_late_
         job.advance(late(RESULTS["nak"], 4.9))
     job.advance(late(RESULTS["none"], 5.3))
     job.advance(late(RESULTS["none"], 5.6))
-    assert job.advance(late(RESULTS["none"], 5.9)) is None, "the quick stop had used up its time"
-    job.advance(late(RESULTS["ack"], 6.3))
-    assert (job.advance(late(value(150, "H0080"), 6.4)) or (None,))[0] is VERIFIED
+    assert job.advance(late(RESULTS["none"], 5.7)) is None, "the quick stop had used up its time"
+    job.advance(late(RESULTS["ack"], 5.8))
+    assert (proven(job, SHOWN, 5.9)[1] or (None,))[0] is VERIFIED
 
 
 def late(result: Result, at_s: float) -> Result:
@@ -348,9 +373,12 @@ def test_a_stop_is_repeated_at_once_and_then_read_back_all_the_same() -> None:
     assert play(job, "none garbled none")[:2] == ("WWW", None)
     assert job.step.kind is StepKind.READ
     assert job.cut_outcome is UNKNOWN
-    verdict = job.advance(value(150, "H0080"))
-    assert verdict is not None
-    assert verdict[0] is VERIFIED, "the answers were lost, not the stop"
+    asked, verdict = proven(job, SHOWN)
+    assert (asked, verdict) == ("150s", None), "it was silent: it must acknowledge it itself"
+    job.advance(RESULTS["ack"])
+    asked, verdict = proven(job, SHOWN)
+    assert asked == "150s 150e 9s", "two forms, and the one answer that is no other drive's"
+    assert verdict == (VERIFIED, "inhibit: C0150 reads H0080")
     assert job.error is None
 
 
@@ -383,7 +411,7 @@ def test_a_drive_that_hears_again_after_seconds_is_stopped() -> None:
     while job.step.kind is StepKind.READ:
         job.advance(late(value(150, "H0000"), 4.2))
     job.advance(late(RESULTS["ack"], 4.3))
-    assert (job.advance(late(value(150, "H0080"), 4.4)) or (None,))[0] is VERIFIED
+    assert (proven(job, SHOWN, 4.4)[1] or (None,))[0] is VERIFIED
 
 
 @pytest.mark.parametrize(("said", "sayings"), [(False, 2), (True, 1)])
@@ -484,3 +512,113 @@ def test_a_quick_stop_said_by_multicast_is_made_good_with_the_word_it_needs() ->
 def test_a_multicast_is_said_once(result: str, outcome: Outcome) -> None:
     job = MulticastJob(STATION, CODE, Value.decimal(7), processing_s=0.05)
     assert play(job, result)[:2] == ("M", outcome)
+
+
+# ---- whose answer it is ---------------------------------------------------------------------
+
+
+def doubted() -> Duplicates:
+    """A line on which an answer came that nobody had asked for."""
+    duplicates = Duplicates()
+    duplicates.came(b"?0", 0.0)
+    return duplicates
+
+
+@pytest.mark.parametrize("silent", [False, True])
+def test_where_answers_come_twice_or_a_drive_was_silent_one_reading_proves_nothing(
+    silent: bool,
+) -> None:
+    job = StopJob(
+        STATION, StopAction.INHIBIT, word=lambda: None, retries=1, silent=silent,
+        duplicates=None if silent else doubted(),
+    )  # fmt: skip
+    job.advance(RESULTS["ack"])
+    assert proven(job, SHOWN) == ("150s 150e 9s", (VERIFIED, "inhibit: C0150 reads H0080"))
+
+
+def test_a_multicast_that_is_not_acknowledged_is_said_to_such_a_drive_alone() -> None:
+    job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=1, said=True, silent=True)
+    assert proven(job, SHOWN) == ("150s", None)
+    assert job.step.kind is StepKind.WRITE
+
+
+def test_another_drives_address_is_no_proof() -> None:
+    job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=1, silent=True)
+    for at_s in (0.1, 1.0, 2.0):
+        job.advance(late(RESULTS["ack"], at_s))
+        assert proven(job, SHOWN | {9: "2"}, at_s)[1] is None
+    job.advance(late(RESULTS["ack"], 5.2))
+    outcome, reason = proven(job, SHOWN | {9: "2"}, 6.5)[1] or (None, "")
+    assert outcome is UNKNOWN
+    assert "C0009 does not read 1: the answer may be another drive's" in reason
+
+
+def test_a_drive_without_an_address_code_needs_answers_that_nobody_else_was_asked_for() -> None:
+    duplicates = doubted()
+    duplicates.asked(encode_code(Code(150), Form.EXTENDED), "b", 0.0)
+    job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=1, duplicates=duplicates)
+    job.advance(RESULTS["ack"])
+    for at_s in (0.1, 4.0):
+        while job.step.kind is StepKind.READ and job.step.code == Code(150):
+            assert job.step.form is not None
+            field = encode_code(job.step.code, job.step.form)
+            verdict = job.advance(late(answered(ValueAnswer(field, Value.parse("H0080"))), at_s))
+        if job.step.code == Code(9):
+            verdict = job.advance(late(RESULTS["eot"], at_s))
+            assert verdict is None
+    assert verdict is not None
+    assert verdict[0] is VERIFIED
+
+
+def test_proofs_of_several_drives_take_turns_with_the_form() -> None:
+    duplicates, asked = Duplicates(), []
+    for name, at_s in zip("abcd", (1.0, 1.1, 1.2, 1.3), strict=True):
+        station = dataclasses.replace(STATION, name=name)
+        job = StopJob(
+            station, StopAction.INHIBIT, word=lambda: None, retries=1, duplicates=duplicates
+        )
+        job.advance(RESULTS["ack"])
+        assert job.step.form is not None
+        asked.append(job.step.form.value[0])
+        duplicates.asked(encode_code(job.step.code, job.step.form), name, at_s)
+    assert "".join(asked) == "sese"
+
+
+# ---- what a quick stop may become -------------------------------------------------------------
+
+
+def hoist(word: int | None) -> StopJob:
+    return StopJob(STATION, StopAction.QUICK_STOP, word=lambda: word, retries=1, may_inhibit=False)
+
+
+def test_a_refused_quick_stop_that_may_not_become_an_inhibit_stays_one() -> None:
+    job, verdict, at_s = hoist(4), None, 0.0
+    while verdict is None:
+        assert job.step.code == Code(135)
+        at_s += 0.1
+        refused = RESULTS["nak"] if job.step.kind is StepKind.WRITE else value(135, "H0004")
+        verdict = job.advance(late(refused, at_s))
+    assert verdict[0] is REFUSED
+    assert verdict[1].endswith("it was not inhibited instead: the roster says stop_fallback: none")
+    assert 5.0 <= at_s < 6.0
+
+
+@pytest.mark.parametrize("result", ["none", "eot", "other"])
+def test_nor_does_one_whose_word_cannot_be_read(result: str) -> None:
+    job, verdict, at_s = hoist(None), None, 0.0
+    while verdict is None:
+        assert (job.step.kind, job.step.code) == (StepKind.READ, Code(135))
+        at_s += 0.1
+        reads = value(135, "SABC") if result == "other" else RESULTS[result]
+        verdict = job.advance(late(reads, at_s))
+        assert at_s < 0.4 or job.pause_s, "the line is left to others"
+    assert verdict[0] is REFUSED, "nothing was said"
+    assert "quick-stop needs C0135, which" in verdict[1]
+    assert "stop_fallback: none" in verdict[1]
+    assert 5.0 <= at_s < 6.0
+
+
+def test_nor_one_whose_word_may_not_be_read_now() -> None:
+    job = hoist(None)
+    assert job.step.code == Code(135)
+    assert not job.cannot_read()

@@ -12,7 +12,7 @@ from lecombus.cli.arguments import json_option, roster_option
 from lecombus.cli.exits import Exit
 from lecombus.cli.screen import on_terminal, show_rows
 from lecombus.config import RosterError, load_roster
-from lecombus.config.describing import Description, describe
+from lecombus.config.describing import COLUMNS, Description, describe
 
 __all__ = ["command"]
 
@@ -51,12 +51,9 @@ def command(roster: Path, as_json: bool) -> int:
 
 def _show(description: Description) -> None:
     load = f"cyclic reads take {description.cyclic_load:.0%} of it"
-    drives = [
-        (drive.name, str(drive.address), drive.family, drive.watchdog, drive.cyclic)
-        for drive in description.drives
-    ]
+    drives = [drive.row for drive in description.drives]
     show_rows(
-        ("drive", "address", "family", "watchdog", "cyclic reads"),
+        COLUMNS,
         drives,
         title=f"{description.line}; {load}",
     )

@@ -62,11 +62,11 @@ def command(
     manuals say. Point `port:` of the roster that `lecombus run` reads at what is printed here.
 
     FAULTS are NAME=CHANCE with commas between, chance per telegram from 0 to 1: lost, unheard,
-    request-noise, damaged (the drive notices and says so), late (:TIME), noise, bad-bcc, parity,
-    half, endless, nak, power-cycle (:TIME), bad-echo; and echo, unplugged, nak-reads (NAK to a read
-    that cannot be carried out, as some devices do), absent=ADDRESS+ADDRESS,
-    trip=ADDRESS:NUMBER[:stays]: that drive has this fault from the start, and with `stays` no
-    reset helps.
+    request-noise, damaged (the drive notices and says so), late (:TIME), double (:TIME; an answer
+    comes twice), noise, bad-bcc, parity, half, endless, nak, power-cycle (:TIME), bad-echo; and
+    echo, unplugged, nak-reads (NAK to a read that cannot be carried out, as some devices do),
+    absent=ADDRESS+ADDRESS, twins=ADDRESS (two drives have it), trip=ADDRESS:NUMBER[:stays]: that
+    drive has this fault from the start, and with `stays` no reset helps.
 
     While it runs, faults and more are typed into its terminal, or told from another one:
     lecombus simulate --pty PATH --tell "trip feeder 50"; help lists what there is.

@@ -100,6 +100,7 @@ def _drive(entry: Entry, lease: LeaseEntry) -> DriveEntry:
         identity={Code.parse(at.text): text for at, text in entry.get("identity", ())},
         stored_writes=_stored_writes(entry.get("stored_writes")),
         lease=_lease(entry.get("lease"), lease),
+        stop_fallback=entry.get("stop_fallback", "inhibit"),
     )  # fmt: skip
 
 

@@ -18,6 +18,10 @@ from lecombus.protocol.addressing import group_reach
 __all__ = ["DescribedDrive", "DescribedGroup", "Description", "describe"]
 
 
+COLUMNS = ("drive", "address", "family", "watchdog", "stop fallback", "cyclic reads")
+"""The heads of the drives table."""
+
+
 @dataclass(frozen=True, slots=True)
 class DescribedDrive:
     """One row of the drives table; texts are ready to be shown.
@@ -29,6 +33,7 @@ class DescribedDrive:
         watchdog: Such as `2s quick-stop, written` or `not looked after`.
         cyclic: What is read how often, such as `C0150 500ms, C0050 2s`.
         writable: What may be written, in order.
+        stop_fallback: What a quick stop becomes that cannot be had: `inhibit` or `none`.
     """
 
     name: str
@@ -37,6 +42,15 @@ class DescribedDrive:
     watchdog: str
     cyclic: str
     writable: str
+    stop_fallback: str
+
+    @property
+    def row(self) -> tuple[str, ...]:
+        """What stands in the table, in the order of `COLUMNS`."""
+        return (
+            self.name, str(self.address), self.family, self.watchdog, self.stop_fallback,
+            self.cyclic,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,10 +106,9 @@ class Description:
 
     def lines(self) -> list[str]:
         """Return the description as plain text for a terminal, without colours."""
-        rows = [(drive.name, str(drive.address), drive.family, drive.watchdog, drive.cyclic)
-                for drive in self.drives]  # fmt: skip
+        rows = [drive.row for drive in self.drives]
         found = [self.line, f"cyclic reads take {self.cyclic_load:.0%} of the line", ""]
-        found.extend(_columns([("drive", "address", "family", "watchdog", "cyclic reads"), *rows]))
+        found.extend(_columns([COLUMNS, *rows]))
         found.append("")
         found.extend(f"group {group.name}: {_how(group)}" for group in self.groups)
         found.extend(f"warning: {text}" for text in self.warnings)
@@ -139,6 +152,7 @@ def _drive(drive: DriveEntry) -> DescribedDrive:
         watchdog=watched,
         cyclic=", ".join(cyclic) or "nothing",
         writable=", ".join(map(str, sorted(drive.writable))) or "nothing",
+        stop_fallback=drive.stop_fallback,
     )
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from lecombus.config.models import DriveEntry
 from lecombus.drives import (
     LineTiming,
+    address_code,
     confirm_codes,
     family,
     read_cost,
@@ -151,7 +152,7 @@ def stop_attempt_s(drive: DriveEntry, timing: LineTiming) -> float:
     """
     of, found = family(drive.family), 0.0
     for action in of.stops:
-        for code, value in stop_steps(of, action):
+        for code, value in [*stop_steps(of, action), (address_code(of), None)]:
             for form in drive.forms:
                 if not code.knows(form):
                     continue

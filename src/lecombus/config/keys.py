@@ -138,6 +138,10 @@ _DRIVE: Final = Table("drive", (
         "Software versions (P494 of an SMVector) that may be written to besides the manual's."),
     Key("identity", NamedEntries(_CODE, Text("what the drive says of itself", 240)),
         "What identity codes such as C0200 or C1810 must read; else nothing but stops is written."),
+    Key("stop_fallback", Choice(get_args(models.StopFallback)),
+        "What a quick stop becomes that the drive refuses, does not show, or that cannot be made "
+        "from its control word: an inhibit, whereupon the motor coasts, or none, as for a hoist.",
+        default="inhibit"),
     Key("stored_writes", _STORED_WRITES, _STORED_WRITES.doc),
     Key("lease", _LEASE, _LEASE.doc),
 ), "A drive on the line.")  # fmt: skip

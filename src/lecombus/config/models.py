@@ -43,6 +43,7 @@ Echo = Literal["auto", "yes", "no"]
 Parity = Literal["line", "port"]
 Addressing = Literal["both", "standard"]
 Lapse = Literal["quick-stop", "inhibit", "silence", "hold"]
+StopFallback = Literal["inhibit", "none"]
 OnShutdown = Literal["nothing", "quick-stop", "inhibit"]
 
 
@@ -129,6 +130,7 @@ class StoredWrites(_Model):
 
 OF_USE: Final = (
     "cyclic", "writable", "unchecked", "restore", "allow_address_change", "stored_writes", "lease",
+    "stop_fallback",
 )  # fmt: skip
 """The keys of a drive that may change without an audit."""
 
@@ -153,6 +155,7 @@ class DriveEntry(_Model):
         identity: What identity codes must read, by code.
         stored_writes: How often stored codes may be written.
         lease: Whether its control needs a lease.
+        stop_fallback: What a quick stop becomes that cannot be had.
         slow: What a running line measured of it; no roster says that.
     """
 
@@ -171,6 +174,7 @@ class DriveEntry(_Model):
     identity: Mapping[Code, str] = {}
     stored_writes: StoredWrites = StoredWrites()
     lease: LeaseEntry = LeaseEntry()
+    stop_fallback: StopFallback = "inhibit"
     slow: SlowAnswers = SlowAnswers()
 
     def asks_for_audit(self, now: DriveEntry) -> bool:

@@ -38,6 +38,7 @@ __all__ = [
     "inhibit_mask",
     "inhibit_proofs",
     "knows_stop",
+    "may_ignore",
     "needs_control_word",
     "stop_confirmed",
     "stop_steps",
@@ -232,6 +233,15 @@ def stop_confirmed(family: Family, action: StopAction, code: Code, value: Value)
         return False
     proof = rule.proofs.get(code) if rule is not None else None
     return proof is not None and proof.holds(value)
+
+
+def may_ignore(family: Family, action: StopAction, code: Code, value: Value) -> bool:
+    """Say whether a value shows a stop only as a command that this drive may not follow."""
+    rule = family.stops.get(action)
+    proof = rule.proofs.get(code) if rule is not None else None
+    if rule is None or proof is None or code != rule.code:
+        return False
+    return _may_ignore(family, rule) and proof.holds(value)
 
 
 def _may_ignore(family: Family, rule: StopRule) -> bool:

@@ -21,6 +21,7 @@ from ..protocol.exchange import Result, ResultKind
 from ..schedule import Priority, Request, Schedule
 from ..schedule.shares import LISTEN_S
 from .doubts import Doubts
+from .duplicates import Duplicates
 from .jobs import ReadJob
 from .patience import Patience
 from .questions import Question
@@ -52,16 +53,22 @@ class Listening:
         silence: Keeps the pauses.
         doubts: Which answers may still come.
         over: Called when the silence is over sooner than was told.
+        duplicates: Told of answers that no question is open for.
     """
 
     def __init__(
-        self, schedule: Schedule, silence: Silence, doubts: Doubts, over: Callable[[], None]
+        self,
+        schedule: Schedule,
+        silence: Silence,
+        doubts: Doubts,
+        over: Callable[[], None],
+        duplicates: Duplicates,
     ) -> None:
         self._over = over
         self._schedule = schedule
         self._silence = silence
         self._doubts = doubts
-        self._strays = Strays(doubts)
+        self._strays = Strays(doubts, duplicates.came)
         self._patience = Patience()
         self._awaited: _Awaited | None = None
 

@@ -73,11 +73,12 @@ class StepKind(StrEnum):
 
 
 class Step(NamedTuple):
-    """One exchange to be run: read `code`, or write `value` to it."""
+    """One exchange to be run: read `code`, in `form` if that is free, or write `value` to it."""
 
     kind: StepKind
     code: Code
     value: Value | None = None
+    form: Form | None = None
 
 
 class Job(Protocol):

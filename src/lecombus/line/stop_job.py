@@ -33,17 +33,18 @@ from ..drives import (
     confirm_codes,
     knows_stop,
     needs_control_word,
-    stop_confirmed,
     stop_value,
 )
-from ..drives.stops import inhibit_mask, inhibit_proofs, usable_word
+from ..drives.stops import inhibit_mask, inhibit_proofs, may_ignore, usable_word
 from ..errors import ExchangeError
 from ..protocol.addressing import Code
 from ..protocol.exchange import Result, ResultKind
 from ..protocol.telegrams import AckAnswer, NakAnswer, UnknownCodeAnswer, ValueAnswer
 from ..protocol.values import Value
 from ..schedule.request import Outcome
+from .duplicates import Duplicates
 from .failures import error_of
+from .proving import Proving
 from .station import Station, Step, StepKind, Verdict
 
 __all__ = ["STOP_PATIENCE_S", "StopJob"]
@@ -57,9 +58,15 @@ LEAST_SAYINGS = 2
 LEAST_INHIBIT_S = 1.5
 """What an inhibit in a quick stop's place is tried for at least, seconds."""
 
+PROVING_S = 1.0
+"""Beyond its time a stop of which one reading shows that it was taken is given so long for the
+others, seconds."""
+
 UNSHOWN_S = 1.0
 """A quick stop that was acknowledged gets this long to show before it is taken for without effect,
 seconds: with shortened response time a 820X takes a value up 230 ms later (EDB2102EN 6.3.2)."""
+
+NO_FALLBACK = "; it was not inhibited instead: the roster says stop_fallback: none"
 
 PAUSE_S = 0.1
 """Left to others before each attempt after the first few, seconds; to a drive that is silent a
@@ -82,6 +89,9 @@ class StopJob:
         inhibited: Says whether the drive is inhibited, None when not known; asked likewise.
         retries: How often a failed attempt is repeated without a pause.
         said: The stop was already said by a multicast; begin with reading back.
+        silent: The drive did not answer before: its stop takes more to be shown.
+        may_inhibit: A quick stop that cannot be had may become an inhibit.
+        duplicates: What is known of answers that come twice on this line.
         patience_s: How long it is tried, seconds; once the drive answers: `STOP_PATIENCE_S`.
     """
 
@@ -91,6 +101,7 @@ class StopJob:
         "_learning",
         "_least_sayings",
         "_naks",
+        "_proving",
         "_read_inhibit",
         "_read_word",
         "_since_s",
@@ -103,8 +114,10 @@ class StopJob:
         "attempts",
         "error",
         "inhibited",
+        "may_inhibit",
         "patience_s",
         "proof",
+        "proof_code",
         "retries",
         "station",
         "word",
@@ -119,6 +132,9 @@ class StopJob:
         inhibited: Callable[[], bool | None] = lambda: False,
         retries: int,
         said: bool = False,
+        silent: bool = False,
+        may_inhibit: bool = True,
+        duplicates: Duplicates | None = None,
         patience_s: float = STOP_PATIENCE_S,
     ) -> None:
         self.station = station
@@ -128,7 +144,10 @@ class StopJob:
         self.retries = retries
         self.patience_s = patience_s
         self.attempts = 0
+        self.may_inhibit = may_inhibit
         self.proof: Value | None = None
+        self.proof_code: Code | None = None
+        self._proving = Proving(duplicates, silent=silent)
         self.error: ExchangeError | None = None
         self._since_s: float | None = None
         self._checking = said
@@ -183,12 +202,12 @@ class StopJob:
         """
         if self._checking:
             return self.station.hold_s
-        fresh = self._is_ready or self.attempts <= self.retries
+        fresh = self._is_ready or max(self.attempts, self._failed_reads) <= self.retries
         return 0.0 if fresh else PAUSE_S
 
     def cannot_read(self) -> bool:
         """Take note that nothing may be read now; say whether there is something to say instead."""
-        if self._learning:
+        if self._learning and self.may_inhibit:
             code = self.step.code
             self._inhibit(f"needs {code}, which may not be read now: an old answer may still come")
             return True
@@ -201,16 +220,19 @@ class StopJob:
             self._since_s = result.started_s
         if result.kind is ResultKind.ANSWERED:
             self.patience_s = STOP_PATIENCE_S
-        elif result.kind is ResultKind.LOST:
+        else:
+            self._proving.silent = True
+        if result.kind is ResultKind.LOST:
             self.error = error_of(self.station, step, result, self.attempts + 1)
             return Outcome.UNKNOWN, str(self.error)
-        over = bool(self.attempts) and result.ended_s - self._since_s >= self.patience_s
+        over = result.ended_s - self._since_s >= self.patience_s
+        over = over and (bool(self.attempts) or not self.may_inhibit)
         if self._learning:
-            self._learnt(step, result, over)
-            return None
+            return self._learnt(step, result, over)
         if self._checking:
             return self._checked(step, result, over)
         self.attempts += 1
+        self._proving.said(acknowledged=type(result.answer) is AckAnswer)
         if type(result.answer) is AckAnswer:
             self.error, self._unheard, self._naks, self._checking = None, 0, 0, True
             return None
@@ -233,7 +255,7 @@ class StopJob:
     def _made(self) -> Step:
         family = self.station.family
         if self._checking:
-            return Step(StepKind.READ, confirm_codes(family, self.action)[0])
+            return self._proving.step(self.station, self.action)
         if not needs_control_word(family, self.action):
             return self._saying(None)
         code = family.stops[self.action].code
@@ -261,13 +283,14 @@ class StopJob:
 
     @property
     def _can_inhibit(self) -> bool:
-        quick = self.action is StopAction.QUICK_STOP
+        quick = self.action is StopAction.QUICK_STOP and self.may_inhibit
         return quick and knows_stop(self.station.family, StopAction.INHIBIT)
 
     def _inhibit(self, why: str, now_s: float | None = None) -> None:
         """Say an inhibit from now on, and give it time even where the quick stop used it up."""
         self._why = f"{self.action} {why}; "
         self._learning = self._checking = False
+        self._proving.begin()
         self._read_word = self._read_inhibit = None
         self._unheard = self._unshown = 0
         self.action = StopAction.INHIBIT
@@ -275,7 +298,7 @@ class StopJob:
         if now_s is not None and self._since_s is not None:
             self._since_s = max(self._since_s, now_s - STOP_PATIENCE_S + LEAST_INHIBIT_S)
 
-    def _learnt(self, step: Step, result: Result, over: bool) -> None:
+    def _learnt(self, step: Step, result: Result, over: bool) -> Verdict:
         """Keep what the stop is made of: the word, or whether the drive is inhibited.
 
         A drive that was told to stop already is asked more than once before it is inhibited: the
@@ -286,16 +309,22 @@ class StopJob:
         value = answer.value if type(answer) is ValueAnswer else None
         if value is not None and self._takes(step.code, value):
             self._failed_reads = 0
-            return
+            return None
         self._failed_reads += 1
         unknown = type(answer) is UnknownCodeAnswer
         self._turn(refused=unknown)
+        if not self.may_inhibit:
+            if not over:
+                return None
+            outcome = Outcome.UNKNOWN if self.attempts else Outcome.REFUSED
+            return outcome, f"{self.action} {self._unreadable(step, result, value)}{NO_FALLBACK}"
         if unknown and self._turned:
-            return
+            return None
         said = result.kind is ResultKind.ANSWERED and type(answer) is not NakAnswer
         asked_enough = said or self._failed_reads > self.retries
         if not self.attempts or asked_enough or over:
             self._inhibit(self._unreadable(step, result, value), result.ended_s)
+        return None
 
     def _takes(self, code: Code, value: Value) -> bool:
         """Keep a value that the next telegram needs; False: it is no such value."""
@@ -323,11 +352,24 @@ class StopJob:
         answer = result.answer
         if type(answer) is not ValueAnswer:
             return self._unread(step, result, over)
-        self.proof, self._failed_reads = answer.value, 0
-        if stop_confirmed(self.station.family, self.action, step.code, self.proof):
+        proving, family = self._proving, self.station.family
+        self._failed_reads = 0
+        if proving.take(self.station, self.action, answer, step.code):
+            if step.code in confirm_codes(family, self.action):
+                self.proof, self.proof_code = answer.value, step.code
             self.error = None
-            text = f"{self.action}: {step.code} reads {self.proof.raw}"
-            return Outcome.VERIFIED, self._why + text
+            if proving.is_enough(self.station, self.action, result.ended_s):
+                return Outcome.VERIFIED, f"{self._why}{self.action}: {self._shown}"
+            assert self._since_s is not None
+            if result.ended_s - self._since_s < self.patience_s + PROVING_S:
+                self._checking = proving.acknowledged
+                return None
+            text = f"{self._why}{self.action} was said and {self._shown}, but "
+            return Outcome.UNKNOWN, text + proving.missing(self.station)
+        if step.code not in confirm_codes(family, self.action):
+            text = f"{self._why}{self.action} was said, but {proving.missing(self.station)}"
+            return (Outcome.UNKNOWN, text) if over else None
+        self.proof, self.proof_code = answer.value, step.code
         self._unshown += 1
         self._turn(refused=True)
         reads = f"was said, but {step.code} reads {self.proof.raw}"
@@ -336,7 +378,26 @@ class StopJob:
             return None
         if not over:
             return None
-        return Outcome.REFUSED, f"{self._why}{self.action} {reads}"
+        return self._not_shown(step, reads)
+
+    def _not_shown(self, step: Step, reads: str) -> Verdict:
+        """Say that a stop was said for as long as it is tried, and does not show."""
+        family, more = self.station.family, ""
+        if self.action is StopAction.QUICK_STOP and not self.may_inhibit:
+            more = NO_FALLBACK
+        outcome = Outcome.REFUSED
+        if self.proof is not None and may_ignore(family, self.action, step.code, self.proof):
+            outcome = Outcome.UNKNOWN
+            more = f", which this drive shows whether it follows it or not{more}"
+        return outcome, f"{self._why}{self.action} {reads}{more}"
+
+    @property
+    def _shown(self) -> str:
+        """What shows the stop; a command that reads back shows no more than that it is held."""
+        assert self.proof is not None
+        held = self.proof_code == self.station.family.stops[self.action].code
+        text = f"{self.proof_code} reads {self.proof.raw}"
+        return f"command held, {text}" if held else text
 
     def _is_without_effect(self, result: Result, over: bool) -> bool:
         """Whether a quick stop was taken often enough without showing."""
@@ -351,6 +412,12 @@ class StopJob:
         self.error = error_of(self.station, step, result, self._failed_reads)
         # One damaged character makes "no such code" of a value, so that is asked twice.
         no_code = type(result.answer) is UnknownCodeAnswer
+        if self._proving.refused(self.station, step.code, result.answer) and no_code:
+            self._checking = True
+            return None
+        if self._proving.is_begun and self._failed_reads <= self.retries:
+            self._checking = True
+            return None
         self._turn(refused=no_code)
         unknown = no_code and self._failed_reads > 1
         over = over and self.attempts >= self._least_sayings

@@ -7,6 +7,9 @@ also tells how slow its drive is (`drives.measured`).
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+from ..protocol.exchange import ACK_FIELD
 from ..protocol.parser import AnswerParser
 from ..protocol.telegrams import (
     BadAnswer,
@@ -25,10 +28,14 @@ class Strays:
 
     Args:
         doubts: Told when a late answer has come.
+        second: Told of an answer that nobody misses, by its code field, and when it came.
     """
 
-    def __init__(self, doubts: Doubts) -> None:
+    def __init__(
+        self, doubts: Doubts, second: Callable[[bytes, float], None] = lambda field, now_s: None
+    ) -> None:
         self._doubts = doubts
+        self._second = second
         self._parser = AnswerParser(parity=True)
         self._parity = True
         self.awaited: tuple[bytes, Asked] | None = None  # asked last, and listened for since
@@ -76,7 +83,10 @@ class Strays:
         self.late_answers_total += 1
         if isinstance(answer, ValueAnswer | UnknownCodeAnswer | TransmissionErrorAnswer):
             self._measure(answer.field, now_s)
-            self._doubts.resolve(answer.field)
+            if not self._doubts.resolve(answer.field):
+                self._second(answer.field, now_s)
+        elif self._doubts.blocked_until_s(ACK_FIELD, now_s) <= now_s:
+            self._second(ACK_FIELD, now_s)
         return True
 
     def _measure(self, field: bytes, now_s: float) -> None:

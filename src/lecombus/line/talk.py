@@ -40,6 +40,7 @@ from ..schedule import Outcome, Priority, Request, Schedule
 from .aftermath import Aftermath
 from .connection import Connection
 from .doubts import Asked, Doubts
+from .duplicates import Duplicates
 from .jobs import MulticastJob, ReadJob
 from .listening import Listening
 from .observer import Observer
@@ -88,6 +89,7 @@ class Talk:
         observer: As given; tests put themselves in its place.
         exchanges: Exchanges so far.
         rests: How often there was nothing to say.
+        duplicates: Answers that nobody asked for, and whom answers were asked of.
     """
 
     def __init__(
@@ -107,12 +109,15 @@ class Talk:
         self._options = options
         self._connection = connection
         self._tap = Wiretap(line) if logger.isEnabledFor(logging.DEBUG) else None
+        self.duplicates = Duplicates()
         self._doubts = Doubts(options.late_answer_s if options.quarantine else 0.0)
         self._questions = Questions(timing, self._doubts)
         self._exchange = Exchange(parity=True, echo=options.echo)
         self._aftermath = Aftermath()
         self._silence = Silence(options.turnaround_s)
-        self._listening = Listening(schedule, self._silence, self._doubts, self.nudge)
+        self._listening = Listening(
+            schedule, self._silence, self._doubts, self.nudge, self.duplicates
+        )
         self._stall = StallWatch(options.stall_s)
         self._under_way: Saying | None = None
         self._ready: Saying | None = None
@@ -302,6 +307,8 @@ class Talk:
         if self._tap is not None and self._under_way is not None:
             self._tap.sent(self._under_way[1], question.ask.sent)
         ask = question.ask
+        if self._under_way is not None and ask.field:
+            self.duplicates.asked(ask.field, self._under_way[1].station.name, now)
         self._deadline.set(self._looked_s + min(ask.late_s, ask.first_byte_s))
         self._publish()
         self._rehearse(now)
@@ -390,6 +397,8 @@ class Talk:
             return False
         loss = self._connection.say(ready[2].ask.sent)
         self._ready = None
+        if result.others:
+            self._note_others(result)
         self.exchanges += 1
         self._silence.exchange_ended(result.ended_s)
         self._heard()
@@ -407,6 +416,8 @@ class Talk:
         ended = result.ended_s
         answered = result.kind is ResultKind.ANSWERED
         self.exchanges += 1
+        if result.others:
+            self._note_others(result)
         if type(result.answer) is not ValueAnswer:
             self._ready = None  # a doubt, an echo, a lost line: look at it anew
         quarantined_s = self._after(request, job, question, result)
@@ -431,6 +442,12 @@ class Talk:
             self._schedule.again(request, ended, not_before_s, behind=behind)
         else:
             request.end(*verdict)
+
+    def _note_others(self, result: Result) -> None:
+        """Take note of whole answers to something else, unless one of them is missing."""
+        for field in result.others:
+            if self._doubts.blocked_until_s(field, result.started_s) <= result.started_s:
+                self.duplicates.came(field, result.ended_s)
 
     def _after(self, request: Request, job: Job, question: Question, result: Result) -> float:
         """Set from when the line is free again; returns the quarantine in seconds."""

@@ -17,12 +17,14 @@ from lecombus.drives import (
     Cost,
     LineTiming,
     StopAction,
+    address_code,
     read_cost,
     stop_steps,
     write_cost,
 )
 from lecombus.drives.measured import SlowAnswers
 from lecombus.errors import OperationError
+from lecombus.line.duplicates import Duplicates
 from lecombus.line.jobs import MulticastJob, ReadJob, WriteJob
 from lecombus.line.station import Station
 from lecombus.line.stop_job import STOP_PATIENCE_S, StopJob
@@ -228,12 +230,15 @@ class RequestMaker:
         inhibited: Callable[[], bool | None] = lambda: False,
         said: bool,
         settle: Settle,
+        silent: bool = False,
+        may_inhibit: bool = True,
+        duplicates: Duplicates | None = None,
         patience_s: float = STOP_PATIENCE_S,
     ) -> Request:
         """Make a request that stops one drive and proves it."""
         job = StopJob(
             station, action, word=word, inhibited=inhibited, retries=self.retries, said=said,
-            patience_s=patience_s,
+            silent=silent, may_inhibit=may_inhibit, duplicates=duplicates, patience_s=patience_s,
         )  # fmt: skip
         usual = self._read_cost(station, station.family.stops[action].code)
         return Request(
@@ -249,7 +254,8 @@ class RequestMaker:
     def _longest_stop_s(self, station: Station, action: StopAction) -> float:
         """Give the longest that one telegram of a stop can hold the line, in whatever form."""
         of, found = station.family, 0.0
-        for code, value in stop_steps(of, action):
+        # A stop may take the drive's own address to be shown.
+        for code, value in [*stop_steps(of, action), (address_code(of), None)]:
             answer_s = station.answer_s(code, write=value is not None)
             for form in station.forms:
                 if not code.knows(form):

@@ -227,9 +227,13 @@ class StopOperations(Operations):
                 one.settle(outcome, reason)
 
         absent = self._state_of(station) is DriveState.OFFLINE
+        entry = self._entries.get(name)
         ending.request = request = self._requests.maker.stop(
             station, action, word=lambda: self._words.word(name),
             inhibited=lambda: self._words.inhibited(name), said=said, settle=settle,
+            silent=bool(self.silence_of(station)),
+            may_inhibit=entry is None or entry.stop_fallback == "inhibit",
+            duplicates=self._requests.worker.talk.duplicates,
             patience_s=ABSENT_PATIENCE_S if absent else STOP_PATIENCE_S,
         )  # fmt: skip
         self._requests.worker.submit(request)

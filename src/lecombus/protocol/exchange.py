@@ -120,6 +120,7 @@ class Result:
             adds included; None: there was no answer, or nobody looked when it would have been late.
         overdue_s: How long after its last moment the exchange was ended, because the process did
             not run: what it brought may be so much older than `ended_s`.
+        others: The code fields of those whole answers, `ACK_FIELD` for an acknowledgement.
     """
 
     kind: ResultKind
@@ -132,6 +133,7 @@ class Result:
     clean: bool = True
     thought_s: float | None = None
     overdue_s: float = 0.0
+    others: tuple[bytes, ...] = ()
 
 
 class _Phase(Enum):
@@ -171,6 +173,7 @@ class Exchange:
         self._echo_fault = ""
         self._fault = ""
         self._late = 0
+        self._others: list[bytes] = []
         self._kept = bytearray()
         self._takes_nak = True
         self._refused = False
@@ -199,6 +202,8 @@ class Exchange:
         self._echo_at = 0
         self._echo_fault = self._fault = ""
         self._late = 0
+        if self._others:
+            self._others.clear()
         self.disturbed = False
         if self._kept:
             self._kept.clear()
@@ -324,7 +329,7 @@ class Exchange:
             last_s = self.deadline_s()
         return Result(
             kind, self.started_s, now_s, answer, fault, self._late, kept, clean, thought_s,
-            now_s - last_s if now_s > last_s else 0.0,
+            now_s - last_s if now_s > last_s else 0.0, tuple(self._others),
         )  # fmt: skip
 
     def _match_echo(self, data: bytes) -> bytes:
@@ -363,6 +368,7 @@ class Exchange:
                 self._refused = self.disturbed = True
             else:
                 self._late += 1 + self._refused
+                self._others.append(getattr(answer, "field", ACK_FIELD))
                 self._refused = False
             data = self._parser.tail
             self._parser.reset()

@@ -43,6 +43,9 @@ class Faults:
         late: The answer comes late.
         late_s: By how much, seconds, least and most.
         late_kind: Where late answers are held up.
+        double: The answer is delivered twice, the second time later.
+        double_s: By how much, seconds, least and most.
+        twins: Addresses that two drives have: the second one's answer comes after the first one's.
         noise: The answer is damaged, or stray characters stand before or after it.
         bad_bcc: The answer's block check is wrong.
         parity: One character of the answer has bad parity.
@@ -67,6 +70,9 @@ class Faults:
     late: float = 0.0
     late_s: tuple[float, float] = (0.05, 0.5)
     late_kind: LateKind = LateKind.ADAPTER
+    double: float = 0.0
+    double_s: tuple[float, float] = (0.05, 0.5)
+    twins: set[int] = field(default_factory=set)
     noise: float = 0.0
     bad_bcc: float = 0.0
     parity: float = 0.0
@@ -84,11 +90,15 @@ class Faults:
     trips: tuple[tuple[int, int, bool], ...] = ()
 
 
+TWIN_S: Final = (0.06, 0.2)
+"""How much later than the first the second of two drives at one address answers, seconds."""
+
 _CHANCES: Final = (
     "lost",
     "unheard",
     "request_noise",
     "late",
+    "double",
     "noise",
     "bad_bcc",
     "parity",
@@ -109,8 +119,9 @@ def parse_faults(text: str) -> Faults:
 
     Args:
         text: `NAME=CHANCE` items with commas between; `late=CHANCE[:[LEAST-]MOST[:KIND]]`,
-            `power_cycle=CHANCE[:DURATION]`, `absent=11+12`, `trip=11:50+12:15:stays`, `echo`,
-            `unplugged`, `nak-reads`. Empty: no faults.
+            `double=CHANCE[:[LEAST-]MOST]`, `twins=11+12`, `power_cycle=CHANCE[:DURATION]`,
+            `absent=11+12`, `trip=11:50+12:15:stays`, `echo`, `unplugged`, `nak-reads`. Empty: no
+            faults.
 
     Raises:
         ValueError: An item is not understood; says which and what is right.
@@ -121,14 +132,14 @@ def parse_faults(text: str) -> Faults:
         name = name.strip().replace("-", "_")
         if name in _SWITCHES and not value:
             setattr(faults, name, True)
-        elif name == "absent":
-            faults.absent = {_address(part, item) for part in value.split("+")}
+        elif name in ("absent", "twins"):
+            setattr(faults, name, {_address(part, item) for part in value.split("+")})
         elif name == "trip":
             faults.trips = tuple(_trip(part, item) for part in value.split("+"))
         elif name in _CHANCES:
             _read_chance(faults, name, value, item)
         else:
-            names = ", ".join((*_CHANCES, *_SWITCHES, "absent", "trip")).replace("_", "-")
+            names = ", ".join((*_CHANCES, *_SWITCHES, "absent", "trip", "twins")).replace("_", "-")
             raise ValueError(f"fault {item!r}: one of {names}")
     return faults
 
@@ -136,19 +147,23 @@ def parse_faults(text: str) -> Faults:
 def _read_chance(faults: Faults, name: str, value: str, item: str) -> None:
     chance, *rest = value.split(":")
     setattr(faults, name, _chance(chance, item))
-    if name == "late" and rest:
-        least, dash, most = rest.pop(0).partition("-")
-        end_s = _duration(most if dash else least, item)
-        start_s = _duration(least, item) if dash else min(0.05, end_s)
-        if start_s > end_s:
-            raise ValueError(f"fault {item!r}: the least delay comes first, then the most")
-        faults.late_s = (start_s, end_s)
-        if rest:
+    if name in ("late", "double") and rest:
+        setattr(faults, f"{name}_s", _delays(rest.pop(0), item))
+        if rest and name == "late":
             faults.late_kind = _kind(rest.pop(0), item)
     elif name == "power_cycle" and rest:
         faults.power_off_s = _duration(rest.pop(0), item)
     if rest:
         raise ValueError(f"fault {item!r}: too many parts")
+
+
+def _delays(text: str, item: str) -> tuple[float, float]:
+    least, dash, most = text.partition("-")
+    end_s = _duration(most if dash else least, item)
+    start_s = _duration(least, item) if dash else min(0.05, end_s)
+    if start_s > end_s:
+        raise ValueError(f"fault {item!r}: the least delay comes first, then the most")
+    return start_s, end_s
 
 
 def _chance(text: str, item: str) -> float:

@@ -26,7 +26,7 @@ from heapq import heappop, heappush
 from typing import Final
 
 from lecombus.simulator.drive import Overrides, Reply, SimDrive
-from lecombus.simulator.faults import Faults, LateKind
+from lecombus.simulator.faults import TWIN_S, Faults, LateKind
 from lecombus.simulator.outbox import Outbox, Speech
 from lecombus.simulator.parameters import CommError
 from lecombus.simulator.receiver import Heard, Listener
@@ -41,6 +41,7 @@ _BITS: Final = 10
 class _Event(Enum):
     SPEAK = auto()
     LET_THROUGH = auto()
+    COPY = auto()
 
 
 class SimLine:
@@ -260,8 +261,10 @@ class SimLine:
                 at_s, _, kind, speech = heappop(events)
                 if kind is _Event.SPEAK:
                     self._speak(speech, at_s)
-                else:
+                elif kind is _Event.LET_THROUGH:
                     self._let_through(speech, at_s)
+                else:
+                    self._deliver(speech, at_s)
             else:
                 return
 
@@ -397,7 +400,18 @@ class SimLine:
             self._let_through(speech, at_s)
 
     def _let_through(self, speech: Speech, at_s: float) -> None:
-        """Let an answer's bytes arrive at the host, not in the middle of another answer."""
+        """Let an answer's bytes arrive at the host, and perhaps once more later."""
+        self._deliver(speech, at_s)
+        faults = self._faults_of(speech.drive)
+        twin = speech.drive.address in self.faults.twins
+        if twin or self._spoiler.happens(faults.double):
+            least_s, most_s = TWIN_S if twin else faults.double_s
+            later_s = at_s + self._spoiler.rng.uniform(least_s, most_s)
+            copy = Speech(speech.drive, speech.data, later_s, 0.0, True)
+            self._schedule(later_s, _Event.COPY, copy)
+
+    def _deliver(self, speech: Speech, at_s: float) -> None:
+        """Let bytes arrive at the host, not in the middle of another answer."""
         base_s = max(at_s, self._to_host_free_s)
         speech.held_up_s = base_s - speech.begin_s
         if not self.paced:

@@ -1,0 +1,79 @@
+"""Answers that came without a question, and of which drive each answer was asked for last.
+
+An answer carries no address. Where answers are delivered twice, or two drives have one address, the
+second answer comes when another drive may have been asked for the same, and passes for its own.
+Doubts (`doubts`) are about answers that are missing; a second one is missed by nobody. What can be
+known is that such answers come at all, and how long ago another drive was asked for an answer that
+looks the same. From these two follows how much a proof is worth (`proving`).
+
+What must not live here: what is done about it.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Final
+
+__all__ = ["COPY_S", "Duplicates", "Found"]
+
+COPY_S: Final = 3.0
+"""A second answer may come so long after the first, seconds."""
+
+DOUBTED_S: Final = 60.0
+"""For so long after an answer that nobody asked for, single answers prove nothing, seconds."""
+
+LATELY_S: Final = 0.3
+"""Two drives at one address answer within this time of each other, seconds."""
+
+Found = tuple[int, dict[str, int]]
+"""How many second answers came within the last minute, and behind whose answers alone."""
+
+
+class Duplicates:
+    """Keeps whom each answer was asked of, and the answers that answer no question.
+
+    Where an answer can be told apart it is by its code field (`protocol.exchange.Ask.field`).
+    """
+
+    def __init__(self) -> None:
+        self._last: dict[bytes, tuple[str, float]] = {}
+        self._other: dict[bytes, float] = {}  # when it was asked last of another than `_last`
+        self._lately: deque[tuple[float, bytes, str]] = deque()
+        self._second: deque[tuple[float, str | None]] = deque(maxlen=1000)
+
+    def asked(self, field: bytes, drive: str, at_s: float) -> None:
+        """Note that a drive is asked for an answer that looks like this."""
+        last = self._last.get(field)
+        if last is not None and last[0] != drive:
+            self._other[field] = last[1]
+        self._last[field] = (drive, at_s)
+        self._lately.append((at_s, field, drive))
+        while self._lately[0][0] < at_s - LATELY_S:
+            self._lately.popleft()
+
+    def other_s(self, field: bytes, drive: str) -> float:
+        """Tell when another drive was asked for such an answer last; minus infinity: never."""
+        last = self._last.get(field)
+        if last is not None and last[0] != drive:
+            return last[1]
+        return self._other.get(field, float("-inf"))
+
+    def came(self, field: bytes, at_s: float) -> None:
+        """Note an answer that answers no question that is open."""
+        whose = {name for asked_s, one, name in self._lately
+                 if one == field and asked_s >= at_s - LATELY_S}  # fmt: skip
+        self._second.append((at_s, whose.pop() if len(whose) == 1 else None))
+
+    def doubtful(self, now_s: float) -> bool:
+        """Whether a single answer may be another drive's: one came lately that nobody asked for."""
+        return bool(self._second) and now_s - self._second[-1][0] < DOUBTED_S
+
+    def found(self, now_s: float) -> Found:
+        """Count the answers of the last minute that nobody asked for."""
+        while self._second and now_s - self._second[0][0] >= DOUBTED_S:
+            self._second.popleft()
+        alone: dict[str, int] = {}
+        for _, name in self._second:
+            if name is not None:
+                alone[name] = alone.get(name, 0) + 1
+        return len(self._second), alone

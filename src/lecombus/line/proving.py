@@ -1,0 +1,143 @@
+"""When a stop counts as shown: which codes are read, and how many answers it takes.
+
+The usual proof is one reading that shows the stop. Consecutive proofs of several drives alternate
+the addressing form, which the answer repeats, so that a second copy of a neighbour's answer does
+not pass for the next drive's.
+
+Where that is not enough (the drive was silent before or meanwhile, or answers came lately that
+nobody asked for) it takes three things: an acknowledgement of the drive's own, two readings in two
+forms or of two codes, and its own address, read from the drive itself: that is the one answer
+that no other drive of the line gives.
+
+What must not live here: what is said when, and for how long (`stop_job`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from ..drives import StopAction, address_code, confirm_codes, stop_confirmed
+from ..protocol.addressing import Code, Form, encode_code
+from ..protocol.telegrams import UnknownCodeAnswer, ValueAnswer
+from .duplicates import COPY_S, Duplicates
+from .station import Station, Step, StepKind
+
+__all__ = ["Proving"]
+
+WANTED = 2
+"""Readings that it takes in two forms where one may be another drive's."""
+
+
+class Proving:
+    """What has been shown of one stop.
+
+    Args:
+        duplicates: Whom answers were asked of; None: of nobody else.
+        silent: The drive did not answer before.
+
+    Attributes:
+        acknowledged: The drive acknowledged the stop itself.
+        silent: It did not answer before, or not always since.
+    """
+
+    def __init__(self, duplicates: Duplicates | None, *, silent: bool) -> None:
+        self._duplicates = duplicates or Duplicates()
+        self.silent = silent
+        self.acknowledged = False
+        self._shown: set[bytes] = set()
+        self._is_itself = False
+        self._has_no_address = False
+        self._asked_itself = 0
+
+    def said(self, *, acknowledged: bool) -> None:
+        """Take note that the stop was said: what is read before it is acknowledged is too early."""
+        if not self.acknowledged:
+            self.acknowledged = acknowledged
+            self._shown.clear()
+
+    def step(self, station: Station, action: StopAction) -> Step:
+        """Give the next reading."""
+        fields = [one for one in self._fields(station, action) if one[0] not in self._shown]
+        if self._has_enough(station, action) and not self._knows_it:
+            code = address_code(station.family)
+            forms = [form for form in station.forms if code.knows(form)]
+            form = forms[self._asked_itself % len(forms)] if forms else None
+            return Step(StepKind.READ, code, form=form)
+        if not fields:
+            fields = list(self._fields(station, action))
+        other_s = self._duplicates.other_s
+        _, code, form = min(fields, key=lambda one: other_s(one[0], station.name))
+        return Step(StepKind.READ, code, form=form)
+
+    def take(self, station: Station, action: StopAction, answer: ValueAnswer, code: Code) -> bool:
+        """Take a reading; say whether it shows what it should."""
+        if code == address_code(station.family):
+            self._asked_itself += 1
+            self._is_itself = answer.value.number == station.address
+            return self._is_itself
+        if not stop_confirmed(station.family, action, code, answer.value):
+            self._shown.clear()
+            return False
+        self._shown.add(answer.field)
+        return True
+
+    def refused(self, station: Station, code: Code, answer: object) -> bool:
+        """Take note of a reading that brought nothing; say whether it was for the address alone."""
+        if code != address_code(station.family):
+            return False
+        self._asked_itself += 1
+        self._has_no_address |= type(answer) is UnknownCodeAnswer
+        return True
+
+    @property
+    def is_begun(self) -> bool:
+        """Whether the drive acknowledged the stop and showed it, so that only more is wanted."""
+        return self.acknowledged and bool(self._shown)
+
+    def begin(self) -> None:
+        """Begin anew, with another stop."""
+        self.acknowledged = False
+        self._shown.clear()
+
+    def is_enough(self, station: Station, action: StopAction, now_s: float) -> bool:
+        """Whether the stop is shown."""
+        if not (self.silent or self._duplicates.doubtful(now_s)):
+            return bool(self._shown)
+        if not self.acknowledged or not self._has_enough(station, action):
+            return False
+        return self._knows_it and not (
+            self._has_no_address and any(self._is_old(one, station, now_s) for one in self._shown)
+        )
+
+    def missing(self, station: Station) -> str:
+        """Say what is not shown, where a reading showed the stop."""
+        if not self.acknowledged:
+            return "the drive did not acknowledge it: the answer may be another drive's"
+        if not self._knows_it:
+            code = address_code(station.family)
+            return f"{code} does not read {station.address}: the answer may be another drive's"
+        return "second answers come on this line: the answer may be another drive's"
+
+    @property
+    def _knows_it(self) -> bool:
+        return self._is_itself or self._has_no_address
+
+    def _has_enough(self, station: Station, action: StopAction) -> bool:
+        there = sum(1 for _ in self._fields(station, action))
+        return len(self._shown) >= min(WANTED, there)
+
+    def _is_old(self, field: bytes, station: Station, now_s: float) -> bool:
+        return now_s - self._duplicates.other_s(field, station.name) < COPY_S
+
+    def _fields(self, station: Station, action: StopAction) -> Iterator[tuple[bytes, Code, Form]]:
+        """Name the answers that may show the stop: the most telling code's in every form.
+
+        Where there is one form only, those of the other codes too.
+        """
+        codes = confirm_codes(station.family, action)
+        if len(station.forms) > 1:
+            codes = codes[:1]
+        for code in codes:
+            for form in station.forms:
+                if code.knows(form):
+                    yield encode_code(code, form), code, form

@@ -1,0 +1,62 @@
+"""Remarks about answers that nobody asked for: two drives at one address, or every answer twice.
+
+What must not live here: counting them (`line.duplicates`), and what a stop makes of them
+(`line.proving`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+from lecombus.line.duplicates import Found
+from lecombus.store import Store
+
+__all__ = ["SecondAnswers"]
+
+REMARK: Final = "second-answers"
+
+LEAST: Final = 3
+"""Fewer than this within a minute are not worth a remark."""
+
+PART: Final = 2 / 3
+"""Of those that can be told, so many came behind the same drive's own answer."""
+
+
+class SecondAnswers:
+    """Keeps the remarks.
+
+    Args:
+        store: Where remarks stand.
+    """
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+
+    def look(self, found: Found, addresses: Mapping[str, int]) -> None:
+        """Say what has come within the last minute; about once a second.
+
+        Args:
+            found: How many came, and behind whose answers.
+            addresses: The drives.
+        """
+        count, alone = found
+        told = sum(alone.values())
+        suspects = [name for name in addresses
+                    if alone.get(name, 0) >= LEAST and alone[name] >= PART * told]  # fmt: skip
+        for name, address in addresses.items():
+            text = None
+            if name in suspects:
+                text = (
+                    f"two drives at address {address}? second answers came after its own, "
+                    f"{alone[name]} in the last minute: give one of the two another address"
+                )
+            self._store.note(name, REMARK, text)
+        text = None
+        if count >= LEAST and not suspects:
+            text = (
+                f"{count} answers came in the last minute that nobody asked for: two drives at one "
+                "address, an adapter or device server that delivers twice, or another master; "
+                "until they end a stop takes more readings to be shown"
+            )
+        self._store.note_line(REMARK, text)
