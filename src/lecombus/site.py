@@ -108,8 +108,7 @@ class Site:
         timing: LineTiming | None = None,
         state: State | None = None,
     ) -> None:
-        line = roster.line
-        self.roster = roster
+        line, self.roster = roster.line, roster
         self._clock = clock
         self.store = Store(clock, wall)
         self.metrics = self._make_metrics()

@@ -167,7 +167,13 @@ def test_a_running_drive_of_every_family_ends_in_a_stop_that_is_proven(
         assert abs(drive.motor.output) > 0.0
         report = await plant.site.operations.stop(action, "a")
         assert report.outcome is Outcome.VERIFIED
-        assert report.members[0].reason.startswith(f"{action}: C0")
+        held = "command held, " if action is QUICK and kind in ("8200vector", "93xx") else ""
+        assert report.members[0].reason.startswith(f"{action}: {held}C0")
+        proof = report.members[0].proof
+        assert proof is not None
+        assert f"{proof.code} reads {proof.raw}" in report.members[0].reason
+        shows = "inhibited" if action is INHIBIT else "command held" if held else "quick stop"
+        assert proof.shows == shows
         await anyio.sleep(30.0)
         assert drive.motor.speed == 0.0
 

@@ -108,6 +108,7 @@ def report_json(report: WriteReport) -> dict[str, Json]:
         "cause": report.cause or None,
         "remedy": report.remedy or None,
         "reading": None if report.reading is None else report.reading.as_json(),
+        "proof": None if report.proof is None else report.proof.as_json(),
     }
 
 

@@ -135,4 +135,5 @@ def verb_json(report: VerbReport) -> dict[str, Json]:
             for code, raw in report.written
         ],
         "reading": None if report.reading is None else report.reading.as_json(),
+        "proof": None if report.proof is None else report.proof.as_json(),
     }

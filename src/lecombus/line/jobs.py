@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from ..drives import WriteClass
+from ..drives.stops import usable_word
 from ..errors import ExchangeError, NakError
 from ..protocol.addressing import Code
 from ..protocol.exchange import Result, ResultKind
@@ -174,6 +175,9 @@ class WriteJob:
             self.error = proving.error
             what = "acknowledged" if self._acknowledged else "not acknowledged"
             return Outcome.UNKNOWN, f"the write was {what} and could not be read back: {verdict[1]}"
+        if self._is_no_word(self.proof):
+            text = f"it reads {self.proof.raw} afterwards, which is no control word"
+            return Outcome.UNKNOWN, text
         if self.proof.means_same(self.value):
             self.error = None
             return Outcome.VERIFIED, ""
@@ -185,6 +189,13 @@ class WriteJob:
         if self.attempts <= self.retries:
             return self._again()
         return Outcome.REFUSED, f"{self.error}; it still reads {self.proof.raw}"
+
+    def _is_no_word(self, value: Value) -> bool:
+        """Whether what should be a control word has more than 16 bits: it is something else."""
+        number = value.number
+        if self.code not in self.station.family.control_words or not isinstance(number, int):
+            return False
+        return usable_word(number) is None
 
     def _again(self) -> Verdict:
         self._proving = None

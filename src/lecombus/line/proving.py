@@ -48,6 +48,7 @@ class Proving:
         self._is_itself = False
         self._has_no_address = False
         self._asked_itself = 0
+        self._led_astray: set[Form] = set()
 
     def said(self, *, acknowledged: bool) -> None:
         """Take note that the stop was said: what is read before it is acknowledged is too early."""
@@ -60,7 +61,7 @@ class Proving:
         fields = [one for one in self._fields(station, action) if one[0] not in self._shown]
         if self._has_enough(station, action) and not self._knows_it:
             code = address_code(station.family)
-            forms = [form for form in station.forms if code.knows(form)]
+            forms = [form for form in self._forms(station) if code.knows(form)]
             form = forms[self._asked_itself % len(forms)] if forms else None
             return Step(StepKind.READ, code, form=form)
         if not fields:
@@ -76,18 +77,34 @@ class Proving:
             self._is_itself = answer.value.number == station.address
             return self._is_itself
         if not stop_confirmed(station.family, action, code, answer.value):
+            if self._shown:
+                self._lead_astray(station, answer.field)
             self._shown.clear()
             return False
         self._shown.add(answer.field)
         return True
 
     def refused(self, station: Station, code: Code, answer: object) -> bool:
-        """Take note of a reading that brought nothing; say whether it was for the address alone."""
+        """Take note of a reading that brought nothing; say whether to go on in another way."""
+        if type(answer) is UnknownCodeAnswer and code != address_code(station.family):
+            shown = bool(self._shown)
+            return shown and self._lead_astray(station, answer.field)
         if code != address_code(station.family):
             return False
         self._asked_itself += 1
         self._has_no_address |= type(answer) is UnknownCodeAnswer
         return True
+
+    def _lead_astray(self, station: Station, field: bytes) -> bool:
+        """Ask no more in a form that leads to another code; say whether there is another.
+
+        A code bank or an input selection that somebody left does that (C0249, C0248).
+        """
+        form = Form.EXTENDED if field[:1] == b"!" else Form.STANDARD
+        left = [one for one in self._forms(station) if one is not form]
+        if left:
+            self._led_astray.add(form)
+        return bool(left)
 
     @property
     def is_begun(self) -> bool:
@@ -122,6 +139,9 @@ class Proving:
     def _knows_it(self) -> bool:
         return self._is_itself or self._has_no_address
 
+    def _forms(self, station: Station) -> tuple[Form, ...]:
+        return tuple(form for form in station.forms if form not in self._led_astray)
+
     def _has_enough(self, station: Station, action: StopAction) -> bool:
         there = sum(1 for _ in self._fields(station, action))
         return len(self._shown) >= min(WANTED, there)
@@ -134,10 +154,10 @@ class Proving:
 
         Where there is one form only, those of the other codes too.
         """
-        codes = confirm_codes(station.family, action)
-        if len(station.forms) > 1:
+        codes, forms = confirm_codes(station.family, action), self._forms(station)
+        if len(forms) > 1:
             codes = codes[:1]
         for code in codes:
-            for form in station.forms:
+            for form in forms:
                 if code.knows(form):
                     yield encode_code(code, form), code, form

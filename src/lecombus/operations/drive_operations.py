@@ -26,6 +26,7 @@ from lecombus.errors import (
     OperationError,
     RefusedError,
 )
+from lecombus.line.jobs import WriteJob
 from lecombus.line.station import Station
 from lecombus.operations.address_reads import Heard, check_address, read_address
 from lecombus.operations.control_words import ControlWords
@@ -39,7 +40,7 @@ from lecombus.operations.endings import (
 from lecombus.operations.findings import WhyReport
 from lecombus.operations.permissions import Permissions
 from lecombus.operations.refusals import Refusals
-from lecombus.operations.reports import RestoreRights, WriteReport
+from lecombus.operations.reports import Proof, RestoreRights, WriteReport
 from lecombus.operations.requests import Ending, Requests
 from lecombus.operations.wear import Wear, wears
 from lecombus.operations.why import Why
@@ -272,7 +273,8 @@ class Operations:
         outcome = Outcome.VERIFIED if verify else Outcome.DONE
         reading = self._store.reading(station.name, code)
         reason = "already there, not written"
-        return WriteReport(station.name, code, outcome, reason, reading=reading)
+        proof = Proof(code, found.raw, "value") if verify else None
+        return WriteReport(station.name, code, outcome, reason, reading=reading, proof=proof)
 
     def note_stop(self, station: Station, code: Code, wire: Value) -> None:
         """Count a plain write that means to stop a drive, or may lift what stops it.
@@ -337,4 +339,9 @@ class Operations:
         elif reason == STOPPED:
             remedy = STOPPED_REMEDY
         reading = self._store.reading(drive, code)
-        return WriteReport(drive, code, outcome, reason, kind=kind, remedy=remedy, reading=reading)
+        job, proof = ending.request.work if ending.request is not None else None, None
+        if outcome is Outcome.VERIFIED and isinstance(job, WriteJob) and job.proof is not None:
+            proof = Proof(job.code, job.proof.raw, "value")
+        return WriteReport(
+            drive, code, outcome, reason, kind=kind, remedy=remedy, reading=reading, proof=proof
+        )

@@ -30,7 +30,13 @@ from lecombus.errors import (
 from lecombus.line.station import Station
 from lecombus.operations.endings import REMEDIES, kind_of, stopped_first
 from lecombus.operations.multicasts import shared_form
-from lecombus.operations.reports import GroupInfo, GroupReport, WriteReport, group_report
+from lecombus.operations.reports import (
+    GroupInfo,
+    GroupReport,
+    Proof,
+    WriteReport,
+    group_report,
+)
 from lecombus.operations.requests import Ending
 from lecombus.operations.stop_operations import StopOperations
 from lecombus.operations.wear import wears
@@ -280,7 +286,8 @@ class GroupOperations(StopOperations):
             return WriteReport(station.name, code, Outcome.UNKNOWN, text, kind=kind)
         if found.means_same(wire):
             reading = self._store.reading(station.name, code)
-            return WriteReport(station.name, code, Outcome.VERIFIED, reading=reading)
+            proof = Proof(code, found.raw, "value")
+            return WriteReport(station.name, code, Outcome.VERIFIED, reading=reading, proof=proof)
         # An edge or a step may have happened and still read as before.
         plain = station.family.write_class(code, wire) is WriteClass.PLAIN
         outcome = Outcome.REFUSED if plain else Outcome.UNKNOWN

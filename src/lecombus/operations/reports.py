@@ -20,6 +20,7 @@ __all__ = [
     "GroupInfo",
     "GroupReport",
     "How",
+    "Proof",
     "RestoreRights",
     "VerbReport",
     "WriteReport",
@@ -27,6 +28,31 @@ __all__ = [
 ]
 
 How = Literal["multicast", "one-by-one"]
+
+
+@dataclass(frozen=True, slots=True)
+class Proof:
+    """The reading that `verified` comes from.
+
+    Args:
+        code: What was read.
+        raw: What it read, as on the wire.
+        shows: What that shows: `inhibited`, `quick stop`, `command held` (the command reads back,
+            no more), `enabled`, `no fault` or `value`.
+    """
+
+    code: Code
+    raw: str
+    shows: str
+
+    def as_json(self) -> dict[str, Json]:
+        """Return the JSON form."""
+        return {
+            "code": f"C{self.code.number:04d}",
+            "subcode": self.code.subcode,
+            "raw": self.raw,
+            "shows": self.shows,
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +69,7 @@ class WriteReport:
             `line-lost`, `no-answer`; the HTTP status follows from it.
         remedy: What the user can do about it.
         reading: What was read back, where it was.
+        proof: What `verified` comes from; None for other outcomes.
     """
 
     drive: str
@@ -53,6 +80,7 @@ class WriteReport:
     kind: str = ""
     remedy: str = ""
     reading: Reading | None = None
+    proof: Proof | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +98,7 @@ class VerbReport:
         states: What the drive shows afterwards, of itself; empty where it was not read.
         written: What was written, in order: code and value as on the wire.
         reading: What was read back, where it was.
+        proof: What `verified` comes from; None for other outcomes.
     """
 
     drive: str
@@ -82,6 +111,7 @@ class VerbReport:
     states: tuple[OperatingState, ...] = ()
     written: tuple[tuple[Code, str], ...] = ()
     reading: Reading | None = None
+    proof: Proof | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ from lecombus.operations.control_words import ControlWords
 from lecombus.operations.drive_operations import Operations
 from lecombus.operations.endings import kind_of
 from lecombus.operations.multicasts import said_by, shared_form
-from lecombus.operations.reports import GroupReport, WriteReport, group_report
+from lecombus.operations.reports import GroupReport, Proof, WriteReport, group_report
 from lecombus.operations.request_maker import ignore_end
 from lecombus.operations.requests import Ending, Requests
 from lecombus.operations.wear import Wear
@@ -39,6 +39,9 @@ logger = logging.getLogger(__name__)
 
 ABSENT_PATIENCE_S = 1.5
 """How long a drive that was offline already is told to stop while it does not answer, seconds."""
+
+SHOWN = {StopAction.INHIBIT: "inhibited", StopAction.QUICK_STOP: "quick stop"}
+"""What a reading that proves a stop shows."""
 
 STOP_REMEDY = (
     "the motor may turn: use the emergency stop circuit, or take the controller enable or the "
@@ -133,6 +136,9 @@ class StopOperations(Operations):
             # A reload took the drive out of the roster meanwhile: the stop was sent all the same.
             kind = "" if good else kind_of(ending, outcome, reason)
             report = WriteReport(station.name, code, outcome, reason, kind=kind)
+        if outcome is Outcome.VERIFIED and job.proof is not None and job.proof_code is not None:
+            shows = "command held" if job.proof_code == code else SHOWN[job.action]
+            return replace(report, proof=Proof(job.proof_code, job.proof.raw, shows))
         return report if good else replace(report, remedy=STOP_REMEDY)
 
     def _targets(self, target: str) -> tuple[str, ...]:

@@ -43,12 +43,14 @@ from lecombus.operations.verb_reports import (
     GOOD,
     Run,
     cut_off,
+    enabled,
     fault_text,
     may_have_happened,
     not_shown,
     still_there,
     superseded,
     told,
+    without_fault,
 )
 from lecombus.schedule import Outcome
 
@@ -137,7 +139,7 @@ class VerbOperations(StepOperations):
             shown = (OperatingState.INHIBITED if inhibited else OperatingState.QUICK_STOP,)
         return VerbReport(
             drive, verb, report.outcome, report.reason, report.cause, report.kind, report.remedy,
-            shown, reading=report.reading,
+            shown, reading=report.reading, proof=report.proof,
         )  # fmt: skip
 
     async def _set_speed(self, run: Run, value: Decimal, unit: str) -> VerbReport:
@@ -157,7 +159,7 @@ class VerbOperations(StepOperations):
             objection = enable_objection(known)
             if objection is not None:
                 text, remedy = f"{text}, and not by the line: {objection}", objection.remedy
-            report = WriteReport(known.drive, None, Outcome.VERIFIED, text, remedy=remedy)
+            report = replace(enabled(known), reason=text, remedy=remedy)
             return told(run, report, states=states(known))
         failed = await self._carry_out(run, steps)
         if failed is not None and not run.written:
@@ -167,8 +169,7 @@ class VerbOperations(StepOperations):
         if self._stopped_meanwhile(run):
             return told(run, superseded(run), states=await self._states(run.station))
         if is_enabled(known):
-            report = WriteReport(known.drive, None, Outcome.VERIFIED)
-            return told(run, report, states=states(known))
+            return told(run, enabled(known), states=states(known))
         return await self._take_back(run, failed or not_shown(known))
 
     async def _take_back(self, run: Run, report: WriteReport) -> VerbReport:
@@ -184,9 +185,7 @@ class VerbOperations(StepOperations):
     async def _reset_fault(self, run: Run, known: Known) -> VerbReport:
         steps = reset_steps(known)
         if not steps:
-            report = WriteReport(
-                known.drive, None, Outcome.VERIFIED, "no fault is active: nothing was sent"
-            )
+            report = without_fault(known, "no fault is active: nothing was sent")
             return told(run, report, states=await self._states(run.station))
         name = fault_text(known)
         failed = await self._carry_out(run, steps)
@@ -205,5 +204,4 @@ class VerbOperations(StepOperations):
         reason = (
             f"{name} was reset; the drive is inhibited: `lecombus enable {known.drive}` lets it run"
         )
-        report = WriteReport(known.drive, None, Outcome.VERIFIED, reason)
-        return told(run, report, states=await self._states(run.station))
+        return told(run, without_fault(known, reason), states=await self._states(run.station))

@@ -15,7 +15,7 @@ from lecombus.drives.verb_facts import Known, rules_of
 from lecombus.drives.verbs import fault_number, has_fault, shown_stops
 from lecombus.errors import LineError
 from lecombus.line.station import Station
-from lecombus.operations.reports import VerbReport, WriteReport
+from lecombus.operations.reports import Proof, VerbReport, WriteReport
 from lecombus.protocol.addressing import Code
 from lecombus.readings import Reading
 from lecombus.schedule import Outcome
@@ -24,6 +24,7 @@ __all__ = [
     "GOOD",
     "Run",
     "cut_off",
+    "enabled",
     "fault_text",
     "lifted",
     "may_have_happened",
@@ -31,6 +32,7 @@ __all__ = [
     "still_there",
     "superseded",
     "told",
+    "without_fault",
 ]
 
 GOOD = (Outcome.DONE, Outcome.VERIFIED)
@@ -100,6 +102,23 @@ def lifted(run: Run) -> WriteReport:
     )  # fmt: skip
 
 
+def enabled(known: Known) -> WriteReport:
+    """What is told of a drive that shows its enable."""
+    rules = rules_of(known.drive, known.family, Verb.ENABLE)
+    code = next(code for code in rules.enable.proofs if code in known.values)
+    proof = Proof(code, known.values[code].raw, "enabled")
+    text = f"{code} reads {proof.raw}"
+    return WriteReport(known.drive, None, Outcome.VERIFIED, text, proof=proof)
+
+
+def without_fault(known: Known, reason: str) -> WriteReport:
+    """What is told of a drive whose status words show no fault."""
+    words = (code for code in known.family.words if code in known.values)
+    code = next(words, None)
+    proof = Proof(code, known.values[code].raw, "no fault") if code is not None else None
+    return WriteReport(known.drive, None, Outcome.VERIFIED, reason, proof=proof)
+
+
 def not_shown(known: Known) -> WriteReport:
     """What is told of a drive that was enabled and does not show it."""
     rules = rules_of(known.drive, known.family, Verb.ENABLE)
@@ -165,5 +184,5 @@ def told(
     """Tell of a verb what is known of its last step."""
     return VerbReport(
         run.station.name, run.verb, report.outcome, report.reason, report.cause, report.kind,
-        report.remedy, states, tuple(run.written), reading,
+        report.remedy, states, tuple(run.written), reading, report.proof,
     )  # fmt: skip

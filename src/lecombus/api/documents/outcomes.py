@@ -14,6 +14,21 @@ __all__ = ["GroupOutcomeDocument", "OutcomeDocument", "VerbDocument", "WrittenDo
 IGNORED: Any = Field(description="Only for stops: what of the request was not looked at")
 
 
+class ProofDocument(Document):
+    """The reading that `verified` comes from."""
+
+    code: str
+    subcode: int
+    raw: Annotated[str, Field(description="As on the wire")]
+    shows: Annotated[
+        str,
+        Field(
+            description="inhibited, quick stop, command held (it reads back, no more), enabled, "
+            "no fault or value"
+        ),
+    ]
+
+
 class OutcomeDocument(Document):
     """How one write ended."""
 
@@ -27,6 +42,9 @@ class OutcomeDocument(Document):
     cause: str | None
     remedy: str | None
     reading: Annotated[ReadingDocument | None, Field(description="What was read back")]
+    proof: Annotated[
+        ProofDocument | None, Field(description="Only where the outcome is verified")
+    ] = None
 
 
 class WrittenDocument(Document):
@@ -57,6 +75,9 @@ class VerbDocument(Document):
     ]
     written: Annotated[list[WrittenDocument], Field(description="What was written, in order")]
     reading: Annotated[ReadingDocument | None, Field(description="What was read back")]
+    proof: Annotated[
+        ProofDocument | None, Field(description="Only where the outcome is verified")
+    ] = None
     ignored: Annotated[list[str] | None, IGNORED] = None
 
 
