@@ -21,7 +21,7 @@ from lecombus.protocol.addressing import Code
 
 from .family import Family
 from .operating import OperatingState, join_states
-from .stops import StopAction
+from .stops import StopAction, usable_word
 from .verb_facts import (
     Known,
     active_set_word,
@@ -187,7 +187,9 @@ def is_enabled(known: Known) -> bool:
     Its control word counts only where its settings let the line write it; then it must be known.
     """
     rules = rules_of(known.drive, known.family, Verb.ENABLE)
-    word_known = isinstance(known.number(rules.control), int) or not _line_controls(known, rules)
+    number = known.number(rules.control)
+    word = usable_word(number if isinstance(number, int) else None)
+    word_known = word is not None or not _line_controls(known, rules)
     return enable_shown(known) and word_known and not has_fault(known) and not shown_stops(known)
 
 
