@@ -308,7 +308,10 @@ def test_an_enable_lifts_what_the_watchdog_did_whatever_the_control_word_reads(
         assert drive.inhibited() or drive.stop_wanted()
         assert drive.read_control_word() == "H0000" or not as_written
         report = await do(plant, Verb.ENABLE)
-        assert (report.outcome, report.reason) == (Outcome.VERIFIED, "")
+        assert report.outcome is Outcome.VERIFIED
+        assert report.proof is not None
+        assert report.reason == f"{report.proof.code} reads {report.proof.raw}"
+        assert report.proof.shows == "enabled"
         assert report.written
         await anyio.sleep(10.0)
         assert drive.motor.output > 0.0
