@@ -27,8 +27,8 @@ def test_losing_the_line_ends_every_waiting_request_at_once_and_replays_nothing(
         feed = reader(rig, "b", 52, Priority.WATCHDOG)
         rig.schedule.set_feeding("b", Feeding(2.0, feed), rig.now_s)
         ends = [rig.read("a", 150) for _ in range(5)]
-        ends += [stop(rig, "a"), stop(rig, "b")]
         ends += [rig.write("a", 12, str(n)) for n in range(1, 5)]
+        ends += [stop(rig, "a"), stop(rig, "b")]
         await anyio.sleep(0.005)
         rig.end.unplug()
         lost_s = rig.now_s
