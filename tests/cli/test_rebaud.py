@@ -137,7 +137,7 @@ def test_a_dry_run_shows_the_plan_and_writes_nothing(
     assert ran.status == 0
     assert [one.split("\t") for one in ran.out.splitlines()] == [
         ["feeder", "11", "8200vector", "9600 baud", "C0125 = 4", HELD, ""],
-        ["belt", "12", "smvector", "9600 baud", "C1411 = 4", HELD, ""],
+        ["belt", "12", "smvector", "9600 baud", "P411 = 4", HELD, ""],
     ]
     planned = json.loads(run("rebaud", "19200", "-c", str(roster), "--dry-run", "--json").out)
     assert planned["ending"] == "planned"

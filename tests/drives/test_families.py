@@ -70,6 +70,22 @@ def test_default_status_set_reads_described_codes_at_a_modest_pace(name: str) ->
     assert family(name).feed_code == Code(150)
 
 
+@pytest.mark.parametrize(
+    ("name", "code", "spoken"),
+    [
+        ("smvector", "C1411", "P411"),
+        ("smvector", "C1500/2", "P500/2"),
+        ("smvector", "C0046", "C0046"),
+        ("smvector", "C2000", "C2000"),
+        ("8200vector", "C1411", "C1411"),
+        ("generic", "C1411", "C1411"),
+    ],
+)
+def test_people_are_told_a_code_as_the_keypad_names_it(name: str, code: str, spoken: str) -> None:
+    assert family(name).spoken(Code.parse(code)) == spoken
+    assert Code.parse(spoken) == Code.parse(code)
+
+
 @pytest.mark.parametrize("name", MODULE)
 def test_2102_watchdog(name: str) -> None:
     traits = family(name).watchdog

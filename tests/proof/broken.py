@@ -38,9 +38,15 @@ def _impatient() -> list[Patch]:
     """Gives an answer up while the drive still thinks, and speaks at once."""
     begin = Exchange.begin
 
-    def begin_impatiently(self: Exchange, ask: Ask, now_s: float) -> None:
+    def begin_impatiently(self: Exchange, ask: Ask, now_s: float, *more: Any, **keys: Any) -> None:
         first_s = ask.request_s + IMPATIENCE_S
-        begin(self, dataclasses.replace(ask, first_byte_s=first_s, whole_s=first_s), now_s)
+        begin(
+            self,
+            dataclasses.replace(ask, first_byte_s=first_s, whole_s=first_s),
+            now_s,
+            *more,
+            **keys,
+        )
 
     def leave_no_quarantine(self: Silence, ended_s: float, quarantine_s: float) -> None:
         self.quiet_until_s = ended_s
@@ -70,8 +76,8 @@ def _old_answers() -> list[Patch]:
     feed = Exchange.feed
     before: list[Value] = []
 
-    def feed_old(self: Exchange, data: bytes, now_s: float) -> Result | None:
-        result = feed(self, data, now_s)
+    def feed_old(self: Exchange, data: bytes, now_s: float, *more: Any) -> Result | None:
+        result = feed(self, data, now_s, *more)
         if result is None or not isinstance(result.answer, ValueAnswer):
             return result
         before.append(result.answer.value)
@@ -123,10 +129,10 @@ def _falling() -> list[Patch]:
     """Falls over in the middle of its work."""
     feed, count = Exchange.feed, iter(range(10_000))
 
-    def feed_and_fall(self: Exchange, data: bytes, now_s: float) -> Result | None:
+    def feed_and_fall(self: Exchange, data: bytes, now_s: float, *more: Any) -> Result | None:
         if next(count) == FALLS_AT:
             raise RuntimeError("on purpose")
-        return feed(self, data, now_s)
+        return feed(self, data, now_s, *more)
 
     return [(Exchange, "feed", feed_and_fall)]
 

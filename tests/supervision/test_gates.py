@@ -192,7 +192,7 @@ def test_a_smvector_of_other_software_is_locked_until_the_roster_accepts_it() ->
         with pytest.raises(OperationError) as caught:
             await plant.site.operations.write("a", Code(1061), 20)
         assert caught.value.kind == "locked"
-        assert "P494" not in str(caught.value)
+        assert "P494 reads software 1.30" in str(caught.value)
         plant.apply(roster_of(drives, drive=", accept_software: [1.3]"))
         await plant.online()
         assert lock(plant) == ""

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from lecombus.protocol.addressing import Code
 
 from .document import Backup, Entry, Section, is_own, section_of
-from .writing import keypad_name, meaning_of
+from .writing import meaning_of
 
 __all__ = ["Comparison", "Difference", "compare"]
 
@@ -113,7 +113,7 @@ def difference(one: Backup, other: Backup, code: Code) -> Difference:
     name = "" if info is None else info.name
     return Difference(
         code,
-        " ".join(filter(None, (keypad_name(family, code), name))),
+        " ".join(filter(None, (family.keypad_name(code), name))),
         None if info is None else info.unit,
         first,
         second,

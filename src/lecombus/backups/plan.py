@@ -28,7 +28,7 @@ from lecombus.protocol.values import Value
 
 from .access import Answer
 from .document import Backup, Entry, Section, section_of
-from .writing import keypad_name, meaning_of
+from .writing import meaning_of
 
 __all__ = ["Plan", "Skip", "Step", "codes_to_read", "make_plan"]
 
@@ -194,7 +194,7 @@ def step(family: Family, code: Code, now: Value, value: Value) -> Step:
     info = family.info(code)
     assert info is not None
     rule = restore_rule(family, code)
-    name = " ".join(filter(None, (keypad_name(family, code), info.name)))
+    name = " ".join(filter(None, (family.keypad_name(code), info.name)))
     return Step(
         code,
         name,

@@ -19,12 +19,11 @@ from typing import Final
 import yaml
 
 from lecombus.drives import CodeInfo, Family
-from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 
 from .document import Backup, Entry, Section
 
-__all__ = ["FORMAT_KEY", "FORMAT_VERSION", "NOT_READ", "keypad_name", "meaning_of", "write_backup"]
+__all__ = ["FORMAT_KEY", "FORMAT_VERSION", "NOT_READ", "meaning_of", "write_backup"]
 
 FORMAT_KEY: Final = "lecombus-backup"
 FORMAT_VERSION: Final = 1
@@ -55,7 +54,6 @@ _PLAIN: Final = re.compile(r"-?(0|[1-9][0-9]*)(\.[0-9]+)?|H[0-9A-F]+", re.ASCII)
 such as OFF are none of it."""
 
 _WORD: Final = re.compile(r"[A-Za-z0-9-]+", re.ASCII)
-_PARAMETER_OFFSET: Final = 1000
 
 
 def write_backup(backup: Backup) -> str:
@@ -106,7 +104,7 @@ def comment_of(family: Family, info: CodeInfo | None, entry: Entry) -> str:
     """Return what a person wants to know of a line: name, unit, meaning, or why it is missing."""
     if info is None:
         return ""
-    name = " ".join(filter(None, (keypad_name(family, entry.code), info.name)))
+    name = " ".join(filter(None, (family.keypad_name(entry.code), info.name)))
     if entry.value is None:
         why = WHY_NOT.get(entry.missing, "")
         return f"{name}: {why}" if why else name
@@ -119,16 +117,6 @@ def meaning_of(info: CodeInfo | None, value: Value | None) -> str:
     """Return the selection's text for a value; empty where it has none."""
     meaning = info.meaning(value) if info is not None and value is not None else None
     return str(meaning) if meaning is not None else ""
-
-
-def keypad_name(family: Family, code: Code) -> str:
-    """Return what the drive's own keypad calls a code: P103; empty where that is its number.
-
-    Source: CMVLC401A 9 (parameter Pnnn of an SMVector is code 1000 + nnn).
-    """
-    if family.name != "smvector" or not _PARAMETER_OFFSET <= code.number < 2 * _PARAMETER_OFFSET:
-        return ""
-    return f"P{code.number - _PARAMETER_OFFSET:03d}"
 
 
 def quoted(text: str) -> str:

@@ -41,7 +41,7 @@ def _step(drive: Drive, work: Rebaud) -> str:
     subject = drive.subject
     rule = saving_rule(subject.family)
     saving = f", then {rule.codes[0]} = {rule.value}" if rule is not None else ""
-    return f"{subject.code} = {subject.number(work.new)}{saving}"
+    return f"{subject.spoken} = {subject.number(work.new)}{saving}"
 
 
 def show_end(work: Rebaud, roster: Roster, trouble: str, *, as_json: bool) -> None:

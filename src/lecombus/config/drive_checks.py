@@ -177,6 +177,6 @@ def _check_writable(drive: Entry, of: Family, mistakes: Mistakes) -> None:
     for item in (item for key in WRITABLE for item in _codes(drive, key)):
         moved = moves_drive(of, item.value)
         if moved is not None:
-            what = f"{item.value} {moved} and is never written like other codes"
+            what = f"{of.spoken(item.value)} {moved} and is never written like other codes"
             right = "remove it: `lecombus readdress` changes an address, with allow_address_change"
             mistakes.note(item.node, what, right)

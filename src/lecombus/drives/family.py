@@ -37,6 +37,9 @@ __all__ = [
 CONTROLLER_STATUS = "controller_status"
 SHORTENED_RESPONSE = Code(1921)
 
+HIGHEST_PARAMETER = 1000
+"""A keypad shows three digits."""
+
 ANSWER_FACTOR = 2.0
 LIMIT_FACTOR = 1.2
 
@@ -135,6 +138,8 @@ class Family:
         saved_by: The code that has to be written before stored values survive a power cycle; None
             where every write is stored at once.
         verbs: How it is enabled, given a speed and rid of a fault; None where nothing is known.
+        keypad_offset: The keypad names the codes above this by P and the difference: C1411 is P411
+            on an SMVector; None where it names them as the line does.
     """
 
     name: str
@@ -160,6 +165,7 @@ class Family:
     variants: Mapping[str, Family] = field(default_factory=dict)
     restore: tuple[RestoreRule, ...] = ()
     verbs: VerbRules | None = None
+    keypad_offset: int | None = None
 
     @property
     def shortened_code(self) -> Code | None:
@@ -168,6 +174,21 @@ class Family:
         Source: EDB2102EN 6.3.2 (C1921).
         """
         return SHORTENED_RESPONSE if self.hold_after_write_s > 0.0 else None
+
+    def keypad_name(self, code: Code) -> str:
+        """Return what the drive's own keypad calls a code: P411; empty where that is its number.
+
+        Source: CMVLC401A 9 (parameter Pnnn of an SMVector is code 1000 + nnn).
+        """
+        offset = self.keypad_offset
+        if offset is None or not offset <= code.number < offset + HIGHEST_PARAMETER:
+            return ""
+        subcode = f"/{code.subcode}" if code.subcode else ""
+        return f"P{code.number - offset:03d}{subcode}"
+
+    def spoken(self, code: Code) -> str:
+        """Name a code for people, as the drive's keypad does: P411, or C0046."""
+        return self.keypad_name(code) or str(code)
 
     def info(self, code: Code) -> CodeInfo | None:
         """Give a code's description; None where there is none (it may be read all the same)."""

@@ -146,6 +146,7 @@ class _Builder:
             saved_by=self._saved_by(codes),
             restore=tuple(self._restore(codes)),
             verbs=self._verbs(codes, book),
+            keypad_offset=self._keypad_offset(),
         )
         for table in self._tables:
             table.done()
@@ -196,6 +197,10 @@ class _Builder:
         if offsets[:1] != (0,) or list(offsets) != sorted(set(offsets)):
             item.fail("offsets begin with 0 and grow: [0, 2000]")
         return offsets
+
+    def _keypad_offset(self) -> int | None:
+        item = self._single("keypad_offset")
+        return item.integer(1, HIGHEST_SET_OFFSET) if item is not None else None
 
     def _saved_by(self, codes: dict[Code, CodeInfo]) -> Code | None:
         item = self._single("saved_by")

@@ -217,9 +217,9 @@ def demand_met(known: Known, rules: VerbRules, access: Access) -> None:
 def objected(known: Known, demand: Demand) -> OperationError:
     """Make the refusal of a demand that is not met."""
     code = demand.condition.code
+    told = f"{known.family.spoken(code)} of {known.drive} reads {known.values[code].raw}"
     return OperationError(
-        f"{code} of {known.drive} reads {known.values[code].raw}: with that it does not do what it "
-        "is told over the line, nothing was sent",
+        f"{told}: with that it does not do what it is told over the line, nothing was sent",
         kind="setting",
         drive=known.drive,
         code=str(code),

@@ -66,5 +66,6 @@ def error_of(station: Station, step: Step, result: Result, attempt: int) -> Exch
         elapsed_s=result.ended_s - result.started_s,
         received=result.received,
     )
-    where = f"{station.name} (address {station.address}), {step.code}"
+    code = station.family.spoken(step.code)
+    where = f"{station.name} (address {station.address}), {code}"
     return cls(f"{where}: {text} (attempt {attempt})", record)

@@ -368,7 +368,7 @@ def finding_of(reason: Reason, family: Family, values: Mapping[Code, Reading]) -
     if reason.states:
         codes = [*words_showing(reason, family, values), *codes]
     rests = [values[code] for code in dict.fromkeys(codes) if code in values]
-    shown_by = ", ".join(f"{one.code} reads {raw(one.value)}" for one in rests)
+    shown_by = ", ".join(f"{family.spoken(one.code)} reads {raw(one.value)}" for one in rests)
     ages = [one.age_s for one in rests if one.age_s is not None]
     stale = any(one.quality is not Quality.GOOD for one in rests)
     return Finding(

@@ -67,19 +67,20 @@ class Permissions:
             self.check_writable(drive, code)
         self.check_ready(drive, code)
         remedy = "nothing was sent"
+        told = station.family.spoken(code)
         known = self._store.reading(drive, code)
         last_read = known.value if known is not None else None
         try:
             wire = encode_for(station.family, code, value, last_read=last_read)
             if not restoring and code not in self.entries[drive].unchecked:
                 remedy = (
-                    f"give such a value; if this drive takes more, list {code} under `unchecked` "
+                    f"give such a value; if this drive takes more, list {told} under `unchecked` "
                     "of the drive in the roster"
                 )
                 check_allowed(station.family, code, wire)
         except CodeValueError as exc:
             raise OperationError(
-                f"{code} of {drive} cannot take {value!s}: {exc}",
+                f"{told} of {drive} cannot take {value!s}: {exc}",
                 kind="bad-value",
                 drive=drive,
                 code=str(code),
@@ -134,13 +135,14 @@ class Permissions:
             return
         family = self._requests.station(drive).family
         info = family.info(code)
-        text = f"{code} of {drive} is not writable"
+        told = family.spoken(code)
+        text = f"{told} of {drive} is not writable"
         remedy = (
-            f"write `also_writable: [{code}]` for this drive into the roster and reload it; now "
-            f"{listed(writable)}"
+            f"write `also_writable: [{told}]` for this drive into the roster and reload it; now "
+            f"{listed(writable, family)}"
         )
         if info is not None and not info.writable:
-            text = f"{code} of {drive} is read only: {info.name}"
+            text = f"{told} of {drive} is read only: {info.name}"
             remedy = f"`lecombus describe {family.name}` lists what can be written"
         raise OperationError(text, kind="not-writable", drive=drive, code=str(code), remedy=remedy)
 
@@ -161,7 +163,7 @@ def refuse_moving(drive: str, family: Family, code: Code) -> None:
         remedy = "name a subcode after the code instead, as in C0039/1"
     if moved is not None:
         raise OperationError(
-            f"{code} of {drive} {moved}: it is never written like other codes",
+            f"{family.spoken(code)} of {drive} {moved}: it is never written like other codes",
             kind="not-writable",
             drive=drive,
             code=str(code),
@@ -169,8 +171,8 @@ def refuse_moving(drive: str, family: Family, code: Code) -> None:
         )
 
 
-def listed(writable: Collection[Code]) -> str:
+def listed(writable: Collection[Code], family: Family) -> str:
     """Say what may be written to a drive, to stand after "now"."""
     if not writable:
         return "nothing may be written"
-    return f"{', '.join(map(str, sorted(writable)))} may be written"
+    return f"{', '.join(map(family.spoken, sorted(writable)))} may be written"

@@ -124,7 +124,7 @@ def not_shown(known: Known) -> WriteReport:
     rules = rules_of(known.drive, known.family, Verb.ENABLE)
     stops = shown_stops(known)
     codes = tuple(dict.fromkeys(code for code, _ in stops)) or tuple(rules.enable.proofs)[:1]
-    reads = ", ".join(f"{code} reads {_raw(known, code)}" for code in codes)
+    reads = ", ".join(f"{known.family.spoken(code)} reads {_raw(known, code)}" for code in codes)
     cause, remedy = f"probably {rules.enable.otherwise}", "put that in order, then enable it again"
     if stops and all(action is StopAction.QUICK_STOP for _, action in stops):
         cause = (

@@ -122,8 +122,9 @@ class Wear:
         if wait_s <= 0.0:
             return
         limit = self._entries[drive].stored_writes
+        told = self._store.family(drive).spoken(code)
         raise OperationError(
-            f"{code} of {drive} is stored in the drive at every write, and was written "
+            f"{told} of {drive} is stored in the drive at every write, and was written "
             f"{'once' if limit.burst == 1 else f'{limit.burst} times'} in a short time",
             kind="too-many-writes",
             drive=drive,

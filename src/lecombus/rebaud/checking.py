@@ -80,7 +80,7 @@ def _silent(drive: Drive, old: int, new: int) -> Obstacle:
     return Obstacle(
         drive.name,
         f"{drive.name} (address {drive.subject.address}) does not say its baud rate "
-        f"({drive.subject.code}), neither at {old} nor at {new} baud",
+        f"({drive.subject.spoken}), neither at {old} nor at {new} baud",
         "every drive of the roster must answer first: check its supply, its address and the "
         "wires, find it by `lecombus scan --port .. --all-bauds`, or take it out of the roster",
         "no-answer",
@@ -89,7 +89,7 @@ def _silent(drive: Drive, old: int, new: int) -> Obstacle:
 
 def _check_one(talk: Talk, drive: Drive, rate: int, number: int) -> Steps[list[Obstacle]]:
     """Check a drive that answers at a rate."""
-    code, right = drive.subject.code, drive.subject.number(rate)
+    code, right = drive.subject.spoken, drive.subject.number(rate)
     if number != right:
         problem = f"{drive.name} answers at {rate} baud, but its {code} reads {number}, not {right}"
         remedy = "switch it off and on, or set its baud rate at its keypad, then try again"
@@ -110,7 +110,8 @@ def _identity(talk: Talk, drive: Drive, rate: int) -> Steps[list[Obstacle]]:
     for code in drive.subject.asked:
         said = yield from talk.read(drive, rate, code)
         if said.came is Came.NOTHING:
-            problem = f"{drive.name} does not say who it is ({code}): {said.text}"
+            name = drive.subject.family.spoken(code)
+            problem = f"{drive.name} does not say who it is ({name}): {said.text}"
             return [Obstacle(drive.name, problem, "check the line, then try again", "no-answer")]
         if said.value is None:
             continue
@@ -121,7 +122,8 @@ def _identity(talk: Talk, drive: Drive, rate: int) -> Steps[list[Obstacle]]:
     if not differing:
         return []
     told = ", ".join(
-        f"{code} reads {text_of(found[code])}, not {drive.subject.expected[code]}"
+        f"{drive.subject.family.spoken(code)} reads {text_of(found[code])}, "
+        f"not {drive.subject.expected[code]}"
         for code in differing
     )
     remedy = f"`lecombus accept {drive.name}` or its `identity` in the roster, if it was replaced"
@@ -166,7 +168,8 @@ def _software(talk: Talk, drive: Drive, rate: int) -> Steps[list[Obstacle]]:
     if said.value is not None and any(is_identity(said.value, one) for one in accepted):
         return []
     shown = text_of(said.value) if said.value is not None else "nothing"
-    problem = f"{gate.code} of {drive.name} reads software {shown}, not {' or '.join(accepted)}"
+    name = drive.subject.family.spoken(gate.code)
+    problem = f"{name} of {drive.name} reads software {shown}, not {' or '.join(accepted)}"
     remedy = "nothing is written to it, unless the roster names that in `accept_software`"
     return [Obstacle(drive.name, problem, remedy, "locked")]
 

@@ -65,6 +65,11 @@ class Subject:
         """The code of its baud rate."""
         return baud_code(self.family)
 
+    @property
+    def spoken(self) -> str:
+        """The code of its baud rate as its keypad names it."""
+        return self.family.spoken(self.code)
+
     def number(self, baud: int) -> int | None:
         """What that code is at a baud rate, bit/s; None: it knows no such rate."""
         return baud_numbers(self.family).get(baud)

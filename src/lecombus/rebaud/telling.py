@@ -100,7 +100,7 @@ def _roster_line(roster: str, baud: int, present: int) -> str:
 def _one_by_one(work: Rebaud) -> list[str]:
     told = []
     for drive in work.drives:
-        code, name = drive.subject.code, drive.name
+        code, name = drive.subject.spoken, drive.name
         if drive.place is Place.LOST:
             numbers = f"{drive.subject.number(work.old)} is {work.old}"
             numbers += f", {drive.subject.number(work.new)} is {work.new} baud"

@@ -187,8 +187,9 @@ class Gates:
         accepted = (*gate.versions, *entry.accept_software)
         text = None
         if not any(found.raw == one or found.means_same(Value.parse(one)) for one in accepted):
+            code = station.family.spoken(gate.code)
             text = (
-                f"{gate.code} reads software {found.raw}, the manual's codes are those of "
+                f"{code} reads software {found.raw}, the manual's codes are those of "
                 f"{', '.join(gate.versions)}: nothing is written to this drive but stops; if its "
                 f"manual says the same codes, add accept_software: ['{found.raw}'] in the roster"
             )

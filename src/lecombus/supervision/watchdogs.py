@@ -161,11 +161,13 @@ class WatchdogAudit:
                 entry.name, describe(traits, found), describe(traits, target),
             )  # fmt: skip
             found = await self._configure(station, traits, found, target)
-        remedy = f"set configure: true, or {traits.time_code} and {traits.action_code} in the drive"
+        family = station.family
+        codes = f"{family.spoken(traits.time_code)} and {family.spoken(traits.action_code)}"
+        remedy = f"set configure: true, or {codes} in the drive"
         if wanted.configure and locked:
             remedy = "it is set when the drive may be written to again"
         elif wanted.configure:
-            remedy = f"look at {traits.time_code} and {traits.action_code}: it was written, in vain"
+            remedy = f"look at {codes}: it was written, in vain"
         self._settle(entry.name, traits, found, target, remedy)
 
     async def _find_time(
