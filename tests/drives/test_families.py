@@ -168,7 +168,9 @@ def test_read_only_codes_are_marked(name: str, code: str) -> None:
 
 
 def test_unknown_family_is_refused_with_those_there_are() -> None:
-    with pytest.raises(ConfigError, match=r"there is no family 8300; the families are: 820x, 821x, .*generic"):
+    with pytest.raises(
+        ConfigError, match=r"there is no family 8300; the families are: 820x, 821x, .*generic"
+    ):
         family("8300")
 
 
