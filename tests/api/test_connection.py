@@ -16,7 +16,8 @@ import anyio
 import pytest
 
 from lecombus.api import serve
-from lecombus.api.connection import HEAD_LIMIT, PENDING_LIMIT, Connection
+from lecombus.api.bounds import CHUNKED_LIMIT, HEAD_LIMIT, HEADERS_LIMIT, TARGET_BYTES
+from lecombus.api.connection import PENDING_LIMIT, Connection
 from support.api_line import Line
 
 pytestmark = [pytest.mark.anyio, pytest.mark.real]
@@ -127,25 +128,87 @@ async def test_a_request_that_breaks_off_in_rubbish_is_not_carried_out(
     assert line.ops.asked == []
 
 
+@pytest.mark.parametrize("tcp", [False, True])
 @pytest.mark.parametrize(
-    "endless",
+    ("endless", "says"),
     [
-        b"GET /" + b"x" * (HEAD_LIMIT + 1000),
-        b"GET / HTTP/1.1\r\nX: " + b"x" * (HEAD_LIMIT + 1000),
-        b"GET / HTTP/1.1\r\n" + b"X: y\r\n" * (HEAD_LIMIT // 6 + 200),
-        b"GET / HTTP/1.1\r\nX: " + b"x" * (HEAD_LIMIT + 1000) + b"\r\n\r\n",
-        b"PUT /v1/x HTTP/1.1\r\nTransfer-Encoding: chunked\r\n\r\n1\r\n{\r\n0\r\nX: "
-        + b"x" * (HEAD_LIMIT + 1000),
+        (b"GET /" + b"x" * (HEAD_LIMIT + 1000), (414, "target-too-long")),
+        (b"GET /" + b"x" * TARGET_BYTES + b" HTTP/1.1\r\n\r\n", (414, "target-too-long")),
+        (b"GET / HTTP/1.1\r\nX: " + b"x" * (HEAD_LIMIT + 1000), (431, "head-too-big")),
+        (b"GET / HTTP/1.1\r\n" + b"X: y\r\n" * (HEADERS_LIMIT + 2), (431, "head-too-big")),
+        (b"GET / HTTP/1.1\r\n" + b"a:\r\n" * 12000, (431, "head-too-big")),
+        (
+            b"GET / HTTP/1.1\r\nX: " + b"x" * (HEAD_LIMIT + 1000) + b"\r\n\r\n",
+            (431, "head-too-big"),
+        ),
+        (b"GET /v1/line?" + b"a&" * 16 + b" HTTP/1.1\r\n\r\n", (400, "too-many-parameters")),
+        (b"PUT /v1/x HTTP/1.1\r\nContent-Length: 16385\r\n\r\n", (413, "too-big")),
+        (
+            b"PUT /v1/drives/belt/codes/C0046 HTTP/1.1\r\nHost: localhost\r\n"
+            b"Transfer-Encoding: chunked\r\n\r\n" + b"1\r\n \r\n" * (CHUNKED_LIMIT // 6 + 400),
+            (413, "too-big"),
+        ),
+        (
+            b"PUT /v1/drives/belt/codes/C0046 HTTP/1.1\r\nHost: localhost\r\n"
+            b"Transfer-Encoding: chunked\r\n\r\n1\r\n{\r\n0\r\nX: " + b"x" * (CHUNKED_LIMIT + 500),
+            (413, "too-big"),
+        ),
     ],
 )
-async def test_a_head_without_end_ends_at_its_limit(
-    line: Line, tmp_path: Path, endless: bytes
+async def test_a_request_ends_at_its_bounds_before_anything_of_it_is_decoded(
+    line: Line, tmp_path: Path, endless: bytes, says: tuple[int, str], tcp: bool
 ) -> None:
-    async with connected(line, tmp_path) as client:
+    async with connected(line, tmp_path, tcp=tcp) as client:
         await client.say(GET + endless)
         answers = await client.rest()
     assert answers[0][0] == 200
-    assert kind(answers[-1]) == (431, "head-too-big")
+    is_write = endless.startswith(b"PUT /v1/drives")
+    assert kind(answers[-1]) == ((403, "read-only") if tcp and is_write else says)
+    assert len(answers) == 2
+    assert line.ops.asked == []
+
+
+async def test_a_request_at_its_bounds_is_answered(line: Line, tmp_path: Path) -> None:
+    query = b"priority=background&" + b"&".join(b"" for _ in range(15))
+    head = b"GET " + SETPOINT.encode() + b"?" + query + b" HTTP/1.1\r\nHost: x\r\n"
+    head += b"X: y\r\n" * (HEADERS_LIMIT - 1)
+    async with connected(line, tmp_path) as client:
+        await client.say(head + b"\r\n")
+        assert (await client.answer())[0] == 200
+
+
+async def test_a_body_that_was_answered_without_being_read_may_still_come_but_not_for_ever(
+    line: Line, tmp_path: Path
+) -> None:
+    head = b"PUT /v1/nothing HTTP/1.1\r\nTransfer-Encoding: chunked\r\n\r\n"
+    async with connected(line, tmp_path) as client:
+        await client.say(head)
+        assert (await client.answer())[0] == 404
+        await client.say(b"1\r\nx\r\n0\r\n\r\n" + GET)
+        assert (await client.answer())[0] == 200
+        await client.say(head)
+        assert (await client.answer())[0] == 404
+        with contextlib.suppress(ConnectionError):
+            while not client.reader.at_eof():
+                await client.say(b"400\r\n" + b"x" * 1024 + b"\r\n")
+                await asyncio.sleep(0)
+        with contextlib.suppress(ConnectionError):
+            assert await client.rest() == []
+
+
+async def test_a_stop_whose_body_nobody_reads_goes_out_however_long_that_is(
+    line: Line, tmp_path: Path
+) -> None:
+    stop = b"POST /v1/drives/feeder/verbs/quick-stop?" + b"a&" * 20 + b" HTTP/1.1\r\n"
+    line.ops.gate = anyio.Event()
+    async with connected(line, tmp_path) as client:
+        await client.say(stop + b"Content-Length: 1000000\r\n\r\n")
+        await line.ops.begun.wait()
+        await client.say(b"x" * (CHUNKED_LIMIT + 3000))
+        line.ops.gate.set()
+        answers = await client.rest()
+    assert [status for status, _ in answers] == [200]
+    assert [one[0] for one in line.ops.asked] == ["verb"]
 
 
 async def test_a_head_just_below_the_limit_is_taken(line: Line, tmp_path: Path) -> None:

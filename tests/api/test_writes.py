@@ -9,7 +9,7 @@ import httpx
 import pytest
 from starlette.responses import Response
 
-from lecombus.api.checking import BODY_LIMIT
+from lecombus.api.bounds import BODY_LIMIT
 from lecombus.api.documents import GroupOutcomeDocument, OutcomeDocument
 from lecombus.api.idempotency import KEEP_S, KEY_LIMIT, Idempotency
 from lecombus.api.problems import ProblemError

@@ -26,12 +26,11 @@ from lecombus.api.bodies import (
     StopBody,
     VerbBody,
 )
+from lecombus.api.bounds import BODY_LIMIT, BODY_TOO_BIG
 from lecombus.api.exact import NotJsonError, decode, decode_texts, short
 from lecombus.api.problems import Problem, ProblemError
 
-__all__ = ["BODY_LIMIT", "check_query", "read_body", "read_stop"]
-
-BODY_LIMIT: Final = 64 * 1024
+__all__ = ["check_query", "read_body", "read_stop"]
 
 MISTAKES_LIMIT: Final = 10
 
@@ -139,14 +138,7 @@ async def bounded_bytes(request: Request) -> bytes:
         async for part in request.stream():
             parts += part
             if len(parts) > BODY_LIMIT:
-                raise ProblemError(
-                    Problem(
-                        "too-big",
-                        f"the body is longer than {BODY_LIMIT} bytes",
-                        remedy="a write is one value; send it alone",
-                        headers={"Connection": "close"},
-                    )
-                )
+                raise ProblemError(BODY_TOO_BIG)
     except ClientDisconnect as exc:
         raise refusal("the client went away before its request was complete", "") from exc
     return bytes(parts)

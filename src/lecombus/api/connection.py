@@ -3,9 +3,11 @@
 Strategy: uvicorn's httptools connection with what it leaves open closed (httptools is measurably
 faster than h11 and gives a whole request in one call, see ADR 10):
 
-* a request's head ends at `HEAD_LIMIT`, with 431;
-* at most `PENDING_LIMIT` requests of one connection are pending. What came beyond is kept unread,
-  and nothing more is read, until there is room; nothing of it is lost;
+* a request ends at its bounds (`bounds`), before anything of it is decoded;
+* in one turn of the loop `SLICE` bytes of a connection are parsed; what is beyond is kept unread,
+  nothing more is read, and it goes on in its turn;
+* at most `pending_limit` requests of one connection are pending. What came beyond is kept unread
+  in the same way until there is room; nothing of it is lost;
 * what came whole is answered, whatever follows it: rubbish (then `bad-http`, as a problem document,
   and the end), the end of what the client sends, or an offer to speak another protocol, which is
   ignored (after a CONNECT the connection ends);
@@ -13,47 +15,56 @@ faster than h11 and gives a whole request in one call, see ADR 10):
 
 Bytes are given to the parser in pieces so small that the requests in them cannot exceed the limit.
 
-What must not live here: who may come in (`doors`), how many (`crowd`), in whose turn (`turns`).
+What must not live here: who may come in (`doors`), how many (`crowd`), in whose turn (`turns`),
+what is different over TCP (`tcp`).
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import socket
-from typing import Any, Final
+from collections.abc import Callable
+from typing import Any, Final, NoReturn
 
 import httptools
 from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
-from lecombus.api.crowd import Places, connection_limit
+from lecombus.api.bounds import (
+    BODY_LIMIT,
+    BODY_TOO_BIG,
+    CHUNKED_LIMIT,
+    HEAD_LIMIT,
+    HEAD_TOO_LONG,
+    HEADERS_LIMIT,
+    NOT_HTTP,
+    PARAMETERS_LIMIT,
+    TARGET_BYTES,
+    TARGET_TOO_LONG,
+    TOO_MANY_HEADERS,
+    TOO_MANY_PARAMETERS,
+)
+from lecombus.api.crowd import Places
 from lecombus.api.problems import Problem
-from lecombus.api.stops import is_stop
+from lecombus.api.stops import is_stop, is_stop_verb
 from lecombus.api.turns import Turns
 
-__all__ = ["HEAD_LIMIT", "PENDING_LIMIT", "Connection", "connections"]
+__all__ = ["PENDING_LIMIT", "SLICE", "Connection"]
 
-HEAD_LIMIT: Final = 64 * 1024
 PENDING_LIMIT: Final = 16
+
+SLICE: Final = 2048
+"""Bytes of a connection that are parsed in one turn: some tenths of a millisecond at the most."""
 
 SHORTEST_REQUEST: Final = 16
 """Bytes of `GET / HTTP/1.1` and two line feeds: a piece has room for no more requests than that."""
 
-NOT_HTTP: Final = Problem(
-    "bad-http",
-    "what came on this connection is not a request in HTTP/1.1",
-    remedy="use an HTTP client; requests before it were carried out",
-)
-TOO_LONG: Final = Problem(
-    "head-too-big",
-    f"the head of the request is longer than {HEAD_LIMIT} bytes",
-    remedy="send a shorter path and fewer headers",
-)
-
-
 OFFERS: Final = frozenset((b"upgrade", b"http2-settings", b"connection"))
 """Headers that make up an offer to speak another protocol; `Connection: close` is kept."""
+
+
+class BeyondBoundsError(Exception):
+    """Ends the parsing of a request that is beyond its bounds."""
 
 
 class PatientFlow(FlowControl):
@@ -68,25 +79,28 @@ class PatientFlow(FlowControl):
 
 
 class Connection(HttpToolsProtocol):
-    """A connection that holds one of a bounded number of places; see `connections`."""
+    """A connection over the Unix socket, which holds one of a bounded number of places."""
 
     places: Places
     turns: Turns
     flow: PatientFlow
+    may_write = True
+    pending_limit = PENDING_LIMIT
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Take the connection; called by the loop."""
         super().connection_made(transport)
         self.flow = PatientFlow(transport)
         self._unread = bytearray()
-        self._barren = 0  # bytes parsed since something came of them
+        self._size = 0  # bytes of the head, or of the body, that is being parsed
+        self._is_begun = False  # a request has begun and did not come whole yet
         self._is_in_body = False
+        self._is_queued = False  # the next slice waits for its turn
+        self._refusal: Problem | None = None  # why the parser was ended
         self._is_offer = False  # the head just read offers to speak another protocol
         self._end: Problem | None = None  # nothing is parsed any more; said after the last answer
         self._is_half_closed = False
         self._running: Any = None  # the request that is being answered
-        made_by = transport.get_extra_info("socket")
-        self.may_write = made_by is not None and made_by.family == socket.AF_UNIX
         self.places.take(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -99,6 +113,7 @@ class Connection(HttpToolsProtocol):
             self._running.disconnected = True
             self._running.message_event.set()
         super().connection_lost(exc)
+        self.cycle = self._running = None  # type: ignore[assignment]  # each refers to the other
 
     @property
     def is_idle(self) -> bool:
@@ -118,35 +133,61 @@ class Connection(HttpToolsProtocol):
         self._unset_keepalive_if_required()
         if self._end is None:
             self._unread += data
-            self._parse()
+            if not self._is_queued:
+                self._parse()
 
     def eof_received(self) -> bool:  # type: ignore[override]
         """The client sends no more; it may still wait for answers to what came whole."""
         self._is_half_closed = True
         if not self._unread:
             self._drop_unfinished()
-        return not self._is_answered
+        return bool(self._unread) or not self._is_answered
 
     def _parse(self) -> None:
-        """Give the parser what there is room for, and keep the rest."""
-        while self._unread and self._end is None and not self.transport.is_closing():
-            room = PENDING_LIMIT - self._pending
-            if room <= 0:
-                break
-            piece = bytes(self._unread[: room * SHORTEST_REQUEST])
+        """Give the parser a slice of what there is room for, and keep the rest."""
+        left = SLICE
+        while left > 0 and self._unread and (room := self._room) > 0:
+            piece = bytes(self._unread[: min(left, room * SHORTEST_REQUEST)])
             del self._unread[: len(piece)]
+            left -= len(piece)
             self._feed(piece)
         was_held, self.flow.is_held = self.flow.is_held, bool(self._unread)
         if self.flow.is_held:
             self.flow.pause_reading()
+            if self._room > 0:
+                self._parse_later()
             return
         if was_held and not self.pipeline:
             self.flow.resume_reading()
         if self._is_half_closed:
             self._drop_unfinished()
 
+    @property
+    def _room(self) -> int:
+        """How many more requests may be parsed now."""
+        if self._end is not None or self.transport.is_closing():
+            return 0
+        return self.pending_limit - self._pending
+
+    def _parse_later(self) -> None:
+        """Parse the next slice in its turn."""
+        if not self._is_queued:
+            self._is_queued = True
+            self._queue(self._parse_in_turn)
+
+    def _parse_in_turn(self) -> None:
+        self._is_queued = False
+        if self.transport.is_closing():
+            return
+        self._parse()
+        self._end_if_answered()
+
+    def _queue(self, begin: Callable[[], None]) -> None:
+        """Have something done in its turn."""
+        self.turns.take(begin)
+
     def _feed(self, piece: bytes) -> None:
-        self._barren += len(piece)
+        self._size += len(piece)
         try:
             self.parser.feed_data(piece)
         except httptools.HttpParserUpgrade as offer:
@@ -155,9 +196,24 @@ class Connection(HttpToolsProtocol):
             else:
                 self._end_after_connect()
         except httptools.HttpParserError:
-            self._give_up(NOT_HTTP)
-        if self._barren > HEAD_LIMIT:
-            self._give_up(TOO_LONG)
+            self._give_up(self._refusal or NOT_HTTP)
+        if self._is_in_body and self._size > CHUNKED_LIMIT:
+            self._end_body()
+        elif not self._is_in_body and self._size > HEAD_LIMIT:
+            self._give_up(HEAD_TOO_LONG)
+
+    def _end_body(self) -> None:
+        """Read no more of a body without end: nobody waits for it, or it is refused."""
+        cycle: Any = self.cycle
+        if cycle.response_complete:
+            self.transport.close()
+        elif is_stop_verb(cycle.scope["path"]) and self.may_write:
+            cycle.keep_alive = False
+            self._unread.clear()
+            self.flow.is_held = True
+            self.flow.pause_reading()
+        else:
+            self._give_up(BODY_TOO_BIG)
 
     def _end_after_connect(self) -> None:
         """Answer a CONNECT like any other request, and end: what follows would be a tunnel."""
@@ -178,7 +234,7 @@ class Connection(HttpToolsProtocol):
         if not parser.should_keep_alive():
             lines.append(b"connection: close")
         self._is_offer = False
-        self._barren = 0
+        self._size = 0
         return b"\r\n".join([*lines, b"", b""])
 
     @property
@@ -189,35 +245,60 @@ class Connection(HttpToolsProtocol):
 
     # ---- what the parser calls --------------------------------------------------------------
 
+    def on_message_begin(self) -> None:
+        """A request begins."""
+        self._is_begun = True
+        super().on_message_begin()
+
+    def on_url(self, url: bytes) -> None:
+        """Take a part of the request's target."""
+        if len(self.url) + len(url) > TARGET_BYTES:
+            self._refuse(TARGET_TOO_LONG)
+        super().on_url(url)
+
     def on_header(self, name: bytes, value: bytes) -> None:
         """Take a header; those behind a body in chunks are dropped."""
-        if not self._is_in_body:
-            super().on_header(name, value)
+        if self._is_in_body:
+            return
+        if len(self.headers) >= HEADERS_LIMIT:
+            self._refuse(TOO_MANY_HEADERS)
+        super().on_header(name, value)
 
     def on_headers_complete(self) -> None:
         """Take the head of a request."""
         self._is_offer = self.parser.should_upgrade() and self.parser.get_method() != b"CONNECT"
         if self._is_offer:
             return
-        self._barren = 0
+        self._size = 0
+        target = httptools.parse_url(self.url)
+        if not (self.may_write and is_stop((target.path or b"").decode("latin-1"))):
+            self._check_bounds(target.query or b"")
         self._is_in_body = True
-        host = httptools.parse_url(self.url).host
-        if host is not None:
+        if target.host is not None:
+            host = b"[%b]" % target.host if b":" in target.host else target.host
             self.headers[:] = [one for one in self.headers if one[0] != b"host"]
-            self.headers.append((b"host", b"[%b]" % host if b":" in host else host))
+            self.headers.append((b"host", host))
         super().on_headers_complete()
 
-    def on_body(self, body: bytes) -> None:
-        """Take a part of a body."""
-        self._barren = 0
-        super().on_body(body)
+    def _check_bounds(self, query: bytes) -> None:
+        """Refuse what is too much, before it is decoded; a stop is looked at by the application."""
+        if query.count(b"&") >= PARAMETERS_LIMIT:
+            self._refuse(TOO_MANY_PARAMETERS)
+        for name, value in self.headers:
+            if name == b"content-length" and int(value) > BODY_LIMIT:
+                self._refuse(BODY_TOO_BIG)
+
+    def _refuse(self, why: Problem) -> NoReturn:
+        """End the parser in the middle of a request; called while it parses."""
+        self._refusal = why
+        raise BeyondBoundsError(why.kind)
 
     def on_message_complete(self) -> None:
         """A request came whole."""
         if self._is_offer:
             return
-        self._barren = 0
-        self._is_in_body = False
+        self._size = 0
+        self._is_begun = self._is_in_body = False
         super().on_message_complete()
 
     # ---- turns and ends ---------------------------------------------------------------------
@@ -282,17 +363,8 @@ class Connection(HttpToolsProtocol):
     def _say_end(self, problem: Problem) -> None:
         """Write a problem document without the application, and close."""
         answer = problem.response()
-        lines = [b"%b: %b\r\n" % header for header in answer.raw_headers]
+        headers = [one for one in answer.raw_headers if one[0] != b"connection"]
+        lines = [b"%b: %b\r\n" % header for header in headers]
         head = b"".join([STATUS_LINE[answer.status_code], *lines, b"connection: close\r\n\r\n"])
         self.transport.write(head + bytes(answer.body))
         self.transport.close()
-
-
-def connections() -> type[Connection]:
-    """Return the class of connections that share the places and turns of one server."""
-
-    class Placed(Connection):
-        places = Places(connection_limit())
-        turns = Turns()
-
-    return Placed

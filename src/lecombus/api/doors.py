@@ -2,8 +2,11 @@
 
 `ReadOnlyDoor` stands before the TCP server: until there is access control it lets reads through and
 nothing else, and refuses hosts that are not this machine, so that no web page can reach the drives
-through a browser (DNS rebinding). A request without a host, with two, or with one that is none, is
-not well made (RFC 9112, 3.2). Behind the Unix socket nobody asks for the host: a stop counts more.
+through a browser (DNS rebinding). What a browser sends for a page of another origin is refused too,
+by its `Origin` and `Sec-Fetch-Site`: such a page could not read the answer, but could ask and ask.
+A request without a host, with two, or with one that is none, is not well made (RFC 9112, 3.2).
+After a refusal the connection ends, whatever else the client sends. Behind the Unix socket nobody
+asks for the host: a stop counts more.
 `HeadIsGet` stands before both.
 
 What must not live here: sockets (`server`), how many may come in (`crowd`).
@@ -13,6 +16,7 @@ from __future__ import annotations
 
 import ipaddress
 import re
+from dataclasses import replace
 from typing import Final
 
 from starlette.types import ASGIApp, Receive, Scope, Send
@@ -26,6 +30,11 @@ __all__ = ["HeadIsGet", "ReadOnlyDoor", "is_loopback"]
 HOST: Final = re.compile(r"(?:\[([0-9a-f:.]+)\]|([^\[\]:]+))(?::[0-9]{0,5})?")
 
 RIGHT_HOST: Final = "ask for localhost or 127.0.0.1"
+
+OWN_SITES: Final = (b"none", b"same-origin")
+"""What `Sec-Fetch-Site` says where a person typed the address, or a page of this server asks."""
+
+CLOSE: Final = {"Connection": "close"}
 
 
 class HeadIsGet:
@@ -63,7 +72,7 @@ class ReadOnlyDoor:
         if problem is None:
             await self._app(scope, receive, send)
         else:
-            await problem.response()(scope, receive, send)
+            await replace(problem, headers=CLOSE).response()(scope, receive, send)
 
     def _objection(self, scope: Scope) -> Problem | None:
         hosts = [value.decode("latin-1") for name, value in scope["headers"] if name == b"host"]
@@ -78,10 +87,16 @@ class ReadOnlyDoor:
             return Problem(
                 "foreign-host", f"host {short(hosts[0])} is not this machine", remedy=RIGHT_HOST
             )
+        if is_cross_site(scope, hosts[0]):
+            return Problem(
+                "cross-site",
+                "a web page of another origin asks",
+                remedy="open the address itself, or ask from a program",
+            )
         if scope["method"] not in ("GET", "HEAD"):
             return Problem(
                 "read-only",
-                f"{scope['method']} is not answered over TCP",
+                f"{short(scope['method'])} is not answered over TCP",
                 remedy="use the Unix socket: only who may open it may write and stop",
             )
         if scope["path"].startswith(ADDRESSES_PATH):
@@ -94,6 +109,17 @@ class ReadOnlyDoor:
 
     def _is_here(self, name: str) -> bool:
         return name in ("localhost", self._host) or is_loopback(name)
+
+
+def is_cross_site(scope: Scope, host: str) -> bool:
+    """Tell whether a browser asks for a page that is not of this server."""
+    origin = f"http://{host.strip()}".lower()
+    for name, value in scope["headers"]:
+        if name == b"origin" and value.decode("latin-1").strip().lower() != origin:
+            return True
+        if name == b"sec-fetch-site" and value.strip().lower() not in OWN_SITES:
+            return True
+    return False
 
 
 def host_name(host: str) -> str:

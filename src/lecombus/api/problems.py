@@ -6,16 +6,17 @@ error of lecombus' tree, `report_problem` from a write that ended in anything bu
 shows the same table.
 
 ==== ==================================================================================
-400  not HTTP, or not with one host
-403  not writable, or a write over TCP
+400  not HTTP, not with one host, or with too many query parameters
+403  not writable, or over TCP a write or a request of another web page
 404  no such drive, group, code or path
 405  wrong method
 409  refused by the drive (NAK), or superseded by a later request or a stop
 413  the body is too big
+414  path and query are too long
 421  the request names a host that is not this machine
 422  the request cannot be understood, or the value cannot be sent
 429  a stored parameter was written too often (`Retry-After` says when it may be again)
-431  the request's path and headers are too long
+431  the request's headers are too long or too many
 500  a mistake in lecombus
 502  the answer was garbled or belonged to something else
 503  the line is lost or closed, or it was never sent: queue full, expired while waiting
@@ -71,6 +72,8 @@ PROBLEM_TYPE: Final = "application/problem+json"
 STATUS_BY_KIND: Final[Mapping[str, tuple[int, str]]] = {
     "bad-http": (400, "Not HTTP"),
     "bad-host": (400, "Not one host"),
+    "too-many-parameters": (400, "Too many query parameters"),
+    "cross-site": (403, "Asked by another web page"),
     "read-only": (403, "Only reads are answered here"),
     "not-writable": (403, "Not writable"),
     "not-permitted": (403, "Not permitted"),
@@ -98,6 +101,7 @@ STATUS_BY_KIND: Final[Mapping[str, tuple[int, str]]] = {
     "not-stopped": (409, "The drive is not stopped"),
     "no-control-word": (409, "Control word not known"),
     "too-big": (413, "Body too big"),
+    "target-too-long": (414, "Path and query too long"),
     "foreign-host": (421, "Wrong host"),
     "too-many-writes": (429, "Stored parameter written too often"),
     "head-too-big": (431, "Request head too big"),

@@ -26,15 +26,29 @@ import uvicorn
 from anyio.abc import TaskStatus
 from starlette.types import ASGIApp
 
-from lecombus.api.connection import Connection, connections
-from lecombus.api.crowd import ACCEPT_AT_ONCE, Crowd
+from lecombus.api.connection import Connection
+from lecombus.api.crowd import (
+    ACCEPT_AT_ONCE,
+    TCP_LIMIT,
+    TCP_WAITING_LIMIT,
+    Crowd,
+    Paced,
+    Places,
+    connection_limit,
+)
 from lecombus.api.doors import HeadIsGet, ReadOnlyDoor, is_loopback
+from lecombus.api.share import Share, TimedApp
+from lecombus.api.tcp import TcpConnection
+from lecombus.api.turns import Turns
 from lecombus.errors import OperationError
 
 __all__ = ["Served", "serve"]
 
 SOCKET_MODE: Final = 0o660
 BACKLOG: Final = 128
+TCP_BUFFER_BYTES: Final = 32 * 1024
+"""What the kernel keeps of a TCP connection that is not read; it takes twice that."""
+
 CLOSE_S: Final = 3
 """How long requests under way may take to end when the server closes."""
 
@@ -88,14 +102,12 @@ async def serve(
     """
     with ExitStack() as resources:
         unix = resources.enter_context(unix_socket(socket_path))
-        doors: list[tuple[ASGIApp, socket.socket]] = [(app, unix)]
-        bound: tuple[str, int] | None = None
+        places, bound = Places(connection_limit()), None
+        listeners = [(Listener(unix_configuration(app, places)), unix)]
         if http is not None:
             tcp = resources.enter_context(tcp_socket(*http))
             bound = (http[0], tcp.getsockname()[1])
-            doors.append((ReadOnlyDoor(app, http[0]), tcp))
-        kind = connections()
-        listeners = [(Listener(configuration(door, kind)), taking) for door, taking in doors]
+            listeners.append((Listener(tcp_configuration(app, http[0], places)), tcp))
         task_status.started(Served(socket_path, bound))
         await run_until_cancelled(listeners)
 
@@ -124,10 +136,25 @@ async def close_when_cancelled(listeners: list[Listener]) -> None:
             listener.should_exit = True
 
 
-def configuration(app: ASGIApp, kind: type[Connection]) -> uvicorn.Config:
+def unix_configuration(app: ASGIApp, places: Places) -> uvicorn.Config:
+    """Return how the Unix socket is served."""
+    kind = type("Placed", (Connection,), {"places": places, "turns": Turns()})
+    return configuration(HeadIsGet(Crowd(app)), kind, ACCEPT_AT_ONCE)
+
+
+def tcp_configuration(app: ASGIApp, host: str, places: Places) -> uvicorn.Config:
+    """Return how TCP is served: all of it in one share of the loop's time."""
+    share = Share()
+    kind = type("PlacedTcp", (TcpConnection,), {"places": places, "share": share})
+    let_in = Crowd(Paced(app), TCP_LIMIT, TCP_WAITING_LIMIT)
+    door = ReadOnlyDoor(HeadIsGet(let_in), host)
+    return configuration(TimedApp(door, share), kind, 1)
+
+
+def configuration(app: ASGIApp, kind: type[Connection], accept_at_once: int) -> uvicorn.Config:
     """Return what uvicorn is told; everything that could surprise is switched off."""
     return uvicorn.Config(
-        HeadIsGet(Crowd(app)),
+        app,
         log_config=None,
         log_level="error",  # a warning per request not understood: anybody could fill the log
         access_log=False,
@@ -136,7 +163,7 @@ def configuration(app: ASGIApp, kind: type[Connection]) -> uvicorn.Config:
         proxy_headers=False,
         server_header=False,
         http=kind,
-        backlog=ACCEPT_AT_ONCE,
+        backlog=accept_at_once,
         timeout_keep_alive=60,
         timeout_graceful_shutdown=CLOSE_S,
     )
@@ -232,6 +259,7 @@ def tcp_socket(host: str, port: int) -> Iterator[socket.socket]:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             listening.bind((address, port))
+            listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, TCP_BUFFER_BYTES)
             listening.listen(BACKLOG)
         except OSError as exc:
             remedy = "free the port, or give the API another one in the roster"

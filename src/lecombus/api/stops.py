@@ -22,18 +22,21 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from lecombus.api.answers import group_response
 from lecombus.api.bodies import TARGET_LIMIT
-from lecombus.api.checking import BODY_LIMIT
+from lecombus.api.bounds import BODY_LIMIT
 from lecombus.api.exact import NotJsonError, decode
 from lecombus.api.problems import problem_of
 from lecombus.api.seam import OperationsPort
 from lecombus.drives import StopAction
 from lecombus.errors import LecombusError
 
-__all__ = ["PlainStops", "is_stop"]
+__all__ = ["PlainStops", "is_stop", "is_stop_verb"]
 
 STOP_PATH: Final = "/v1/stop"
 
-STOP_ENDS: Final = (STOP_PATH, "/verbs/inhibit", "/verbs/quick-stop")
+VERB_ENDS: Final = ("/verbs/inhibit", "/verbs/quick-stop")
+"""How the path of a stop ends that is a verb."""
+
+STOP_ENDS: Final = (STOP_PATH, *VERB_ENDS)
 """How the path of a stop ends."""
 
 PIECES_LIMIT: Final = 4
@@ -80,6 +83,11 @@ class PlainStops:
 def is_stop(path: str) -> bool:
     """Whether what is asked for is a stop, which waits for nobody and is never refused."""
     return path.rstrip("/").endswith(STOP_ENDS)
+
+
+def is_stop_verb(path: str) -> bool:
+    """Whether what is asked for is a stop whose body nobody reads."""
+    return path.rstrip("/").endswith(VERB_ENDS)
 
 
 def is_plain(scope: Scope) -> bool:
