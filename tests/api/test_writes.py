@@ -86,7 +86,7 @@ async def test_a_write_may_say_that_it_has_time(client: httpx.AsyncClient, line:
         ('{"value": NaN}', "NaN is not a number"),
         ('{"value": Infinity}', "Infinity is not a number"),
         ('{"value": 1, "value": 2}', "key value stands twice"),
-        ("[" * 60000, "nested too deeply"),
+        ("[" * 8000, "nested too deeply"),
         ("{}", "key value is missing"),
         ('{"value": true}', "not true"),
         ('{"value": null}', "not null"),
@@ -130,8 +130,8 @@ async def test_all_mistakes_are_told_at_once(client: httpx.AsyncClient) -> None:
 
 
 async def test_what_is_said_of_a_wrong_request_is_bounded(client: httpx.AsyncClient) -> None:
-    many = ", ".join(f'"{"k" * 500}{number}": 1' for number in range(100))
-    long = "x" * 5000
+    many = ", ".join(f'"{"k" * 500}{number}": 1' for number in range(14))
+    long = "x" * 3000
     for answer in (
         await put(client, "{" + many + "}"),
         await put(client, f'{{"{long}": 1, "{long}": 2}}'),

@@ -37,6 +37,11 @@ TEXT_LIMIT: Final = 250
 TARGET_LIMIT: Final = 200
 STOPS_LIMIT: Final = 40
 
+IDENTITY_CODES: Final = 16
+"""More than any family has that say who a drive is."""
+
+DURATION_CHARS: Final = 40
+
 EXPONENT_LIMIT: Final = 30
 """A number such as 1E+999999 is a few bytes here and a megabyte once written out."""
 
@@ -224,7 +229,17 @@ class NoKeysBody(Body):
 class AcceptBody(Body):
     """The identity that whoever accepts a drive has seen."""
 
-    identity: Annotated[dict[str, str], Field(description=RIGHT["identity"])]
+    identity: Annotated[
+        dict[str, str], Field(description=RIGHT["identity"], max_length=IDENTITY_CODES)
+    ]
+
+    @field_validator("identity", mode="before")
+    @classmethod
+    def few(cls, value: object) -> object:
+        """Refuse more codes than any drive has, before each of them is looked at."""
+        if isinstance(value, dict) and len(value) > IDENTITY_CODES:
+            raise ValueError(RIGHT["identity"])
+        return value
 
 
 class AddressBody(Body):
@@ -241,7 +256,7 @@ def seconds_of(value: int | Decimal | str) -> Decimal:
     """
     if not isinstance(value, str):
         return Decimal(value)
-    match = DURATION.fullmatch(value.strip())
+    match = DURATION.fullmatch(value.strip()) if len(value) <= DURATION_CHARS else None
     if match is None:
         raise ValueError(RIGHT["expires"])
     return Decimal(match[1]) * UNIT_S[match[2]]

@@ -1,9 +1,10 @@
 """JSON that keeps decimals exact, both ways.
 
 The standard encoder writes decimals only by way of a binary float, so the writer here is our own:
-35.4 goes out as `35.4` and 50.10 as `50.10`. Reading uses the standard decoder with decimals,
-refuses what JSON does not know (`NaN`) and keys that stand twice, and raises one error. A stop must
-go through, so it is read by its texts alone: numbers are not looked at, keys may stand twice.
+35.4 goes out as `35.4` and 50.10 as `50.10`. Reading uses the standard decoder with decimals. What
+JSON does not know (`NaN`), keys that stand twice and numbers of many digits are refused with one error.
+A stop must go through, so it is read by its texts alone: numbers are not looked at, keys may stand
+twice.
 
 What must not live here: what a document means.
 """
@@ -25,6 +26,9 @@ __all__ = ["NotJsonError", "decode", "decode_texts", "encode", "short"]
 SHORT_CHARS: Final = 80
 """The most that is given back of what a client sent."""
 
+NUMBER_CHARS: Final = 128
+"""The longest value that a telegram carries has 241 characters, but no number has that many."""
+
 
 @dataclass(frozen=True, slots=True)
 class Unread:
@@ -38,11 +42,16 @@ class Unread:
 
 
 class Repeating(dict[str, object]):
-    """An object some of whose keys stand twice."""
+    """An object some of whose keys stand twice; which, is looked for when somebody asks."""
 
     def __init__(self, pairs: list[tuple[str, object]]) -> None:
         super().__init__(pairs)
-        self.twice = repeated(pairs)
+        self._pairs = pairs
+
+    @property
+    def twice(self) -> list[str]:
+        """The keys that stand twice or more, in order."""
+        return repeated(self._pairs)
 
 
 class NotJsonError(ValueError):
@@ -91,6 +100,7 @@ def decode(text: bytes) -> object:
         return json.loads(
             text.decode("utf-8"),
             parse_float=decimal_of,
+            parse_int=integer_of,
             parse_constant=refuse_constant,
             object_pairs_hook=unique_keys,
         )
@@ -131,12 +141,25 @@ def decode_texts(text: bytes, once: Collection[str]) -> object:
     return given
 
 
+def integer_of(text: str) -> int:
+    """Return a number without point and exponent, unless it has more digits than any value."""
+    refuse_long(text)
+    return int(text)
+
+
 def decimal_of(text: str) -> Decimal:
     """Return a number with a point or exponent; an exponent beyond any decimal is refused."""
+    refuse_long(text)
     try:
         return Decimal(text)
     except InvalidOperation as exc:
         raise NotJsonError(f"{short(text)} is too large or too small for any number") from exc
+
+
+def refuse_long(text: str) -> None:
+    """Refuse a number of many digits: whoever reckons with it would pay for each of them."""
+    if len(text) > NUMBER_CHARS:
+        raise NotJsonError(f"{short(text)} has more than {NUMBER_CHARS} characters")
 
 
 def short(text: str, chars: int = SHORT_CHARS) -> str:

@@ -22,7 +22,6 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from lecombus.api.answers import group_response
 from lecombus.api.bodies import TARGET_LIMIT
-from lecombus.api.bounds import BODY_LIMIT
 from lecombus.api.exact import NotJsonError, decode
 from lecombus.api.problems import problem_of
 from lecombus.api.seam import OperationsPort
@@ -41,6 +40,9 @@ STOP_ENDS: Final = (STOP_PATH, *VERB_ENDS)
 
 PIECES_LIMIT: Final = 4
 """A plain stop comes in one piece or two; who sends it in more may wait a millisecond longer."""
+
+PLAIN_BYTES: Final = 1024
+"""Both keys with the longest target; a longer body is read once, by the long way."""
 
 KEYS: Final = frozenset(("action", "target"))
 ACTIONS: Final = {action.value: action for action in StopAction}
@@ -113,7 +115,7 @@ def plain_stop(messages: list[Message]) -> tuple[StopAction, str] | None:
         return None
     body = b"".join(message.get("body", b"") for message in messages)
     try:
-        given = decode(body) if len(body) <= BODY_LIMIT else None
+        given = decode(body) if len(body) <= PLAIN_BYTES else None
     except NotJsonError:
         return None
     if not isinstance(given, dict) or given.keys() != KEYS:
