@@ -3,8 +3,8 @@
 The standard encoder writes decimals only by way of a binary float, so the writer here is our own:
 35.4 goes out as `35.4` and 50.10 as `50.10`. Reading uses the standard decoder with decimals. What
 JSON does not know (`NaN`), keys that stand twice and numbers of many digits are refused, all by the
-same error. A stop must go through, so it is read by its texts alone: numbers are not looked at, keys
-may stand twice.
+same error. A stop must go through, so it is read by its texts alone: numbers are not looked at,
+keys may stand twice.
 
 What must not live here: what a document means.
 """
