@@ -174,6 +174,7 @@ class Daemon:
                 site.operations.close()
                 await self._say_goodbye(site)
                 faces.cancel_scope.cancel()
+            site.actions.look(at_end=True)
             site.worker.close()
             line.cancel_scope.cancel()
 
@@ -184,10 +185,10 @@ class Daemon:
     async def _serve(self, faces: anyio.abc.TaskGroup, site: Site) -> None:
         api = self._roster.api
         app = create_app(
-            site.operations,
+            site.recorded,
             site.store,
             site.metrics,
-            custody=site.custody,
+            custody=site.recorded_custody,
             plan_facts=site.plan_facts,
             line_name=self._roster.line.name,
             port=self._roster.line.port,
@@ -298,7 +299,7 @@ class Daemon:
             return
         with anyio.move_on_after(SHUTDOWN_STOP_S) as scope:
             try:
-                report = await site.operations.stop(action, "all")
+                report = await site.recorded.stop(action, "all")
             except LecombusError as exc:
                 logger.error("event=shutdown-stop-failed action=%s reason=%s", action, exc)
             else:

@@ -26,10 +26,12 @@ from lecombus.line.station import Station
 from lecombus.line.worker import LineWorker, WorkerOptions
 from lecombus.metrics import Figures, Metrics
 from lecombus.metrics.minutes import LATELY_S
+from lecombus.operations.actions import Actions
 from lecombus.operations.control_words import ControlWords
 from lecombus.operations.custody import Custody
 from lecombus.operations.identities import Identities
 from lecombus.operations.readdress import Readdress
+from lecombus.operations.recorded import RecordedCustody, RecordedOperations
 from lecombus.operations.request_maker import RequestMaker
 from lecombus.operations.requests import Requests
 from lecombus.operations.verb_operations import VerbOperations
@@ -136,12 +138,24 @@ class Site:
         )  # fmt: skip
         self._slow = SlowDrives(self.store, self.schedule.costs_changed)
         self.custody = self._make_custody()
+        self.actions = Actions(clock)
+        self.recorded = RecordedOperations(self.operations, self.actions, self._is_secret)
+        self.recorded_custody = RecordedCustody(self.custody, self.actions)
         self._strain = Strain(self.store)
         self._second_answers = SecondAnswers(self.store)
         self.port_watch = PortWatch(self.store, line)
         self._reads = CyclicReads(self.requests, self.schedule, self.store, self.metrics.minutes)
         self._entries: dict[str, DriveEntry] = {}
         self.apply(roster)
+
+    def _is_secret(self, target: str, code: Code) -> bool:
+        """Whether a code of a drive, or of one of a group, is a password."""
+        group = self.roster.groups.get(target)
+        names = (target,) if group is None else group.members
+        infos = (
+            self.requests.station(name).family.info(code) for name in names if name in self._entries
+        )
+        return any(info is not None and info.secret for info in infos)
 
     def _make_custody(self) -> Custody:
         return Custody(
@@ -227,6 +241,7 @@ class Site:
 
     def note_cadence(self) -> None:
         """Say how far the cadence is stretched, and which watchdogs ran out; once a second."""
+        self.actions.look()
         now_s = self._clock()
         stats = self._gather(now_s)
         self._slow.look(map(self.requests.station, self._entries))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import stat
 from collections.abc import AsyncIterator
@@ -14,6 +15,10 @@ import pytest
 
 from lecombus.api import Served, serve
 from lecombus.errors import OperationError
+from lecombus.operations.actions import ACTOR, Actor
+from lecombus.operations.reports import WriteReport
+from lecombus.protocol.addressing import Code
+from lecombus.schedule import Outcome
 from support.api_line import Line
 
 pytestmark = [pytest.mark.anyio, pytest.mark.real]
@@ -222,3 +227,20 @@ async def open_once_closing(gate: anyio.Event, path: Path) -> None:
             break
         await anyio.sleep(0.01)
     gate.set()
+
+
+async def test_who_asks_is_known_to_whatever_is_done_for_them(line: Line, tmp_path: Path) -> None:
+    found: list[Actor] = []
+
+    def report(drive: str, code: Code) -> WriteReport:
+        found.append(ACTOR.get())
+        return WriteReport(drive, code, Outcome.DONE)
+
+    line.ops.report = report
+    async with serving(line, tmp_path / "s") as served, over_unix(served.socket_path) as client:
+        await client.put(SETPOINT, json={"value": 1})
+        await client.post("/v1/stop", json={"action": "inhibit", "target": "all"})
+    assert [(one.who, one.uid, one.pid) for one in found] == 3 * [
+        ("socket", os.getuid(), os.getpid())
+    ]
+    assert ACTOR.get().who == "lecombus"

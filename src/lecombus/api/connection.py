@@ -23,6 +23,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import socket
+import struct
 from collections.abc import Callable
 from typing import Any, Final, NoReturn
 
@@ -45,9 +47,11 @@ from lecombus.api.bounds import (
     TOO_MANY_PARAMETERS,
 )
 from lecombus.api.crowd import Places
+from lecombus.api.doors import ACTOR_KEY
 from lecombus.api.problems import Problem
 from lecombus.api.stops import is_stop, is_stop_verb
 from lecombus.api.turns import Turns
+from lecombus.operations.actions import Actor
 
 __all__ = ["PENDING_LIMIT", "SLICE", "Connection"]
 
@@ -55,6 +59,9 @@ PENDING_LIMIT: Final = 16
 
 SLICE: Final = 2048
 """Bytes of a connection that are parsed in one turn: some tenths of a millisecond at the most."""
+
+CREDENTIALS: Final = struct.Struct("3i")
+"""Process, user and group at the other end of a Unix socket (unix(7), SO_PEERCRED)."""
 
 SHORTEST_REQUEST: Final = 16
 """Bytes of `GET / HTTP/1.1` and two line feeds: a piece has room for no more requests than that."""
@@ -90,6 +97,7 @@ class Connection(HttpToolsProtocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Take the connection; called by the loop."""
         super().connection_made(transport)
+        self.app_state = {ACTOR_KEY: self._actor()}
         self.flow = PatientFlow(transport)
         self._unread = bytearray()
         self._size = 0  # bytes of the head, or of the body, that is being parsed
@@ -102,6 +110,16 @@ class Connection(HttpToolsProtocol):
         self._is_half_closed = False
         self._running: Any = None  # the request that is being answered
         self.places.take(self)
+
+    def _actor(self) -> Actor:
+        """Return who is at the other end: what the kernel says, not what the client does."""
+        peer = self.transport.get_extra_info("socket")
+        try:
+            said = peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, CREDENTIALS.size)
+        except OSError:  # the client is gone already
+            return Actor("socket")
+        pid, uid, _ = CREDENTIALS.unpack(said)
+        return Actor("socket", uid, pid)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Give the place back; called by the loop."""

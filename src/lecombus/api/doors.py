@@ -7,7 +7,7 @@ by its `Origin` and `Sec-Fetch-Site`: such a page could not read the answer, but
 A request without a host, with two, or with one that is none, is not well made (RFC 9112, 3.2).
 After a refusal the connection ends, whatever else the client sends. Behind the Unix socket nobody
 asks for the host: a stop counts more.
-`HeadIsGet` stands before both.
+`HeadIsGet` and `Named` stand before both.
 
 What must not live here: sockets (`server`), how many may come in (`crowd`).
 """
@@ -24,8 +24,10 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from lecombus.api.addresses import ADDRESSES_PATH
 from lecombus.api.exact import short
 from lecombus.api.problems import Problem
+from lecombus.api.stops import is_stop
+from lecombus.operations.actions import ACTOR, Actor
 
-__all__ = ["HeadIsGet", "ReadOnlyDoor", "is_loopback"]
+__all__ = ["ACTOR_KEY", "HeadIsGet", "Named", "ReadOnlyDoor", "is_loopback"]
 
 HOST: Final = re.compile(r"(?:\[([0-9a-f:.]+)\]|([^\[\]:]+))(?::[0-9]{0,5})?")
 
@@ -34,7 +36,30 @@ RIGHT_HOST: Final = "ask for localhost or 127.0.0.1"
 OWN_SITES: Final = (b"none", b"same-origin")
 """What `Sec-Fetch-Site` says where a person typed the address, or a page of this server asks."""
 
+ACTOR_KEY: Final = "actor"
+"""Where a connection puts into a request who is at its other end."""
+
 CLOSE: Final = {"Connection": "close"}
+
+
+class Named:
+    """Says for whom a request is carried out, so that what it does to a drive is logged with that.
+
+    Args:
+        app: The application behind.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on."""
+        actor = scope.get("state", {}).get(ACTOR_KEY)
+        if isinstance(actor, Actor):
+            ACTOR.set(actor)
+            if actor.pid and scope["method"] not in ("GET", "HEAD") and not is_stop(scope["path"]):
+                actor.find_process()  # it may be gone afterwards; a stop does not wait for this
+        await self._app(scope, receive, send)
 
 
 class HeadIsGet:

@@ -36,7 +36,7 @@ from lecombus.api.crowd import (
     Places,
     connection_limit,
 )
-from lecombus.api.doors import HeadIsGet, ReadOnlyDoor, is_loopback
+from lecombus.api.doors import HeadIsGet, Named, ReadOnlyDoor, is_loopback
 from lecombus.api.share import Share, TimedApp
 from lecombus.api.tcp import TcpConnection
 from lecombus.api.turns import Turns
@@ -139,14 +139,14 @@ async def close_when_cancelled(listeners: list[Listener]) -> None:
 def unix_configuration(app: ASGIApp, places: Places) -> uvicorn.Config:
     """Return how the Unix socket is served."""
     kind = type("Placed", (Connection,), {"places": places, "turns": Turns()})
-    return configuration(HeadIsGet(Crowd(app)), kind, ACCEPT_AT_ONCE)
+    return configuration(Named(HeadIsGet(Crowd(app))), kind, ACCEPT_AT_ONCE)
 
 
 def tcp_configuration(app: ASGIApp, host: str, places: Places) -> uvicorn.Config:
     """Return how TCP is served: all of it in one share of the loop's time."""
     share = Share()
     kind = type("PlacedTcp", (TcpConnection,), {"places": places, "share": share})
-    let_in = Crowd(Paced(app), TCP_LIMIT, TCP_WAITING_LIMIT)
+    let_in = Crowd(Paced(Named(app)), TCP_LIMIT, TCP_WAITING_LIMIT)
     door = ReadOnlyDoor(HeadIsGet(let_in), host)
     return configuration(TimedApp(door, share), kind, 1)
 

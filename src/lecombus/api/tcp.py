@@ -23,6 +23,7 @@ from typing import Any, Final
 
 from lecombus.api.connection import Connection
 from lecombus.api.share import Share
+from lecombus.operations.actions import Actor
 
 __all__ = ["PATIENCE_S", "TCP_PENDING_LIMIT", "Lingering", "TcpConnection"]
 
@@ -125,6 +126,10 @@ class TcpConnection(Connection, asyncio.BufferedProtocol):
         self._progress = self._progress_seen = 0
         super().connection_made(Lingering(transport))
         self._looking = self.loop.call_later(PATIENCE_S, self._look)
+
+    def _actor(self) -> Actor:
+        """Return who is at the other end."""
+        return Actor("tcp", client="" if self.client is None else ":".join(map(str, self.client)))
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Give the place back; called by the loop."""

@@ -10,7 +10,6 @@ What must not live here: HTTP, telegrams, waiting lists, and how a stop is prove
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -34,8 +33,6 @@ from lecombus.schedule import Outcome, Priority, Request
 from lecombus.store import Store
 
 __all__ = ["STOP_REMEDY", "StopOperations"]
-
-logger = logging.getLogger(__name__)
 
 ABSENT_PATIENCE_S = 1.5
 """How long a drive that was offline already is told to stop while it does not answer, seconds."""
@@ -95,7 +92,6 @@ class StopOperations(Operations):
                 drive=target,
                 remedy="write the code that stops this device, or name its family in the roster",
             )
-        logger.warning("event=stop action=%s target=%s", action, target)
         shared = self._shared_stop(target, stations, able, action)
         if shared is not None:
             self._submit_shared(target, action, shared)

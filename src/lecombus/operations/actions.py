@@ -1,0 +1,189 @@
+"""Who moved a motor: one log event for each thing that somebody had done to a drive.
+
+Strategy: who asks is found in a context variable (`ACTOR`), which every door sets for the task of a
+request; what nobody set is lecombus itself. An event is logged after the thing was done, so nothing
+waits for it. Of one kind of thing that one user's program does to one drive `EACH` events are
+logged in `WINDOW_S`; what is beyond is counted and told as one sum when the window is over. Whatever
+clients do, no more than `LINES_PER_S` lines a second are logged, and as many of stops.
+
+Texts that a client chose are cut, and whatever could pass for another field is taken out of them.
+
+What must not live here: what is done (`recorded`), how a line is written (`cli.logs`).
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections import Counter
+from collections.abc import Callable, Mapping
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+__all__ = ["ACTOR", "Actions", "Actor"]
+
+logger = logging.getLogger(__name__)
+
+WINDOW_S: Final = 10.0
+EACH: Final = 5
+LINES_PER_S: Final = 20
+WINDOWS_LIMIT: Final = 256
+TEXT_CHARS: Final = 60
+LONG_CHARS: Final = 300
+LONG: Final = ("written", "not_done")
+"""Fields made of codes and names of the roster."""
+
+ODD: Final = re.compile(r"[^\w.:/+%*,@-]", re.ASCII)
+OTHERS: Final = "others"
+STOP: Final = "stop"
+
+
+@dataclass(slots=True)
+class Actor:
+    """Who asks for something.
+
+    Args:
+        who: `lecombus` itself, `socket` (the Unix socket) or `tcp`.
+        uid: Of the process at the other end of the socket.
+        pid: Of the same process; 0: it is in another container.
+        client: Address and port of a TCP client.
+    """
+
+    who: str = "lecombus"
+    uid: int | None = None
+    pid: int = 0
+    client: str = ""
+    _process: str = ""
+
+    def find_process(self) -> str:
+        """Return the name of the process while it is there; `?`: it is gone, or hidden."""
+        if not self._process:
+            try:
+                name = (
+                    Path(f"/proc/{self.pid}/comm").read_text(errors="replace") if self.pid else ""
+                )
+            except OSError:
+                name = ""
+            self._process = clean(name.strip()) or "?"
+        return self._process
+
+    def kind(self) -> str:
+        """Return what it has in common with others like it: a script starts many processes."""
+        return self.who if self.uid is None else f"{self.uid} {self.find_process()}"
+
+    def fields(self) -> dict[str, str]:
+        """Return what is logged of it."""
+        found = {"who": self.who}
+        if self.uid is not None:
+            found |= {"uid": str(self.uid), "pid": str(self.pid), "process": self.find_process()}
+        if self.client:
+            found["client"] = clean(self.client)
+        return found
+
+
+ACTOR: Final[ContextVar[Actor]] = ContextVar("ACTOR", default=Actor())  # noqa: B039 - never changed
+
+
+@dataclass(slots=True)
+class Window:
+    """What one client did to one drive lately."""
+
+    begun_s: float
+    actor: Actor
+    told: int = 0
+    kept_back: Counter[str] = field(default_factory=Counter)
+    last: str = ""
+
+
+class Actions:
+    """Logs what was done to drives, and by whom.
+
+    Args:
+        clock: A monotonic clock, seconds.
+    """
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._windows: dict[tuple[str, str, str], Window] = {}
+        self._second = 0
+        self._lines: Counter[bool] = Counter()
+
+    def tell(self, event: str, target: str, outcome: str, fields: Mapping[str, str]) -> None:
+        """Log that something was done, or count it.
+
+        Args:
+            event: What: `write`, `group-write`, `verb`, `stop`, `readdress-asked` and the like.
+            target: The drive or group.
+            outcome: How it ended.
+            fields: More to log, in order.
+        """
+        now_s, actor, target = self._clock(), ACTOR.get(), clean(target)
+        window = self._window((event, target, actor.kind()), actor)
+        place = {"drive": target}
+        for key, text in fields.items():
+            place[key] = clean(text, LONG_CHARS if key in LONG else TEXT_CHARS)
+        if "reason" in fields:  # the last field, in words
+            place["reason"] = fields["reason"].replace("=", ":")[:LONG_CHARS]
+        if window.told < EACH and self._has_room(now_s, event):
+            window.told += 1
+            self._log({"event": event, **actor.fields(), "outcome": outcome, **place})
+        else:
+            window.actor = actor
+            window.kept_back[outcome] += 1
+            window.last = place.get("value", "")
+
+    def look(self, *, at_end: bool = False) -> None:
+        """Tell the sums of what was kept back; once a second, and at the end."""
+        now_s = self._clock()
+        for key, window in list(self._windows.items()):
+            if not at_end and now_s - window.begun_s < WINDOW_S:
+                continue
+            if window.kept_back and not self._has_room(now_s, key[0]):
+                continue
+            del self._windows[key]
+            self._tell_sum(key, window)
+
+    def _window(self, key: tuple[str, str, str], actor: Actor) -> Window:
+        window = self._windows.get(key)
+        if window is None and len(self._windows) >= WINDOWS_LIMIT:
+            key, actor = (key[0], OTHERS, ""), Actor(OTHERS)
+            window = self._windows.get(key)
+        if window is None:
+            window = self._windows[key] = Window(self._clock(), actor)
+        return window
+
+    def _has_room(self, now_s: float, event: str) -> bool:
+        """Whether another line may be logged in this second; stops have lines of their own."""
+        if int(now_s) != self._second:
+            self._second = int(now_s)
+            self._lines.clear()
+        self._lines[event == STOP] += 1
+        return self._lines[event == STOP] <= LINES_PER_S
+
+    def _tell_sum(self, key: tuple[str, str, str], window: Window) -> None:
+        if not window.kept_back:
+            return
+        outcomes = ",".join(f"{name}:{count}" for name, count in window.kept_back.most_common())
+        self._log(
+            {
+                "event": "kept-back",
+                **window.actor.fields(),
+                "what": key[0],
+                "count": str(window.kept_back.total()),
+                "outcomes": outcomes,
+                "drive": key[1],
+                "last": window.last,
+            }
+        )
+
+    def _log(self, fields: Mapping[str, str]) -> None:
+        text = " ".join(f"{key}={value}" for key, value in fields.items() if value)
+        level = logging.WARNING if fields["event"] == STOP else logging.INFO
+        logger.log(level, "%s", text)
+
+
+def clean(text: str, chars: int = TEXT_CHARS) -> str:
+    """Return a text without anything that could pass for another field, cut short."""
+    return ODD.sub("_", text[:chars])
