@@ -3,7 +3,7 @@
 Strategy: who asks is found in a context variable (`ACTOR`), which every door sets for the task of a
 request; what nobody set is lecombus itself. An event is logged after the thing was done, so nothing
 waits for it. Of one kind of thing that one user's program does to one drive `EACH` events are
-logged in `WINDOW_S`; what is beyond is counted and told as one sum when the window is over. Whatever
+logged in `WINDOW_S`; what is beyond is counted and told as one sum after that. Whatever
 clients do, no more than `LINES_PER_S` lines a second are logged, and as many of stops.
 
 Texts that a client chose are cut, and whatever could pass for another field is taken out of them.
