@@ -16,7 +16,7 @@ from starlette.responses import Response
 from lecombus.api.bodies import Body
 from lecombus.api.documents import problem_responses
 from lecombus.api.exact import encode
-from lecombus.api.idempotency import fingerprint
+from lecombus.api.idempotency import KEY_CHARS, fingerprint
 from lecombus.api.problems import Problem, ProblemError, group_problem
 from lecombus.errors import CodeValueError
 from lecombus.operations.reports import GroupInfo, GroupReport, WriteReport
@@ -46,7 +46,12 @@ REFUSALS: Final = (403, 404, 409, 413, 422, 502, 503, 504)
 
 Key = Annotated[
     str | None,
-    Header(alias="Idempotency-Key", description="Makes a repeat safe; a new one per request"),
+    # Bounds for readers of the document only: a stop is not refused for its key.
+    Header(
+        alias="Idempotency-Key",
+        description="Makes a repeat safe; a new one per request",
+        json_schema_extra={"minLength": 1, "maxLength": KEY_CHARS},
+    ),
 ]
 
 
@@ -58,7 +63,9 @@ def described(model: type[Any], *problems: int, body: type[Body] | None = None) 
         "responses": {200: {"model": model}, **problem_responses(*problems)},
     }
     if body is not None:
-        content = {JSON_TYPE: {"schema": body.model_json_schema()}}
+        schema = body.model_json_schema(ref_template="#/components/schemas/{model}")
+        schema.pop("$defs", None)  # what it refers to is a component of some query already
+        content = {JSON_TYPE: {"schema": schema}}
         found["openapi_extra"] = {"requestBody": {"required": True, "content": content}}
     return found
 

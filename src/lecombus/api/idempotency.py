@@ -26,7 +26,15 @@ from starlette.responses import Response
 from lecombus.api.exact import short
 from lecombus.api.problems import Problem, ProblemError
 
-__all__ = ["KEEP_S", "KEY_LIMIT", "Idempotency", "SharedStops", "fingerprint", "key_mistake"]
+__all__ = [
+    "KEEP_S",
+    "KEY_CHARS",
+    "KEY_LIMIT",
+    "Idempotency",
+    "SharedStops",
+    "fingerprint",
+    "key_mistake",
+]
 
 KEY_LIMIT: Final = 1000
 KEEP_S: Final = 600.0

@@ -9,15 +9,23 @@ What must not live here: what stands in it (`documents`, and the paths themselve
 from __future__ import annotations
 
 import json
-from typing import Final
+from typing import Any, Final
 
 from fastapi import FastAPI
 from starlette.responses import Response
 
 from lecombus.api.answers import JSON_TYPE
 from lecombus.api.documents import ProblemDocument
+from lecombus.api.problems import PROBLEM_TYPE
 
 __all__ = ["add_description"]
+
+ANY_REFUSAL: Final[dict[str, Any]] = {
+    "description": "What any path may be refused with: 400, 405, 414, 421, 429, 431, 503",
+    "content": {
+        PROBLEM_TYPE: {"schema": {"$ref": f"#/components/schemas/{ProblemDocument.__name__}"}}
+    },
+}
 
 DESCRIPTIONS: Final[dict[str, bytes]] = {}
 """By lecombus' version; what is in it never changes, so nobody minds who made it."""
@@ -40,4 +48,15 @@ def text_of(app: FastAPI) -> bytes:
     schemas[ProblemDocument.__name__] = ProblemDocument.model_json_schema()
     for name in ("HTTPValidationError", "ValidationError"):
         schemas.pop(name, None)
+    for path, operations in described_app["paths"].items():
+        for operation in operations.values():
+            operation["responses"]["default"] = ANY_REFUSAL
+            drop_subcode(path, operation)
     return json.dumps(described_app).encode()
+
+
+def drop_subcode(path: str, operation: dict[str, Any]) -> None:
+    """Take the subcode out of a path without one, where FastAPI makes a query parameter of it."""
+    parameters = operation.get("parameters", [])
+    if "{subcode}" not in path:
+        parameters[:] = [one for one in parameters if one["name"] != "subcode"]
