@@ -138,15 +138,18 @@ class Site:
         )  # fmt: skip
         self._slow = SlowDrives(self.store, self.schedule.costs_changed)
         self.custody = self._make_custody()
-        self.actions = Actions(clock)
-        self.recorded = RecordedOperations(self.operations, self.actions, self._is_secret)
-        self.recorded_custody = RecordedCustody(self.custody, self.actions)
+        self.actions, self.recorded, self.recorded_custody = self._make_recorded()
         self._strain = Strain(self.store)
         self._second_answers = SecondAnswers(self.store)
         self.port_watch = PortWatch(self.store, line)
         self._reads = CyclicReads(self.requests, self.schedule, self.store, self.metrics.minutes)
         self._entries: dict[str, DriveEntry] = {}
         self.apply(roster)
+
+    def _make_recorded(self) -> tuple[Actions, RecordedOperations, RecordedCustody]:
+        actions = Actions(self._clock)
+        operations = RecordedOperations(self.operations, actions, self._is_secret)
+        return actions, operations, RecordedCustody(self.custody, actions)
 
     def _is_secret(self, target: str, code: Code) -> bool:
         """Whether a code of a drive, or of one of a group, is a password."""
