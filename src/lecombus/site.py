@@ -122,9 +122,7 @@ class Site:
         maker = RequestMaker(timing, line.retries, self.metrics.meters.request_ended)
         self.health = Health(self.schedule, self.store, self._wants_audit, clock)
         self._configurations = self._make_configurations()
-        self.identities = Identities(
-            self.state, self.store, wall, self._wants_audit, self.health.doubted
-        )
+        self.identities = self._make_identities(wall)
         self._books = books = self._make_books(wall)
         self.worker = self._make_worker(opener, timing, options or options_of(roster), books)
         self.requests = Requests(self.worker, maker, clock)
@@ -133,8 +131,8 @@ class Site:
         )
         self.keeper = self._make_keeper(clock)
         self.operations = VerbOperations(
-            self.requests, self.store, self.words, self.wear, clock, lambda: books.disturbances,
-            self.health.restarted,
+            self.requests, self.store, self.words, self.wear, clock,
+            lambda: books.disturbances, self.health.restarted,
         )  # fmt: skip
         self._slow = SlowDrives(self.store, self.schedule.costs_changed)
         self.custody = self._make_custody()
@@ -145,6 +143,9 @@ class Site:
         self._reads = CyclicReads(self.requests, self.schedule, self.store, self.metrics.minutes)
         self._entries: dict[str, DriveEntry] = {}
         self.apply(roster)
+
+    def _make_identities(self, wall: Callable[[], float]) -> Identities:
+        return Identities(self.state, self.store, wall, self._wants_audit, self.health.doubted)
 
     def _make_recorded(self) -> tuple[Actions, RecordedOperations, RecordedCustody]:
         actions = Actions(self._clock)
