@@ -397,7 +397,7 @@ def test_a_frequency_without_a_step_in_the_manual_is_taken_as_given(
         ("820x", "100.1", "%", "0 to 100 %"),
         ("93xx", "35", "Hz", "-100 to 100 %"),
         ("93xx", "-100.01", "%", "-100 to 100 %"),
-        ("smvector", "60.1", "Hz", "0 to 60 Hz (C1103 = 60 Hz)"),
+        ("smvector", "60.1", "Hz", "0 to 60 Hz (P103 = 60 Hz)"),
         ("smvector", "30.05", "Hz", "in steps of 0.1"),
         ("8200vector", "30.00001", "Hz", "0 to 50 Hz"),
         ("821x", "30.00001", "Hz", "0 to 50 Hz"),

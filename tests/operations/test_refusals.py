@@ -126,7 +126,7 @@ def test_an_smvector_names_the_level_of_p420_that_is_missing(
 ) -> None:
     report = tried("fan", code, value, before=preset("fan", 1420, level))
     assert needs in report.cause
-    assert f"C1420 reads {level}" in report.cause
+    assert f"P420 reads {level}" in report.cause
     assert "P420" in report.remedy
 
 

@@ -129,7 +129,7 @@ def _unknown_set(
     """Refuse a conversion that would have to guess which parameter set is in use."""
     return OperationError(
         f"{known.drive} does not show which parameter set is in use, and 100 % differs between "
-        f"them ({_listed(scale)}): {speed} could mean several speeds, nothing was sent",
+        f"them ({_listed(known, scale)}): {speed} could mean several speeds, nothing was sent",
         kind="setting",
         drive=known.drive,
         code=str(rule.full_scale),
@@ -138,10 +138,10 @@ def _unknown_set(
     )
 
 
-def _listed(scale: Mapping[Code, Decimal]) -> str:
+def _listed(known: Known, scale: Mapping[Code, Decimal]) -> str:
     if len(set(scale.values())) == 1:
         scale = dict([next(iter(scale.items()))])
-    return ", ".join(f"{code} = {full} Hz" for code, full in scale.items())
+    return ", ".join(f"{known.family.spoken(code)} = {full} Hz" for code, full in scale.items())
 
 
 def _refuse_jog(known: Known, rules: VerbRules) -> None:
@@ -184,14 +184,14 @@ def _bad_speed(
     for one in in_force:
         scale = _scale(known, one)
         low, high = _bounds(known, one, scale)
-        by = f" ({_listed(scale)})" if scale and one.unit == "Hz" else ""
+        by = f" ({_listed(known, scale)})" if scale and one.unit == "Hz" else ""
         ranges.append(f"{low} to {high} {one.unit}{by}")
     remedy = f"it takes {' or '.join(ranges)}"
     if rule.step is not None:
         remedy += f", in steps of {rule.step}"
     scale = _scale(known, rule)
     if len(in_force) == 1 and len(set(scale.values())) == 1:
-        remedy += ", or % of that" if rule.unit == "Hz" else f", or Hz of {_listed(scale)}"
+        remedy += ", or % of that" if rule.unit == "Hz" else f", or Hz of {_listed(known, scale)}"
     bits = control_bits(known, rules_of(known.drive, known.family, Verb.SET_SPEED))
     if bits.direction and rule.low >= 0:
         place = bits.direction.bit_length() - 1

@@ -148,7 +148,7 @@ class Refusals:
         self, station: Station, code: Code, happened: Happened, value: Value | None
     ) -> Known:
         info = station.family.info(code)
-        known = Known(happened, code, info, value)
+        known = Known(happened, code, info, value, spoken=station.family.spoken)
         return replace(known, values=self._fresh_values(station, known))
 
     def _fresh_values(self, station: Station, known: Known) -> dict[Code, Value]:

@@ -8,7 +8,7 @@ asked here and nothing is sent; `operations.refusals` decides what is worth a lo
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from decimal import Decimal
 from enum import IntEnum, StrEnum
@@ -149,6 +149,7 @@ class Known:
         values: Values of other codes that are fresh enough to conclude from.
         extended: What C1962 read; 0 or None where it said nothing.
         communication: What C0068 bits 4 to 7 read; 0 or None where they said nothing.
+        spoken: Names a code for people, as the drive's keypad does.
     """
 
     happened: Happened
@@ -158,6 +159,7 @@ class Known:
     values: Mapping[Code, Value] = field(default_factory=dict)
     extended: int | None = None
     communication: int | None = None
+    spoken: Callable[[Code], str] = str
 
     @property
     def facts(self) -> frozenset[When]:
@@ -222,7 +224,7 @@ def supported(rule: CauseRule, known: Known, extended: int | None) -> Cause | No
         if holds is False:
             return None
         if holds and value is not None:
-            return Cause(rule, Support.PROVEN, f"{condition.code} reads {value.raw}")
+            return Cause(rule, Support.PROVEN, f"{known.spoken(condition.code)} reads {value.raw}")
     elif rule.when & {When.READ_ONLY, When.OUT_OF_RANGE}:
         return Cause(rule, Support.DESCRIBED, "")
     if extended in rule.extended:
