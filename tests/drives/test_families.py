@@ -77,6 +77,8 @@ def test_default_status_set_reads_described_codes_at_a_modest_pace(name: str) ->
         ("smvector", "C1500/2", "P500/2"),
         ("smvector", "C0046", "C0046"),
         ("smvector", "C2000", "C2000"),
+        ("smvector", "C1061", "C1061"),
+        ("smvector", "C1100", "P100"),
         ("8200vector", "C1411", "C1411"),
         ("generic", "C1411", "C1411"),
     ],

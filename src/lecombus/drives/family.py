@@ -37,8 +37,8 @@ __all__ = [
 CONTROLLER_STATUS = "controller_status"
 SHORTENED_RESPONSE = Code(1921)
 
-HIGHEST_PARAMETER = 1000
-"""A keypad shows three digits."""
+KEYPAD_PARAMETERS = range(100, 1000)
+"""What a keypad shows with three digits; below that lies what only the network has."""
 
 ANSWER_FACTOR = 2.0
 LIMIT_FACTOR = 1.2
@@ -178,10 +178,11 @@ class Family:
     def keypad_name(self, code: Code) -> str:
         """Return what the drive's own keypad calls a code: P411; empty where that is its number.
 
-        Source: CMVLC401A 9 (parameter Pnnn of an SMVector is code 1000 + nnn).
+        Source: CMVLC401A 9 (parameter Pnnn of an SMVector is code 1000 + nnn), 8.1 (registers up to
+        1099 are there for the network only).
         """
         offset = self.keypad_offset
-        if offset is None or not offset <= code.number < offset + HIGHEST_PARAMETER:
+        if offset is None or code.number - offset not in KEYPAD_PARAMETERS:
             return ""
         subcode = f"/{code.subcode}" if code.subcode else ""
         return f"P{code.number - offset:03d}{subcode}"

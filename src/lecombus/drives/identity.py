@@ -1,7 +1,7 @@
 """Who a drive is: which codes say so, and when two answers are one identity.
 
 What must not live here: what is recorded, accepted or locked (`operations.identities`).
-Source: EDB2102EN 8.2 (C1810, C1811), CMVLC401A table 9 (C0200, C0201), 8.1.3 (P099), 9.2 (P502).
+Source: EDB2102EN 8.2 (C1810, C1811), CMVLC401A table 9 (C0200, C0201), 8.1.3 (C1099), 9.2 (P502).
 """
 
 from __future__ import annotations
