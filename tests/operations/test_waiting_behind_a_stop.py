@@ -11,6 +11,7 @@ import pytest
 
 from lecombus.drives import StopAction, Verb
 from lecombus.operations.reports import VerbReport, WriteReport
+from lecombus.operations.requests import CAME_S
 from lecombus.protocol.addressing import Code
 from lecombus.schedule import Outcome
 from support.site_host import Plant, roster_of, until, with_plant
@@ -186,5 +187,29 @@ def test_a_stop_ends_the_step_of_a_verb_that_waits(verb: Verb) -> None:
         await acting
         assert reports[0].outcome is Outcome.SUPERSEDED
         assert plant.line["a"].model.inhibited()
+
+    with_plant(test, ROSTER)
+
+
+def test_a_stop_ends_what_was_asked_for_before_it_and_had_to_wait_for_its_turn() -> None:
+    """A crowd's requests are begun one at a time, a stop at once (`api.turns`)."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        operations = plant.site.operations
+        CAME_S.set(plant.now_s)
+        await anyio.sleep(0.001)
+        assert (await operations.stop(INHIBIT, "a")).outcome is Outcome.VERIFIED
+        said = len(plant.end.sent)
+        assert (await operations.write("a", Code(1), 0)).outcome is Outcome.SUPERSEDED
+        group = await operations.write_group("two", Code(1920), 1)
+        ended = {one.drive: one.outcome for one in group.members}
+        assert ended["a"] is Outcome.SUPERSEDED
+        assert ended["b"] is Outcome.DONE
+        assert (await operations.verb("a", Verb.ENABLE)).outcome is Outcome.SUPERSEDED
+        assert not [one for one in plant.end.sent[said:] if one.data[1:3] in (b"11", b"10")
+                    and b"\x02" in one.data]  # fmt: skip
+        CAME_S.set(plant.now_s)
+        assert (await operations.write("a", Code(1920), 1)).outcome is Outcome.DONE
 
     with_plant(test, ROSTER)

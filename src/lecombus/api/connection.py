@@ -52,6 +52,7 @@ from lecombus.api.problems import Problem
 from lecombus.api.stops import is_stop, is_stop_verb
 from lecombus.api.turns import Turns
 from lecombus.operations.actions import Actor
+from lecombus.operations.requests import CAME_S
 
 __all__ = ["PENDING_LIMIT", "SLICE", "Connection"]
 
@@ -324,9 +325,14 @@ class Connection(HttpToolsProtocol):
     def _start_asgi_task(self, cycle: Any, app: Any) -> None:
         """Have a request answered in its turn; a stop at once."""
         self._running = cycle
+        came_s = asyncio.get_running_loop().time()
 
         def start() -> None:
-            super(Connection, self)._start_asgi_task(cycle, app)
+            token = CAME_S.set(came_s)
+            try:
+                super(Connection, self)._start_asgi_task(cycle, app)
+            finally:
+                CAME_S.reset(token)
 
         if is_stop(cycle.scope["path"]):
             start()

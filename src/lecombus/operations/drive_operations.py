@@ -210,7 +210,10 @@ class Operations:
         wire = self._permissions.permitted(drive, station, code, value, restoring=restoring)
         expires_at_s = None if expires_s is None else self._clock() + expires_s
         mark = self.stop_mark(drive)
-        if unless_stopped_since is not None and self._is_outdated(drive, unless_stopped_since):
+        outdated = self._requests.stopped_since_asked(drive)
+        if unless_stopped_since is not None:
+            outdated |= self._is_outdated(drive, unless_stopped_since)
+        if outdated:
             return stopped_first(drive, code)
         if wears(station.family, code):
             there = await self.already_there(

@@ -95,7 +95,7 @@ class GroupOperations(StopOperations):
             if len(known) == len(stations):
                 return group_report(group, "one-by-one", known)
             stations, wires = self._permitted_all(group, code, value)  # what became of them
-            there = self._unless_stopped(stations, code, there, marks)
+        there = self._unless_stopped(stations, code, there, marks)
         address, form = self._address(group, stations, code, wires), shared_form(stations, code)
         if any(one is not None and one.outcome is Outcome.SUPERSEDED for one in there):
             address = None  # one telegram would reach those that were stopped too
@@ -122,9 +122,14 @@ class GroupOperations(StopOperations):
         there: Sequence[WriteReport | None],
         marks: Mapping[str, str],
     ) -> list[WriteReport | None]:
-        """End the write for members that were stopped while others were read."""
+        """End the write for members that were stopped since it was asked for."""
+        stopped = {
+            name
+            for name, mark in marks.items()
+            if self._is_outdated(name, mark) or self._requests.stopped_since_asked(name)
+        }
         return [
-            stopped_first(one.name, code) if self._is_outdated(one.name, marks[one.name]) else known
+            stopped_first(one.name, code) if one.name in stopped else known
             for one, known in zip(stations, there, strict=True)
         ]
 

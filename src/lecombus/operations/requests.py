@@ -8,8 +8,10 @@ would have, and the worker never knows who was waiting.
 from __future__ import annotations
 
 import asyncio
+import math
 from collections import Counter
 from collections.abc import Callable
+from contextvars import ContextVar
 
 from lecombus.errors import (
     CutReplyError,
@@ -27,7 +29,12 @@ from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 from lecombus.schedule import Outcome, Priority, Request
 
-__all__ = ["Ending", "Requests", "is_of_the_line"]
+__all__ = ["CAME_S", "Ending", "Requests", "is_of_the_line"]
+
+
+CAME_S: ContextVar[float | None] = ContextVar("came_s", default=None)
+"""When what is being done was asked for, monotonic seconds; None: just now. A request may wait for
+its turn before anything is done about it, and a stop that comes meanwhile ends it too."""
 
 
 class Ending:
@@ -81,7 +88,18 @@ class Requests:
         self.maker = maker
         self._clock = clock
         self.stops_said: Counter[str] = Counter()
+        self._stopped_at_s: dict[str, float] = {}
         self._stations: dict[str, Station] = {}
+
+    def note_stop(self, name: str) -> None:
+        """Take note that a drive is told to stop now."""
+        self.stops_said[name] += 1
+        self._stopped_at_s[name] = self._clock()
+
+    def stopped_since_asked(self, name: str) -> bool:
+        """Whether a drive was told to stop since what is being done was asked for."""
+        came_s = CAME_S.get()
+        return came_s is not None and self._stopped_at_s.get(name, -math.inf) > came_s
 
     def add_station(self, station: Station) -> None:
         """Make a drive known."""

@@ -202,7 +202,7 @@ class StopOperations(Operations):
     def _say_stop(self, station: Station, action: StopAction, *, said: bool) -> Ending:
         """Send a stop to one drive; one like it that waits to be said stands for this one too."""
         self._stops_said[station.name] += 1
-        self._requests.stops_said[station.name] += 1
+        self._requests.note_stop(station.name)
         ending = Ending()
         waiting = self._stops.get((station.name, action))
         same = waiting is not None and station_of(waiting.request) is station

@@ -95,6 +95,8 @@ class VerbOperations(StepOperations):
         self._permissions.check_ready(drive)
         expires_at_s = None if expires_s is None else self._clock() + expires_s
         run = Run(station, verb, self._stops_said[drive], expires_at_s, verify)
+        if self._requests.stopped_since_asked(drive):
+            return told(run, superseded(run))
         # A setpoint may follow another that is under way.
         with contextlib.nullcontext() if verb is Verb.SET_SPEED else self._alone(drive, verb):
             try:
