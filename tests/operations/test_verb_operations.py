@@ -343,6 +343,28 @@ def test_a_quick_stop_that_the_control_word_does_not_lift_is_told_and_taken_back
     with_drive(test, kind)
 
 
+@pytest.mark.parametrize("inhibited", [False, True])
+@pytest.mark.parametrize("kind", ["820x", "821x", "smvector"])
+def test_an_enable_is_taken_back_by_a_quick_stop_where_an_inhibit_could_drop_the_load(
+    kind: str, inhibited: bool
+) -> None:
+    async def test(plant: Plant) -> None:
+        drive = plant.line["a"].model
+        assert (await do(plant, Verb.ENABLE)).outcome is Outcome.VERIFIED
+        await do(plant, Verb.INHIBIT if inhibited else Verb.QUICK_STOP)
+        shown = drive.readers[68]
+        drive.readers[68] = lambda code: f"H{int(shown(code)[1:], 16) | 0x1000:04X}"
+        report = await do(plant, Verb.ENABLE)
+        assert report.outcome is Outcome.REFUSED
+        again = "it was inhibited again" if inhibited else "it was put into quick stop again"
+        assert again in report.remedy
+        assert drive.inhibited() is inhibited
+        assert inhibited or drive.stop_wanted()
+        assert (await plant.site.operations.why("a")).findings[0].name == "enable-taken-back"
+
+    with_drive(test, kind, drive=", stop_fallback: none")
+
+
 @pytest.mark.parametrize("kind", [one for one in DESCRIBED if one != "smvector"])
 def test_an_inhibit_that_only_c0068_or_c0040_shows_is_no_enable(kind: str) -> None:
     async def test(plant: Plant) -> None:

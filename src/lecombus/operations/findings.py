@@ -123,7 +123,7 @@ class LastEnable:
     Args:
         at_s: When it ended, Unix seconds.
         outcome: `refused` or `unknown`.
-        taken_back: The drive took it, did not show it, and was inhibited again.
+        taken_back: The drive took it, did not show it, and was stopped again.
         reason: What happened.
         cause: Why, probably.
         remedy: What to do.

@@ -32,6 +32,7 @@ from lecombus.drives.verbs import (
     is_enabled,
     questions,
     reset_steps,
+    shown_stops,
     states,
     stop_words,
 )
@@ -156,6 +157,7 @@ class VerbOperations(StepOperations):
 
     async def _enable(self, run: Run, known: Known) -> VerbReport:
         steps = enable_steps(known)
+        run.was_inhibited = StopAction.INHIBIT in {action for _, action in shown_stops(known)}
         if not steps:
             text, remedy = "it was enabled already", ""
             objection = enable_objection(known)
@@ -175,10 +177,20 @@ class VerbOperations(StepOperations):
         return await self._take_back(run, failed or not_shown(known))
 
     async def _take_back(self, run: Run, report: WriteReport) -> VerbReport:
-        """Inhibit a drive that did not show its enable, so that it does not start by itself."""
-        undone = (await self.stop(StopAction.INHIBIT, run.station.name)).members[0]
+        """Stop a drive that did not show its enable, so that it does not start by itself.
+
+        It is inhibited, but where an inhibit may drop its load (`stop_fallback: none`) and only a
+        quick stop held it before, it is put into that again.
+        """
+        name = run.station.name
+        entry = self._entries.get(name)  # a reload may have taken it out of the roster
+        may_drop = entry is not None and entry.stop_fallback == "none"
+        holds = may_drop and not run.was_inhibited
+        action = StopAction.QUICK_STOP if holds else StopAction.INHIBIT
+        undone = (await self.stop(action, name)).members[0]
         run.taken_back = undone.outcome is Outcome.VERIFIED
-        remedy = f"{report.remedy}; it was inhibited again, so that it does not start by itself"
+        again = "put into quick stop again" if holds else "inhibited again"
+        remedy = f"{report.remedy}; it was {again}, so that it does not start by itself"
         if not run.taken_back:
             remedy = f"the enable could not be taken back ({undone.reason}): {STOP_REMEDY}"
         shown = await self._states(run.station)

@@ -51,7 +51,8 @@ class Run:
         expires_at_s: No write of it is begun after this.
         verify: Read back what is written.
         written: What went out.
-        taken_back: It was an enable that the drive did not show, and was inhibited again.
+        taken_back: It was an enable that the drive did not show, and was stopped again.
+        was_inhibited: The drive was inhibited when an enable began.
     """
 
     station: Station
@@ -62,6 +63,7 @@ class Run:
     lifts: int | None = None
     written: list[tuple[Code, str]] = field(default_factory=list)
     taken_back: bool = False
+    was_inhibited: bool = True
 
 
 def may_have_happened(report: WriteReport) -> bool:

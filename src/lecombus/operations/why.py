@@ -59,7 +59,7 @@ FRESH_S: Final = 8.0
 """Reading what matters is given up after this; what was read by then is told."""
 
 TAKEN_BACK_REMEDY: Final = (
-    "put that in order, then enable it again (lecombus enable); until then it stays inhibited, so "
+    "put that in order, then enable it again (lecombus enable); until then it stays stopped, so "
     "that it does not start by itself"
 )
 

@@ -56,7 +56,7 @@ class LastEnableDocument(Document):
     time: str
     outcome: Annotated[str, Field(description="refused, or unknown")]
     taken_back: Annotated[
-        bool, Field(description="The drive did not show the enable and was inhibited again")
+        bool, Field(description="The drive did not show the enable and was stopped again")
     ]
     reason: str | None
     cause: Annotated[str | None, Field(description="Why, probably")]
