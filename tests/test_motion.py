@@ -23,7 +23,10 @@ def read(text: str, value: str, *, age_s: float = 0.5, quality: Quality = Qualit
 
 def motion(name: str, *readings: Reading, fault: ActiveFault | None = None) -> Motion:
     known = {one.code: one for one in readings}
-    return motion_of(family(name), fault, known.get, ())
+    kind = family(name)
+    if kind.configured_by is not None:
+        kind = kind.configured(1011)
+    return motion_of(kind, fault, known.get, ())
 
 
 @pytest.mark.parametrize(
@@ -59,7 +62,7 @@ def motion(name: str, *readings: Reading, fault: ActiveFault | None = None) -> M
             Doing.STOPPED,
             ["quick-stop"],
         ),
-        # Its output frequency has no unit in the manual: the status word says n = 0.
+        # Its manual names no code for its speed: the status word says n = 0.
         ("93xx", {"C0150": "H0640"}, Doing.ENABLED, []),
         ("93xx", {"C0150": ENABLED}, Doing.RUNNING, []),
         ("93xx", {"C0150": "H0640", "C0135": "H0008"}, Doing.STOPPED, ["quick-stop"]),
@@ -73,6 +76,11 @@ def test_what_a_drive_does_is_told_from_all_its_words(
 ) -> None:
     seen = motion(name, *(read(code, value) for code, value in words.items()))
     assert (seen.doing, [one.name for one in seen.stops]) == (doing, stops)
+
+
+def test_a_93xx_whose_configuration_is_not_known_does_not_say_whether_it_turns() -> None:
+    seen = motion_of(family("93xx"), None, {Code(150): read("C0150", "H0640")}.get, ())
+    assert (seen.doing, seen.zero) == (Doing.ENABLED, None)
 
 
 def test_each_stop_is_told_with_the_words_that_show_it() -> None:

@@ -61,7 +61,7 @@ class Doing(StrEnum):
     """It ramps down in a quick stop."""
     STOPPED = "stopped"
     ENABLED = "enabled"
-    """Nothing stops it and it puts out no speed: a setpoint lets the motor turn."""
+    """Nothing stops it, and it puts out no speed or does not tell: a setpoint lets it turn."""
     UNKNOWN = "unknown"
 
 

@@ -324,7 +324,12 @@ def test_a_ctrl_c_during_a_restore_says_what_was_written_and_how_to_go_on(
         os.kill(os.getpid(), signal.SIGINT)
 
     monkeypatch.setattr(Notes, "done", done)
-    ran = run("restore", str(path), "feeder", "--yes", *(["--json"] if as_json else []))
+    # These tests may run in the background themselves, deaf to Ctrl-C.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        ran = run("restore", str(path), "feeder", "--yes", *(["--json"] if as_json else []))
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert ran.status == 130
     if as_json:
         document = json.loads(ran.out)

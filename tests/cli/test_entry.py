@@ -234,6 +234,11 @@ def test_a_pipe_that_closes_is_no_error(roster: Path) -> None:
     assert (done.returncode, done.stderr) == (141, b"")
 
 
+def hearing_ctrl_c() -> None:
+    """Before a command starts: these tests may run in the background themselves, deaf to it."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @pytest.fixture
 def launcher(tmp_path: Path) -> Path:
     """The command as it is installed, beside a Python that has lecombus."""
@@ -252,7 +257,10 @@ def test_a_ctrl_c_while_a_command_starts_shows_no_traceback(
     launcher: Path, roster: Path, after_ms: int
 ) -> None:
     process = subprocess.Popen(
-        [launcher, "check", "-c", roster], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        [launcher, "check", "-c", roster],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        preexec_fn=hearing_ctrl_c,
     )
     with process:
         time.sleep(after_ms / 1000)
@@ -266,7 +274,13 @@ def test_a_ctrl_c_that_came_before_the_first_line_of_ours_ends_it(launcher: Path
     """It was held back, and takes effect when the command can take it."""
     script = launcher.with_name("python")
     script.write_text(f"#!/bin/sh\nkill -INT $$\n{script.read_text().splitlines()[1]}\n")
-    ran = subprocess.run([launcher, "--version"], capture_output=True, timeout=30, check=False)
+    ran = subprocess.run(
+        [launcher, "--version"],
+        capture_output=True,
+        timeout=30,
+        check=False,
+        preexec_fn=hearing_ctrl_c,
+    )
     assert (ran.returncode, ran.stdout, ran.stderr) == (-signal.SIGINT, b"", b"")
 
 

@@ -84,7 +84,7 @@ class MotionDocument(Document):
         Field(
             description="running; stopping: in a quick stop and not at 0 yet; stopped: something "
             "keeps it from driving its motor, which may coast; enabled: nothing does, its speed "
-            "is reported as 0; unknown"
+            "is reported as 0 or not told; unknown"
         ),
     ]
     stops: Annotated[list[StopShownDocument], Field(description="What stops it")]
