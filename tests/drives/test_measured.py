@@ -130,6 +130,17 @@ def test_what_was_late_with_others_is_forgotten_with_them() -> None:
     assert found.slow == SlowAnswers()
 
 
+def test_a_code_last_answered_in_time_and_asked_for_no_more_is_forgotten() -> None:
+    found = measured(*[SLOW_S] * ATTEMPTS)
+    found.note(STATUS, TOLD_S, 0.01, 10.0, write=False)
+    for number in range(5):
+        found.note(OTHER, TOLD_S, 0.01, 11.0 + number, write=False)
+    assert reckoned_s(found) is not None
+    for number in range(3):
+        found.note(OTHER, TOLD_S, 0.01, 25.0 + number, write=False)
+    assert reckoned_s(found) is None
+
+
 def test_all_is_forgotten_when_somebody_says_so() -> None:
     found = measured(SLOW_S, SLOW_S)
     found.forget()

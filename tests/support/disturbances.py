@@ -98,6 +98,7 @@ class Picture:
         wrote_s: How long each drive's setpoint took, seconds.
         failed: Writes and reads that failed, in words.
         gaps: How often each cyclic code was read, by drive and code.
+        due: How often at least it should be, by the roster; reads that feed come besides.
         stretch: The cadence's.
         slow: Remarks on slow drives.
         lapses: Watchdogs whose time ran out.
@@ -107,6 +108,7 @@ class Picture:
     wrote_s: dict[str, float] = field(default_factory=dict)
     failed: list[str] = field(default_factory=list)
     gaps: Counter[tuple[str, Code]] = field(default_factory=Counter)
+    due: Counter[tuple[str, Code]] = field(default_factory=Counter)
     stretch: float = 1.0
     slow: list[str] = field(default_factory=list)
     lapses: int = 0
@@ -124,7 +126,7 @@ class Picture:
         found += [
             f"{drive} {code}: read {self.gaps[drive, code]} times, {times} before"
             for (drive, code), times in before.gaps.items()
-            if self.gaps[drive, code] < 0.9 * times - 1
+            if self.gaps[drive, code] < min(times, self.due[drive, code]) - 1
         ]
         if self.stretch > 1.05:
             found.append(f"the cadence is stretched {self.stretch:.2f} times")
@@ -160,6 +162,9 @@ async def look(plant: Plant, setpoint: int) -> Picture:
     for one in plant.reports[began:]:
         if one.result.kind is ResultKind.ANSWERED:
             picture.gaps[one.drive, one.step.code] += 1
+    for entry in plant.roster.drives:
+        for one_of in entry.cyclic:
+            picture.due[entry.name, one_of.code] = int(WATCH_S / one_of.every_s)
     picture.stretch = site.schedule.stats(plant.now_s).stretch
     picture.lapses = _lapses(plant) - lapses
     for name in names:
@@ -239,6 +244,12 @@ PATTERNS: dict[str, Pattern] = {
     "three drives power-cycled": Pattern(during=_power_cycle, lasts_s=15),
     "one drive away": Pattern(during=_one_drive_away, lasts_s=45),
     "stalled for half a minute": Pattern("unplugged", lasts_s=35),
+    "5 min of an adapter that adds 0.1 s": Pattern("late=1:0.1s-0.1s", lasts_s=300),
+    "drives that think 0.3 s longer": Pattern("late=1:300ms-300ms:drive", lasts_s=120),
+    "answers that an EOT does not end": Pattern("late=0.2:0.3s:stubborn"),
+    "refusals and wrong parity": Pattern("nak=0.2,parity=0.2"),
+    "drives that lose their power": Pattern("power-cycle=0.01:1s"),
+    "answers without end": Pattern("endless=0.05"),
     "late, lost, noisy and paused": Pattern(
         "late=0.1:0.3s,lost=0.1,noise=0.1", machine=_paused(0.8, 0.2)
     ),

@@ -45,6 +45,7 @@ KEPT_S: Final = 7200.0
 """A code that was not asked for in so long is forgotten while the drive answers others."""
 RECENT_S: Final = 10.0
 JUDGED_EVERY_S: Final = 600.0
+SLOW_JUDGED_EVERY_S: Final = 10.0
 MOST_CODES: Final = 16
 """Codes of one drive that are remembered: of more, the slowest."""
 WHOLE_CODES: Final = 2
@@ -161,6 +162,15 @@ class _Attempts:
         if self._last and self._last[-1][1] == math.inf:
             self._last.pop()
 
+    def is_past(self, now_s: float, *, recovered: bool) -> bool:
+        """Whether nobody has asked for a while, and its slowness is probably over.
+
+        That is so if the last answer came in time, or if another code that was slow has `recovered`
+        just now: as a rule they were late together. One slow by itself is soon learnt again.
+        """
+        in_time = self._last[-1][1] <= self._from_s
+        return now_s - self.last_s > RECENT_S and (in_time or recovered)
+
     @property
     def answers(self) -> int:
         """How many of them were answered."""
@@ -194,7 +204,7 @@ class MeasuredTimes:
         self.slow = SlowAnswers()
         self._latency_s = latency_s
         self._codes: dict[tuple[Code, bool], _Attempts] = {}
-        self._judged_s = 0.0
+        self._judge_at_s = 0.0
 
     def note(
         self, code: Code, told_s: float, thought_s: float, now_s: float, *, write: bool
@@ -216,7 +226,7 @@ class MeasuredTimes:
             attempts = self._codes[code, write] = _Attempts(told_s, now_s)
         elif attempts.manual_s != told_s:
             attempts.take_manual(told_s)
-        if attempts.note(time_s, now_s) or now_s - self._judged_s > JUDGED_EVERY_S:
+        if attempts.note(time_s, now_s) or now_s > self._judge_at_s:
             self._judge(now_s)
 
     def missed(self, code: Code, now_s: float, *, write: bool) -> None:
@@ -264,16 +274,17 @@ class MeasuredTimes:
         return True
 
     def _judge(self, now_s: float) -> None:
-        self._judged_s = now_s
         for key in [key for key, one in self._codes.items() if now_s - one.last_s > KEPT_S]:
             del self._codes[key]
         measured = {key: one for key, one in self._codes.items() if one.answers >= LATE_LEAST}
         slow = {key: one for key, one in measured.items() if one.is_slow}
+        self._judge_at_s = now_s + JUDGED_EVERY_S
         if not slow and not self.slow.reads and not self.slow.writes:
             return
         was_slow = {(code, False) for code in self.slow.reads}
-        if any(key in was_slow and key not in slow for key in measured):
-            self._recovered(slow, now_s)
+        recovered = any(key in was_slow and key not in slow for key in measured)
+        for key in [key for key, one in slow.items() if one.is_past(now_s, recovered=recovered)]:
+            del slow[key], measured[key], self._codes[key]
         whole = len(slow) == len(measured) >= WHOLE_CODES
         found = SlowAnswers(
             reads={code: _used_s(one) for (code, write), one in slow.items() if not write},
@@ -282,14 +293,8 @@ class MeasuredTimes:
         )
         if found != self.slow:
             self.slow = found
-
-    def _recovered(self, slow: dict[tuple[Code, bool], _Attempts], now_s: float) -> None:
-        """Forget what was late and is not asked for, once another code is in time again.
-
-        It was late with the others, as a rule. If it is slow by itself that is soon learnt again.
-        """
-        for key in [key for key, one in slow.items() if now_s - one.last_s > RECENT_S]:
-            del slow[key], self._codes[key]
+        if slow:
+            self._judge_at_s = now_s + SLOW_JUDGED_EVERY_S
 
 
 def manual_s(family: Family, code: Code, *, write: bool, answer_time_s: float | None) -> float:
