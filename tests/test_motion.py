@@ -34,6 +34,8 @@ def motion(name: str, *readings: Reading, fault: ActiveFault | None = None) -> M
     [
         ("8200vector", {"C0150": ENABLED, "C0050": "35.4"}, Doing.RUNNING, []),
         ("8200vector", {"C0150": ENABLED, "C0050": "0"}, Doing.ENABLED, []),
+        ("8200vector", {"C0150": "H0640"}, Doing.ENABLED, []),
+        ("8200vector", {"C0150": ENABLED}, Doing.RUNNING, []),
         ("8200vector", {"C0150": "H0680", "C0050": "0"}, Doing.STOPPED, ["inhibited"]),
         # No quick stop shows in C0150 there: the control word shows it.
         (

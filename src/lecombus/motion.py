@@ -47,6 +47,9 @@ TEXTS: Final = {
 NOT_ENABLED: Final = (OperatingState.OPERATION_INHIBITED, OperatingState.PULSES_INHIBITED)
 """What a drive shows besides the cause; told only where no cause is shown."""
 
+AT_ZERO: Final = (OperatingState.ZERO_SPEED, OperatingState.OUTPUT_FREQUENCY_0)
+"""A measured speed (93XX), or the output frequency of an inverter."""
+
 OF_ACTION: Final = {
     "quick-stop": OperatingState.QUICK_STOP,
     "inhibit": OperatingState.INHIBITED,
@@ -245,8 +248,8 @@ def _zero(
     if speed is not None and speed.value is not None:
         return speed.value.number == 0
     rules = [rule for word in family.words.values() for rule in word.states]
-    if any(rule.state is OperatingState.ZERO_SPEED for rule in rules):
-        return OperatingState.ZERO_SPEED in states
+    if any(rule.state in AT_ZERO for rule in rules):
+        return any(state in states for state in AT_ZERO)
     return None
 
 
