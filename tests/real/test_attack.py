@@ -80,6 +80,7 @@ class Attack:
 
     def _run(self) -> None:
         # The lowest priority: what counts is what is sent, not who else wants a processor.
+        os.sched_setscheduler(threading.get_native_id(), os.SCHED_OTHER, os.sched_param(0))
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 19)
         while not self._ends.is_set():
             with contextlib.suppress(OSError):
