@@ -7,6 +7,9 @@
 * On a line whose drives all answer or are away, no watchdog acts (`watchdogs`).
 * No class below control starves, whatever clients ask for (`turns`).
 * No wait, gap or margin is beyond what the plan promised (`promises`).
+* Line and drives are left alone for as long as they must be (`pauses`), and nothing is said for a
+  request that it did not ask for, or once too often (`sayings`).
+* What is shown of drives and motors is true of the drives themselves (`shown`).
 
 Here is who hands on to these what the world and the clients tell, and what is said to be broken.
 """
@@ -19,15 +22,19 @@ from collections import Counter
 from lecombus.line.observer import ExchangeReport
 from lecombus.planning import make_plan
 from lecombus.simulator.line import SimLine
+from lecombus.simulator.receiver import Heard
 from lecombus.site import Site
 from proof.lines import RandomLine
 from proof.outcomes import Outcomes
+from proof.pauses import Pauses
 from proof.promises import Promises
+from proof.sayings import Sayings
+from proof.shown import Shown
 from proof.stops import Stops
+from proof.telegrams import Telegrams
 from proof.turns import Turns
 from proof.watchdogs import Watchdogs
 from proof.wire import Wire
-from support.taps import STRIPPED
 
 MOST_SAID = 5
 """So many broken promises of one line are enough to look at."""
@@ -50,13 +57,19 @@ class Invariants:
         self.outcomes: Counter[str] = Counter()
         self._site = site
         plan = make_plan(line.roster)
-        self.wire = Wire(sim, line.kind != "faulty", self.say)
+        self.wire = Wire(sim, line.kind != "faulty", self.say, told_apart=line.is_told_apart)
         self.promises = Promises(line, plan, sim, self.say)
         self._now = asyncio.get_running_loop().time
         self.turns = Turns(line, plan, self._now, self.say)
         self._stops = Stops(line, plan, site, self.say)
         self.watchdogs = Watchdogs(line, plan, sim, self.say)
-        self._requests = Outcomes(site.worker, self.say)
+        self._now = asyncio.get_running_loop().time
+        self._telegrams = Telegrams(sim)
+        self._pauses = Pauses(line, sim, self.say)
+        self._sayings = Sayings(line, sim, self._now, self.say)
+        self.shown = Shown(line, sim, site, self._now, self.say)
+        self._requests = Outcomes(site.worker, self.say, self._sayings.taken)
+        sim.on_request = self._drives_heard
         self._addresses = {drive.address: drive.name for drive in line.roster.drives}
         self._asked = 0
         self._answered = 0
@@ -68,6 +81,7 @@ class Invariants:
         """Count from here: all drives that will come are there (`settled`: all, and looked at)."""
         self.sim.advance(self._now())
         self.watchdogs.begin()
+        self.shown.begin()
         self._begun = True
         self.turns.begin()
         self.promises.begin(self._now(), settled=settled)
@@ -86,24 +100,43 @@ class Invariants:
     def left(self, drive: str) -> None:
         """A drive goes away: its watchdog may act, and nobody can help it."""
         self.watchdogs.left(drive)
+        self.shown.left(drive)
+
+    def lost_power(self, drive: str) -> None:
+        """A drive has been without its supply."""
+        self.shown.lost_power(drive)
 
     def said(self, data: bytes) -> None:
         """A telegram goes out."""
         now_s = self._now()
         self.wire.said(data, now_s)
+        telegram = self._telegrams.said(data, now_s)
+        self._pauses.said(telegram)
+        self._sayings.said(telegram)
         if self._begun:
-            text = data.translate(STRIPPED)
-            self._stops.said(self._addresses.get(int(text[1:3]), ""), now_s)
+            self._stops.said(self._addresses.get(telegram.address, ""), now_s)
 
     def heard(self, data: bytes) -> None:
         """Bytes come in."""
         self.wire.heard(data, self._now())
+        self._telegrams.heard()
+
+    def _drives_heard(self, at_s: float, heard: Heard) -> None:
+        self._pauses.drives_heard(at_s, heard)
+        self.promises.drives_heard(at_s, heard.address)
 
     def ended(self, report: ExchangeReport) -> None:
         """An exchange ended."""
         self.exchanges += 1
         self.wire.ended(report)
+        self.shown.ended(report)
+        telegrams = self._telegrams.ended(report)
+        if telegrams is not None:
+            self._pauses.judge(*telegrams)
+            self._sayings.judge(telegrams[1])
         if self._begun:
+            if telegrams is not None:
+                self.shown.judge(telegrams[1])
             self._stops.reported(report)
             self.watchdogs.ended(report)
             self.promises.ended(report)
@@ -111,13 +144,16 @@ class Invariants:
 
     # -- what the clients tell ---------------------------------------------------------------
 
-    def stop_asked(self, drive: str) -> None:
-        """A drive is to be stopped."""
+    def stop_asked(self, drive: str) -> float:
+        """A drive is to be stopped; give when."""
         self._stops.asked(drive, self._now())
+        self._sayings.stop_asked(drive)
+        return self._now()
 
-    def stop_ended(self, drive: str) -> None:
+    def stop_ended(self, drive: str, outcome: str, asked_s: float) -> None:
         """The stop has its outcome."""
         self._stops.ended(drive)
+        self.shown.stop_ended(drive, outcome, asked_s)
 
     def asked(self) -> None:
         """A request was made."""

@@ -26,6 +26,10 @@ from lecombus.schedule.feeds import HARD_PART
 
 FAMILIES = ("820x", "821x", "822x", "824x", "8200vector", "93xx", "smvector")
 BAUDS = (1200, 2400, 4800, 9600, 19200, 19200, 19200)
+FAULTS = (
+    "double", "unheard", "request_noise", "damaged", "bad_bcc", "parity", "half", "endless",
+    "nak",
+)  # fmt: skip
 KINDS = ("quiet", "loaded", "absent", "faulty")
 ADDRESSES = tuple(address for address in range(1, 100) if address % 10)
 ADAPTER_S = 0.008
@@ -33,6 +37,27 @@ QUICK_ADAPTER_S = 0.001
 """Bytes are handed to the host in pieces of so much time, as by an adapter's latency timer."""
 LONGEST_WATCHDOG_S = 60.0
 SHORTEST_WATCHDOG_S = 0.05
+TROUBLED = ("absent", "faulty")
+"""On these lines clients ask for several things at once: no wait of theirs is promised."""
+MORE = 1_000_003
+"""What was added to lines later is drawn by itself: a seed's roster stays what it was."""
+
+
+@dataclass(frozen=True)
+class Storm:
+    """One fault that is there for a while, much more often than by its chance.
+
+    Args:
+        after_s: When it begins, from the last one's end, seconds.
+        for_s: How long it lasts, seconds.
+        fault: Which, as `Faults` calls it.
+        chance: Of each telegram, 0..1.
+    """
+
+    after_s: float
+    for_s: float
+    fault: str
+    chance: float
 
 
 @dataclass(frozen=True)
@@ -45,6 +70,11 @@ class RandomLine:
         roster: The line.
         faults: Of the simulated line, as `parse_faults` reads them.
         length_s: How long it is run after all drives are there, seconds of line time.
+        running: Drives whose motors may turn at the beginning; the others are stopped.
+        early: Drives that acknowledge a write before they have passed it on (C1921 = 1).
+        as_written: C0135 of the drives reads what was written to it last.
+        storms: What goes wrong besides, one after the other.
+        pauses: When the daemon does not run, from the beginning on: after how long, for how long.
     """
 
     seed: int
@@ -52,6 +82,11 @@ class RandomLine:
     roster: Roster
     faults: str
     length_s: float
+    running: frozenset[str] = frozenset()
+    early: frozenset[str] = frozenset()
+    as_written: bool = False
+    storms: tuple[Storm, ...] = ()
+    pauses: tuple[tuple[float, float], ...] = ()
 
     @property
     def adapter_s(self) -> float:
@@ -67,6 +102,15 @@ class RandomLine:
     def is_saturated(self) -> bool:
         """Whether clients also write setpoints as fast as they are done; of those crowded."""
         return self.seed % 12 == 5
+
+    @property
+    def is_told_apart(self) -> bool:
+        """Whether no answer comes twice.
+
+        An answer carries no address. A copy that comes when the same code is asked of another drive
+        passes for that one's, and nothing on the wire shows it: what is read then may be wrong.
+        """
+        return "double" not in self.faults
 
     def __str__(self) -> str:
         line = self.roster.line
@@ -113,7 +157,20 @@ def line_of(seed: int, length_s: float) -> RandomLine:
         for at in range(len(drives))
     ]
     roster = _read(head, drives, watched, times, cyclic)
-    return RandomLine(seed, kind, roster, _faults(random, kind), length_s)
+    more = Random(seed + MORE)
+    troubled, faulty = kind in TROUBLED, kind == "faulty"
+    return RandomLine(
+        seed, kind, roster, _faults(random, more) if faulty else "", length_s,
+        running=_some(more, roster.drives, 0.7),
+        early=_some(more, roster.drives, 0.3) if troubled else frozenset(),
+        as_written=more.random() < 0.3,
+        storms=_storms(more, length_s) if faulty else (),
+        pauses=_pauses(more) if faulty else (),
+    )  # fmt: skip
+
+
+def _some(random: Random, drives: tuple[DriveEntry, ...], share: float) -> frozenset[str]:
+    return frozenset(drive.name for drive in drives if random.random() < share)
 
 
 def _least_s(roster: Roster, short: set[str], lost: int) -> float | None:
@@ -147,10 +204,20 @@ def _read(
         if watched[number]:
             milliseconds = math.ceil(times[number] * 1000) + 1
             guard = f", watchdog: {{time: {milliseconds}ms, action: quick-stop, configure: true}}"
+        more = "" if kind == "smvector" else ", also_writable: [C0012]"
         entries.append(
-            f"  - {{name: d{address}, address: {address}, family: {kind}{guard}{cyclic}}}\n"
+            f"  - {{name: d{address}, address: {address}, family: {kind}{guard}{cyclic}{more}}}\n"
         )
-    return parse_roster(f"{head}drives:\n{''.join(entries)}", "r.yaml")
+    return parse_roster(f"{head}drives:\n{''.join(entries)}{_groups(drives)}", "r.yaml")
+
+
+def _groups(drives: list[tuple[int, str]]) -> str:
+    """Make a group of each decade of addresses: one telegram reaches its members."""
+    decades: dict[int, list[str]] = {}
+    for address, _ in drives:
+        decades.setdefault(address // 10, []).append(f"d{address}")
+    entries = [f"  g{at}: {{members: [{', '.join(names)}]}}\n" for at, names in decades.items()]
+    return f"groups:\n{''.join(entries)}"
 
 
 def _shortest_s(drive: DriveEntry, roster: Roster) -> float:
@@ -160,11 +227,40 @@ def _shortest_s(drive: DriveEntry, roster: Roster) -> float:
     return max(traits.low_s if traits else 0.0, own_s, SHORTEST_WATCHDOG_S)
 
 
-def _faults(random: Random, kind: str) -> str:
-    if kind != "faulty":
-        return ""
+def _faults(random: Random, more: Random) -> str:
+    """Draw what may go wrong at any time: loss, noise and lateness, and up to three things more."""
     late = random.choice(("drive", "adapter"))
-    return (
-        f"lost={random.uniform(0, 0.03):.3f},noise={random.uniform(0, 0.05):.3f},"
-        f"late={random.uniform(0, 0.05):.3f}:0.5s:{late}"
+    if more.random() < 0.25:
+        late = "stubborn"
+    found = [
+        f"lost={random.uniform(0, 0.03):.3f},noise={random.uniform(0, 0.05):.3f}",
+        f"late={random.uniform(0, 0.05):.3f}:0.5s:{late}",
+    ]
+    for name in more.sample(FAULTS, more.randrange(4)):
+        delay = more.choice((":0ms-5ms", ":20ms-500ms", ":3s")) if name == "double" else ""
+        found.append(f"{name}={more.uniform(0, 0.05):.3f}{delay}")
+    if more.random() < 0.3:
+        found.append("nak_reads")
+    return ",".join(found)
+
+
+def _storms(random: Random, length_s: float) -> tuple[Storm, ...]:
+    """Draw faults that come for a few seconds and strike most telegrams."""
+    return tuple(
+        Storm(
+            random.uniform(0.0, length_s / 2), random.uniform(0.2, 8.0),
+            random.choice((*FAULTS[1:], "lost", "noise", "late")), random.uniform(0.2, 1.0),
+        )
+        for _ in range(random.randrange(4))
+    )  # fmt: skip
+
+
+def _pauses(random: Random) -> tuple[tuple[float, float], ...]:
+    """Draw when the daemon does not run, on every third line: mostly for less than a second."""
+    if random.random() > 0.3:
+        return ()
+    longest_s = random.choice((0.05, 0.3, 3.0))
+    return tuple(
+        (random.uniform(0.0, 20.0), random.uniform(0.0, longest_s))
+        for _ in range(random.randrange(1, 8))
     )

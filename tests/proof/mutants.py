@@ -1,80 +1,291 @@
-"""Schedulers that are wrong on purpose: the proof must find each of them out.
+"""Copies of the daemon with one small defect each: the proof must find every one of them out.
 
-Each breaks one thought of `schedule.feeds`. `SEEDS` names lines on which it shows; the tests run
-them with and without the mutant.
+A mutant is one function in which one piece of text is another. Where the text no longer stands
+there just once, `mutated` fails and names the place, so that no mutant can come to nothing unseen.
+`seeds` are lines on which it shows; without it they are clean.
+
+`broken` has copies that break what is watched as a whole; these here are slips of one line.
 """
 
 from __future__ import annotations
 
 import contextlib
+import inspect
+import sys
+import textwrap
 from collections.abc import Iterator
+from dataclasses import dataclass
 
-from lecombus.schedule import Priority, feeds
+from lecombus.judging import Judge
+from lecombus.line.doubts import Doubts
+from lecombus.line.jobs import ReadJob, WriteJob
+from lecombus.line.questions import Questions
+from lecombus.line.silence import Silence
+from lecombus.line.stop_job import StopJob
+from lecombus.line.talk import Talk
+from lecombus.protocol import parser
+from lecombus.protocol.exchange import Exchange
 from lecombus.schedule.choice import Choice
-from lecombus.schedule.feeds import Feed, Feeds
-from lecombus.schedule.request import Request
+from lecombus.schedule.feeds import Feeds
+from lecombus.schedule.schedule import Schedule
+from lecombus.schedule.shares import Probes, Shares
 from lecombus.schedule.silent_stops import SilentStops
+from lecombus.schedule.waiting import Waiting
+from lecombus.supervision.health import Health
+from lecombus.supervision.watchdogs import WatchdogAudit
 
-__all__ = ["MUTANTS", "SEEDS", "mutated"]
-
-_fits = Feeds.fits
-_with_control = Choice._with_control
-
-
-def _no_slack_check(self: Feeds, now_s: float, worst_s: float, drive: str) -> bool:
-    """Anything may start whenever it likes."""
-    return True
+__all__ = ["MUTANTS", "Mutant", "mutated"]
 
 
-def _fed_at(feed: Feed) -> float:
-    """Feeds go in the order in which their drives were fed last, whatever their deadlines."""
-    return feed.fed_at_s
+@dataclass(frozen=True)
+class Mutant:
+    """One defect.
+
+    Args:
+        owner: The class or module that has the function.
+        name: The function.
+        right: What stands in it, just once.
+        wrong: What stands there instead.
+        seeds: Lines that show it.
+        quick: It is in the tests that are run each time.
+    """
+
+    owner: object
+    name: str
+    right: str
+    wrong: str
+    seeds: tuple[int, ...]
+    quick: bool = False
 
 
-def _no_blocking(self: Feeds, now_s: float, worst_s: float, drive: str) -> bool:
-    """An exchange that is begun is reckoned to take no time."""
-    return _fits(self, now_s, 0.0, drive)
-
-
-def _at_once(self: SilentStops, stop: Request, now_s: float) -> bool:
-    """A stop is said again and again to whom nobody answers, whatever becomes of the others."""
-    return True
-
-
-def _feeds_before_shares(
-    self: Choice, control: Request, entitled: Request | None, now_s: float
-) -> tuple[Request, bool]:
-    """What feeds and control leave is all that the lower classes get."""
-    if self._shares.had_its_turn(Priority.CONTROL) and self._feed_choice.urgent(now_s) is not None:
-        entitled = None
-    return _with_control(self, control, entitled, now_s)
-
-
-MUTANTS = {
-    "no slack check": (Feeds, "fits", _no_slack_check),
-    "first come instead of deadlines": (feeds, "_hard", _fed_at),
-    "no blocking": (Feeds, "fits", _no_blocking),
-    "silent drives stopped at any cost": (SilentStops, "goes", _at_once),
-    "feeds before shares": (Choice, "_with_control", _feeds_before_shares),
+MUTANTS: dict[str, Mutant] = {
+    # -- watchdogs: what may stand before a feed ------------------------------------------------
+    "no slack check": Mutant(
+        Feeds, "fits", "return end_s <= others_s", "return True", (18,), quick=True
+    ),
+    "an exchange that is begun is reckoned to take no time": Mutant(
+        Feeds, "fits", "end_s = now_s + worst_s", "end_s = now_s", (18,), quick=True
+    ),
+    "slack: the usual time instead of the longest": Mutant(
+        Schedule,
+        "_admit",
+        "fits = feeds.fits(now_s, request.worst_s",
+        "fits = feeds.fits(now_s, request.cost_s",
+        (),
+    ),
+    "slack: own feed left out of the sum": Mutant(
+        Feeds,
+        "fits",
+        "total_s += feed.cost_s",
+        "total_s += feed.cost_s * (feed.drive != drive)",
+        (),
+    ),
+    "feeds: the one that was fed last goes first": Mutant(
+        Feeds, "first", "key=_hard", "key=lambda feed: -feed.hard_s", ()
+    ),
+    "feeds: in the order of the last feed, not of the deadline": Mutant(
+        sys.modules[Feeds.__module__], "_hard", "feed.hard_s", "feed.fed_at_s", ()
+    ),
+    "a feed counts from the end of its exchange": Mutant(
+        Schedule, "finished", "feed.reached(started_s)", "feed.reached(now_s)", ()
+    ),
+    "a write feeds for longer than a read": Mutant(
+        Schedule,
+        "finished",
+        "feed.reached(started_s)",
+        "feed.reached(started_s + 0.5 * feed.time_s * (request.priority == 1))",
+        (4,),
+        quick=True,
+    ),
+    "an answer that did not come feeds": Mutant(
+        Schedule, "finished", "feed.failed(now_s)", "feed.reached(started_s)", ()
+    ),
+    "silent drives are stopped at any cost": Mutant(
+        SilentStops,
+        "goes",
+        "return fits and self._late(now_s) is None",
+        "return True",
+        (18,),
+        quick=True,
+    ),
+    # -- classes and their order ----------------------------------------------------------------
+    "last come, first served": Mutant(
+        Waiting,
+        "number",
+        "request.serial = request.place = self._serial",
+        "request.serial, request.place = self._serial, -self._serial",
+        (),
+    ),
+    "no shares": Mutant(
+        sys.modules[Shares.__module__], "_entitled", "if cost_s is not None and", "if False and", ()
+    ),
+    "a class goes ahead by its share again and again": Mutant(
+        Shares, "entitled", "if not _had_its_turn(top, self._last):", "if False:", ()
+    ),
+    "feeds before shares": Mutant(
+        Choice,
+        "_with_control",
+        "if entitled is not None:",
+        "if entitled is not None and self._feed_choice.urgent(now_s) is None:",
+        (17,),
+    ),
+    "probes do not pay for their time": Mutant(
+        Probes, "ready", "return probe if self._tokens_s >= worst_s else None", "return probe", ()
+    ),
+    # -- stops ----------------------------------------------------------------------------------
+    "a stop does not end what waits": Mutant(
+        Waiting, "_end_writes", "ended += drive.writes", "ended += ()", (3,), quick=True
+    ),
+    "a write under way goes on after a stop": Mutant(
+        Waiting, "_cut_off", "request.writes and self._stopped_since(request)", "False", ()
+    ),
+    "a stop waits for the turn of others": Mutant(
+        Schedule,
+        "next",
+        "if stop is not None:",
+        "if stop is not None and self._choice.first(now_s)[0] is None:",
+        (1,),
+        quick=True,
+    ),
+    "a stop is called verified when it is acknowledged": Mutant(
+        StopJob,
+        "advance",
+        "self._checking = None, 0, 0, True",
+        "self._checking = None, 0, 0, True; return Outcome.VERIFIED, ''",
+        (),
+    ),
+    "a stop is said once": Mutant(
+        StopJob,
+        "_unread",
+        "over = over and self.attempts >= self._least_sayings",
+        "over = True",
+        (6,),
+    ),
+    "a quick stop forgets what stood in the control word": Mutant(
+        sys.modules[StopJob.__module__],
+        "stop_value",
+        "control_word | rule.set_mask",
+        "rule.set_mask",
+        (),
+    ),
+    # -- the wire -------------------------------------------------------------------------------
+    "the turnaround is forgotten": Mutant(
+        Silence, "exchange_ended", "ended_s + self._turnaround_s", "ended_s", (0,), quick=True
+    ),
+    "the turnaround is forgotten where the next telegram is ready": Mutant(
+        Talk,
+        "_follow",
+        "result.ended_s + self._options.turnaround_s",
+        "result.ended_s",
+        (0,),
+        quick=True,
+    ),
+    "the quarantine is a tenth shorter": Mutant(
+        Silence, "answer_missing", "quarantine_s)", "0.9 * quarantine_s)", (2,), quick=True
+    ),
+    "no hold after a write": Mutant(
+        Talk, "_conclude", "if question.hold_s and answered:", "if False:", (6,)
+    ),
+    "no hold after a multicast": Mutant(
+        Talk, "_conclude", "for drive, hold_s in job.holds.items():", "for drive, hold_s in ():", ()
+    ),
+    "a multicast leaves its members no time": Mutant(
+        Questions,
+        "_multicast",
+        "self._timing.adapter_latency_s + job.processing_s",
+        "self._timing.adapter_latency_s",
+        (),
+    ),
+    "given up after half the time": Mutant(
+        Exchange,
+        "deadline_s",
+        "first = self._said_s + ask.first_byte_s",
+        "first = self._said_s + 0.5 * ask.first_byte_s",
+        (),
+    ),
+    "a late answer is forgotten": Mutant(
+        Doubts, "blocked_until_s", "return until", "return now_s", (3,), quick=True
+    ),
+    "an old acknowledgement is forgotten": Mutant(
+        Questions, "ask", "free_at > now_s and not urgent", "False", ()
+    ),
+    "the addressing form does not alternate": Mutant(
+        Questions, "_free", "if until_s <= now_s:", "if True:", (3,), quick=True
+    ),
+    "an answer to something else is taken": Mutant(
+        Exchange,
+        "_fits",
+        "field = self._ask.field",
+        "field = getattr(answer, 'field', self._ask.field)",
+        (3,),
+        quick=True,
+    ),
+    "an answer before the question has ended is taken": Mutant(
+        Exchange, "feed", "now_s < self._earliest_s or ", "", ()
+    ),
+    "the block check is not looked at": Mutant(
+        parser, "_whole", "data[-2] != ETX or bcc(data[1:])", "data[-2] != ETX", ()
+    ),
+    # -- what is said for a request -------------------------------------------------------------
+    "the retries of a read are not counted": Mutant(
+        ReadJob, "advance", "self.attempts += 1", "pass", ()
+    ),
+    "an edge is said again": Mutant(
+        WriteJob, "advance", "or self.write_class is not WriteClass.PLAIN", "", ()
+    ),
+    "a proof is not compared": Mutant(
+        WriteJob, "_proven", "if self.proof.means_same(self.value):", "if True:", ()
+    ),
+    "a refusal is taken for an acknowledgement": Mutant(
+        WriteJob, "advance", "type(answer) is AckAnswer", "answer is not None", ()
+    ),
+    "an older setpoint is said after a later one": Mutant(
+        Waiting, "_replaced_since", "return later is not None and", "return False and", ()
+    ),
+    # -- what is shown --------------------------------------------------------------------------
+    "no drive is ever offline": Mutant(
+        Health, "_missed", "if record.misses >= (", "if record.misses >= 1000 + (", (2,), quick=True
+    ),
+    "values of drives that are away stay good": Mutant(
+        Judge, "_quality", "if record.state is DriveState.OFFLINE:", "if False:", (2,), quick=True
+    ),
+    "old values stay good": Mutant(
+        Judge, "_quality", "if age_s > allowed_s:", "if False:", (3,), quick=True
+    ),
+    "a failed read leaves its value good": Mutant(
+        Judge, "_quality", "if cell.failure is not None:", "if False:", (2,), quick=True
+    ),
+    "a drive that is back is not audited": Mutant(
+        WatchdogAudit,
+        "settle",
+        "await self._audit_watchdog(entry, station, traits, action)",
+        "pass",
+        (2,),
+        quick=True,
+    ),
 }
-
-SEEDS: dict[str, tuple[int, ...]] = {
-    "no slack check": (5, 53),
-    "first come instead of deadlines": (40,),
-    "no blocking": (69, 101),
-    "silent drives stopped at any cost": (50, 58),
-    "feeds before shares": (17,),
-}
-"""Lines that show each mutant; without it they are clean."""
 
 
 @contextlib.contextmanager
 def mutated(name: str) -> Iterator[None]:
-    """Let every schedule be wrong in one way."""
-    where, what, wrong = MUTANTS[name]
-    right = getattr(where, what)
-    setattr(where, what, wrong)
+    """Let every line run with one mutant."""
+    mutant = MUTANTS[name]
+    kept = inspect.getattr_static(mutant.owner, mutant.name)
+    setattr(mutant.owner, mutant.name, _changed(mutant, kept))
     try:
         yield
     finally:
-        setattr(where, what, right)
+        setattr(mutant.owner, mutant.name, kept)
+
+
+def _changed(mutant: Mutant, kept: object) -> object:
+    """Compile the function again with the other text in it."""
+    function = inspect.unwrap(getattr(kept, "fget", kept))  # type: ignore[arg-type]
+    source = textwrap.dedent(inspect.getsource(function))
+    right, wrong = textwrap.dedent(mutant.right), textwrap.dedent(mutant.wrong)
+    place = f"{mutant.name} in {function.__module__}"
+    assert source.count(right) == 1, f"the mutant no longer fits: {right!r} in {place}"
+    found: dict[str, object] = {}
+    code = compile(source.replace(right, wrong), f"<mutant of {place}>", "exec")
+    exec(code, sys.modules[function.__module__].__dict__, found)
+    return found[mutant.name]

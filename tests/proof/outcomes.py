@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from lecombus.errors import LecombusError
 from lecombus.line.worker import LineWorker
 from lecombus.schedule import Outcome, Request
 from lecombus.schedule.request import OUT
@@ -23,10 +24,17 @@ class Outcomes:
     Args:
         worker: The line.
         say: Told what did not hold.
+        taken: Told of every request; gives who wants to know its outcome.
     """
 
-    def __init__(self, worker: LineWorker, say: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        worker: LineWorker,
+        say: Callable[[str], None],
+        taken: Callable[[Request], Callable[[Outcome], None] | None] = lambda _: None,
+    ) -> None:
         self._say = say
+        self._taken = taken
         self._submit = worker.submit
         self._open: dict[Request, None] = {}
         self.ended = 0
@@ -34,6 +42,7 @@ class Outcomes:
 
     def _take(self, request: Request) -> None:
         settle, ends = request.settle, 0
+        wants_to_know = self._taken(request)
 
         def end(outcome: Outcome, reason: str) -> None:
             nonlocal ends
@@ -42,10 +51,17 @@ class Outcomes:
             self._open.pop(request, None)
             if ends > 1:
                 self._say(f"a request to {request.drive} had a second outcome: {outcome}")
+            elif wants_to_know is not None:
+                wants_to_know(outcome)
             settle(outcome, reason)
 
         request.settle = end
-        self._submit(request)  # who is turned away here never was a request
+        try:
+            self._submit(request)
+        except LecombusError:  # who is turned away here never was a request
+            if wants_to_know is not None:
+                wants_to_know(Outcome.REFUSED)
+            raise
         if not ends:
             self._open[request] = None
 

@@ -104,7 +104,6 @@ class Promises:
         if self._judged:
             self._good = dict.fromkeys(self._gaps, now_s)
             self._fed = {self._sim[name].address: now_s for name, _ in self._guards.values()}
-            self._sim.on_request = lambda at_s, heard: self._heard(heard.address, at_s)
 
     def ended(self, report: ExchangeReport) -> None:
         """Judge how long an exchange had waited, and what it brought."""
@@ -142,7 +141,8 @@ class Promises:
             if ended_s > since_s
         )
 
-    def _heard(self, address: int, at_s: float) -> None:
+    def drives_heard(self, at_s: float, address: int) -> None:
+        """A drive has heard a telegram: it is fed."""
         since_s = self._fed.get(address)
         if since_s is not None:
             self._fed[address] = at_s

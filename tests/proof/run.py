@@ -3,8 +3,10 @@
     python -m proof.run --hours 1000        goes on where it stopped
     python -m proof.run --first 500         seeds that CI does not run
     python -m proof.run --seed 1234         one line again, with what broke
+    python -m proof.run --mutants           every mutant on the lines that show it
 
-Every line that was run stands in `.proof/done.jsonl`, with the digest of the program it was of.
+Every line that was run stands in `.proof/done.jsonl`, with the digest of the program it was of, as
+soon as it has ended: it may be stopped at any time, and goes on with the lines that are missing.
 """
 
 from __future__ import annotations
@@ -13,18 +15,26 @@ import argparse
 import hashlib
 import json
 import logging
+import os
 import sys
-from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from itertools import count, islice
 from pathlib import Path
 
 import lecombus
 from proof.lines import line_of
+from proof.mutants import MUTANTS, mutated
 from proof.world import Finding, run_line
 
 RECORD = Path(".proof/done.jsonl")
 LENGTH_S = 120.0
+AHEAD = 3
+"""Lines handed out for each process: none waits for the slowest."""
+LINES_EACH = 200
+"""After so many a process is replaced: what it has kept by then is of no more use."""
+SAY_EVERY_S = 3600.0
+MUTANT_LENGTH_S = 60.0
 
 
 def program() -> str:
@@ -60,16 +70,26 @@ def _hours() -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, help="run this line alone")
     parser.add_argument("--length", type=float, default=LENGTH_S, help="seconds a line is run")
     parser.add_argument("--first", type=_from(0), default=0, help="seeds from this one on")
-    parser.add_argument("--jobs", type=_from(1), default=1, help="processes")
+    parser.add_argument(
+        "--jobs", type=_from(1), default=os.cpu_count() or 1, help="processes, one a core"
+    )
+    parser.add_argument("--mutants", action="store_true", help="run the mutants instead")
     return parser
 
 
 def _done(of: str) -> dict[int, float]:
-    """Read which seeds this very program has run, and for how long."""
+    """Read which seeds this very program has run, and for how long; a torn last row is none."""
     if not RECORD.exists():
         return {}
-    rows = [json.loads(row) for row in RECORD.read_text().splitlines() if row.strip()]
-    return {row["seed"]: row["line_s"] for row in rows if row["program"] == of}
+    found = {}
+    for text in RECORD.read_text().splitlines():
+        try:
+            row = json.loads(text)
+        except ValueError:
+            continue
+        if row["program"] == of:
+            found[row["seed"]] = row["line_s"]
+    return found
 
 
 def _note(found: Finding, of: str) -> None:
@@ -86,6 +106,8 @@ def _note(found: Finding, of: str) -> None:
 def main() -> int:
     """Prove as asked; the exit status is 1 if anything broke."""
     asked = _hours().parse_args()
+    if asked.mutants:
+        return _mutants()
     if asked.seed is not None:
         found = prove(asked.seed, asked.length)
         print(f"{found.line}: {found.exchanges} exchanges in {found.line_s:.0f} s of line time")
@@ -98,23 +120,55 @@ def main() -> int:
     return _many(asked.hours * 3600.0, asked.length, asked.jobs, asked.first)
 
 
+def _mutants() -> int:
+    """Run every mutant on the lines that show it; the exit status is 1 if one was not found out."""
+    missed = 0
+    for name, mutant in MUTANTS.items():
+        for seed in mutant.seeds:
+            with mutated(name):
+                broken = prove(seed, MUTANT_LENGTH_S).broken
+            missed += not broken
+            print(f"{name}, seed {seed}: {broken[0] if broken else 'NOT NOTICED'}", flush=True)
+    return 1 if missed else 0
+
+
 def _many(wanted_s: float, length_s: float, jobs: int, first: int) -> int:
     of = program()
     done = _done(of)
-    line_s, broken = sum(done.values()), 0
+    line_s, broken, said_s = sum(done.values()), 0, 0.0
     print(f"{line_s / 3600:.2f} h of this program so far", file=sys.stderr, flush=True)
     seeds = (seed for seed in count(first) if seed not in done)
-    with ProcessPoolExecutor(jobs) as pool:
+    with ProcessPoolExecutor(
+        jobs, max_tasks_per_child=LINES_EACH, initializer=_check_program, initargs=(of,)
+    ) as pool:
+        under_way: set[Future[Finding]] = set()
         while line_s < wanted_s:
-            batch = list(islice(seeds, 8 * jobs))
-            for found in pool.map(prove, batch, [length_s] * len(batch)):
+            more = islice(seeds, AHEAD * jobs - len(under_way))
+            under_way |= {pool.submit(prove, seed, length_s) for seed in more}
+            for found in _ended(under_way):
                 _note(found, of)
                 line_s += found.line_s
                 broken += bool(found.broken)
                 for text in found.broken:
                     print(f"{found.line}: {text}", flush=True)
-            print(f"{line_s / 3600:.2f} h, {broken} lines broken", file=sys.stderr, flush=True)
+            if line_s >= said_s + SAY_EVERY_S or line_s >= wanted_s:
+                said_s = line_s
+                print(f"{line_s / 3600:.2f} h, {broken} lines broken", file=sys.stderr, flush=True)
+        pool.shutdown(cancel_futures=True)
     return 1 if broken else 0
+
+
+def _check_program(of: str) -> None:
+    """Begin a process only for the program that is being proven: somebody may have changed it."""
+    if program() != of:
+        raise SystemExit(f"the program is no longer {of}: begin again")
+
+
+def _ended(under_way: set[Future[Finding]]) -> Iterator[Finding]:
+    """Wait for one line at least; take those that have ended out, the first seeds first."""
+    ended, _ = wait(under_way, return_when=FIRST_COMPLETED)
+    under_way -= ended
+    yield from sorted((one.result() for one in ended), key=lambda found: found.line.seed)
 
 
 if __name__ == "__main__":

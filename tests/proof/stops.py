@@ -116,15 +116,18 @@ class Stops:
                 text = f"{report.priority.name} to {report.drive} went before the stop of"
                 self._say(f"{text} {', '.join(waiting)}")
             return
-        one = self._unsaid.pop(report.drive, None)
-        if one is None:
-            return
+        for name in (report.drive, *report.members):  # a multicast says it to all of them
+            one = self._unsaid.pop(name, None)
+            if one is not None:
+                self._judge_wait(name, one, began_s)
+
+    def _judge_wait(self, name: str, one: _Waiting, began_s: float) -> None:
         waited_s, more_s = began_s - one.since_s, self._stopped_s - one.others_s
         promised_s = self._promise(lambda plan: plan.wait("stop").loaded_s, waited_s - more_s)
         if waited_s > promised_s + more_s:  # watchdogs of drives that are away hold nothing back
             promised_s = self._plan_as_measured(watched=False).wait("stop").loaded_s
         if waited_s > promised_s + more_s:
-            self._say_late(f"the stop of {report.drive}", waited_s, promised_s + more_s)
+            self._say_late(f"the stop of {name}", waited_s, promised_s + more_s)
 
     def _watch_silent(self, report: ExchangeReport) -> None:
         """Judge what went before stops of silent drives, and how long these waited."""

@@ -25,9 +25,16 @@ from dataclasses import dataclass, field
 from lecombus.line.observer import ExchangeReport
 from lecombus.line.station import StepKind
 from lecombus.protocol.exchange import EARLIEST_SHARE, ResultKind
-from lecombus.protocol.telegrams import AckAnswer, NakAnswer, UnknownCodeAnswer, ValueAnswer
+from lecombus.protocol.telegrams import (
+    AckAnswer,
+    NakAnswer,
+    TransmissionErrorAnswer,
+    UnknownCodeAnswer,
+    ValueAnswer,
+)
 from lecombus.schedule import Priority
 from lecombus.simulator.drive import SimDrive
+from lecombus.simulator.families.inverter82xx import Drive82XX
 from lecombus.simulator.line import SimLine
 from support.taps import STRIPPED
 
@@ -36,6 +43,8 @@ __all__ = ["Wire", "is_whole"]
 CHARACTER_BITS = 10
 UNREPORTED = 2
 """At the end one exchange may be under way, and one's report put off until the next is said."""
+NOT_REMEMBERED = (UnknownCodeAnswer, TransmissionErrorAnswer, NakAnswer)
+"""What noise makes, in the answer or in the question: a drive remembers nothing of it."""
 _TIME = struct.Struct("<d")
 STX, ETX, EOT, ACK, NAK = 2, 3, 4, 6, 21
 
@@ -62,12 +71,16 @@ class Wire:
     Args:
         sim: The drives.
         clean: Whether every answer comes undamaged and in time.
+        told_apart: Whether an answer can be told from a copy of another drive's.
         say: Told what did not hold.
     """
 
-    def __init__(self, sim: SimLine, clean: bool, say: Callable[[str], None]) -> None:
+    def __init__(
+        self, sim: SimLine, clean: bool, say: Callable[[str], None], *, told_apart: bool = True
+    ) -> None:
         self._sim = sim
         self._clean = clean
+        self._told_apart = told_apart
         self._say = say
         self._open: _Exchange | None = None
         self._unreported: deque[_Exchange] = deque()
@@ -124,9 +137,9 @@ class Wire:
         if one.drive is None or one.drive.address != report.address:
             self._say(f"an answer of nobody was taken for that of {report.drive}")
             return
-        trap = not self._clean and isinstance(report.result.answer, UnknownCodeAnswer)
+        trap = not self._clean and isinstance(report.result.answer, NOT_REMEMBERED)
         again = not self._clean and _is_stop_said_again(one, report)
-        if not trap and not again and not _is_told(one, report):
+        if self._told_apart and not trap and not again and not _is_told(one, report):
             self._say(f"{report.drive} did not answer {report.result.answer} to {report.step}")
 
     def end(self) -> None:
@@ -143,6 +156,9 @@ def _is_told(one: _Exchange, report: ExchangeReport) -> bool:
     """
     step, answer = report.step, report.result.answer
     assert one.drive is not None
+    model = one.drive.model
+    if isinstance(answer, AckAnswer) and isinstance(model, Drive82XX) and model.shortened():
+        return step.kind is StepKind.WRITE  # it remembers the write when it has passed it on
     last = one.drive.log[-1] if one.drive.log else None
     if last is None or not one.said_s < last.time_s <= report.result.ended_s:
         return False
@@ -175,6 +191,8 @@ def _has_come(one: _Exchange, answer: object) -> bool:
     text = bytes(one.heard).translate(STRIPPED)
     if isinstance(answer, ValueAnswer):
         return answer.field + answer.value.raw.encode("ascii") + bytes((ETX,)) in text
+    if isinstance(answer, TransmissionErrorAnswer):
+        return answer.field + b"?" + bytes((ETX,)) in text
     return any(byte in text for byte in (ACK, NAK, EOT))
 
 

@@ -24,11 +24,13 @@ from proof.clients import Clients
 from proof.invariants import Invariants
 from proof.lines import RandomLine
 from support.taps import WALL_S, ObserverTap, PortTap, ReceiverTap, running
-from support.virtual_loop import VirtualLoop
+from support.virtual_loop import Paused, VirtualLoop
 
 START_S = 600.0
 """Longest time granted for all drives to come online, seconds of line time."""
 FELL = "the daemon fell over"
+LOG_SIZE = 12
+"""Each drive remembers what was said to it for longer than a write and its proof take."""
 PATIENCE_S = 300.0
 """So long after the last was asked for everything must have its outcome."""
 
@@ -82,6 +84,7 @@ class World:
         async with running(self.site):
             await self._settle()
             self.invariants.begin(settled=self._is_settled())
+            self._let_pause()
             with anyio.CancelScope() as patience:
                 async with anyio.create_task_group() as tasks:
                     clients = Clients(self.site, self.line, self.invariants, self.sim)
@@ -90,6 +93,15 @@ class World:
                     clients.stop()
                     patience.deadline = anyio.current_time() + PATIENCE_S
             self.invariants.end()
+
+    def _let_pause(self) -> None:
+        """Have the daemon not run now and then, from here on."""
+        loop, at_s, spans = asyncio.get_running_loop(), asyncio.get_running_loop().time(), []
+        for after_s, for_s in self.line.pauses:
+            spans.append((at_s + after_s, at_s + after_s + for_s))
+            at_s += after_s + for_s
+        if spans and isinstance(loop, VirtualLoop):
+            loop.machine = Paused(spans)
 
     async def _settle(self) -> None:
         with anyio.move_on_after(START_S):
@@ -117,11 +129,17 @@ def _simulated(line: RandomLine) -> SimLine:
                 codes[0]: str(round(drive.watchdog.time_s * 1000)),
                 codes[1]: str(action),
             }
-    return build(
+    for drive in line.roster.drives:
+        if drive.name in line.early and drive.family != "smvector":
+            overrides.setdefault(drive.name, {})[1921] = "1"
+    sim = build(
         [(drive.name, drive.address, drive.family) for drive in line.roster.drives],
         baud=line.roster.line.baud, faults=line.faults, seed=line.seed, spread=0.5,
-        overrides=overrides, log_size=1,
+        overrides=overrides, log_size=LOG_SIZE, word_as_written=line.as_written,
     )  # fmt: skip
+    for name in line.running:
+        sim[name].model.write_control_word("H0000")
+    return sim
 
 
 def _errors(exc: BaseException) -> list[BaseException]:

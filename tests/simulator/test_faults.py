@@ -106,6 +106,15 @@ def test_late_answers_never_stand_inside_one_another() -> None:
     assert bytes(byte & 0x7F for byte in host.hear()) == GOOD + GOOD
 
 
+def test_it_is_told_when_a_drive_speaks_and_not_when_its_answer_is_delivered_again() -> None:
+    host = faulty(Faults(double=1, double_s=(0.1, 0.1), noise=1))
+    spoken: list[float] = []
+    host.line.on_answer = lambda _, begin_s, end_s: spoken.append(end_s - begin_s)
+    host.say(READ)
+    host.hear()
+    assert spoken == [pytest.approx(len(GOOD) * CHAR_S)]  # its own characters, without stray ones
+
+
 def test_wrong_bcc_touches_the_bcc_only() -> None:
     answer = faulty(Faults(bad_bcc=1)).ask(READ)
     assert answer[:-1] == GOOD[:-1]

@@ -66,6 +66,8 @@ class SimLine:
         host_baud: What the host's port is set to; drives that speak at another rate do not
             understand it. The line's own, unless an end knows better.
         on_request: Called with time and request whenever one was heard; for benches and tests.
+        on_answer: Called with drive, begin and end of its own characters whenever one begins to
+            speak, before anything cuts it short; for benches and tests.
     """
 
     def __init__(
@@ -98,6 +100,7 @@ class SimLine:
         self.aborted = 0
         self.requests = 0
         self.on_request: Callable[[float, Heard], None] | None = None
+        self.on_answer: Callable[[SimDrive, float, float], None] | None = None
         self._think_scale = think_scale
         self._host_baud = baud
         self._char_s = _BITS / baud if paced else 0.0
@@ -364,7 +367,8 @@ class SimLine:
         if reply is None or self._spoiler.happens(faults.lost):
             return
         begin_s = at_s + reply.after_s * self._think_scale
-        speech = Speech(drive, self._answer(reply.data, drive, faults), begin_s, 0.0, False)
+        data = self._answer(reply.data, drive, faults)
+        speech = Speech(drive, data, begin_s, 0.0, False, len(reply.data))
         if self._spoiler.happens(faults.late):
             extra_s = self._spoiler.rng.uniform(*faults.late_s)
             if faults.late_kind is LateKind.ADAPTER:
@@ -394,6 +398,8 @@ class SimLine:
             if other.garbled_from_s is None:
                 other.garbled_from_s = at_s
         self._speaking.append(speech)
+        if self.on_answer is not None:
+            self.on_answer(speech.drive, at_s, at_s + speech.own_chars * self._char_s)
         if speech.held_up_s:
             self._schedule(at_s + speech.held_up_s, _Event.LET_THROUGH, speech)
         else:
@@ -407,7 +413,7 @@ class SimLine:
         if twin or self._spoiler.happens(faults.double):
             least_s, most_s = TWIN_S if twin else faults.double_s
             later_s = at_s + self._spoiler.rng.uniform(least_s, most_s)
-            copy = Speech(speech.drive, speech.data, later_s, 0.0, True)
+            copy = Speech(speech.drive, speech.data, later_s, 0.0, True, speech.own_chars)
             self._schedule(later_s, _Event.COPY, copy)
 
     def _deliver(self, speech: Speech, at_s: float) -> None:

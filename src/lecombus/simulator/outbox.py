@@ -27,6 +27,7 @@ class Speech:
         begin_s: When its first character starts on the wire.
         held_up_s: How long an adapter holds it back.
         stubborn: An EOT does not stop it.
+        own_chars: How many of its characters are the drive's, before any damage.
         cut_at_s: When an EOT stopped it, if one did.
         garbled_from_s: When the host began to speak over it, if it did.
     """
@@ -36,6 +37,7 @@ class Speech:
     begin_s: float
     held_up_s: float
     stubborn: bool
+    own_chars: int
     cut_at_s: float | None = None
     garbled_from_s: float | None = None
 

@@ -1,0 +1,222 @@
+"""What the daemon shows of drives and motors, held against the drives themselves.
+
+* Who has not answered for long is shown as offline, and no value of it as good.
+* A value that is shown as good is the one that the drive gave last, and no older than is allowed.
+* A drive that lost its supply and is online again has its watchdog set as the roster says, or a
+  remark that it could not be.
+* No telegram lets a motor run, or lifts an inhibit, unless somebody asked for an enable.
+* A stop that is called verified has stopped its drive; where all answer, every stop is verified,
+  and elsewhere none is given up at once.
+
+Must not live here: what passes on the wire (`wire`, `pauses`), what is said (`sayings`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from itertools import cycle
+
+from lecombus.line.observer import ExchangeReport
+from lecombus.line.station import StepKind
+from lecombus.protocol.telegrams import ValueAnswer
+from lecombus.readings import DriveState, Quality
+from lecombus.schedule import Outcome, Priority
+from lecombus.simulator.drive import SimDrive
+from lecombus.simulator.line import SimLine
+from lecombus.simulator.model import INHIBIT
+from lecombus.site import Site
+from lecombus.supervision.watchdogs import REMARK
+from proof.lines import RandomLine
+from proof.telegrams import Telegram
+
+__all__ = ["Shown"]
+
+SILENT = 6
+"""Telegrams in a row that drew nothing, and one says that a drive is away."""
+LOOKED_AT = 8
+"""Values looked at each time: all in turn."""
+LEAST_TRIED_S = 1.5
+"""A stop whose proof is missing is said again for so long at least. Source: docs/operations.md."""
+PERIODS, STRETCH_MOST, GRACE_S = 2.0, 4.0, 1.0
+"""A cyclic value is good for two periods, as stretched, and this. Source: docs/store.md."""
+
+
+class Shown:
+    """Compares what is shown of one line with what is.
+
+    Args:
+        line: The line.
+        sim: Its drives.
+        site: What shows them.
+        clock: Line time.
+        say: Told what did not hold.
+    """
+
+    def __init__(
+        self,
+        line: RandomLine,
+        sim: SimLine,
+        site: Site,
+        clock: Callable[[], float],
+        say: Callable[[str], None],
+    ) -> None:
+        self._sim = sim
+        self._site = site
+        self._clock = clock
+        self._say = say
+        self._clean = line.kind != "faulty"
+        self._names = {drive.address: drive.name for drive in line.roster.drives}
+        self._silent = dict.fromkeys(self._names.values(), 0)
+        self._guards = {
+            drive.name: round(drive.watchdog.time_s * 1000)
+            for drive in line.roster.drives
+            if drive.watchdog is not None and drive.watchdog.configure
+        }
+        self._values = [
+            (drive.name, entry.code, entry.every_s)
+            for drive in line.roster.drives
+            for entry in drive.cyclic
+        ]
+        self._turn = cycle(self._values)
+        self._failed: set[tuple[str, str]] = set()
+        self._given: dict[tuple[str, str], tuple[str, float]] = {}
+        self._free: dict[str, tuple[bool, bool]] = {}
+        self._enabling: dict[str, int] = {}
+        self._powerless: set[str] = set()  # lost their supply and are not known to be back
+        self._left: set[str] = set()
+        self._enabled_s: dict[str, float] = {}
+        self._proven: dict[str, bool] = {}
+
+    # -- what the clients tell ---------------------------------------------------------------
+
+    def left(self, drive: str) -> None:
+        """A drive goes away: stops of it may be in vain from now on."""
+        self._left.add(drive)
+
+    def lost_power(self, drive: str) -> None:
+        """A drive has been without its supply: what its module had is gone."""
+        self._free.pop(drive, None)
+        if self._site.store.drive(drive).state is DriveState.OFFLINE:
+            self._powerless.add(drive)
+
+    def enable_asked(self, drive: str) -> None:
+        """Somebody wants a drive to run."""
+        self._enabling[drive] = self._enabling.get(drive, 0) + 1
+
+    def enable_ended(self, drive: str) -> None:
+        """That has its outcome."""
+        self._sim.advance(self._clock())
+        self._look_at_motor(self._sim[drive])
+        self._enabling[drive] -= 1
+        self._enabled_s[drive] = self._clock()
+
+    def stop_ended(self, drive: str, outcome: str, asked_s: float) -> None:
+        """The stop that was asked for at a time has its outcome."""
+        now_s = self._clock()
+        self._sim.advance(now_s)
+        tried_s = now_s - asked_s
+        if outcome == Outcome.UNKNOWN and tried_s < LEAST_TRIED_S:
+            self._say(f"the stop of {drive} was given up after {tried_s:.1f} s")
+        model = self._sim[drive].model
+        standing = model.pulses_off() or model.stop_wanted()
+        if outcome == Outcome.VERIFIED and not self._proven.get(drive):
+            self._say(f"the stop of {drive} is called verified, and was not read back")
+        if outcome == Outcome.VERIFIED and not standing and not self._is_enabled(drive):
+            self._say(f"the stop of {drive} is called verified, and it is not stopped")
+        if self._clean and drive not in self._left and outcome != Outcome.VERIFIED:
+            self._say(f"the stop of {drive} ended as {outcome}, and it answers")
+
+    # -- what passes -------------------------------------------------------------------------
+
+    def judge(self, one: Telegram) -> None:
+        """Take a telegram into account, and look at the drives that it reached."""
+        name = self._names.get(one.address)
+        if name is None:
+            for drive in self._sim.drives:
+                self._look_at_motor(drive)
+            self._proven.clear()
+            return
+        if one.stop:
+            self._proven[name] = one.text is None and one.answered
+        self._silent[name] = 0 if one.heard else self._silent[name] + 1
+        if one.text is not None:
+            self._look_at_motor(self._sim[name])
+
+    def ended(self, report: ExchangeReport) -> None:
+        """Keep what a drive gave, as the wire has judged it."""
+        if report.step.kind is not StepKind.READ:
+            return
+        key, answer = (report.drive, str(report.step.code)), report.result.answer
+        if isinstance(answer, ValueAnswer):
+            self._given[key] = answer.value.raw, report.result.ended_s
+            self._failed.discard(key)
+        elif report.priority is Priority.CYCLIC:
+            self._failed.add(key)
+
+    def _look_at_motor(self, drive: SimDrive) -> None:
+        model = drive.model
+        free = not (model.pulses_off() or model.stop_wanted()), not model.control & INHIBIT
+        before = self._free.get(drive.name)
+        self._free[drive.name] = free
+        if before is None or self._is_enabled(drive.name):
+            return
+        if free[0] and not before[0]:
+            self._say(f"{drive.name} was let run, and nobody has enabled it")
+        elif free[1] and not before[1]:
+            self._say(f"the inhibit of {drive.name} was lifted, and nobody has enabled it")
+
+    def _is_enabled(self, name: str) -> bool:
+        """Whether somebody wants it to run, or did so when it was last written to."""
+        passed_s = self._clock() - self._enabled_s.get(name, -math.inf)
+        return bool(self._enabling.get(name)) or passed_s < LEAST_TRIED_S
+
+    # -- now and then ------------------------------------------------------------------------
+
+    def begin(self) -> None:
+        """Count from here."""
+        for drive in self._sim.drives:
+            self._look_at_motor(drive)
+
+    def look(self) -> None:
+        """Compare what is shown now."""
+        store = self._site.store
+        self._sim.advance(self._clock())
+        for drive in self._sim.drives:
+            self._look_at_motor(drive)
+        for name, silent in self._silent.items():
+            state = store.drive(name).state
+            if silent > SILENT and state is not DriveState.OFFLINE:
+                self._say(f"{name} is shown as {state}, and {silent} telegrams drew nothing")
+            if name in self._powerless and state is DriveState.ONLINE:
+                self._powerless.discard(name)
+                self._judge_guard(name)
+        for _ in range(min(LOOKED_AT, len(self._values))):
+            self._judge_value(*next(self._turn))
+
+    def _judge_guard(self, name: str) -> None:
+        wanted_ms = self._guards.get(name)
+        if wanted_ms is None or REMARK in self._site.store.drive(name).remarks:
+            return  # a module's own codes may take longer than others' watchdogs leave
+        time_s, action = self._sim[name].model.watchdog_setting()
+        if not action or round(time_s * 1000) != wanted_ms:
+            text = f"{name} is online after a power failure, and its watchdog is"
+            self._say(f"{text} {time_s:g} s, action {action}: {wanted_ms} ms is right")
+
+    def _judge_value(self, name: str, code: object, every_s: float) -> None:
+        reading = self._site.store.reading(name, code)  # type: ignore[arg-type]
+        if reading is None or reading.quality is not Quality.GOOD:
+            return
+        given = self._given.get((name, str(code)))
+        if given is None:
+            return  # it was read before anybody looked
+        text, at_s = given
+        age_s = self._clock() - at_s
+        if self._site.store.drive(name).state is DriveState.OFFLINE:
+            self._say(f"{code} of {name} is shown as good, and the drive is offline")
+        elif (name, str(code)) in self._failed:
+            self._say(f"{code} of {name} is shown as good, and the last attempt failed")
+        elif reading.value is None or reading.value.raw != text:
+            self._say(f"{code} of {name} is shown as {reading.value}, and the drive gave {text}")
+        elif age_s > PERIODS * STRETCH_MOST * every_s + GRACE_S:
+            self._say(f"{code} of {name} is shown as good, and it is {age_s:.1f} s old")
