@@ -201,7 +201,7 @@ BROKEN = {
     "promises short waits": Broken(_short_waits, " waited ", (12, 36)),
     "promises short exchanges": Broken(_short_exchanges, "it took"),
     "reads seldom": Broken(_seldom, "was not read for", (64, 72)),
-    "feeds at the last moment": Broken(_last_moment, "was not fed for", (5, 37)),
+    "feeds at the last moment": Broken(_last_moment, "was not fed for", (37,)),
 }
 
 

@@ -17,6 +17,17 @@ def test_a_stop_goes_even_to_held_and_parked_drives() -> None:
     assert [world.step(), world.step()] == stops
 
 
+def test_whether_a_stop_goes_is_said_of_the_one_that_comes_back_at_this_moment() -> None:
+    # The line breaks a quarantine for a stop, so that no feed may come of it instead.
+    world = World().drives("a")
+    stop = world.submit("a", P.STOP)
+    assert world.schedule.next(0.0) is stop
+    world.schedule.defer(stop, 1.0, 0.0)
+    assert not world.schedule.stop_goes(0.9)
+    assert world.schedule.stop_goes(1.0)
+    assert world.schedule.next(1.0) is stop
+
+
 def test_a_stop_goes_before_feeds_that_are_late() -> None:
     world = World().drives("a")
     world.feed("a", 1.0)

@@ -165,6 +165,9 @@ class Schedule(Members):
 
     def stop_goes(self, now_s: float) -> bool:
         """Tell whether `next` would give a stop at this moment."""
+        if self._waiting.timers and self._waiting.timers[0][0] <= now_s:
+            self._rehearsal.spoil()  # another stop may be the first from now on
+            self._run_timers(now_s)
         stop = self._waiting.stop()
         return stop is not None and self._silent_stops.goes(stop, now_s)
 
