@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from lecombus import __version__
 from lecombus.config import DriveEntry, Roster, line_timing, with_address
 from lecombus.config.exchanges import watched_s
+from lecombus.config.feeding import faults_of
 from lecombus.drives import Family, LineTiming, StopAction, family
 from lecombus.drives.measured import MeasuredTimes
 from lecombus.drives.stops import inhibit_mask, inhibit_proofs
@@ -118,7 +119,7 @@ class Site:
         self.words = ControlWords(clock)
         self.state = state or State()
         self.wear = Wear(self.state, self.store, clock)
-        timing = timing or line_timing(line)
+        self._timing = timing = timing or line_timing(line)
         maker = RequestMaker(timing, line.retries, self.metrics.meters.request_ended)
         self.health = Health(self.schedule, self.store, self._wants_audit, clock)
         self._configurations = self._make_configurations()
@@ -229,6 +230,7 @@ class Site:
         self.state.bound(wanted)
         self.operations.set_roster(roster.drives, roster.groups)
         self.readdress.set_roster(wanted)
+        self.schedule.expect(faults_of(roster, self._timing))
         self.roster = roster
         self.worker.nudge()
         return Changes(

@@ -9,6 +9,7 @@ import pytest
 
 from lecombus.config import Roster, line_timing
 from lecombus.config.exchanges import Times, feed_times, read_times, watched_s
+from lecombus.config.feeding import faults_of
 from lecombus.drives.measured import SlowAnswers
 from lecombus.planning import make_plan
 from lecombus.planning.waits import LATENESS_S
@@ -34,6 +35,7 @@ class Run:
         self.roster = roster
         self.timing = line_timing(roster.line)
         self.schedule = Schedule()
+        self.schedule.expect(faults_of(roster, self.timing))
         self.times: dict[int, Times] = {}
         self.waits: dict[Priority, float] = {}
         for drive in roster.drives:
@@ -117,10 +119,10 @@ def test_a_higher_class_never_waits_longer_under_the_same_load() -> None:
     assert control.quiet_s <= control.loaded_s
 
 
-def test_where_feeding_takes_all_there_is_no_promise() -> None:
-    roster = roster_of(60, time="3.4s", baud=9600)
-    assert math.isinf(make_plan(roster).wait("control").loaded_s)
-    assert make_plan(roster).as_json()["waits"][1]["loaded_s"] is None
+def test_where_reading_takes_all_there_is_no_promise() -> None:
+    roster = roster_of(60, time="4.2s", baud=9600)
+    assert math.isinf(make_plan(roster).wait("cyclic").quiet_s)
+    assert make_plan(roster).as_json()["waits"][4]["quiet_s"] is None
 
 
 def test_without_watchdogs_a_setpoint_waits_for_one_exchange() -> None:

@@ -207,10 +207,12 @@ def _show_watchdogs(plan: Plan) -> None:
     if not plan.watchdogs:
         return
     show_table(
-        ("drive", "watchdog", "a feed", "least held", "a drive may go", "a restart", "verdict"),
+        ("drive", "watchdog", "a feed", "least held", "a drive may go", "outlasts lost answers",
+         "a restart", "verdict"),
         [
             (one.drive, format_duration(one.time_s), _time(one.feed_s), _time(one.least_s),
-             _time(one.outlasts_s), one.at_restart, one.verdict)
+             _time(one.outlasts_s), str(one.lost), one.at_restart,
+             one.verdict)
             for one in plan.watchdogs
         ],
         title="watchdogs",

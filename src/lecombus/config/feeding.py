@@ -5,8 +5,21 @@ is a stream of work (`schedule.demand`). What stands before a feed once is an ex
 drive, and one stop of another one, which goes before everything and waits for nobody. The exchange
 counts at its longest, unanswered: the schedule begins none that could make a feed late, so where
 that does not fit a drive could not even be asked whether it is there. If the feeds do not fit
-behind those, the roster is refused (`unheld`). One in which a further lost answer makes a watchdog
+behind those, the roster is refused (`unheld`).
+
+The fault hypothesis: within any watchdog time at most `line.tolerate` answers are lost, of whatever
+exchange and at whatever moment. What each costs stands before the feeds besides: the line is held
+until the answer is given up and the silence after it, and the exchange is made again; for a drive's
+own feed too, which no longer is fed by the attempt. Everything is counted in the longer addressing
+form, in which it is said while the lost answer may still come. Stops, and what a lost answer of one
+holds the line longer, may use the last tenth of a watchdog time as well: the running schedule,
+which cannot foresee them, keeps room only for what that tenth does not hold (`schedule.faults`). A
+roster that does not hold that is refused, too; one in which a further lost answer makes a watchdog
 act is worth a warning.
+Source: the recovery of faults as additional blocking in the test: A. Burns, R. Davis, S. Punnekkat:
+Feasibility Analysis of Fault-Tolerant Real-Time Task Sets, Euromicro Workshop on Real-Time Systems
+1996; for exchanges that cannot be interrupted and are sent again: I. Broster, A. Burns, G.
+Rodriguez-Navas: Probabilistic Analysis of CAN with Faults, RTSS 2002.
 
 What is said to a drive feeds it, so no drive stands in its own way; that is reckoned for each of
 them, not only for the one with the shortest time.
@@ -22,9 +35,10 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from lecombus.config.exchanges import (
-    feed_times,
+    dearest_feed_times,
     own_longest_s,
     read_times,
+    stop_attempt_s,
     stop_s,
     watched_s,
 )
@@ -32,6 +46,7 @@ from lecombus.config.models import DriveEntry, Roster
 from lecombus.config.timing import line_timing
 from lecombus.drives import LineTiming, family
 from lecombus.schedule.demand import FULL, Overload, Stream, find_overload, load_of
+from lecombus.schedule.faults import Faults
 from lecombus.schedule.feeds import HARD_PART
 
 __all__ = [
@@ -39,6 +54,7 @@ __all__ = [
     "LONGEST_S",
     "Feeding",
     "Obstacle",
+    "faults_of",
     "feeding_of",
     "least_time_s",
     "longest_stop_s",
@@ -59,14 +75,23 @@ class Obstacle:
     Args:
         drive: The drive.
         failed_s: Its cheapest read, not answered, seconds.
+        usual_s: The same, answered, seconds.
         reads: Its cyclic reads, as usual: what they are, and seconds.
         stop_s: Its stop with the proof, seconds.
+        stop_failed_s: One telegram of its stop, not answered, seconds.
     """
 
     drive: str
     failed_s: float
+    usual_s: float
     reads: tuple[tuple[str, float], ...]
     stop_s: float
+    stop_failed_s: float
+
+    @property
+    def answered_s(self) -> float:
+        """The longest exchange with it that is answered, seconds."""
+        return max(self.usual_s, *(time_s for _, time_s in self.reads), 0.0)
 
     @property
     def under_way_s(self) -> float:
@@ -84,6 +109,7 @@ class Feeding:
         obstacles: What each drive of the line may put before the others.
         lost_s: What one feed that is not answered costs at most, seconds.
         own_s: For each watched drive, its own longest exchange: meanwhile nothing feeds it.
+        tolerate: So many lost answers within any watchdog time are to be outlasted.
     """
 
     drives: tuple[DriveEntry, ...]
@@ -91,6 +117,7 @@ class Feeding:
     obstacles: tuple[Obstacle, ...]
     lost_s: float
     own_s: tuple[float, ...]
+    tolerate: int
 
     @property
     def under_way_s(self) -> float:
@@ -101,16 +128,39 @@ class Feeding:
         """List what may stand before a drive's feed: all but what is said to itself."""
         return tuple(one for one in self.obstacles if one.drive != drive)
 
-    def overload(self, *, lost: int = 0) -> Overload | None:
-        """Find where the feeds do not fit, when so many answers are lost just then."""
-        found = find_overload(self.streams, lost * self.lost_s)
+    def overload(self, *, lost: int | None = None) -> Overload | None:
+        """Find where the feeds do not fit, when so many answers are lost within a watchdog time.
+
+        Args:
+            lost: How many; None: as many as are to be outlasted.
+        """
+        lost = self.tolerate if lost is None else lost
+        found = find_overload(self.streams, 0.0)
+        if found is None and lost:
+            found = find_overload(self._behind_lost(lost), 0.0)
         if found is None and load_of(self.streams) > FULL:
             first = min(self.streams, key=_every)
             demand_s = load_of(self.streams) * first.every_s
             return Overload(first.every_s, demand_s, first.blocked_s, first.name)
         return found
 
-    def holds(self, *, lost: int = 0) -> bool:
+    def _behind_lost(self, lost: int) -> tuple[Stream, ...]:
+        """Put lost answers and what else may come before it once in front of each stream."""
+        answered = _two_longest(self.obstacles, lambda one: one.answered_s)
+        failed = _two_longest(self.obstacles, lambda one: one.failed_s)
+        stops = _two_longest(self.obstacles, lambda one: one.stop_s)
+        stops_lost = _two_longest(self.obstacles, lambda one: one.stop_failed_s)
+        again_s = (lost - 1) * self.lost_s
+        found = []
+        for one in self.streams:
+            tenth_s = one.every_s * (1.0 - HARD_PART) / HARD_PART
+            stop_s = max(self.lost_s + _but(one.name, stops), _but(one.name, stops_lost)) - tenth_s
+            behind_s = _but(one.name, answered) + max(self.lost_s, stop_s)
+            blocked_s = max(_but(one.name, failed), behind_s) + again_s
+            found.append(replace(one, blocked_s=blocked_s))
+        return tuple(found)
+
+    def holds(self, *, lost: int | None = None) -> bool:
         """Whether all watchdogs can be held, also beside their own drives' exchanges."""
         fits = all(
             own_s <= one.every_s for own_s, one in zip(self.own_s, self.streams, strict=True)
@@ -140,7 +190,9 @@ class Feeding:
             replace(one, reads=tuple(read for read in one.reads if read[1] <= longer_than_s))
             for one in self.obstacles
         )
-        return _put_together(self.drives, self.streams, obstacles, self.own_s, self.lost_s)
+        return _put_together(
+            self.drives, self.streams, obstacles, self.own_s, self.lost_s, self.tolerate
+        )
 
     @property
     def _tightest(self) -> str:
@@ -166,7 +218,7 @@ def feeding_of(roster: Roster, timing: LineTiming | None = None) -> Feeding:
     """
     timing = timing or line_timing(roster.line)
     watched = [(drive, time_s) for drive in roster.drives if (time_s := watched_s(drive))]
-    times = [feed_times(drive, timing) for drive, _ in watched]
+    times = [dearest_feed_times(drive, timing) for drive, _ in watched]
     return _put_together(
         tuple(drive for drive, _ in watched),
         tuple(
@@ -176,6 +228,16 @@ def feeding_of(roster: Roster, timing: LineTiming | None = None) -> Feeding:
         tuple(_obstacle(drive, timing) for drive in roster.drives),
         tuple(own_longest_s(drive, timing) for drive, _ in watched),
         max((one.worst_s for one in times), default=0.0),
+        roster.line.tolerate,
+    )
+
+
+def faults_of(roster: Roster, timing: LineTiming) -> Faults:
+    """Give what the running schedule keeps room for: the same as the test does."""
+    return Faults(
+        roster.line.tolerate,
+        max((stop_s(drive, timing) for drive in roster.drives), default=0.0),
+        max((stop_attempt_s(drive, timing) for drive in roster.drives), default=0.0),
     )
 
 
@@ -184,7 +246,11 @@ def _obstacle(drive: DriveEntry, timing: LineTiming) -> Obstacle:
         (f"{entry.code} of {drive.name}", read_times(drive, entry.code, timing).usual_s)
         for entry in drive.cyclic
     )
-    return Obstacle(drive.name, feed_times(drive, timing).worst_s, reads, stop_s(drive, timing))
+    feed = dearest_feed_times(drive, timing)
+    return Obstacle(
+        drive.name, feed.worst_s, feed.usual_s, reads, stop_s(drive, timing),
+        stop_attempt_s(drive, timing),
+    )  # fmt: skip
 
 
 def _put_together(
@@ -193,6 +259,7 @@ def _put_together(
     obstacles: tuple[Obstacle, ...],
     own_s: tuple[float, ...],
     lost_s: float,
+    tolerate: int,
 ) -> Feeding:
     """Let each stream know what may stand before it: the longest of all drives but its own."""
     exchanges = _two_longest(obstacles, lambda one: one.under_way_s)
@@ -200,7 +267,7 @@ def _put_together(
     blocked = tuple(
         replace(one, blocked_s=_but(one.name, exchanges) + _but(one.name, stops)) for one in streams
     )
-    return Feeding(drives, blocked, obstacles, lost_s, own_s)
+    return Feeding(drives, blocked, obstacles, lost_s, own_s, tolerate)
 
 
 def _two_longest(
@@ -214,12 +281,14 @@ def _but(drive: str, longest: Sequence[tuple[str, float]]) -> float:
     return next((time_s for name, time_s in longest if name != drive), 0.0)
 
 
-def least_time_s(feeding: Feeding, *, lost: int = 0, all_alike: bool = False) -> float | None:
+def least_time_s(
+    feeding: Feeding, *, lost: int | None = None, all_alike: bool = False
+) -> float | None:
     """Give the least time that the watchdogs below it must be raised to so that all are held.
 
     Args:
         feeding: The feeds as they are.
-        lost: So many lost answers in a row are to be outlasted.
+        lost: So many lost answers are to be outlasted; None: as the roster says.
         all_alike: All watchdogs shall have that time, also those that are longer.
 
     Returns:

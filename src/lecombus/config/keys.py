@@ -67,6 +67,9 @@ _LINE: Final = Table("line", (
         "Least pause between the end of an answer and the next telegram.", default="2ms"),
     Key("retries", Whole(0, 10), "Repetitions after a failed exchange, where repeating is safe.",
         default=2),
+    Key("tolerate", Whole(0, 3),
+        "Lost answers within any watchdog time that no watchdog acts upon; rosters that cannot "
+        "hold that are refused.", default=1),
     Key("adapter_latency", Duration(0, 1),
         "What the adapter adds to an answer. Absent: by the kind of port."),
     Key("late_answer", Duration(0.01, 10),

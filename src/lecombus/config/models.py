@@ -65,6 +65,7 @@ class LineEntry(_Model):
         parity: Who makes even parity: we in bit 7 (`line`) or a device server (`port`).
         turnaround_s: Least pause between an answer's end and the next telegram.
         retries: Repetitions after a failed exchange, 0 to 10.
+        tolerate: Lost answers within any watchdog time that no watchdog may act upon, 0 to 3.
         adapter_latency_s: What the adapter adds to an answer; None: by the kind of port.
         late_answer_s: How late an answer may still come (quarantine after a time-out).
         absent_share: Largest share of line time for probing absent drives, 0.01 to 0.5.
@@ -81,6 +82,7 @@ class LineEntry(_Model):
     parity: Parity = "line"
     turnaround_s: float = 0.002
     retries: int = 2
+    tolerate: int = 1
     adapter_latency_s: float | None = None
     late_answer_s: float = 0.5
     absent_share: float = 0.10

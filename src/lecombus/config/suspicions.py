@@ -114,17 +114,22 @@ def _load(roster: Roster, timing: LineTiming) -> Iterator[str]:
 
 
 def _feeding(roster: Roster) -> Iterator[tuple[str, str]]:
-    """Warn of watchdogs that act when two answers are lost while the others wait to be fed."""
+    """Warn of watchdogs that act when one more answer is lost than the roster wants outlasted."""
     feeding = feeding_of(roster)
-    if feeding.overload(lost=1) is None:
+    lost = feeding.tolerate + 1
+    if feeding.overload(lost=lost) is None:
         return
-    least_s = least_time_s(feeding, lost=1)
+    least_s = least_time_s(feeding, lost=lost)
     for drive in feeding.drives:
         time_s = watched_s(drive)
         if time_s is not None and (least_s is None or time_s < least_s):
             outlast = "" if least_s is None else f"; {written_up(least_s)} would outlast that"
-            text = f"a watchdog of {format_duration(time_s)} may act when two answers are lost"
+            text = f"a watchdog of {format_duration(time_s)} may act when {_lost(lost)} lost"
             yield drive.name, text + outlast
+
+
+def _lost(count: int) -> str:
+    return "an answer is" if count == 1 else f"{('two', 'three', 'four')[count - 2]} answers are"
 
 
 def _adapter(roster: Roster, timing: LineTiming) -> Iterator[str]:

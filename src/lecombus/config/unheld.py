@@ -78,17 +78,29 @@ def _arithmetic(drive: DriveEntry, feeding: Feeding, overload: Overload, baud: i
     counted = sum(1 for stream in feeding.streams if stream.every_s <= overload.within_s + 1e-9)
     feeds = "1 feed" if counted == 1 else f"the feeds of {counted} drives"
     before = feeding.before(overload.whose)
-    behind = ""
-    if before:
+    behind, lost = "", ""
+    if feeding.overload(lost=0) is None:
+        lost = f" if {_answers(feeding.tolerate)} lost"
+        stop = _ms(longest_stop_s(before))
+        behind = (
+            f" behind {_ms(overload.blocking_s)}: an exchange, {feeding.tolerate} times "
+            f"{_ms(feeding.lost_s)} for a lost answer, a stop ({stop}) as far as the last tenth of "
+            "the time does not hold it"
+        )
+    elif before:
         behind = (
             f" behind one exchange that fails ({_ms(under_way_s(before))}) and one stop "
             f"({_ms(longest_stop_s(before))})"
         )
     return (
-        f"a watchdog of {format_duration(time_s)} cannot be held at {baud} baud: within "
+        f"a watchdog of {format_duration(time_s)} cannot be held at {baud} baud{lost}: within "
         f"{_ms(overload.within_s)} the line would have to carry {feeds} ({_ms(overload.demand_s)})"
         f"{behind}"
     )
+
+
+def _answers(count: int) -> str:
+    return "1 answer is" if count == 1 else f"{count} answers are"
 
 
 def _remedy(roster: Roster, feeding: Feeding, least_s: float | None) -> str:
@@ -100,6 +112,9 @@ def _remedy(roster: Roster, feeding: Feeding, least_s: float | None) -> str:
         ways.append(f"baud: {baud}")
     ways.extend(_fewer_reads(feeding))
     ways.append("fewer watched drives on this line")
+    least = next((one for one in range(feeding.tolerate) if feeding.holds(lost=one)), None)
+    if least is not None:
+        ways.append(f"tolerate: {least}")
     return f"{' or '.join(ways)} would do"
 
 

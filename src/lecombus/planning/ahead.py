@@ -28,6 +28,7 @@ from lecombus.config.exchanges import (
     watched_s,
     write_times,
 )
+from lecombus.config.feeding import faults_of
 from lecombus.drives import CodeInfo, LineTiming, family, stop_value
 from lecombus.planning.loads import load_on
 from lecombus.protocol.addressing import Code
@@ -202,7 +203,7 @@ def _longest(feeds: Feeds, found: Iterable[Longest]) -> Longest:
 
 def _feeds_of(roster: Roster, timing: LineTiming) -> Feeds:
     """Put the watchdogs into the schedule's own sums."""
-    feeds = Feeds()
+    feeds = Feeds(faults_of(roster, timing))
     for drive in roster.drives:
         time_s = watched_s(drive)
         if time_s is not None:

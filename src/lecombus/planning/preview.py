@@ -13,6 +13,7 @@ from typing import Final
 
 from lecombus.config import Roster
 from lecombus.config.exchanges import Times, feed_times, read_times, watched_s
+from lecombus.config.feeding import faults_of
 from lecombus.drives import LineTiming
 from lecombus.planning.loads import load_on
 from lecombus.schedule import Cyclic, Feeding, Outcome, Priority, Request, Schedule
@@ -85,6 +86,7 @@ class Preview:
 def preview(roster: Roster, timing: LineTiming) -> Preview:
     """Run the schedule over a roster and write down one hyperperiod."""
     schedule = Schedule(absent_share=roster.line.absent_share)
+    schedule.expect(faults_of(roster, timing))
     for drive in roster.drives:
         schedule.add_drive(drive.name)
         for entry in drive.cyclic:

@@ -1,9 +1,9 @@
 """How short each drive's watchdog could be, the others staying as they are.
 
 Method: the demand bound of `schedule.demand`, over the feeds of `config.feeding`, halved down to a
-millisecond. Two times are given: the least that can be held, one exchange failing at the worst
-moment, and the least that also outlasts a drive that goes away: it is asked `AWAY_ATTEMPTS` times
-in vain before it is given up.
+millisecond. Two times are given: the least that can be held, as many answers being lost at the
+worst moments as the roster wants outlasted (`line.tolerate`), and the least that also outlasts a
+drive that goes away: it is asked `AWAY_ATTEMPTS` times in vain before it is given up.
 
 A restart of the daemon after it was killed is reckoned with `RESTART_S` until the first telegram,
 and one exchange with each drive until all have been spoken to. A watchdog outlasts that if its
@@ -25,6 +25,8 @@ __all__ = ["AWAY_ATTEMPTS", "WatchdogPlan", "watchdog_plans"]
 
 AWAY_ATTEMPTS: Final = 4
 """Exchanges in a row that a drive fails before it counts as offline."""
+MOST_LOST: Final = 9
+"""More lost answers than these are not counted."""
 
 
 RESTART_S: Final = 3.0
@@ -44,6 +46,7 @@ class WatchdogPlan:
         outlasts_s: The least time that outlasts a drive that goes away; None: none.
         restart_s: It outlasts a restart of the daemon if the drive was spoken to in so many seconds
             before; 0: it does not.
+        lost: So many lost answers within its time, whosever, it outlasts for certain.
     """
 
     drive: str
@@ -52,6 +55,7 @@ class WatchdogPlan:
     least_s: float | None
     outlasts_s: float | None
     restart_s: float
+    lost: int
 
     @property
     def at_restart(self) -> str:
@@ -73,7 +77,7 @@ class WatchdogPlan:
 def watchdog_plans(roster: Roster, timing: LineTiming) -> list[WatchdogPlan]:
     """Plan every watched drive's watchdog, in the roster's order."""
     feeding = feeding_of(roster, timing)
-    plans = []
+    plans, lost = [], _lost(feeding)
     restart_s = RESTART_S + sum(feed_times(one, timing).usual_s for one in roster.drives)
     known: dict[tuple[float, float, float, float], tuple[float | None, float | None]] = {}
     for number, drive in enumerate(feeding.drives):
@@ -82,17 +86,27 @@ def watchdog_plans(roster: Roster, timing: LineTiming) -> list[WatchdogPlan]:
         alike = (stream.cost_s, stream.every_s, stream.blocked_s, low_s)
         if alike not in known:
             known[alike] = (
-                _least(feeding, number, low_s, 0),
-                _least(feeding, number, low_s, AWAY_ATTEMPTS),
+                _least(feeding, number, low_s, None),
+                _least(feeding, number, low_s, AWAY_ATTEMPTS + 1),
             )
         least_s, outlasts_s = known[alike]
         time_s = watched_s(drive) or 0.0
         left_s = max(time_s - restart_s, 0.0)
-        plans.append(WatchdogPlan(drive.name, time_s, stream.cost_s, least_s, outlasts_s, left_s))
+        plans.append(
+            WatchdogPlan(drive.name, time_s, stream.cost_s, least_s, outlasts_s, left_s, lost)
+        )
     return plans
 
 
-def _least(feeding: Feeding, number: int, low_s: float, lost: int) -> float | None:
+def _lost(feeding: Feeding) -> int:
+    """Count the lost answers within a watchdog time that all watchdogs outlast."""
+    found = 0
+    while found < MOST_LOST and feeding.holds(lost=found + 1):
+        found += 1
+    return found
+
+
+def _least(feeding: Feeding, number: int, low_s: float, lost: int | None) -> float | None:
     def holds(time_s: float) -> bool:
         return feeding.with_time(number, time_s).holds(lost=lost)
 

@@ -6,6 +6,7 @@ work, a cost in seconds and a deadline.
 """
 
 from lecombus.schedule.cadence import Cyclic, Entry
+from lecombus.schedule.faults import Faults
 from lecombus.schedule.feeds import Feed, Feeding
 from lecombus.schedule.request import Outcome, Priority, Request, Settle
 from lecombus.schedule.schedule import Schedule
@@ -14,6 +15,7 @@ from lecombus.schedule.stats import FeedStats, ScheduleStats
 __all__ = [
     "Cyclic",
     "Entry",
+    "Faults",
     "Feed",
     "FeedStats",
     "Feeding",

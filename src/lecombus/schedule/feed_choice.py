@@ -103,4 +103,5 @@ class FeedChoice:
             return True
         if not feed.outlasts(now_s, request.worst_s):
             return False
-        return self._feeds.fits(now_s, request.worst_s, feed.drive)
+        feeds = self._feeds
+        return feeds.fits(now_s, feeds.need_s(request.cost_s, request.worst_s), feed.drive)

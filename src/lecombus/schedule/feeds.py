@@ -33,6 +33,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Final
 
+from lecombus.schedule.faults import Faults
 from lecombus.schedule.feed_costs import FeedCosts
 from lecombus.schedule.request import Request
 
@@ -200,9 +201,14 @@ class Feed:
 class Feeds:
     """The watchdogs of all drives of a line."""
 
-    __slots__ = ("_due_from_s", "_latest_end_s", "_left_out", "_spare_s", "by_drive", "by_manual")
+    __slots__ = (
+        "_due_from_s", "_latest_end_s", "_left_out", "_lost", "_spare_s", "by_drive", "by_manual",
+        "faults",
+    )  # fmt: skip
 
-    def __init__(self) -> None:
+    def __init__(self, faults: Faults | None = None) -> None:
+        self.faults = faults or Faults()
+        self._lost: tuple[float, float, float] | None = None  # see `need_s`; None: to be computed
         self.by_drive: dict[str, Feed] = {}
         self._latest_end_s = math.inf  # a lower bound of L, see above
         self._due_from_s = math.inf  # a lower bound: no feed is due before
@@ -224,7 +230,23 @@ class Feeds:
         for feed in self.by_drive.values():
             feed.cost_s, feed.worst_s = feed.costs.told if manual else feed.costs.measured
         self._latest_end_s = self._due_from_s = -math.inf
-        self._spare_s = None
+        self._spare_s = self._lost = None
+
+    def need_s(self, cost_s: float, worst_s: float) -> float:
+        """Tell how much slack it takes to begin an exchange: room for what may be lost, seconds.
+
+        Never more than there ever is, if the exchange fits at all: it must begin at some time.
+        """
+        if self._lost is None:
+            active = [feed for feed in self.by_drive.values() if feed.active]
+            self._lost = (
+                max((feed.worst_s for feed in active), default=0.0),
+                (1.0 - HARD_PART) * min((feed.time_s for feed in active), default=0.0),
+                self.most_s("")[0],
+            )
+        lost_s, tenth_s, most_s = self._lost
+        need_s = self.faults.need_s(cost_s, worst_s, lost_s, tenth_s)
+        return max(min(need_s, most_s - ROUNDING_S), worst_s)
 
     @property
     def is_measured(self) -> bool:

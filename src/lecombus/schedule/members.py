@@ -19,6 +19,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 
 from lecombus.schedule.cadence import Cadence, Cyclic, Entry
+from lecombus.schedule.faults import Faults
 from lecombus.schedule.feeds import Feed, Feeding, Feeds
 from lecombus.schedule.request import Outcome, Priority, Request
 from lecombus.schedule.shares import Probe, Probes
@@ -48,6 +49,12 @@ class Members(ABC):
         """Forget a choice made beforehand: something changed."""
 
     # -- what the line has ------------------------------------------------------------------------
+
+    def expect(self, faults: Faults) -> None:
+        """Keep room for such faults from now on, beside the exchange that is begun."""
+        self._spoil()
+        self._feeds.faults = faults
+        self._feeds.changed()
 
     def add_drive(self, name: str) -> None:
         """Make a drive known."""

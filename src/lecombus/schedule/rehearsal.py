@@ -186,4 +186,5 @@ class Rehearsal:
         spare_s = feeds.spare_s()
         if type(chosen.source) is Entry:
             spare_s *= SOON
-        return feeds.latest_end_s - max(chosen.worst_s, spare_s)
+        need_s = feeds.need_s(chosen.cost_s, chosen.worst_s)
+        return feeds.latest_end_s - max(need_s, spare_s)

@@ -216,7 +216,8 @@ class Schedule(Members):
         own = feeds.own_first(now_s, request.worst_s, request.drive)
         if own is not None:
             return to_feed(self._feed_choice.plain(own))
-        fits = feeds.fits(now_s, request.worst_s, request.drive)
+        need_s = feeds.need_s(request.cost_s, request.worst_s)
+        fits = feeds.fits(now_s, need_s, request.drive)
         late = feeds.late(now_s)
         if late is not None:
             return to_feed(self._feed_choice.telegram(late, now_s))
@@ -237,7 +238,8 @@ class Schedule(Members):
             self._refuse(request, reason, now_s)
             return None
         if request.rooms < ROOMS_PER_FEED * len(feeds.by_drive):
-            feed = feeds.room(now_s, request.worst_s, request.drive)
+            need_s = feeds.need_s(request.cost_s, request.worst_s)
+            feed = feeds.room(now_s, need_s, request.drive)
             if feed is not None:
                 request.rooms += 1
                 return to_feed(self._feed_choice.telegram(feed, now_s))
@@ -257,7 +259,8 @@ class Schedule(Members):
             return None
         feeds.count_by(manual=True)
         try:
-            if not feeds.fits(now_s, request.worst_s, request.drive):
+            need_s = feeds.need_s(request.cost_s, request.worst_s)
+            if not feeds.fits(now_s, need_s, request.drive):
                 return self._make_room(request, now_s)
         finally:
             feeds.count_by(manual=False)

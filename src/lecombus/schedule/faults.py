@@ -1,0 +1,48 @@
+"""The fault hypothesis of a line: how many answers may be lost, and the room that is kept for them.
+
+An exchange is begun only if the watchdogs outlast what may be lost from then on. If its own answer
+is lost, it takes its longest, and all but one of the lost answers that are tolerated may be those
+of the feeds after it. If it is answered, all of them may be. A stop waits for nobody; it and its
+lost answer may use the last tenth of a watchdog time, and room is kept for what that does not hold.
+With none to be tolerated an exchange is begun if the watchdogs outlast its own lost answer.
+
+The roster was accepted by the same sum (`config.feeding`).
+
+Pure: seconds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["Faults"]
+
+
+@dataclass(frozen=True, slots=True)
+class Faults:
+    """What may be lost within any watchdog time.
+
+    Args:
+        tolerate: So many answers.
+        stop_s: The longest stop with its proof, seconds.
+        stop_failed_s: The longest telegram of a stop that is not answered, seconds.
+    """
+
+    tolerate: int = 0
+    stop_s: float = 0.0
+    stop_failed_s: float = 0.0
+
+    def need_s(self, cost_s: float, worst_s: float, lost_s: float, tenth_s: float) -> float:
+        """Tell how much slack it takes to begin an exchange, seconds.
+
+        Args:
+            cost_s: It is answered.
+            worst_s: It is not answered.
+            lost_s: The longest feed that is not answered.
+            tenth_s: A tenth of the shortest watchdog time.
+        """
+        if not self.tolerate:
+            return worst_s
+        more_s = (self.tolerate - 1) * lost_s
+        stop_s = max(lost_s + self.stop_s, self.stop_failed_s) - tenth_s
+        return more_s + max(worst_s, cost_s + max(lost_s, stop_s))
