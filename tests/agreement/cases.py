@@ -135,7 +135,7 @@ CASES = (
     Case(
         "shortest watchdogs",
         "baud: 19200, turnaround: 2ms",
-        _drives(["smvector"] * 8, ", cyclic: []", "510ms"),
+        _drives(["smvector"] * 8, ", cyclic: []", "520ms"),
         frozenset({"failed exchange", "stop", "feed distance"}),
     ),
     Case(

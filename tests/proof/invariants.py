@@ -25,6 +25,7 @@ from lecombus.simulator.line import SimLine
 from lecombus.simulator.receiver import Heard
 from lecombus.site import Site
 from proof.lines import RandomLine
+from proof.losses import Losses, TolerantLine
 from proof.outcomes import Outcomes
 from proof.pauses import Pauses
 from proof.promises import Promises
@@ -74,6 +75,7 @@ class Invariants:
         self._asked = 0
         self._answered = 0
         self._begun = False
+        self._losses = Losses(line, sim, site) if isinstance(line, TolerantLine) else None
 
     # -- what the world tells ----------------------------------------------------------------
 
@@ -114,6 +116,8 @@ class Invariants:
         self._pauses.said(telegram)
         self._sayings.said(telegram)
         if self._begun:
+            if self._losses is not None:
+                self._losses.said(telegram.address, now_s)
             self._stops.said(self._addresses.get(telegram.address, ""), now_s)
 
     def heard(self, data: bytes) -> None:

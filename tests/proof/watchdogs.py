@@ -3,7 +3,8 @@
 Only the drives know when theirs acts; it is looked at with every exchange. Not counted are drives
 that went away, and what follows from the first telegram of a stop that is not answered: it waits
 for nothing, because its drive is supposed to be there, and nothing keeps room for it. That excuse
-lasts until the feeds have had one round; what comes later is held against the line.
+lasts until the feeds have had one round; what comes later is held against the line. There is no
+excuse where no more answers are lost than the roster's hypothesis allows (`losses`).
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ class Watchdogs:
         self, line: RandomLine, plan: Plan, sim: SimLine, say: Callable[[str], None]
     ) -> None:
         self._judged = line.kind != "faulty"
+        self._excuses = line.kind != "tolerant"
         self._round_s = plan.silent_stop.quiet_s
         self._say = say
         guarded = {drive.name for drive in line.roster.drives if watched_s(drive) is not None}
@@ -57,7 +59,7 @@ class Watchdogs:
         """Look whether one acted during or since the last exchange."""
         answered = report.result.kind is ResultKind.ANSWERED
         stop = report.priority is Priority.STOP and not report.members
-        if stop and not answered and report.drive not in self._silent:
+        if self._excuses and stop and not answered and report.drive not in self._silent:
             self._silent.add(report.drive)
             over_s = report.result.ended_s + report.quarantined_s + self._round_s
             self._excused_until_s = max(self._excused_until_s, over_s)

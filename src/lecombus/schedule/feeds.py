@@ -172,7 +172,8 @@ class Feed:
         pause_s = min(left_s / 2, left_s - spare * self.worst_s)
         # One lost answer is no reason to be late: if need be it is asked again at once.
         least_s = 0.0 if self.failures == 1 else RETRY_LEAST_S
-        self.retry_at_s = now_s + max(pause_s, least_s)
+        pause_s = max(pause_s, least_s)
+        self.retry_at_s = now_s + pause_s if pause_s > 0.0 else -math.inf
 
     def outlasts(self, now_s: float, worst_s: float) -> bool:
         """Tell whether a vain exchange with the drive would leave time to feed it afterwards.

@@ -1,0 +1,125 @@
+"""Loses answers at the worst moments, exactly as many within a watchdog time as it is told.
+
+One loss follows the other: the first when the watchdogs have least time left for it, or when a stop
+is under way; the others hit what goes out directly after it, which by then is mostly feeds. Then
+none for as long as the longest watchdog time. Half of the answers are lost on the way back; else
+the drive has not heard the question, and is not fed by it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from random import Random
+
+from lecombus.config import Roster, parse_roster
+from lecombus.config.exchanges import watched_s
+from lecombus.config.feeding import feeding_of, least_time_s
+from lecombus.schedule import Priority
+from lecombus.simulator.faults import Faults
+from lecombus.simulator.line import SimLine
+from lecombus.site import Site
+from proof.lines import ADDRESSES, FAMILIES, RandomLine
+
+__all__ = ["Losses", "TolerantLine", "tolerant_line"]
+
+NEAR = 1.2
+"""An exchange that leaves the watchdogs no more than this part of the least seen is hit."""
+LEARNT_IN = 3.0
+"""Watchdog times after which the least seen is forgotten: the load has changed."""
+
+
+@dataclass(frozen=True)
+class TolerantLine(RandomLine):
+    """A line whose watchdogs are as short as the roster's hypothesis allows.
+
+    Args:
+        losses: So many answers are lost within any watchdog time.
+    """
+
+    losses: int = 0
+
+    @property
+    def is_saturated(self) -> bool:
+        """Whether clients also write setpoints as fast as they are done."""
+        return self.seed % 2 == 0
+
+
+def tolerant_line(seed: int, *, tolerate: int, losses: int, length_s: float) -> TolerantLine:
+    """Draw a line whose watchdogs just outlast so many lost answers."""
+    random = Random(seed)
+    count = random.choice((2, 3, 5, 8, 12, 20, 31))
+    drives = sorted(
+        {random.choice(ADDRESSES): random.choice(FAMILIES) for _ in range(count)}.items()
+    )
+    baud = random.choice((1200, 4800, 9600, 19200, 19200))
+    few = random.choice((", cyclic: []", "", ", cyclic: [{code: C0150, every: 1s}]"))
+
+    def roster(time_ms: int) -> Roster:
+        guard = f", watchdog: {{time: {time_ms}ms, action: quick-stop, configure: true}}{few}"
+        return parse_roster(
+            f"line: {{name: l, port: 'sim:', baud: {baud}, tolerate: {tolerate}}}\ndrives:\n"
+            + "".join(
+                f"  - {{name: d{address}, address: {address}, family: {kind}{guard}}}\n"
+                for address, kind in drives
+            ),
+            "r.yaml",
+        )
+
+    least_s = least_time_s(feeding_of(roster(60000)), all_alike=True)
+    assert least_s is not None
+    return TolerantLine(
+        seed, "tolerant", roster(round(least_s * 1000)), "", length_s, losses=losses
+    )
+
+
+class Losses:
+    """Loses the answers of one line.
+
+    Args:
+        line: The line.
+        sim: Its drives.
+        site: What runs it.
+    """
+
+    def __init__(self, line: TolerantLine, sim: SimLine, site: Site) -> None:
+        self._count = line.losses
+        self._sim = sim
+        self._site = site
+        self._random = Random(line.seed + 2)
+        self._time_s = max(watched_s(drive) or 0.0 for drive in line.roster.drives)
+        self._left = 0  # of this burst
+        self._next_s = 0.0
+        self._least_s = float("inf")
+        self._least_at_s = 0.0
+        self.lost = 0
+
+    def said(self, address: int, now_s: float) -> None:
+        """A telegram goes out; decide whether its answer is lost."""
+        self._sim.drive_faults.clear()
+        if now_s < self._next_s:
+            return
+        if not self._left and self._is_worst(now_s):
+            self._left = self._count
+        if self._left and address % 10:
+            self._left -= 1
+            self.lost += 1
+            way = "lost" if self._random.random() < 0.5 else "unheard"
+            self._sim.drive_faults[address] = replace(Faults(), **{way: 1.0})
+            if not self._left:
+                self._next_s = now_s + self._time_s
+                self._least_s = float("inf")
+
+    def _is_worst(self, now_s: float) -> bool:
+        under_way = self._site.worker.talk._under_way
+        if under_way is None or not self._count:
+            return False
+        request = under_way[0]
+        if request.priority is Priority.STOP:
+            return self._random.random() < 0.3
+        left_s = self._site.schedule._feeds.slack_s(now_s) - request.worst_s
+        if now_s > self._least_at_s + LEARNT_IN * self._time_s:
+            self._least_s = float("inf")
+        if left_s < self._least_s:
+            self._least_s, self._least_at_s = left_s, now_s
+            return False
+        return left_s <= max(NEAR * self._least_s, self._least_s + 0.005)
