@@ -8,7 +8,7 @@ the drive has not heard the question, and is not fed by it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from random import Random
 
 from lecombus.config import Roster, parse_roster
@@ -103,8 +103,8 @@ class Losses:
         if self._left and address % 10:
             self._left -= 1
             self.lost += 1
-            way = "lost" if self._random.random() < 0.5 else "unheard"
-            self._sim.drive_faults[address] = replace(Faults(), **{way: 1.0})
+            heard = self._random.random() < 0.5
+            self._sim.drive_faults[address] = Faults(lost=1.0) if heard else Faults(unheard=1.0)
             if not self._left:
                 self._next_s = now_s + self._time_s
                 self._least_s = float("inf")
