@@ -242,7 +242,7 @@ MUTANTS: dict[str, Mutant] = {
         "advance",
         "type(answer) is AckAnswer",
         "answer is not None",
-        (15, 67),
+        (255, 231, 327),
         quick=True,
     ),
     # -- what is shown --------------------------------------------------------------------------
