@@ -512,7 +512,11 @@ def test_a_device_that_may_not_be_opened_names_the_group(
     async def main() -> None:
         await open_serial(settings(pty), Heard())
 
+    Path(pty.path).chmod(0o660)
     with pytest.raises(LineLostError, match=f"in group {Path(pty.path).group()}"):
+        run(main)
+    Path(pty.path).chmod(0o600)
+    with pytest.raises(LineLostError, match="only its owner may open it"):
         run(main)
 
 
@@ -520,7 +524,7 @@ def test_a_driver_without_rs485_mode_is_refused_with_what_to_do(pty: Pty) -> Non
     async def main() -> None:
         await open_serial(settings(pty, direction="kernel"), Heard())
 
-    with pytest.raises(LineLostError, match=r"direction: kernel.*`direction: adapter`"):
+    with pytest.raises(LineLostError, match=r"direction `kernel`.*direction `adapter`"):
         run(main)
 
 
@@ -565,7 +569,7 @@ def test_a_device_that_does_not_frame_7e1_is_refused_with_what_to_do(
             (await open_serial(settings(pty), Heard())).abort()
         await open_serial(settings(pty, parity="port"), Heard())
 
-    with pytest.raises(LineLostError, match="does not frame 7E1; use `parity: line`"):
+    with pytest.raises(LineLostError, match="does not frame 7E1; parity `line` needs no such device"):
         run(main)
 
 
@@ -606,7 +610,7 @@ def test_a_device_without_rts_is_refused_for_rts(pty: Pty) -> None:
     async def main() -> None:
         await open_serial(settings(pty, direction="rts"), Heard())
 
-    with pytest.raises(LineLostError, match="no RTS line; use `direction: adapter`"):
+    with pytest.raises(LineLostError, match="no RTS line; direction `adapter` needs none"):
         run(main)
 
 

@@ -28,9 +28,9 @@ def demo(log: Path, port: int) -> Iterator[subprocess.Popen[bytes]]:
 
 
 def values_shown(text: str) -> set[str]:
-    """Drives whose row shows a state, a frequency and a status word."""
+    """Drives whose row shows a state, a frequency (a 93XX has none) and a status word."""
     return set(
-        re.findall(r"^(\w+) .*?(?:online|starting) +[\d.]+(?: Hz)? +H[0-9A-F]{4}", text, re.M)
+        re.findall(r"^(\w+) .*?(?:online|starting) +(?:[\d.]+(?: Hz)?|-) +H[0-9A-F]{4}", text, re.M)
     )
 
 

@@ -150,7 +150,7 @@ def test_a_drive_is_looked_at(control: Control, line: SimLine) -> None:
         ("jump", "there is no `jump`: one of help, drives"),
         ("help jump", "there is no `jump`"),
         ("trip feeder", r"write trip DRIVE NUMBER \[stays\]"),
-        ("trip feedr 50", "there is no drive `feedr`: one of feeder, belt, servo"),
+        ("trip feedr 50", "there is no drive `feedr`: did you mean feeder?"),
         ("trip feeder 5x", "`5x` is not a LECOM fault number"),
         ("trip feeder 37", "no fault has the number 37 here: 11, 12"),
         ("trip feeder 50 always", "`always`"),
