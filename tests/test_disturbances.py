@@ -37,7 +37,7 @@ def check(size: int, name: str) -> None:
         await plant.online()
         await anyio.sleep(30.0)
         before = await look(plant, 10)
-        assert before.worse_than(Picture(wrote_s={"": 0.2})) == []
+        assert before.worse_than(Picture(wrote_s={"": 0.3})) == []
         await PATTERNS[name].happen(plant)
         for _ in range(int(AFTER_S)):
             plant.site.note_cadence()

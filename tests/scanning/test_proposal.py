@@ -42,7 +42,7 @@ def test_drives_stand_in_the_order_of_their_addresses_with_what_they_said() -> N
     [
         (FoundWatchdog(2.0, "quick-stop"), WatchdogEntry(time_s=2.0, action="quick-stop")),
         (FoundWatchdog(65.535, "inhibit"), WatchdogEntry(time_s=65.535, action="inhibit")),
-        (FoundWatchdog(0.06, "inhibit"), WatchdogEntry(time_s=0.06, action="inhibit")),
+        (FoundWatchdog(0.4, "inhibit"), WatchdogEntry(time_s=0.4, action="inhibit")),
         (FoundWatchdog(3.0, "none"), None),
         (FoundWatchdog(0.0, "inhibit"), None),
         (FoundWatchdog(0.01, "inhibit"), None),
