@@ -248,17 +248,37 @@ def test_where_extended_addressing_is_ruled_out_nothing_is_believed_and_nothing_
 def test_a_drive_whose_identity_the_line_has_no_time_for_works_all_the_same() -> None:
     """Reading a string may hold the line for longer than the others' watchdogs can wait."""
     drives = [(f"d{address}", address, "smvector") for address in range(1, 5)]
-    roster = roster_of(drives, baud=1200, watchdog="{time: 1400ms, action: quick-stop}")
+    roster = roster_of(drives, baud=1200, watchdog="{time: 2000ms, action: quick-stop}")
 
     async def test(plant: Plant) -> None:
         for drive in plant.line.drives:
-            drive.model.params.set(1425, "1400")
+            drive.model.params.set(1425, "2000")
             drive.model.params.set(1426, "2")
         await plant.online()
         remarks = plant.site.store.drive("d1").remarks.values()
         assert any("who it is cannot be checked" in text for text in remarks), remarks
         assert plant.site.store.drive("d1").write_lock is None
         assert all(drive.watchdog_fired <= 1 for drive in plant.line.drives)
+
+    with_plant(test, roster)
+
+
+@pytest.mark.parametrize(("baud", "time_ms"), [(1200, 300), (1200, 500), (9600, 60), (9600, 150)])
+def test_a_drive_whose_feed_takes_much_of_its_watchdog_time_comes_online(
+    baud: int, time_ms: int
+) -> None:
+    """Its own feed goes before a longer exchange with it, but not for ever."""
+    watchdog = f"{{time: {time_ms}ms, action: quick-stop}}"
+    roster = roster_of(
+        [("a", 11, "smvector")], baud=baud, line=", tolerate: 0", watchdog=watchdog
+    )
+
+    async def test(plant: Plant) -> None:
+        plant.line["a"].model.params.set(1425, str(time_ms))
+        plant.line["a"].model.params.set(1426, "2")
+        await plant.online()
+        assert plant.site.store.drive("a").write_lock is None
+        assert plant.line["a"].watchdog_fired <= 1
 
     with_plant(test, roster)
 

@@ -44,6 +44,9 @@ __all__ = ["Schedule"]
 REFUSE_BATCH: Final = 16  # requests refused per choice for want of slack
 # Feeds run to let one request fit, per fed drive, before it is put off for a while.
 ROOMS_PER_FEED: Final = 4
+# Feeds of its own drive run before one exchange: where feeds take so long that its watchdog never
+# outlasts the exchange, more are of no use, and it would never begin.
+OWN_FEEDS: Final = 2
 # Of the longest that ever fits: so long an exchange with a drive that was measured may be.
 MEASURED_PART: Final = 0.5
 BY_MANUAL_PART: Final = 0.5  # of the shortest watchdog time: see `_admit_by_manual`
@@ -214,7 +217,8 @@ class Schedule(Members):
         """Let a request go if no watchdog can suffer; else run what must go first, or end it."""
         feeds = self._feeds
         own = feeds.own_first(now_s, request.worst_s, request.drive)
-        if own is not None:
+        if own is not None and request.own_feeds < OWN_FEEDS:
+            request.own_feeds += 1
             return to_feed(self._feed_choice.plain(own))
         need_s = feeds.need_s(request.cost_s, request.worst_s)
         fits = feeds.fits(now_s, need_s, request.drive)
@@ -304,6 +308,7 @@ class Schedule(Members):
             elif type(source) is Probe:
                 self._probes.take(source, now_s)
         request.state = UNDER_WAY
+        request.own_feeds = 0
         self._speaking_to = request.drive
         drive = self._drives.get(request.drive)
         if drive is not None and drive.kept:
