@@ -153,6 +153,25 @@ def test_members_that_answer_in_shortened_time_are_left_alone_after_a_multicast(
     with_rig(test, (("a", 11, "820x"), ("b", 12, "820x")))
 
 
+@pytest.mark.parametrize("faults", ["", "lost=1", "noise=1", "half=1"])
+def test_a_drive_is_left_alone_after_a_write_whatever_came_back(faults: str) -> None:
+    """The drive has taken the write though nobody understood that it said so."""
+
+    async def test(rig: Rig) -> None:
+        plain = rig.stations["a"]
+        rig.stations["a"] = Station("a", plain.address, plain.family, plain.forms, hold_s=0.230)
+        rig.write("a", 46, "20")
+        rig.read("a", 150)
+
+        def to_it() -> list[float]:
+            return [one.at_s for one in rig.sent if one.data[1:3] == b"11"]
+
+        await until(lambda: len(to_it()) > 1)
+        assert to_it()[1] - to_it()[0] >= 0.230
+
+    with_rig(test, (("a", 11, "820x"),), faults=faults)
+
+
 # ---- echo -----------------------------------------------------------------------------------
 
 

@@ -12,6 +12,7 @@ from lecombus.config.exchanges import Times, feed_times, read_times, watched_s
 from lecombus.config.feeding import faults_of
 from lecombus.drives.measured import SlowAnswers
 from lecombus.planning import make_plan
+from lecombus.planning.ahead import NO_EXCHANGE
 from lecombus.planning.waits import LATENESS_S
 from lecombus.protocol.addressing import Code
 from lecombus.schedule import Cyclic, Feeding, Outcome, Priority, Request, Schedule
@@ -185,3 +186,20 @@ def test_a_stop_waits_for_feeds_that_there_is_never_time_for() -> None:
     stop = make_plan(slow).wait("stop")
     assert stop.quiet_s >= feed_times(late, line_timing(slow.line)).given_up_s > 0.4
     assert stop.loaded_s >= stop.quiet_s
+
+
+def test_no_exchange_is_promised_to_take_no_time() -> None:
+    """Beside such feeds there is never room for one: what stands for a feed goes all the same."""
+    roster = roster_of(3, time="10s", baud=1200)
+    short = [
+        one.model_copy(update={"watchdog": one.watchdog.model_copy(update={"time_s": 0.25})})
+        for one in roster.drives
+        if one.watchdog is not None
+    ]
+    plan = make_plan(roster.model_copy(update={"drives": tuple(short)}))
+    for name in ("control", "interactive", "background"):
+        assert plan.wait(name).own_s > 0.2
+
+
+def test_no_promise_is_made_for_what_is_never_begun() -> None:
+    assert math.isinf(Longest.takes_s)

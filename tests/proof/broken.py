@@ -172,7 +172,7 @@ def _seldom() -> list[Patch]:
 
 def _last_moment() -> list[Patch]:
     """Feeds at the very end of a watchdog's time."""
-    return [(feeds, "HARD_PART", 0.99)]
+    return [(feeds, "SOFT_PART", 0.97), (feeds, "HARD_PART", 0.99)]
 
 
 @dataclasses.dataclass(frozen=True)

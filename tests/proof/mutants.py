@@ -175,9 +175,17 @@ MUTANTS: dict[str, Mutant] = {
     "no hold after a write": Mutant(
         Talk,
         "_conclude",
-        "if question.hold_s and answered:",
+        "if question.hold_s and result.kind is not ResultKind.LOST:",
         "if False:",
         (18, 107),
+        quick=True,
+    ),
+    "no hold after a write whose acknowledgement was not understood": Mutant(
+        Talk,
+        "_conclude",
+        "if question.hold_s and result.kind is not ResultKind.LOST:",
+        "if question.hold_s and answered:",
+        (35, 7),
         quick=True,
     ),
     "a multicast leaves its members no time": Mutant(

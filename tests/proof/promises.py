@@ -15,6 +15,7 @@ The promises hold while all drives answer: lines with trouble are not judged her
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from lecombus.config import line_timing
@@ -75,6 +76,9 @@ class Promises:
         self._promised_for = OWN_WORK if quiet else OWN_WORK | {Priority.BACKGROUND}
         self._asked: list[tuple[float, float]] = []
         self._pause_s = line.roster.line.turnaround_s
+        self._slots = {
+            (drive.name, str(entry.code)) for drive in line.roster.drives for entry in drive.cyclic
+        }
         self._gaps: dict[tuple[str, str], float] = {}
         if Priority.CYCLIC in self._waits:
             self._promise_gaps(line, plan, self._waits[Priority.CYCLIC][1])
@@ -110,7 +114,10 @@ class Promises:
         if not self._judged or report.result.kind is ResultKind.LOST:
             return
         name, promised_s = self._waits.get(report.priority, ("", 0.0))
-        if report.priority not in self._promised_for:
+        is_promised = report.priority in self._promised_for
+        if report.priority is Priority.CYCLIC and not self._is_slot(report):
+            name, is_promised = "", False
+        if not is_promised:
             self._asked.append((report.result.ended_s, report.result.started_s))
         if name:
             if name == "cyclic" and report.waited_s > promised_s:
@@ -120,6 +127,10 @@ class Promises:
             self._judge(OWN[name], report.drive, took_s, own_s)
         if isinstance(report.result.answer, ValueAnswer):
             self._value(report.drive, str(report.step.code), report.result.ended_s)
+
+    def _is_slot(self, report: ExchangeReport) -> bool:
+        """Whether it is a cyclic read; why a drive refused a write is asked for in that class."""
+        return (report.drive, str(report.step.code)) in self._slots
 
     def _value(self, drive: str, code: str, at_s: float) -> None:
         since_s = self._good.get((drive, code))
@@ -150,9 +161,7 @@ class Promises:
             self._judge("feed", name, at_s - since_s, within_s)
 
     def _judge(self, row: str, drive: str, measured_s: float, promised_s: float) -> None:
-        if not promised_s:  # open: the plan takes it that none is ever begun (docs/timing.md)
-            return
-        part = measured_s / promised_s
+        part = measured_s / promised_s if promised_s else measured_s and math.inf
         if part > self.most.get(row, 0.0):
             self.most[row] = part
         if measured_s > promised_s + ROUNDING_S:

@@ -19,7 +19,6 @@ LENGTH_S = 60.0
 HOURS = 8.0
 CHUNKS = 10
 OPEN = {
-    87: "a module that is busy with a write is asked too soon where its ACK was not understood",
     29: "a watchdog acts where four clients write setpoints as fast as they are done",
 }
 """Lines that show a defect which is not mended yet, and which (docs/timing.md)."""

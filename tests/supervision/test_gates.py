@@ -263,15 +263,15 @@ def test_a_drive_whose_identity_the_line_has_no_time_for_works_all_the_same() ->
     with_plant(test, roster)
 
 
-@pytest.mark.parametrize(("baud", "time_ms"), [(1200, 300), (1200, 500), (9600, 60), (9600, 150)])
+@pytest.mark.parametrize(
+    ("baud", "time_ms"), [(1200, 300), (1200, 400), (1200, 500), (9600, 60), (9600, 150)]
+)
 def test_a_drive_whose_feed_takes_much_of_its_watchdog_time_comes_online(
     baud: int, time_ms: int
 ) -> None:
     """Its own feed goes before a longer exchange with it, but not for ever."""
     watchdog = f"{{time: {time_ms}ms, action: quick-stop}}"
-    roster = roster_of(
-        [("a", 11, "smvector")], baud=baud, line=", tolerate: 0", watchdog=watchdog
-    )
+    roster = roster_of([("a", 11, "smvector")], baud=baud, line=", tolerate: 0", watchdog=watchdog)
 
     async def test(plant: Plant) -> None:
         plant.line["a"].model.params.set(1425, str(time_ms))

@@ -426,8 +426,10 @@ class Talk:
             self._aftermath.put_off(request, job, question, result)
             return
         self._aftermath.report(request, job, question, result, quarantined_s)
-        if question.hold_s and answered:
-            self._schedule.hold(request.drive, ended + question.hold_s, ended)
+        if question.hold_s and result.kind is not ResultKind.LOST:
+            # Its acknowledgement may have come though it was not understood, or not heard at all.
+            taken_s = ended if answered else min(ended, result.started_s + question.ask.late_s)
+            self._schedule.hold(request.drive, taken_s + question.hold_s, ended)
         if type(job) is MulticastJob:
             for drive, hold_s in job.holds.items():
                 self._schedule.hold(drive, ended + hold_s, ended)

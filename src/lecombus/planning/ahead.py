@@ -64,6 +64,14 @@ class Longest:
         """Say what it is, such as `C1923 of feeder`."""
         return f"{self.code} of {self.drive}"
 
+    @property
+    def takes_s(self) -> float:
+        """How long it holds the line at most, seconds; infinite: no promise, as there is none."""
+        return self.times.worst_s if self.drive else math.inf
+
+
+NO_EXCHANGE: Final = Longest("", Code(0), Times(0.0, 0.0, 0.0))
+
 
 @dataclass(frozen=True, slots=True)
 class Blocking:
@@ -190,15 +198,22 @@ def ahead_on(roster: Roster, timing: LineTiming) -> Ahead:
 
 
 def _longest(feeds: Feeds, found: Iterable[Longest]) -> Longest:
-    """Find the longest exchange that is ever begun."""
+    """Find the longest exchange that is ever begun: there is room for it, or it goes as a feed."""
     most_s: dict[str, float] = {}
     begun = []
     for one in found:
         if one.drive not in most_s:
             most_s[one.drive] = feeds.most_s(one.drive)[0]
-        if one.times.worst_s <= most_s[one.drive]:
+        if one.times.worst_s <= most_s[one.drive] or _is_feed(feeds, one):
             begun.append(one)
-    return max(begun, key=_worst, default=Longest("", Code(0), Times(0.0, 0.0, 0.0)))
+    return max(begun, key=_worst, default=NO_EXCHANGE)
+
+
+def _is_feed(feeds: Feeds, one: Longest) -> bool:
+    """Whether it stands for a feed of its drive, for which no room is asked."""
+    feed = feeds.by_drive.get(one.drive)
+    longest_s = (0.0, 0.0) if feed is None else (feed.cost_s, feed.worst_s)
+    return one.times.usual_s <= longest_s[0] and one.times.worst_s <= longest_s[1]
 
 
 def _feeds_of(roster: Roster, timing: LineTiming) -> Feeds:

@@ -69,7 +69,7 @@ class ClassWait:
         name: The class.
         quiet_s: From a request until its telegram begins, nobody else asking.
         loaded_s: The same with every lower class full and drives being audited.
-        own_s: What its own exchange then takes at most.
+        own_s: What its own exchange then takes at most; infinite: none is ever begun.
         share: The part of the line that the class gets if it wants it, whatever others ask for;
             None: it waits for no share.
         crowded_s: From when a request is the first of its class until its telegram begins,
@@ -119,7 +119,7 @@ def _stop(ahead: Ahead, timing: LineTiming, stop_line_s: float) -> ClassWait:
 
 
 def _control(ahead: Ahead) -> ClassWait:
-    own_s = ahead.control.times.worst_s
+    own_s = ahead.control.takes_s
     text = "the exchange under way, not answered, and no feed: the watchdogs' spare outlasts it"
     if not ahead.feeds:
         text = "the exchange under way, not answered"
@@ -137,7 +137,7 @@ def _interactive(ahead: Ahead) -> ClassWait:
     quiet_s = response_s(0.0, once_s, _pressing(ahead, once_s + ahead.read.times.worst_s))
     loaded_s = response_s(0.0, _lost_s(ahead, ahead.any_exchange) + turn_s, ahead.feeds)
     return ClassWait(
-        "interactive", quiet_s + LATENESS_S, loaded_s + LATENESS_S, ahead.read.times.worst_s,
+        "interactive", quiet_s + LATENESS_S, loaded_s + LATENESS_S, ahead.read.takes_s,
         "the exchange under way, not answered, and feeds that may be due just then"
         if ahead.feeds
         else "the exchange under way, not answered",
@@ -183,7 +183,7 @@ def _background(ahead: Ahead) -> ClassWait:
     quiet_s = min(quiet_s, _until_earned(ahead, usual_s, lost_s))
     share, crowded_s = _guaranteed(ahead, Priority.BACKGROUND, ahead.read.times.usual_s)
     return ClassWait(
-        "background", quiet_s + LATENESS_S, crowded_s, ahead.read.times.worst_s,
+        "background", quiet_s + LATENESS_S, crowded_s, ahead.read.takes_s,
         "all reads and feeds that come meanwhile; under load, clients of all classes: until a "
         "twentieth of the line has been earned, and its turn has come",
         share, crowded_s,

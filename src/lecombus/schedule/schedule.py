@@ -44,9 +44,10 @@ __all__ = ["Schedule"]
 REFUSE_BATCH: Final = 16  # requests refused per choice for want of slack
 # Feeds run to let one request fit, per fed drive, before it is put off for a while.
 ROOMS_PER_FEED: Final = 4
-# Feeds of its own drive run before one exchange: where feeds take so long that its watchdog never
-# outlasts the exchange, more are of no use, and it would never begin.
-OWN_FEEDS: Final = 2
+# Feeds run before one exchange because its own drive's watchdog does not outlast it, and, per fed
+# drive, because one is late. Where feeds take much of the watchdog time that is always so: without
+# a bound the exchange would never begin.
+FEEDS_FIRST: Final = 2
 # Of the longest that ever fits: so long an exchange with a drive that was measured may be.
 MEASURED_PART: Final = 0.5
 BY_MANUAL_PART: Final = 0.5  # of the shortest watchdog time: see `_admit_by_manual`
@@ -217,13 +218,15 @@ class Schedule(Members):
         """Let a request go if no watchdog can suffer; else run what must go first, or end it."""
         feeds = self._feeds
         own = feeds.own_first(now_s, request.worst_s, request.drive)
-        if own is not None and request.own_feeds < OWN_FEEDS:
-            request.own_feeds += 1
+        if own is not None and request.fed_first < FEEDS_FIRST:
+            request.fed_first += 1
             return to_feed(self._feed_choice.plain(own))
         need_s = feeds.need_s(request.cost_s, request.worst_s)
         fits = feeds.fits(now_s, need_s, request.drive)
         late = feeds.late(now_s)
-        if late is not None:
+        count = 1 if late is not None and late.drive == request.drive else len(feeds.by_drive)
+        if late is not None and request.fed_first < FEEDS_FIRST * count:
+            request.fed_first += 1
             return to_feed(self._feed_choice.telegram(late, now_s))
         if fits:
             return request
@@ -308,7 +311,7 @@ class Schedule(Members):
             elif type(source) is Probe:
                 self._probes.take(source, now_s)
         request.state = UNDER_WAY
-        request.own_feeds = 0
+        request.fed_first = 0
         self._speaking_to = request.drive
         drive = self._drives.get(request.drive)
         if drive is not None and drive.kept:
