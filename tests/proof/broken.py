@@ -172,7 +172,8 @@ def _seldom() -> list[Patch]:
 
 def _last_moment() -> list[Patch]:
     """Feeds at the very end of a watchdog's time."""
-    return [(feeds, "SOFT_PART", 0.97), (feeds, "HARD_PART", 0.99)]
+    parts = {"SOFT_PART": 0.97, "HARD_PART": 0.99, "SPARE_PART": 0.0}
+    return [(feeds, name, part) for name, part in parts.items()]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -182,7 +183,7 @@ class Broken:
     Args:
         patches: Makes what is put in the place of what.
         words: Must stand in what is said to be broken.
-        seeds: Lines that show it.
+        seeds: Lines that show it, or one of which does.
     """
 
     patches: Callable[[], list[Patch]]
@@ -201,7 +202,7 @@ BROKEN = {
     "promises short waits": Broken(_short_waits, " waited ", (12, 36)),
     "promises short exchanges": Broken(_short_exchanges, "it took"),
     "reads seldom": Broken(_seldom, "was not read for", (64, 72)),
-    "feeds at the last moment": Broken(_last_moment, "was not fed for", (37,)),
+    "feeds at the last moment": Broken(_last_moment, "was not fed for", (4, 48, 28)),
 }
 
 
