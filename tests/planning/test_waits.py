@@ -202,4 +202,4 @@ def test_no_exchange_is_promised_to_take_no_time() -> None:
 
 
 def test_no_promise_is_made_for_what_is_never_begun() -> None:
-    assert math.isinf(Longest.takes_s)
+    assert math.isinf(NO_EXCHANGE.takes_s)
