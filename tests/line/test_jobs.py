@@ -12,7 +12,7 @@ from lecombus.errors import ExchangeError, NakError, NoReplyError, UnknownCodeEr
 from lecombus.line.duplicates import Duplicates
 from lecombus.line.jobs import MulticastJob, ReadJob, WriteJob
 from lecombus.line.station import Job, Station, Step, StepKind
-from lecombus.line.stop_job import StopJob
+from lecombus.line.stop_job import PAUSE_S, StopJob
 from lecombus.protocol.addressing import Code, Form, encode_code
 from lecombus.protocol.exchange import Result, ResultKind
 from lecombus.protocol.telegrams import AckAnswer, Answer, NakAnswer, UnknownCodeAnswer, ValueAnswer
@@ -380,6 +380,18 @@ def test_a_stop_is_repeated_at_once_and_then_read_back_all_the_same() -> None:
     assert asked == "150s 150e 9s", "two forms, and the one answer that is no other drive's"
     assert verdict == (VERIFIED, "inhibit: C0150 reads H0080")
     assert job.error is None
+
+
+def test_a_reading_that_shows_nothing_new_is_repeated_with_pauses() -> None:
+    """A form in which a late answer may still come is not asked for: the other one is."""
+    job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=2)
+    play(job, "none ack")
+    for pause_s in (0.0, PAUSE_S, PAUSE_S):
+        assert job.advance(value(150, "H0080")) is None
+        assert (job.step.code, job.pause_s) == (Code(150), pause_s)
+    extended = ValueAnswer(encode_code(Code(150), Form.EXTENDED), Value.parse("H0080"))
+    assert job.advance(answered(extended)) is None
+    assert (job.step.code, job.pause_s) == (Code(9), 0.0)
 
 
 def test_a_stop_refused_by_nak_is_repeated_and_read_back() -> None:

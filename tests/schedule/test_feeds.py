@@ -211,6 +211,20 @@ def test_what_one_lost_answer_makes_late_is_fed_before_its_watchdog_fires() -> N
     assert sum(feed.misses for feed in stats) > 0
 
 
+def test_a_drive_made_late_by_a_stop_is_fed_before_one_that_has_its_last_tenth_yet() -> None:
+    world = World().drives("a", "b", "c")
+    world.feed("a", 1.0, cost_s=0.05)
+    world.now_s = 0.1
+    world.feed("b", 1.0, cost_s=0.05)
+    world.now_s = 0.7
+    world.submit("c", P.STOP, cost_s=0.24, worst_s=0.24)
+    world.submit("c", P.CONTROL)
+    world.run(1.3)
+    stats = world.schedule.stats(world.now_s).feeds.values()
+    assert [sent.request.drive for sent in world.sent[1:3]] == ["a", "b"]
+    assert sum(feed.lapses for feed in stats) == 0
+
+
 def test_lost_answers_do_not_make_a_full_line_late() -> None:
     world = World().drives(*(names := [f"d{number}" for number in range(30)]))
     for name in names:

@@ -7,6 +7,7 @@ from itertools import pairwise
 import pytest
 
 from lecombus.schedule import Priority, Request
+from lecombus.schedule.faults import Faults
 from lecombus.schedule.feeds import HARD_PART
 from schedule.world import COST_S, WORST_S, World
 
@@ -205,3 +206,48 @@ def test_a_multicast_is_no_drive_and_never_silent() -> None:
     assert world.schedule.next(0.0) is shared
     world.schedule.finished(shared, 0.0, 0.1, reached=False)
     assert world.schedule._waiting.silent == set()
+
+
+def test_the_feed_of_a_held_drive_is_not_waited_for_until_the_own_watchdog_acts() -> None:
+    world = World().drives("a", "b")
+    world.schedule.expect(Faults(1))
+    world.feed("a", 1.0)
+    world.feed("b", 1.2)
+    world.now_s = 0.3
+    lose_one(world, "a", worst_s=0.4)
+    world.schedule.hold("b", 1.03, world.now_s)
+    world.run(2.0)
+    assert world.sent[1].at_s == pytest.approx(0.7)
+    assert fired(world) == []
+
+
+@pytest.mark.parametrize("is_gone", [False, True])
+def test_a_drive_that_missed_what_is_tolerated_is_stopped_before_its_watchdog_acts(
+    is_gone: bool,
+) -> None:
+    world = World().drives("a", *(names := [f"d{number}" for number in range(20)]))
+    world.schedule.expect(Faults(1))
+    world.feed("a", 1.0)
+    for name in names:
+        world.feed(name, 2.0)
+    world.now_s = 0.1
+    stop = lose_one(world, "a", worst_s=0.65)
+    world.silent = {"a"} if is_gone else set()
+    world.run(3.0)
+    first, second, third = (at for at, sent in enumerate(world.sent) if sent.request is stop)
+    assert world.sent[second].at_s <= HARD_PART * 1.0 - COST_S
+    assert {sent.request.priority for sent in world.sent[first + 1 : second]} == {P.WATCHDOG}
+    if is_gone:
+        assert third > second + 1, "it missed more than is tolerated: feeds go before its stop"
+    else:
+        assert fired(world) == []
+
+
+def lose_one(world: World, drive: str, worst_s: float) -> Request:
+    """Say a stop to a drive that does not hear it; it is said again at once."""
+    world.silent = {drive}
+    stop = world.submit(drive, P.STOP, worst_s=worst_s)
+    repeat(world, stop, 3)
+    world.step()
+    world.silent = set()
+    return stop

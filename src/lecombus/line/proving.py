@@ -38,12 +38,15 @@ class Proving:
     Attributes:
         acknowledged: The drive acknowledged the stop itself.
         silent: It did not answer before, or not always since.
+        repeated: The last reading showed what an earlier one had shown in the same form: the other
+            form may not be asked for while a late answer in it may still come.
     """
 
     def __init__(self, duplicates: Duplicates | None, *, silent: bool) -> None:
         self._duplicates = duplicates or Duplicates()
         self.silent = silent
         self.acknowledged = False
+        self.repeated = False
         self._shown: set[bytes] = set()
         self._is_itself = False
         self._has_no_address = False
@@ -52,6 +55,7 @@ class Proving:
 
     def said(self, *, acknowledged: bool) -> None:
         """Take note that the stop was said: what is read before it is acknowledged is too early."""
+        self.repeated = False
         if not self.acknowledged:
             self.acknowledged = acknowledged
             self._shown.clear()
@@ -72,6 +76,7 @@ class Proving:
 
     def take(self, station: Station, action: StopAction, answer: ValueAnswer, code: Code) -> bool:
         """Take a reading; say whether it shows what it should."""
+        self.repeated = answer.field in self._shown
         if code == address_code(station.family):
             self._asked_itself += 1
             self._is_itself = answer.value.number == station.address

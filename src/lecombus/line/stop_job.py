@@ -198,10 +198,11 @@ class StopJob:
         """How long the line is left to others before the next step, seconds.
 
         A module that acknowledges early hears nothing until it has passed the stop on: a proof
-        asked for sooner stays without an answer, and saying the stop again begins all anew.
+        asked for sooner stays without an answer, and saying the stop again begins all anew. A
+        reading that could only show what is known is no reason to keep others from the line.
         """
         if self._checking:
-            return self.station.hold_s
+            return max(self.station.hold_s, PAUSE_S if self._proving.repeated else 0.0)
         fresh = self._is_ready or max(self.attempts, self._failed_reads) <= self.retries
         return 0.0 if fresh else PAUSE_S
 

@@ -334,6 +334,16 @@ class Feeds:
             return None
         return None if own.outlasts(now_s, worst_s) or own.free_s() > now_s else own
 
+    def own_late(self, from_s: float, drive: str) -> bool:
+        """Tell whether a drive would be late if it were spoken to only from a time on.
+
+        One that has lost more answers than are tolerated is not counted: it may be gone.
+        """
+        own = self.by_drive.get(drive)
+        if own is None or not own.active or own.lapsed or own.failures > self.faults.tolerate:
+            return False
+        return from_s + own.cost_s > own.hard_s
+
     def never(self, worst_s: float, drive: str) -> str:
         """Say why an exchange with a drive can never run, if it cannot; else an empty text."""
         most_s, whose = self.most_s(drive)
@@ -387,7 +397,8 @@ class Feeds:
     def late(self, now_s: float, *, lapsed: bool = False, but: Collection[str] = ()) -> Feed | None:
         """Find a feed that is too late to be in time, though not for its watchdog, and may run.
 
-        It is left out of the slack check, so that nothing else would bring it forward.
+        It is left out of the slack check, so that nothing else would bring it forward. While its
+        watchdog can be kept, those that are in time may use the last tenth of theirs for it.
 
         Args:
             now_s: Monotonic seconds.
@@ -396,6 +407,13 @@ class Feeds:
         """
         if not self._left_out:
             return None
+        tenth_s = (1.0 - HARD_PART) * self.shortest_s()
+
+        def may_go(feed: Feed) -> bool:
+            if now_s + feed.cost_s <= feed.fed_at_s + feed.time_s:
+                return self.fits(now_s, feed.cost_s - tenth_s, feed.drive)
+            return lapsed and self.fits(now_s, feed.cost_s, feed.drive)
+
         found = [
             feed
             for feed in self.by_drive.values()
@@ -404,8 +422,7 @@ class Feeds:
             and feed.drive not in but
             and feed.failures < SPARE_ATTEMPTS
             and feed.free_s() <= now_s
-            and (lapsed or now_s + feed.cost_s <= feed.fed_at_s + feed.time_s)
-            and self.fits(now_s, feed.cost_s, feed.drive)
+            and may_go(feed)
         ]
         return min(found, key=_hard, default=None)
 

@@ -13,6 +13,10 @@ the attempts that another drive costs which goes away just then, the stop goes, 
 the watchdogs, for it may be the one telegram that is heard. A drive that is left alone for a moment
 (a hold) is waited for if its feed stands in the way, and fed.
 
+Nor does it wait for so long that its own drive's watchdog acts: that drive may be there, and what it
+has missed no more than the lost answers that are tolerated (faults.py). Its own feed does not go
+before its stop, so if one more wait would make it late, the stop goes, and feeds it.
+
 Whoever answers anything is no longer silent, and its stop goes first again. Which stops come
 before which stands in waiting.py.
 
@@ -76,9 +80,12 @@ class SilentStops:
             return stop
         feed = self._late(now_s) or feeds.room(now_s, self._needed_s(stop), stop.drive)
         if feed is not None:
-            return self._choice.plain(feed)
+            waits = not feeds.own_late(now_s + feed.cost_s, stop.drive)
+            return self._choice.plain(feed) if waits else stop
         held = feeds.first_held(now_s, stop.drive)
         if held is None or feeds.fits(now_s, stop.worst_s, stop.drive):
+            return stop
+        if feeds.own_late(held.held_until_s + held.cost_s, stop.drive):
             return stop
         self.wake_at_s = held.held_until_s
         stop.latest_s = max(stop.latest_s, held.held_until_s + held.cost_s - ROUNDING_S)
