@@ -10,8 +10,9 @@ from random import Random
 import pytest
 
 from lecombus.schedule import Outcome, Priority, Request
+from lecombus.schedule.faults import Faults
 from lecombus.schedule.feeds import HARD_PART, Feed, Feeding, Feeds
-from schedule.world import World
+from schedule.world import COST_S, WORST_S, World
 
 P = Priority
 
@@ -223,6 +224,24 @@ def test_a_drive_made_late_by_a_stop_is_fed_before_one_that_has_its_last_tenth_y
     stats = world.schedule.stats(world.now_s).feeds.values()
     assert [sent.request.drive for sent in world.sent[1:3]] == ["a", "b"]
     assert sum(feed.lapses for feed in stats) == 0
+
+
+def test_room_for_a_drive_is_not_made_until_its_own_lost_answer_would_make_it_late() -> None:
+    names = [f"d{number}" for number in range(20)]
+    world = World().drives("a", *names)
+    world.schedule.expect(Faults(1))
+    world.feed("a", 1.0)
+    for name in names:
+        world.feed(name, 1.05)
+    world.now_s = 0.42  # 20 feeds take until 0.82, and an answer lost then leaves no time for a
+    asked = world.submit("a", P.CONTROL)
+    while (sent := world.step()) is not None and sent.drive != "a":
+        pass
+    assert sent is not asked
+    assert world.sent[-1].at_s + WORST_S + COST_S <= HARD_PART * 1.0
+    world.run(1.5)
+    assert world.outcome(asked)[0] is Outcome.DONE
+    assert sum(feed.misses for feed in world.schedule.stats(1.5).feeds.values()) == 0
 
 
 def test_lost_answers_do_not_make_a_full_line_late() -> None:

@@ -251,3 +251,32 @@ def lose_one(world: World, drive: str, worst_s: float) -> Request:
     world.step()
     world.silent = set()
     return stop
+
+
+def test_what_is_due_before_the_drive_that_is_stopped_goes_before_its_stop() -> None:
+    world = World().drives("a", "b")
+    world.schedule.expect(Faults(1))
+    world.feed("b", 1.0)
+    world.now_s = 0.05
+    world.feed("a", 1.0)
+    world.now_s = 0.4
+    lose_one(world, "a", worst_s=0.54)
+    world.run(2.0)
+    assert [sent.request.drive for sent in world.sent[1:3]] == ["b", "a"]
+    assert fired(world) == []
+
+
+def test_more_proof_of_a_stop_waits_for_feeds_though_its_drive_answers() -> None:
+    world = World().drives("a", "b", "c")
+    world.feed("b", 1.0)
+    world.feed("c", 1.0)
+    world.now_s = HARD_PART - WORST_S
+    stop = world.submit("a", P.STOP)
+    assert world.schedule.stop_goes(world.now_s)
+    stop.yields = True
+    assert not world.schedule.stop_goes(world.now_s)
+    assert world.schedule.rehearse(None, world.now_s, world.now_s) is None
+    first, second, third = world.step(), world.step(), world.step()
+    assert first is not None
+    assert second is not None
+    assert ({first.drive, second.drive}, third) == ({"b", "c"}, stop)

@@ -188,6 +188,11 @@ class StopJob:
         return not self._is_ready or self.action is StopAction.INHIBIT
 
     @property
+    def only_proves(self) -> bool:
+        """Whether the drive took the stop and showed it, and only more proof of that is wanted."""
+        return self._checking and self._proving.is_begun
+
+    @property
     def _is_ready(self) -> bool:
         """Whether what comes next was made from what has just been read or refused."""
         read = self._read_word is not None or self._read_inhibit is not None

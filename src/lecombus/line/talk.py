@@ -438,7 +438,7 @@ class Talk:
             request.cut_outcome = job.cut_outcome
             behind, not_before_s = False, ended
             if type(job) is StopJob:
-                behind = job.goes_behind
+                behind, request.yields = job.goes_behind, job.only_proves
                 if job.pause_s:  # others have it only when the silence is over
                     not_before_s += quarantined_s + job.pause_s
             self._schedule.again(request, ended, not_before_s, behind=behind)

@@ -334,15 +334,27 @@ class Feeds:
             return None
         return None if own.outlasts(now_s, worst_s) or own.free_s() > now_s else own
 
-    def own_late(self, from_s: float, drive: str) -> bool:
-        """Tell whether a drive would be late if it were spoken to only from a time on.
+    def own_late(self, from_s: float, drive: str) -> Feed | None:
+        """Find the feed of a drive if it would be late, were it spoken to only from a time on.
 
         One that has lost more answers than are tolerated is not counted: it may be gone.
         """
         own = self.by_drive.get(drive)
         if own is None or not own.active or own.lapsed or own.failures > self.faults.tolerate:
-            return False
-        return from_s + own.cost_s > own.hard_s
+            return None
+        return own if from_s + own.cost_s > own.hard_s else None
+
+    def own_before(self, now_s: float, other: Feed, drive: str) -> Feed | None:
+        """Find a drive's own feed if it goes before another's that makes room for that drive.
+
+        The exchange that room is made for feeds the drive only if it is answered. Behind one more
+        feed there would be no time left for the lost answers that are tolerated.
+        """
+        own = self.by_drive.get(drive)
+        if own is None or not own.active or own.failures or own.free_s() > now_s:
+            return None
+        lost_s = self.faults.tolerate * own.worst_s
+        return own if now_s + other.cost_s + lost_s + own.cost_s > own.hard_s else None
 
     def never(self, worst_s: float, drive: str) -> str:
         """Say why an exchange with a drive can never run, if it cannot; else an empty text."""

@@ -96,7 +96,7 @@ class Rehearsal:
         self._found = None
         stop = self._waiting.stop()
         if stop is not None:
-            if stop.drive in self._waiting.silent:  # feeds may have to go before it
+            if self._waiting.yields(stop):  # feeds may have to go before it
                 return None
             self._found = Foreseen(stop, -math.inf, self._settled_until_s())
         elif under_way is None or self._is_plain(under_way):

@@ -105,6 +105,7 @@ class Request:
         cut_outcome: How it ends when a stop, a later request, a parked drive or a lost line cuts
             it off between two of its steps. The line sets it as soon as something went out that
             may have changed the drive (`UNKNOWN`), and again once that was acknowledged (`DONE`).
+        yields: For a stop: only more proof is wanted, and it waits for feeds (`silent_stops`).
 
     The fields after it belong to the schedule; nobody else writes them.
     """
@@ -123,6 +124,7 @@ class Request:
     submitted_at_s: float = 0.0
     cut_outcome: Outcome | None = None
     told: tuple[float, float] | None = None
+    yields: bool = False
     settled: bool = field(default=False, repr=False)
     # -- bookkeeping of the schedule ------------------------------------------------------------
     state: int = field(default=0, init=False, repr=False)  # OUT, QUEUED, DEFERRED, UNDER_WAY

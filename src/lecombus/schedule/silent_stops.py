@@ -13,12 +13,13 @@ the attempts that another drive costs which goes away just then, the stop goes, 
 the watchdogs, for it may be the one telegram that is heard. A drive that is left alone for a moment
 (a hold) is waited for if its feed stands in the way, and fed.
 
-Nor does it wait for so long that its own drive's watchdog acts: that drive may be there, and what it
-has missed no more than the lost answers that are tolerated (faults.py). Its own feed does not go
-before its stop, so if one more wait would make it late, the stop goes, and feeds it.
+Nor does it wait for so long that its own drive's watchdog acts: that drive may be there, and may
+have missed no more than the lost answers that are tolerated (faults.py). Its own feed does not go
+before its stop; if the next feed is due after its own and would make it late, the stop goes first.
 
-Whoever answers anything is no longer silent, and its stop goes first again. Which stops come
-before which stands in waiting.py.
+Whoever answers anything is no longer silent, and its stop goes first again. Only what is read when
+it has acknowledged the stop and shown it, for more proof, waits in the same way: the plan counts no
+more than one reading. Which stops come before which stands in waiting.py.
 
 Pure: the times are arguments.
 """
@@ -54,7 +55,7 @@ class SilentStops:
 
     def held(self, stop: Request) -> bool:
         """Tell whether a stop waits for feeds at all."""
-        return stop.drive in self._waiting.silent
+        return self._waiting.yields(stop)
 
     def goes(self, stop: Request, now_s: float) -> bool:
         """Tell whether a stop may go now; changes nothing."""
@@ -80,12 +81,15 @@ class SilentStops:
             return stop
         feed = self._late(now_s) or feeds.room(now_s, self._needed_s(stop), stop.drive)
         if feed is not None:
-            waits = not feeds.own_late(now_s + feed.cost_s, stop.drive)
-            return self._choice.plain(feed) if waits else stop
+            own = feeds.own_before(now_s, feed, stop.drive)
+            if own is not None:
+                return self._choice.plain(own)
+            own = feeds.own_late(now_s + feed.cost_s, stop.drive)
+            return self._choice.plain(feed) if own is None or feed.hard_s < own.hard_s else stop
         held = feeds.first_held(now_s, stop.drive)
         if held is None or feeds.fits(now_s, stop.worst_s, stop.drive):
             return stop
-        if feeds.own_late(held.held_until_s + held.cost_s, stop.drive):
+        if feeds.own_late(held.held_until_s + held.cost_s, stop.drive) is not None:
             return stop
         self.wake_at_s = held.held_until_s
         stop.latest_s = max(stop.latest_s, held.held_until_s + held.cost_s - ROUNDING_S)
@@ -102,8 +106,13 @@ class SilentStops:
         return feeds.round_s() + (0.0 if never else feeds.lost_s())
 
     def _needed_s(self, stop: Request) -> float:
-        """Tell how much slack it takes: its longest, and what is kept for lost answers."""
+        """Tell how much slack it takes: its longest, and what is kept for lost answers.
+
+        Of a drive that answers no more than of any other exchange.
+        """
         feeds = self._feeds
+        if stop.drive not in self._waiting.silent:
+            return feeds.need_s(stop.cost_s, stop.worst_s)
         most_s, _ = feeds.most_s(stop.drive)
         room_s = max(most_s - stop.worst_s, 0.0) / 2
         return stop.worst_s + min(feeds.lost_s(), room_s)

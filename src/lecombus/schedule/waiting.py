@@ -399,6 +399,10 @@ class Waiting:
         queue = self.queues[Priority.STOP]
         return queue.head(_never_held) if queue.depth else None
 
+    def yields(self, stop: Request) -> bool:
+        """Tell whether feeds may go before a stop (silent_stops.py)."""
+        return stop.yields or stop.drive in self.silent
+
     def keep(self, drive: DriveState, *, slots: bool, now_s: float) -> None:
         """Note what waited for the end of a drive's hold.
 
