@@ -250,9 +250,7 @@ class Schedule(Members):
             if feed is not None:
                 request.rooms += 1
                 own = feeds.own_before(now_s, feed, request.drive)
-                if own is not None:
-                    return to_feed(self._feed_choice.plain(own))
-                return to_feed(self._feed_choice.telegram(feed, now_s))
+                return to_feed(self._feed_choice.telegram(own or feed, now_s))
         self._put_off(request, feeds.retry_s(now_s))
         return None
 
