@@ -73,7 +73,6 @@ MUTANTS: dict[str, Mutant] = {
         "end_s = now_s + worst_s",
         "end_s = now_s",
         (18, 46),
-        quick=True,
     ),
     "a write feeds for longer than a read": Mutant(
         Schedule,
@@ -88,7 +87,7 @@ MUTANTS: dict[str, Mutant] = {
         "goes",
         "return fits and self._late(now_s) is None",
         "return True",
-        (18, 6),
+        (46, 54, 50),
         quick=True,
     ),
     # -- classes and their order ----------------------------------------------------------------
@@ -105,7 +104,7 @@ MUTANTS: dict[str, Mutant] = {
         "_end_writes",
         "ended += drive.writes",
         "ended += ()",
-        (15, 18, 3),
+        (18, 15),
         quick=True,
     ),
     "a write under way goes on after a stop": Mutant(
@@ -113,7 +112,7 @@ MUTANTS: dict[str, Mutant] = {
         "_cut_off",
         "request.writes and self._stopped_since(request)",
         "False",
-        (231, 339),
+        (51, 35),
     ),
     "a stop waits for the turn of others": Mutant(
         Schedule,
@@ -136,7 +135,7 @@ MUTANTS: dict[str, Mutant] = {
         "_unread",
         "over = over and self.attempts >= self._least_sayings",
         "over = True",
-        (15, 18),
+        (18, 15),
         quick=True,
     ),
     "a quick stop forgets what stood in the control word": Mutant(
@@ -162,7 +161,6 @@ MUTANTS: dict[str, Mutant] = {
         "result.ended_s + self._options.turnaround_s",
         "result.ended_s",
         (0,),
-        quick=True,
     ),
     "the quarantine is a tenth shorter": Mutant(
         Silence,
@@ -185,7 +183,7 @@ MUTANTS: dict[str, Mutant] = {
         "_conclude",
         "if question.hold_s and result.kind is not ResultKind.LOST:",
         "if question.hold_s and answered:",
-        (35, 7),
+        (35,),
         quick=True,
     ),
     "a multicast leaves its members no time": Mutant(
@@ -209,7 +207,7 @@ MUTANTS: dict[str, Mutant] = {
         "blocked_until_s",
         "return until",
         "return now_s",
-        (15, 79, 3),
+        (15, 3),
         quick=True,
     ),
     "the addressing form does not alternate": Mutant(
@@ -218,7 +216,6 @@ MUTANTS: dict[str, Mutant] = {
         "if until_s <= now_s:",
         "if True:",
         (15, 3),
-        quick=True,
     ),
     "an answer to something else is taken": Mutant(
         Exchange,
@@ -242,7 +239,7 @@ MUTANTS: dict[str, Mutant] = {
         "_proven",
         "if self.proof.means_same(self.value):",
         "if True:",
-        (59, 259),
+        (259, 59),
         quick=True,
     ),
     "a refusal is taken for an acknowledgement": Mutant(
@@ -250,7 +247,7 @@ MUTANTS: dict[str, Mutant] = {
         "advance",
         "type(answer) is AckAnswer",
         "answer is not None",
-        (255, 231, 327),
+        (255, 327),
         quick=True,
     ),
     # -- what is shown --------------------------------------------------------------------------
@@ -267,7 +264,7 @@ MUTANTS: dict[str, Mutant] = {
         "_quality",
         "if record.state is DriveState.OFFLINE:",
         "if False:",
-        (15, 46),
+        (46, 15),
         quick=True,
     ),
     "old values stay good": Mutant(
@@ -275,7 +272,7 @@ MUTANTS: dict[str, Mutant] = {
         "_quality",
         "if age_s > allowed_s:",
         "if False:",
-        (3,),
+        (66, 82),
         quick=True,
     ),
     "a failed read leaves its value good": Mutant(
@@ -283,7 +280,7 @@ MUTANTS: dict[str, Mutant] = {
         "_quality",
         "if cell.failure is not None:",
         "if False:",
-        (2,),
+        (31, 15, 35),
         quick=True,
     ),
     "a drive that is back is not audited": Mutant(
@@ -291,7 +288,7 @@ MUTANTS: dict[str, Mutant] = {
         "settle",
         "await self._audit_watchdog(entry, station, traits, action)",
         "pass",
-        (2,),
+        (146, 102, 162),
         quick=True,
     ),
 }
