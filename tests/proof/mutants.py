@@ -25,7 +25,6 @@ from lecombus.line.silence import Silence
 from lecombus.line.stop_job import StopJob
 from lecombus.line.talk import Talk
 from lecombus.protocol.exchange import Exchange
-from lecombus.schedule.choice import Choice
 from lecombus.schedule.feeds import Feeds
 from lecombus.schedule.schedule import Schedule
 from lecombus.schedule.silent_stops import SilentStops
@@ -89,14 +88,6 @@ MUTANTS: dict[str, Mutant] = {
         "return True",
         (46, 54, 50),
         quick=True,
-    ),
-    # -- classes and their order ----------------------------------------------------------------
-    "feeds before shares": Mutant(
-        Choice,
-        "_with_control",
-        "if entitled is not None:",
-        "if entitled is not None and self._feed_choice.urgent(now_s) is None:",
-        (17, 5),
     ),
     # -- stops ----------------------------------------------------------------------------------
     "a stop does not end what waits": Mutant(
@@ -176,14 +167,6 @@ MUTANTS: dict[str, Mutant] = {
         "if question.hold_s and result.kind is not ResultKind.LOST:",
         "if False:",
         (18, 107),
-        quick=True,
-    ),
-    "no hold after a write whose acknowledgement was not understood": Mutant(
-        Talk,
-        "_conclude",
-        "if question.hold_s and result.kind is not ResultKind.LOST:",
-        "if question.hold_s and answered:",
-        (35,),
         quick=True,
     ),
     "a multicast leaves its members no time": Mutant(
