@@ -164,7 +164,7 @@ async def serve(path: Path, unpaced: bool) -> None:
     bench = Bench(daemon)
     async with anyio.create_task_group() as tasks:
         tasks.start_soon(daemon.main)
-        while daemon.site is None:  # the state file is opened in a thread first
+        while daemon.site is None:  # noqa: ASYNC110 - the state file is opened in a thread first
             await asyncio.sleep(0.001)
         await answer_lines(bench.answer)
         daemon.end()
