@@ -15,7 +15,7 @@ from lecombus.config.exchanges import watched_s
 from lecombus.drives import family
 from lecombus.planning import make_plan
 from lecombus.readings import DriveState
-from lecombus.schedule.feeds import HARD_PART
+from lecombus.schedule.feed import HARD_PART
 from lecombus.simulator.memory import MemoryEnd
 from lecombus.site import Site
 from support.site_host import until

@@ -13,7 +13,8 @@ from lecombus.line import stop_job
 from lecombus.line.station import Station
 from lecombus.operations.request_maker import RequestMaker, ignore_end
 from lecombus.planning import make_plan, silent_stops
-from lecombus.schedule.feeds import Feed, Feeding, Feeds
+from lecombus.schedule.feed import Feed, Feeding
+from lecombus.schedule.feeds import Feeds
 
 from .rosters import roster_of
 

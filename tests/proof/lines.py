@@ -22,7 +22,7 @@ from lecombus.config.feeding import feeding_of, smallest
 from lecombus.drives import family
 from lecombus.planning.watchdogs import AWAY_ATTEMPTS
 from lecombus.schedule.demand import Stream, find_overload, load_of
-from lecombus.schedule.feeds import HARD_PART
+from lecombus.schedule.feed import HARD_PART
 
 FAMILIES = ("820x", "821x", "822x", "824x", "8200vector", "93xx", "smvector")
 BAUDS = (1200, 2400, 4800, 9600, 19200, 19200, 19200)

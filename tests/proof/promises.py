@@ -25,7 +25,7 @@ from lecombus.planning import Plan
 from lecombus.protocol.exchange import ResultKind
 from lecombus.protocol.telegrams import ValueAnswer
 from lecombus.schedule import Priority
-from lecombus.schedule.feeds import HARD_PART
+from lecombus.schedule.feed import HARD_PART
 from lecombus.simulator.line import SimLine
 from proof.lines import QUICK_ADAPTER_S, RandomLine
 

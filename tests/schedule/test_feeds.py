@@ -11,7 +11,8 @@ import pytest
 
 from lecombus.schedule import Outcome, Priority, Request
 from lecombus.schedule.faults import Faults
-from lecombus.schedule.feeds import HARD_PART, Feed, Feeding, Feeds
+from lecombus.schedule.feed import HARD_PART, Feed, Feeding
+from lecombus.schedule.feeds import Feeds
 from schedule.world import COST_S, WORST_S, World
 
 P = Priority

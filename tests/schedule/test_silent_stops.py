@@ -8,7 +8,7 @@ import pytest
 
 from lecombus.schedule import Priority, Request
 from lecombus.schedule.faults import Faults
-from lecombus.schedule.feeds import HARD_PART
+from lecombus.schedule.feed import HARD_PART
 from schedule.world import COST_S, WORST_S, World
 
 P = Priority

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from lecombus.schedule import Feeding, Priority, Request
 from lecombus.schedule.demand import Stream, load_of, response_s
-from lecombus.schedule.feeds import HARD_PART, Feed, Feeds
+from lecombus.schedule.feed import HARD_PART, Feed
+from lecombus.schedule.feeds import Feeds
 from schedule.world import World
 
 P = Priority

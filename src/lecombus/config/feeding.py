@@ -47,7 +47,7 @@ from lecombus.config.timing import line_timing
 from lecombus.drives import LineTiming, family
 from lecombus.schedule.demand import FULL, Overload, Stream, find_overload, load_of
 from lecombus.schedule.faults import Faults
-from lecombus.schedule.feeds import HARD_PART
+from lecombus.schedule.feed import HARD_PART
 
 __all__ = [
     "BAUDS",

@@ -28,7 +28,7 @@ __all__ = ["counted", "cyclic_load", "find_warnings"]
 _LATE_ANSWER_SAFE_S: Final = 0.5
 """Longest processing time of the 2102 module. Source: EDB2102EN 3.5 (C1920..C1923, 500 ms)."""
 _USABLE_PART: Final = 0.9
-"""Of a watchdog time: by then a feed must be over (`schedule.feeds`)."""
+"""Of a watchdog time: by then a feed must be over (`schedule.feed`)."""
 _UNSTABLE: Final = ("/dev/ttyUSB", "/dev/ttyACM")
 
 

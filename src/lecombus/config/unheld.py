@@ -25,7 +25,7 @@ from lecombus.config.models import DriveEntry, Roster
 from lecombus.config.timing import line_timing
 from lecombus.durations import format_duration
 from lecombus.schedule.demand import Overload
-from lecombus.schedule.feeds import HARD_PART
+from lecombus.schedule.feed import HARD_PART
 
 __all__ = ["Unheld", "find_unheld", "written_up"]
 

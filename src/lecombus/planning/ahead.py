@@ -35,7 +35,8 @@ from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Format, Value
 from lecombus.schedule import Feeding, Outcome, Priority, Request
 from lecombus.schedule.demand import Stream
-from lecombus.schedule.feeds import HARD_PART, SOFT_PART, SPARE_ATTEMPTS, Feed, Feeds
+from lecombus.schedule.feed import HARD_PART, SOFT_PART, SPARE_ATTEMPTS, Feed
+from lecombus.schedule.feeds import Feeds
 
 __all__ = ["Ahead", "Blocking", "Longest", "Room", "ahead_on"]
 

@@ -19,7 +19,7 @@ from lecombus.config import Roster, line_timing
 from lecombus.config.exchanges import read_times, watched_s
 from lecombus.planning.plan import Plan, make_plan
 from lecombus.planning.waits import ClassWait
-from lecombus.schedule.feeds import HARD_PART
+from lecombus.schedule.feed import HARD_PART
 
 __all__ = ["LiveClass", "LiveCode", "LiveDrive", "LivePlan", "compare"]
 

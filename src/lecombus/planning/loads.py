@@ -18,7 +18,7 @@ from lecombus.config.exchanges import feed_times, read_times, watched_s
 from lecombus.config.feeding import BAUDS, feeding_of, least_time_s
 from lecombus.config.timing import with_slow_adapter
 from lecombus.drives import LineTiming
-from lecombus.schedule.feeds import HARD_PART, SOFT_PART, SPARE_ATTEMPTS
+from lecombus.schedule.feed import HARD_PART, SOFT_PART, SPARE_ATTEMPTS
 from lecombus.schedule.shares import BACKOFF_MOST_S, LISTEN_EVERY_S, LISTEN_S
 
 __all__ = [

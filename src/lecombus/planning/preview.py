@@ -17,7 +17,7 @@ from lecombus.config.feeding import faults_of
 from lecombus.drives import LineTiming
 from lecombus.planning.loads import load_on
 from lecombus.schedule import Cyclic, Feeding, Outcome, Priority, Request, Schedule
-from lecombus.schedule.feeds import HARD_PART
+from lecombus.schedule.feed import HARD_PART
 
 __all__ = ["Preview", "Span", "hyperperiod_s", "preview"]
 

@@ -18,7 +18,7 @@ from lecombus.config.exchanges import dearest_feed_times, stop_attempt_s, watche
 from lecombus.drives import LineTiming, family
 from lecombus.planning.ahead import Ahead
 from lecombus.planning.waits import LATENESS_S
-from lecombus.schedule.feeds import SPARE_ATTEMPTS
+from lecombus.schedule.feed import SPARE_ATTEMPTS
 
 __all__ = ["PATIENCE_S", "PAUSE_S", "SilentStop", "silent_stop"]
 

@@ -48,7 +48,7 @@ from lecombus.drives import LineTiming
 from lecombus.planning.ahead import Ahead, Blocking, Longest
 from lecombus.schedule import Priority
 from lecombus.schedule.demand import FULL, Stream, load_of, response_s
-from lecombus.schedule.feeds import HARD_PART
+from lecombus.schedule.feed import HARD_PART
 from lecombus.schedule.schedule import ROOMS_PER_FEED
 from lecombus.schedule.shares import CLASS_SHARES, CREDIT_EXCHANGES
 from lecombus.schedule.waiting import KEPT_AFTER_S

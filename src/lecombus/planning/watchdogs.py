@@ -19,7 +19,7 @@ from lecombus.config import Roster
 from lecombus.config.exchanges import feed_times, watched_s
 from lecombus.config.feeding import LONGEST_S, Feeding, feeding_of, lowest_s, smallest
 from lecombus.drives import LineTiming
-from lecombus.schedule.feeds import HARD_PART
+from lecombus.schedule.feed import HARD_PART
 
 __all__ = ["AWAY_ATTEMPTS", "WatchdogPlan", "watchdog_plans"]
 

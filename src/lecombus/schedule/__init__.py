@@ -7,7 +7,7 @@ work, a cost in seconds and a deadline.
 
 from lecombus.schedule.cadence import Cyclic, Entry
 from lecombus.schedule.faults import Faults
-from lecombus.schedule.feeds import Feed, Feeding
+from lecombus.schedule.feed import Feed, Feeding
 from lecombus.schedule.request import Outcome, Priority, Request, Settle
 from lecombus.schedule.schedule import Schedule
 from lecombus.schedule.stats import FeedStats, ScheduleStats

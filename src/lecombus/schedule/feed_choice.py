@@ -12,7 +12,8 @@ from __future__ import annotations
 from typing import Final
 
 from lecombus.schedule.cadence import Cadence, Entry
-from lecombus.schedule.feeds import SPARE_ATTEMPTS, Feed, Feeds
+from lecombus.schedule.feed import SPARE_ATTEMPTS, Feed
+from lecombus.schedule.feeds import Feeds
 from lecombus.schedule.request import Priority, Request
 from lecombus.schedule.waiting import Waiting, has_expired
 

@@ -20,7 +20,8 @@ from collections.abc import Callable, Mapping
 
 from lecombus.schedule.cadence import Cadence, Cyclic, Entry
 from lecombus.schedule.faults import Faults
-from lecombus.schedule.feeds import Feed, Feeding, Feeds
+from lecombus.schedule.feed import Feed, Feeding
+from lecombus.schedule.feeds import Feeds
 from lecombus.schedule.request import Outcome, Priority, Request
 from lecombus.schedule.shares import Probe, Probes
 from lecombus.schedule.waiting import DriveState, Waiting

@@ -28,8 +28,9 @@ from __future__ import annotations
 
 import math
 
+from lecombus.schedule.feed import Feed
 from lecombus.schedule.feed_choice import FeedChoice
-from lecombus.schedule.feeds import ROUNDING_S, Feed, Feeds
+from lecombus.schedule.feeds import ROUNDING_S, Feeds
 from lecombus.schedule.request import Request
 from lecombus.schedule.waiting import Waiting
 

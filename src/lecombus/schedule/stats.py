@@ -11,7 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from lecombus.schedule.cadence import Cadence
-from lecombus.schedule.feeds import Feed, Feeds
+from lecombus.schedule.feed import Feed
+from lecombus.schedule.feeds import Feeds
 from lecombus.schedule.request import Outcome, Priority
 from lecombus.schedule.shares import Probes
 from lecombus.schedule.waiting import Waiting

@@ -1,0 +1,199 @@
+"""The watchdog of one drive: when it was fed last, when it must be fed next, and at what cost."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from lecombus.schedule.request import Request
+
+__all__ = ["HARD_PART", "SOFT_PART", "SPARE_ATTEMPTS", "Feed", "FeedCosts", "Feeding"]
+
+SOFT_PART: Final = 0.5  # of the watchdog time: from then on a feed is due
+HARD_PART: Final = 0.9  # of the watchdog time: by then the feed is over
+SPARE_ATTEMPTS: Final = 3  # a feed is due while so many failed attempts would still fit
+RETRY_LEAST_S: Final = 0.02  # least pause between two attempts, and least time worth one
+FRESH_PART: Final = 0.25  # of the watchdog time
+
+
+@dataclass(frozen=True, slots=True)
+class Feeding:
+    """How a drive's watchdog is kept from firing.
+
+    Args:
+        time_s: The watchdog time set in the drive, seconds, > 0.
+        make: Builds the cheapest useful read, of class `WATCHDOG`.
+    """
+
+    time_s: float
+    make: Callable[[], Request]
+
+
+class FeedCosts:
+    """Cost and longest time of the read that feeds a drive, seconds.
+
+    Args:
+        request: That read.
+
+    Attributes:
+        measured: As was measured; as told, where nothing longer was.
+        told: By manual and roster.
+    """
+
+    __slots__ = ("measured", "told")
+
+    def __init__(self, request: Request) -> None:
+        self.measured = self.told = (0.0, 0.0)
+        self.take(request)
+
+    def take(self, request: Request) -> bool:
+        """Take what the read costs now; say whether that is news."""
+        measured = (request.cost_s, request.worst_s + request.cut_by_s)
+        told = request.told or measured
+        news = (measured, told) != (self.measured, self.told)
+        self.measured, self.told = measured, told
+        return news
+
+    @property
+    def is_longer(self) -> bool:
+        """Whether what was measured is longer than what is told."""
+        return self.measured != self.told
+
+
+class Feed:
+    """The state of one drive's watchdog as seen from here."""
+
+    __slots__ = (
+        "active",
+        "cost_s",
+        "costs",
+        "drive",
+        "due_s",
+        "failures",
+        "fed",
+        "fed_at_s",
+        "feeding",
+        "hard_s",
+        "held_until_s",
+        "lapsed",
+        "lapses",
+        "left_out",
+        "margin_last_s",
+        "margin_least_s",
+        "margin_since_s",
+        "missed",
+        "misses",
+        "request",
+        "retry_at_s",
+        "soft_s",
+        "time_s",
+        "worst_s",
+    )
+
+    def __init__(self, drive: str, feeding: Feeding, now_s: float) -> None:
+        assert feeding.time_s > 0.0, "a watchdog time must be longer than nothing"
+        self.drive = drive
+        self.feeding = feeding
+        self.time_s = feeding.time_s
+        self.request: Request | None = feeding.make()  # kept for the first feed: it tells the cost
+        self.costs = FeedCosts(self.request)
+        self.cost_s, self.worst_s = self.costs.measured
+        self.active = True
+        self.held_until_s = self.retry_at_s = -math.inf
+        self.left_out = False  # of the slack check: too late to be in time
+        self.fed = self.failures = self.misses = self.lapses = 0
+        self.margin_last_s = self.margin_least_s = self.margin_since_s = math.inf
+        self._count_from(now_s)
+
+    def _count_from(self, at_s: float) -> None:
+        self.fed_at_s = at_s
+        self.hard_s = at_s + self.time_s * HARD_PART
+        self.soft_s = at_s + self.time_s * SOFT_PART
+        self.due_s = max(self.soft_s, self.hard_s - SPARE_ATTEMPTS * self.worst_s)
+        self.retry_at_s = -math.inf
+        self.failures = 0
+        self.missed = self.lapsed = False  # counted already
+
+    def follow(self, old: Feed) -> None:
+        """Take the place of the drive's feed so far: its count and the moment it was last fed.
+
+        Counting from now instead would forget how long ago the last exchange began: half a second
+        and more where a module answers slowly.
+        """
+        self.count_on(old)
+        self.margin_last_s, self.margin_least_s = old.margin_last_s, old.margin_least_s
+        if old.active:
+            self._count_from(old.fed_at_s)
+            self.failures, self.retry_at_s = old.failures, old.retry_at_s
+            self.missed, self.lapsed = old.missed, old.lapsed
+
+    def count_on(self, old: Feed) -> None:
+        """Go on with the counts of the drive's feed so far: they never fall."""
+        self.fed, self.misses, self.lapses = old.fed, old.misses, old.lapses
+
+    def restart(self, now_s: float) -> None:
+        """Count anew after a pause, without judging the pause."""
+        self.active = True
+        self._count_from(now_s)
+
+    def reached(self, started_s: float) -> None:
+        """Note that the drive answered an exchange begun at that time."""
+        margin_s = self.fed_at_s + self.time_s - started_s
+        self.margin_last_s = margin_s
+        if margin_s < self.margin_least_s:
+            self.margin_least_s = margin_s
+        if margin_s < self.margin_since_s:
+            self.margin_since_s = margin_s
+        self.judge(started_s)
+        self.fed += 1
+        self._count_from(started_s)
+
+    def judge(self, now_s: float) -> None:
+        """Count, once each, that the hard deadline or the watchdog time has passed unfed."""
+        if now_s > self.hard_s and not self.missed:
+            self.missed = True
+            self.misses += 1
+        if now_s > self.fed_at_s + self.time_s and not self.lapsed:
+            self.lapsed = True
+            self.lapses += 1
+
+    def failed(self, now_s: float) -> None:
+        """Note that the drive did not answer, and when to try again."""
+        self.failures += 1
+        left_s = self.hard_s - now_s
+        if left_s <= RETRY_LEAST_S:  # late, but the watchdog may not have fired yet
+            left_s = self.fed_at_s + self.time_s - now_s
+        if left_s <= RETRY_LEAST_S and self.failures >= SPARE_ATTEMPTS:
+            self.retry_at_s = now_s + self.time_s * SOFT_PART
+            return
+        spare = max(SPARE_ATTEMPTS - self.failures, 1)
+        pause_s = min(left_s / 2, left_s - spare * self.worst_s)
+        # One lost answer is no reason to be late: if need be it is asked again at once.
+        least_s = 0.0 if self.failures == 1 else RETRY_LEAST_S
+        pause_s = max(pause_s, least_s)
+        self.retry_at_s = now_s + pause_s if pause_s > 0.0 else -math.inf
+
+    def outlasts(self, now_s: float, worst_s: float) -> bool:
+        """Tell whether a vain exchange with the drive would leave time to feed it afterwards.
+
+        None longer than the watchdog does; a drive fed just now is as ready for it as ever.
+        """
+        fresh = now_s - self.fed_at_s < self.time_s * FRESH_PART
+        return fresh or now_s + worst_s + self.cost_s <= self.hard_s
+
+    def made(self) -> Request:
+        """Build the feeding request, with time-outs no longer than is counted with."""
+        request = self.request or self.feeding.make()
+        self.request = None
+        request.shorten(self.worst_s)
+        return request
+
+    def next_s(self) -> float:
+        """Tell when it wants to run next."""
+        return max(self.due_s, self.free_s())
+
+    def free_s(self) -> float:
+        """Tell from when on it may be tried: its drive is not held, and not just tried in vain."""
+        return self.held_until_s if self.held_until_s > self.retry_at_s else self.retry_at_s
