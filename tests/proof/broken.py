@@ -20,7 +20,7 @@ from lecombus.planning import Plan, make_plan
 from lecombus.protocol.exchange import Ask, Exchange, Result
 from lecombus.protocol.telegrams import ValueAnswer
 from lecombus.protocol.values import Value
-from lecombus.schedule import Cyclic, Outcome, Priority, Request, Schedule, feeds
+from lecombus.schedule import Cyclic, Outcome, Priority, Request, Schedule, feed, feeds
 from lecombus.supervision import cyclic_reads
 from proof import invariants
 
@@ -172,8 +172,12 @@ def _seldom() -> list[Patch]:
 
 def _last_moment() -> list[Patch]:
     """Feeds at the very end of a watchdog's time."""
-    parts = {"SOFT_PART": 0.97, "HARD_PART": 0.99, "SPARE_PART": 0.0}
-    return [(feeds, name, part) for name, part in parts.items()]
+    return [
+        (feed, "SOFT_PART", 0.97),
+        (feed, "HARD_PART", 0.99),
+        (feeds, "HARD_PART", 0.99),
+        (feeds, "SPARE_PART", 0.0),
+    ]
 
 
 @dataclasses.dataclass(frozen=True)
