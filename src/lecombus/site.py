@@ -305,6 +305,8 @@ class Site:
                 self.words.watch(
                     entry.name, rule.code, mask=inhibit_mask(kind, rule.code), moved_by=others,
                     inhibited_by=inhibit_proofs(kind), watchdog_s=watched_s(entry),
+                    watchdog_inhibits=entry.watchdog is not None
+                    and entry.watchdog.action == "inhibit",
                 )  # fmt: skip
         self._reads.take(entry, self._clock())
         self.keeper.add_drive(entry)

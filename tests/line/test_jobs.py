@@ -615,6 +615,24 @@ def test_a_refused_quick_stop_that_may_not_become_an_inhibit_stays_one() -> None
     assert 5.0 <= at_s < 6.0
 
 
+def test_one_that_hears_and_is_not_heard_is_told_to_stop_with_its_last_known_word() -> None:
+    job = StopJob(
+        STATION, StopAction.QUICK_STOP, word=lambda: None, last_word=lambda: 0x0204, retries=1,
+        may_inhibit=False,
+    )  # fmt: skip
+    verdict, at_s, said = None, 0.0, []
+    while verdict is None:
+        if job.step.kind is StepKind.WRITE:
+            assert job.step.code == Code(135)
+            said.append(job.step.value.raw if job.step.value is not None else "")
+        at_s += 0.1
+        verdict = job.advance(late(RESULTS["none"], at_s))
+    assert len(said) > 1
+    assert set(said) == {"H020C"}
+    assert verdict[0] is UNKNOWN
+    assert verdict[1].startswith("made from the control word as it was known last; quick-stop")
+
+
 @pytest.mark.parametrize("result", ["none", "eot", "other"])
 def test_nor_does_one_whose_word_cannot_be_read(result: str) -> None:
     job, verdict, at_s = hoist(None), None, 0.0

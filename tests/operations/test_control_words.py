@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from lecombus.drives.stops import StopProof
+from lecombus.drives import family
+from lecombus.drives.stops import StopProof, inhibit_proofs
 from lecombus.operations.control_words import ControlWords
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
@@ -89,3 +90,21 @@ def test_a_word_is_forgotten_when_a_status_word_begins_to_show_an_inhibit() -> N
     assert words.get("a") == 0
     words.seen("a", status, Value.parse("H0080"))
     assert words.get("a") is None, "something that is not the line has inhibited it"
+
+
+def test_the_last_known_word_outlasts_a_loss_and_keeps_an_inhibit_in_it() -> None:
+    now = [0.0]
+    words = ControlWords(lambda: now[0])
+    words.watch(
+        "hoist", WORD, mask=0x0200, moved_by=[INHIBIT],
+        inhibited_by=inhibit_proofs(family("8200vector")), watchdog_s=2.0, watchdog_inhibits=True,
+    )  # fmt: skip
+    assert words.last("hoist") is None, "nothing was ever known"
+    words.heard("hoist", 0.0)
+    words.seen("hoist", WORD, Value.hexadecimal(0x0004, 4))
+    assert words.last("hoist") == 0x0204, "whether it is inhibited is not known"
+    words.seen("hoist", Code(150), Value.hexadecimal(0x0600, 4))
+    words.forget("hoist")
+    assert (words.word("hoist"), words.last("hoist")) == (None, 0x0004)
+    now[0] = 3.0
+    assert words.last("hoist") is None, "its watchdog may have inhibited it"

@@ -87,6 +87,8 @@ class StopJob:
         word: Gives its control word as last read or written, None when not known; asked when the
             stop is said, for it may change while the stop waits.
         inhibited: Says whether the drive is inhibited, None when not known; asked likewise.
+        last_word: Gives its control word as it was known last, for a drive that may not be
+            inhibited and cannot be read: its answers may be lost and not its hearing.
         retries: How often a failed attempt is repeated without a pause.
         said: The stop was already said by a multicast; begin with reading back.
         silent: The drive did not answer before: its stop takes more to be shown.
@@ -108,12 +110,14 @@ class StopJob:
         "_step",
         "_turned",
         "_unheard",
+        "_unread_word",
         "_unshown",
         "_why",
         "action",
         "attempts",
         "error",
         "inhibited",
+        "last_word",
         "may_inhibit",
         "patience_s",
         "proof",
@@ -130,6 +134,7 @@ class StopJob:
         *,
         word: Callable[[], int | None],
         inhibited: Callable[[], bool | None] = lambda: False,
+        last_word: Callable[[], int | None] = lambda: None,
         retries: int,
         said: bool = False,
         silent: bool = False,
@@ -141,6 +146,7 @@ class StopJob:
         self.action = action
         self.word = word
         self.inhibited = inhibited
+        self.last_word = last_word
         self.retries = retries
         self.patience_s = patience_s
         self.attempts = 0
@@ -159,7 +165,8 @@ class StopJob:
         self._failed_reads = 0  # in a row
         self._naks = 0  # in a row
         self._unshown = 0  # proofs in a row that did not show the stop
-        self._why = ""  # a quick stop became an inhibit
+        self._why = ""  # a quick stop became an inhibit, or was made from the last known word
+        self._unread_word: int | None = None  # what it is made from where nothing can be read
         self._turned = False  # it is being said in the other addressing form
         self._step: Step | None = None
 
@@ -225,7 +232,7 @@ class StopJob:
         if self._since_s is None:
             self._since_s = result.started_s
         if result.kind is ResultKind.ANSWERED:
-            self.patience_s = STOP_PATIENCE_S
+            self.patience_s, self._unread_word = STOP_PATIENCE_S, None
         else:
             self._proving.silent = True
         if result.kind is ResultKind.LOST:
@@ -265,6 +272,8 @@ class StopJob:
         if not needs_control_word(family, self.action):
             return self._saying(None)
         code = family.stops[self.action].code
+        if self._unread_word is not None:
+            return self._saying(self._unread_word)
         word = usable_word(self.word())
         word = self._read_word if word is None else word
         if word is None:
@@ -320,7 +329,7 @@ class StopJob:
         unknown = type(answer) is UnknownCodeAnswer
         self._turn(refused=unknown)
         if not self.may_inhibit:
-            if not over:
+            if self._says_unread(value, over) or not over:
                 return None
             outcome = Outcome.UNKNOWN if self.attempts else Outcome.REFUSED
             return outcome, f"{self.action} {self._unreadable(step, result, value)}{NO_FALLBACK}"
@@ -331,6 +340,19 @@ class StopJob:
         if not self.attempts or asked_enough or over:
             self._inhibit(self._unreadable(step, result, value), result.ended_s)
         return None
+
+    def _says_unread(self, value: Value | None, over: bool) -> bool:
+        """Say the quick stop with the last known word from now on, if there is nothing better.
+
+        A drive that hears and is not heard would else run on: it may not be inhibited.
+        """
+        if value is None and (over or self._failed_reads > self.retries):
+            self._unread_word = self.last_word()
+        if self._unread_word is None:
+            return False
+        self._failed_reads = 0
+        self._why = "made from the control word as it was known last; "
+        return True
 
     def _takes(self, code: Code, value: Value) -> bool:
         """Keep a value that the next telegram needs; False: it is no such value."""

@@ -65,6 +65,9 @@ class _Watched:
     shown: set[Code] = field(default_factory=set)
     free_at_s: float | None = None
     heard_at_s: float | None = None
+    last_word: int | None = None  # kept when `word` is forgotten
+    last_free: bool = False  # what was known last showed no inhibit
+    watchdog_inhibits: bool = False
 
 
 class ControlWords:
@@ -87,6 +90,7 @@ class ControlWords:
         moved_by: Iterable[Code] = (),
         inhibited_by: Mapping[Code, StopProof] | None = None,
         watchdog_s: float | None = None,
+        watchdog_inhibits: bool = False,
     ) -> None:
         """Remember this code of this drive from now on.
 
@@ -97,10 +101,12 @@ class ControlWords:
             moved_by: Other codes whose writes change bits of it, as C0040 does bit 9.
             inhibited_by: Codes and what of them shows an inhibit, the most telling first.
             watchdog_s: After so much silence the drive's watchdog acts, seconds.
+            watchdog_inhibits: Its action is an inhibit.
         """
         self._drives[drive] = _Watched(
-            code, mask, frozenset((code, *moved_by)), dict(inhibited_by or {}), watchdog_s
-        )
+            code, mask, frozenset((code, *moved_by)), dict(inhibited_by or {}), watchdog_s,
+            watchdog_inhibits=watchdog_inhibits,
+        )  # fmt: skip
 
     # ---- what happens -------------------------------------------------------------------------
 
@@ -129,7 +135,7 @@ class ControlWords:
         number = value.number
         word = usable_word(number if isinstance(number, int) else None)
         if known.code == code and not known.moving and word is not None:
-            known.word = word
+            known.word = known.last_word = word
 
     def _look_for_inhibit(self, known: _Watched, code: Code, value: Value) -> None:
         shown = known.proofs[code].tells(value)
@@ -139,12 +145,12 @@ class ControlWords:
             if code not in known.shown and known.free_at_s is not None:
                 known.word = None  # something that is not the line may have changed more
             known.shown.add(code)
-            known.commanded, known.free_at_s = False, None
+            known.commanded, known.free_at_s, known.last_free = False, None, False
             return
         rank = list(known.proofs).index(code)
         known.shown -= set(list(known.proofs)[rank:])
         if not known.shown and not known.commanded and not known.moving:
-            known.free_at_s = self._clock()
+            known.free_at_s, known.last_free = self._clock(), True
 
     def written(self, drive: str, code: Code, value: Value, *, heard: bool) -> None:
         """Take note of a write that went out and was not refused.
@@ -165,7 +171,7 @@ class ControlWords:
             # Perhaps it lifts the inhibit; where the drive did not answer, perhaps it did not.
             known.free_at_s = self._clock() if heard else None
             if heard:
-                known.commanded = False
+                known.commanded, known.last_free = False, True
                 known.shown.clear()
         if heard:
             self._keep(known, code, value)
@@ -185,7 +191,7 @@ class ControlWords:
             self._command(known)
 
     def _command(self, known: _Watched) -> None:
-        known.commanded, known.free_at_s = True, None
+        known.commanded, known.free_at_s, known.last_free = True, None, False
 
     def guard(self, drives: Iterable[str], code: Code, settle: Settle) -> Settle:
         """Treat the word as unknown from now until a write that may move it has ended.
@@ -252,6 +258,22 @@ class ControlWords:
         if known.watchdog_s and silent_s >= known.watchdog_s:
             return None
         return False if now_s - known.free_at_s <= FRESH_S else None
+
+    def last(self, drive: str) -> int | None:
+        """The control word as it was known last, for a drive that hears and cannot be read.
+
+        With the inhibit in it unless what was known last showed none. None: no word was ever
+        known, or the drive's watchdog may have inhibited it since and nothing must lift that.
+        """
+        known = self._drives.get(drive)
+        if known is None or known.last_word is None:
+            return None
+        if not known.last_free:
+            return known.last_word | known.mask
+        silent_s = self._clock() - (known.heard_at_s or 0.0)
+        if known.watchdog_inhibits and known.watchdog_s and silent_s >= known.watchdog_s:
+            return None
+        return known.last_word
 
     def missing(self, drive: str) -> Code | None:
         """Name what must be read before `get` knows; None: nothing."""

@@ -228,6 +228,7 @@ class RequestMaker:
         *,
         word: Callable[[], int | None],
         inhibited: Callable[[], bool | None] = lambda: False,
+        last_word: Callable[[], int | None] = lambda: None,
         said: bool,
         settle: Settle,
         silent: bool = False,
@@ -239,6 +240,7 @@ class RequestMaker:
         job = StopJob(
             station, action, word=word, inhibited=inhibited, retries=self.retries, said=said,
             silent=silent, may_inhibit=may_inhibit, duplicates=duplicates, patience_s=patience_s,
+            last_word=last_word,
         )  # fmt: skip
         usual = self._read_cost(station, station.family.stops[action].code)
         return Request(

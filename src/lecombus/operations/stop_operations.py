@@ -232,7 +232,8 @@ class StopOperations(Operations):
         entry = self._entries.get(name)
         ending.request = request = self._requests.maker.stop(
             station, action, word=lambda: self._words.word(name),
-            inhibited=lambda: self._words.inhibited(name), said=said, settle=settle,
+            inhibited=lambda: self._words.inhibited(name),
+            last_word=lambda: self._words.last(name), said=said, settle=settle,
             silent=bool(self.silence_of(station)),
             may_inhibit=entry is None or entry.stop_fallback == "inhibit",
             duplicates=self._requests.worker.talk.duplicates,
