@@ -376,3 +376,21 @@ async def test_a_connection_that_was_reset_leaves_nothing_behind(
             if not alive:
                 break
         assert alive == [], "its timer would keep it for a minute"
+
+
+@pytest.mark.parametrize("closed", [True, False])
+async def test_a_write_whose_client_has_gone_before_it_is_read_is_not_carried_out(
+    line: Line, tmp_path: Path, closed: bool
+) -> None:
+    async with connected(line, tmp_path) as client:
+        with socket.socket(socket.AF_UNIX) as asking:  # the loop does not run meanwhile
+            asking.connect(str(tmp_path / "s"))
+            asking.sendall(put(7))
+            if closed:
+                asking.close()
+            else:
+                asking.shutdown(socket.SHUT_WR)
+            await client.say(GET)
+            await client.answer()
+            await anyio.sleep(0.05)
+    assert len(line.ops.asked) == (0 if closed else 1)

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import select
 import socket
 import struct
 from collections.abc import Callable
@@ -46,6 +47,7 @@ from lecombus.api.bounds import (
     TOO_MANY_HEADERS,
     TOO_MANY_PARAMETERS,
 )
+from lecombus.api.checking import GONE_KEY
 from lecombus.api.crowd import Places
 from lecombus.api.doors import ACTOR_KEY
 from lecombus.api.problems import Problem
@@ -98,7 +100,7 @@ class Connection(HttpToolsProtocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Take the connection; called by the loop."""
         super().connection_made(transport)
-        self.app_state = {ACTOR_KEY: self._actor()}
+        self.app_state = {ACTOR_KEY: self._actor(), GONE_KEY: self._is_gone}
         self.flow = PatientFlow(transport)
         self._unread = bytearray()
         self._size = 0  # bytes of the head, or of the body, that is being parsed
@@ -121,6 +123,19 @@ class Connection(HttpToolsProtocol):
             return Actor("socket")
         pid, uid, _ = CREDENTIALS.unpack(said)
         return Actor("socket", uid, pid)
+
+    def _is_gone(self) -> bool:
+        """Whether the client has closed its socket; one that only sends no more has not.
+
+        The kernel is asked, because a request and the end of its client come in one turn of the
+        loop where the process did not run meanwhile.
+        """
+        poll = select.poll()
+        try:
+            poll.register(self.transport.get_extra_info("socket"), 0)
+        except (OSError, ValueError):  # closed on this side
+            return True
+        return bool(poll.poll(0))
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Give the place back; called by the loop."""

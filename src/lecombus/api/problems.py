@@ -73,6 +73,7 @@ STATUS_BY_KIND: Final[Mapping[str, tuple[int, str]]] = {
     "bad-http": (400, "Not HTTP"),
     "bad-host": (400, "Not one host"),
     "too-many-parameters": (400, "Too many query parameters"),
+    "client-gone": (408, "The client is gone"),
     "cross-site": (403, "Asked by another web page"),
     "read-only": (403, "Only reads are answered here"),
     "not-writable": (403, "Not writable"),
