@@ -101,6 +101,46 @@ def test_an_old_word_does_not_contradict_a_fresh_one() -> None:
     assert last.stops[0].shown_by == ("C0068 reads H1100",)
 
 
+@pytest.mark.parametrize(
+    ("words", "doing", "shown"),
+    [
+        # C0150 is read every second, C0068 every ten: the newer one tells whether it is inhibited.
+        ([("C0150", "H8600", 0.6), ("C0068", "H0040", 9.6)], Doing.RUNNING, ()),
+        ([("C0150", "H8680", 0.6), ("C0068", "H0140", 9.6)], Doing.STOPPED, ("C0150",)),
+        ([("C0150", "H8600", 0.6), ("C0068", "H0040", 0.1)], Doing.STOPPED, ("C0068",)),
+        ([("C0150", "H8680", 0.6), ("C0068", "H0140", 0.1)], Doing.RUNNING, ()),
+        # An old command does not outvote it either, and an open command denies no stop.
+        ([("C0150", "H8600", 0.6), ("C0040", "0", 5.0)], Doing.RUNNING, ()),
+        ([("C0150", "H8680", 0.6), ("C0040", "1", 0.1)], Doing.STOPPED, ("C0150",)),
+        # C0150 says nothing of a quick stop, nor does the command of one by terminal.
+        (
+            [("C0150", "H8600", 0.6), ("C0068", "H1140", 9.6), ("C0135", "H0000", 0.1)],
+            Doing.STOPPING,
+            ("C0068",),
+        ),
+        (
+            [("C0150", "H8600", 0.6), ("C0068", "H0140", 0.3), ("C0135", "H0008", 5.0)],
+            Doing.RUNNING,
+            (),
+        ),
+    ],
+)
+def test_the_newest_word_that_can_tell_of_a_stop_decides(
+    words: list[tuple[str, str, float]], doing: Doing, shown: tuple[str, ...]
+) -> None:
+    readings = [read(code, value, age_s=age_s) for code, value, age_s in words]
+    seen = motion("821x", *readings, read("C0050", "10", age_s=0.2))
+    assert seen.doing is doing
+    assert tuple(said[:5] for one in seen.stops for said in one.shown_by) == shown
+
+
+def test_a_first_word_older_than_a_command_tells_nothing() -> None:
+    before = replace(read("C0150", "H8680"), quality=Quality.BAD, reason=WRITTEN_SINCE)
+    seen = motion("821x", before, read("C0050", "10"))
+    assert (seen.doing, seen.stops, seen.stale) == (Doing.UNKNOWN, (), False)
+    assert seen.speed is not None
+
+
 def test_a_speed_that_is_old_does_not_say_that_the_motor_runs() -> None:
     old = read("C0050", "35.4", age_s=40.0, quality=Quality.STALE)
     seen = motion("8200vector", read("C0150", "H0640"), old)

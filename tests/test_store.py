@@ -6,8 +6,9 @@ from decimal import Decimal
 
 import pytest
 
-from lecombus.drives import Family, family
+from lecombus.drives import Family, OperatingState, family
 from lecombus.errors import OperationError
+from lecombus.motion import Doing
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 from lecombus.readings import rfc3339
@@ -344,3 +345,52 @@ def test_the_time_of_a_value_does_not_flicker_with_clock_jitter(
 )
 def test_times_are_written_with_milliseconds_in_utc(time_s: float, text: str) -> None:
     assert rfc3339(time_s) == text
+
+
+@pytest.mark.parametrize(
+    ("code", "value"), [(Code(135), Value.hexadecimal(0, 4)), (Code(40), Value.decimal("1"))]
+)
+def test_status_words_read_before_a_command_do_not_tell_what_the_drive_does_after_it(
+    clocks: Clocks, code: Code, value: Value
+) -> None:
+    store = Store(lambda: clocks.now_s, lambda: clocks.wall_s)
+    store.line_state(LineState.OPEN)
+    store.add_drive("hoist", 3, family("821x"))
+    store.drive_state("hoist", DriveState.ONLINE)
+    for status, every_s, word in ((STATUS, 1.0, 0x8680), (Code(68), 10.0, 0x1040)):
+        store.expect("hoist", status, every_s)
+        store.value_read("hoist", status, Value.hexadecimal(word, 4), clocks.now_s)
+    store.value_read("hoist", Code(50), Value.decimal("0"), clocks.now_s)
+    assert store.motion("hoist").doing is Doing.STOPPED
+    clocks.tick(0.2)
+
+    store.value_written("hoist", Code(12), clocks.now_s)  # no command: nothing is doubtful
+    assert store.motion("hoist").doing is Doing.STOPPED
+    store.value_written("hoist", code, clocks.now_s)
+    assert store.motion("hoist").doing is Doing.UNKNOWN
+    assert store.drive("hoist").states is None
+    reading = store.reading("hoist", STATUS)
+    assert reading is not None
+    assert reading.quality is Quality.GOOD  # the word itself was read in time
+
+    clocks.tick(0.2)
+    store.value_read("hoist", code, value, clocks.now_s)
+    store.value_read("hoist", STATUS, Value.hexadecimal(0x8600, 4), clocks.now_s)
+    seen, states = store.motion("hoist"), store.drive("hoist").states
+    assert (seen.doing, seen.stops, seen.age_s) == (Doing.RUNNING, (), 0.0)
+    assert states is not None
+    assert OperatingState.ENABLED in states
+    assert OperatingState.QUICK_STOP not in states
+
+
+def test_a_command_of_a_quick_stop_outlives_a_write_of_another_command(clocks: Clocks) -> None:
+    store = Store(lambda: clocks.now_s, lambda: clocks.wall_s)
+    store.line_state(LineState.OPEN)
+    store.add_drive("hoist", 3, family("8200vector"))
+    store.drive_state("hoist", DriveState.ONLINE)
+    store.value_read("hoist", Code(135), Value.hexadecimal(0x0008, 4), clocks.now_s)
+    clocks.tick(0.2)
+    store.value_written("hoist", Code(40), clocks.now_s)
+    clocks.tick(0.2)
+    store.value_read("hoist", STATUS, Value.hexadecimal(0x0640, 4), clocks.now_s)
+    assert [one.name for one in store.motion("hoist").stops] == ["quick-stop"]

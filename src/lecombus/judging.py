@@ -23,7 +23,8 @@ from collections.abc import Callable
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
-from lecombus.drives import OperatingState, join_states
+from lecombus.drives import OperatingState, believed_states, join_states
+from lecombus.protocol.addressing import Code
 from lecombus.readings import (
     ADDRESSING_LOCK,
     NOT_CYCLIC,
@@ -40,7 +41,9 @@ if TYPE_CHECKING:
     from lecombus.drives import CodeInfo
     from lecombus.protocol.values import Value
 
-__all__ = ["ON_DEMAND_FRESH_S", "Judge"]
+__all__ = ["ON_DEMAND_FRESH_S", "Judge", "is_before_command"]
+
+OUTPUT: Final = Code(50)
 
 ON_DEMAND_FRESH_S: Final = 10.0
 """A value read once is called stale after this: about as long as a person looks at a screen."""
@@ -126,20 +129,27 @@ class Judge:
     def _states(self, record: DriveRecord) -> tuple[OperatingState, ...] | None:
         """Join what the status words show, each only while its value is good.
 
-        None where the first of them is not: the others alone would leave a fault or an inhibit
-        out, and a list without them looks like a drive without them.
+        A word from before the last command does not count. None where the first of them does not:
+        the others alone would leave a fault or an inhibit out, and a list without them looks like
+        a drive without them.
         """
-        shown: list[tuple[OperatingState, ...]] = []
+        shown: list[tuple[float, tuple[OperatingState, ...], frozenset[OperatingState]]] = []
         now_s = self._clock()
         for code, word in record.family.words.items():
             cell = record.cells.get(code)
             reading = None if cell is None else self.reading(record, cell, now_s)
             number = None if reading is None or reading.value is None else reading.value.number
-            if reading is not None and reading.quality is Quality.GOOD and type(number) is int:
-                shown.append(word.shown_states(number))
+            is_good = reading is not None and reading.quality is Quality.GOOD
+            if (
+                cell is not None
+                and is_good
+                and not is_before_command(record, cell)
+                and type(number) is int
+            ):
+                shown.append((now_s - cell.at_s, word.shown_states(number), word.told_states))
             elif not shown:
                 return None
-        return join_states(shown) if shown else None
+        return join_states(believed_states(shown)) if shown else None
 
     def _why_no_line(self) -> str:
         return with_cause(f"line {self._line.state.value}", self._line.reason)
@@ -174,6 +184,16 @@ class Judge:
         if abs(offset_s - self._offset_s) > CLOCK_STEP_S:
             self._offset_s = offset_s
         return at_s + self._offset_s
+
+
+def is_before_command(record: DriveRecord, cell: Cell) -> bool:
+    """Tell whether a code was read before a command that may have changed what it shows.
+
+    That counts for status words and the speed. A command is true until it is written itself.
+    """
+    code, commanded_s = cell.code, record.commanded_s
+    is_effect = code in record.family.words or code == OUTPUT
+    return is_effect and commanded_s is not None and cell.at_s <= commanded_s
 
 
 def meaning_of(info: CodeInfo, value: Value) -> str | None:

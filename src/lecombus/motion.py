@@ -2,9 +2,11 @@
 
 Strategy: every word that can show a stop is looked at, the status words and those that prove a stop
 (`drives.stops`), and each stop is told with the words that show it. While the first status word is
-fresh only fresh values count, so that an old word cannot contradict a new one; while it is not, all
-is told as it was last known, and marked so. "Stopped" means that something keeps the drive from
-driving its motor. The shaft may turn all the same, as that of a coasting motor does.
+fresh only fresh values count, and what a newer status word denies does not, so that an old word
+cannot contradict a new one; while it is not, all is told as it was last known, and marked so. What
+was read before the last command to stop or to run does not count at all. "Stopped" means that
+something keeps the drive from driving its motor. The shaft may turn all the same, as that of a
+coasting motor does.
 
 What must not live here: what is wrong with the drive and what to do about it (`operations.why`).
 """
@@ -16,8 +18,9 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Final
 
-from lecombus.drives import Family, OperatingState
+from lecombus.drives import Family, OperatingState, believed_states
 from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
 from lecombus.readings import (
     WRITTEN_SINCE,
     ActiveFault,
@@ -175,9 +178,11 @@ def motion_of(
         known: Gives what is known of a code, with its quality; None: never asked for.
         written: The setpoints that were written and acknowledged.
     """
+    speed = known(OUTPUT) if _has_unit(family, OUTPUT) else None
+    actual = None if speed is None or speed.value is None else Speed(speed)
     first = next((known(code) for code in family.words), None)
-    if first is None or first.value is None:
-        return Motion(Doing.UNKNOWN, setpoint=_setpoint(family, known, written))
+    if first is None or _usable(first, stale=True) is None:
+        return Motion(Doing.UNKNOWN, speed=actual, setpoint=_setpoint(family, known, written))
     stale = first.quality is not Quality.GOOD
     proofs = [code for rule in family.stops.values() for code in rule.proofs]
     words = [
@@ -187,13 +192,11 @@ def motion_of(
     ]
     states = _states(family, words)
     stops = _stops(states, fault)
-    speed = known(OUTPUT) if _has_unit(family, OUTPUT) else None
-    speed = speed if speed is not None and speed.value is not None else None
     zero = _zero(family, _usable(speed, stale=stale), states)
     return Motion(
         _doing(stops, states, zero),
         stops,
-        None if speed is None else Speed(speed),
+        actual,
         zero,
         _setpoint(family, known, written),
         max((one.age_s or 0.0 for one in words), default=first.age_s),
@@ -210,20 +213,36 @@ def _usable(reading: Reading | None, *, stale: bool) -> Reading | None:
 
 def _states(family: Family, words: list[Reading]) -> dict[OperatingState, list[str]]:
     """Give each state that the words show, with the words that show it."""
+    told = [(one.age_s or 0.0, *_told(family, one.code, one.value)) for one in words if one.value]
     found: dict[OperatingState, list[str]] = {}
-    for reading in words:
-        value = reading.value
-        assert value is not None
-        said = f"{reading.code} reads {value.raw}"
-        word = family.words.get(reading.code)
-        shown = list(word.shown_states(value.number)) if word and type(value.number) is int else []
-        for action, rule in family.stops.items():
-            proof = rule.proofs.get(reading.code)
-            if proof is not None and proof.holds(value):
-                shown.append(OF_ACTION[action])
+    for reading, shown in zip(words, believed_states(told), strict=True):
+        assert reading.value is not None
         for state in dict.fromkeys(shown):
-            found.setdefault(state, []).append(said)
+            found.setdefault(state, []).append(f"{reading.code} reads {reading.value.raw}")
     return found
+
+
+def _told(
+    family: Family, code: Code, value: Value
+) -> tuple[list[OperatingState], set[OperatingState]]:
+    """Give the states that a word shows, and those that it tells of: only a status word does.
+
+    A command that does not stop a drive denies no stop: a terminal may stop it all the same.
+    """
+    word = family.words.get(code)
+    shown: list[OperatingState] = []
+    told: set[OperatingState] = set()
+    if word is not None and type(value.number) is int:
+        shown += word.shown_states(value.number)
+        told |= word.told_states
+    for action, rule in family.stops.items():
+        proof = rule.proofs.get(code)
+        tells = None if proof is None else proof.tells(value)
+        if tells:
+            shown.append(OF_ACTION[action])
+        if tells is not None and word is not None:
+            told.add(OF_ACTION[action])
+    return shown, told
 
 
 def _stops(states: dict[OperatingState, list[str]], fault: ActiveFault | None) -> tuple[Stop, ...]:

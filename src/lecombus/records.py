@@ -53,6 +53,8 @@ class DriveRecord:
     fault: ActiveFault | None = None
     setpoints: dict[Code, tuple[Value, float]] = field(default_factory=dict)
     """Setpoints that were written and acknowledged, and when, monotonic seconds."""
+    commanded_s: float | None = None
+    """When something was last written that may stop the drive or let it go, monotonic seconds."""
 
 
 @dataclass(slots=True, eq=False)

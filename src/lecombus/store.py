@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 from lecombus.errors import OperationError, meant
-from lecombus.judging import ON_DEMAND_FRESH_S, Judge
+from lecombus.judging import ON_DEMAND_FRESH_S, Judge, is_before_command
 from lecombus.motion import Doing, Motion, motion_of, setpoint_codes
 from lecombus.readings import (
     ADDRESSING_LOCK,
@@ -187,9 +187,22 @@ class Store:
         if self._subscribers:
             self._publish(ValueChanged(drive, code))
 
-    def value_written(self, drive: str, code: Code) -> None:
-        """Take note that a code was written: what was read of it before is true no longer."""
-        cell = self._drives[drive].cells.get(code)
+    def value_written(self, drive: str, code: Code, at_s: float) -> None:
+        """Keep that a code was written: what was read of it before is true no longer.
+
+        After a command that stops a drive or lets it go (C0040, C0135) neither is what its status
+        words said of that.
+
+        Args:
+            drive: The drive's name.
+            code: Code and subcode.
+            at_s: When the write ended, by the store's monotonic clock.
+        """
+        record = self._drives[drive]
+        if any(rule.code == code for rule in record.family.stops.values()):
+            record.commanded_s = at_s
+            self.changes += 1
+        cell = record.cells.get(code)
         if cell is not None and cell.value is not None:
             cell.failure = WRITTEN_SINCE
             self.changes += 1
@@ -316,7 +329,12 @@ class Store:
 
         def known(code: Code) -> Reading | None:
             cell = record.cells.get(code)
-            return None if cell is None else self._judge.reading(record, cell, now_s)
+            if cell is None:
+                return None
+            reading = self._judge.reading(record, cell, now_s)
+            if is_before_command(record, cell):
+                return replace(reading, quality=Quality.BAD, reason=WRITTEN_SINCE)
+            return reading
 
         written = [
             self._judge.reading(record, replace(make_cell(record.family, code), value=value,

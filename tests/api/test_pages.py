@@ -88,7 +88,7 @@ async def test_what_happened_to_a_drive_is_in_the_list_at_once(line: Line) -> No
             return (await client.get("/v1/drives")).json()["drives"][0]  # type: ignore[no-any-return]
 
         assert (await feeder())["values"][0]["quality"] == "good"
-        line.store.value_written("feeder", FREQUENCY)
+        line.store.value_written("feeder", FREQUENCY, 0.0)
         assert (await feeder())["values"][0]["quality"] == "bad"
         line.store.value_read("feeder", FREQUENCY, Value.parse("12.0"), line.store._clock())
         line.store.value_failed("feeder", FREQUENCY, "no answer")

@@ -25,7 +25,7 @@ from .family import (
 from .faults import Fault, FaultKind
 from .loading import FAMILY_NAMES, family, load_family
 from .moves import address_code, baud_code, baud_numbers, moves_drive, shifts_addressing
-from .operating import OperatingState, StateRule, join_states
+from .operating import OperatingState, StateRule, believed_states, join_states
 from .restoring import (
     RestoreRule,
     RestoreWord,
@@ -85,6 +85,7 @@ __all__ = [
     "address_code",
     "baud_code",
     "baud_numbers",
+    "believed_states",
     "check_allowed",
     "confirm_codes",
     "encode_for",

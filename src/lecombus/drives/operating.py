@@ -10,11 +10,11 @@ mean that it stands: only a drive that measures its speed says that.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-__all__ = ["OperatingState", "StateRule", "join_states"]
+__all__ = ["OperatingState", "StateRule", "believed_states", "join_states"]
 
 
 class OperatingState(StrEnum):
@@ -91,6 +91,30 @@ def join_states(words: Iterable[Iterable[OperatingState]]) -> tuple[OperatingSta
         known = frozenset(found)
         found |= {state: None for state in states if OPPOSITES.get(state) not in known}
     return tuple(sorted(found, key=ORDER.__getitem__))
+
+
+def believed_states(
+    words: Sequence[tuple[float, Collection[OperatingState], Collection[OperatingState]]],
+) -> list[tuple[OperatingState, ...]]:
+    """Leave out of each word what a newer one denies.
+
+    A word denies what it could show and does not show, and the opposite of what it shows.
+
+    Args:
+        words: Age in seconds, states shown and states that could be shown, of each word.
+    """
+    denied = [
+        (age_s, (set(told) - set(shown)) | {OPPOSITES[one] for one in shown if one in OPPOSITES})
+        for age_s, shown, told in words
+    ]
+    return [
+        tuple(
+            state
+            for state in shown
+            if not any(newer_s < age_s and state in states for newer_s, states in denied)
+        )
+        for age_s, shown, _ in words
+    ]
 
 
 ORDER = {state: number for number, state in enumerate(OperatingState)}

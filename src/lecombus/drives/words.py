@@ -92,6 +92,11 @@ class WordInfo:
         """Name the states that the word shows."""
         return tuple(dict.fromkeys(rule.state for rule in self.states if rule.holds(word)))
 
+    @property
+    def told_states(self) -> frozenset[OperatingState]:
+        """The states that the word can show: without one of them it says that this is not so."""
+        return frozenset(rule.state for rule in self.states)
+
     def readings(self, word: int) -> dict[str, FieldReading]:
         """Read every described field."""
         return {field.name: field.read(word) for field in self.fields}

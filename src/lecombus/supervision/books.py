@@ -93,7 +93,7 @@ class Books:
             self._book_multicast(report)
         elif self._is_drive(report.drive, report.address):
             if kind is StepKind.WRITE and type(answer) is not NakAnswer:
-                self._store.value_written(report.drive, report.step.code)
+                self._store.value_written(report.drive, report.step.code, result.ended_s)
                 if report.step.value is not None:
                     self._words.written(
                         report.drive, report.step.code, report.step.value,
@@ -132,7 +132,7 @@ class Books:
         code, value = report.step.code, report.step.value
         for member in report.members:
             if self._is_drive(member, None):
-                self._store.value_written(member, code)
+                self._store.value_written(member, code, report.result.ended_s)
                 self._configurations.written(member, code)
                 self._wear.written(member, code)
             if value is not None and report.result.kind is ResultKind.SENT:
