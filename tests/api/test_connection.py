@@ -18,6 +18,9 @@ import pytest
 from lecombus.api import serve
 from lecombus.api.bounds import CHUNKED_LIMIT, HEAD_LIMIT, HEADERS_LIMIT, TARGET_BYTES
 from lecombus.api.connection import PENDING_LIMIT, Connection
+from lecombus.operations.reports import WriteReport
+from lecombus.protocol.addressing import Code
+from lecombus.schedule import Outcome
 from support.api_line import Line
 
 pytestmark = [pytest.mark.anyio, pytest.mark.real]
@@ -394,3 +397,55 @@ async def test_a_write_whose_client_has_gone_before_it_is_read_is_not_carried_ou
             await client.answer()
             await anyio.sleep(0.05)
     assert len(line.ops.asked) == (0 if closed else 1)
+
+
+@pytest.mark.parametrize("end", ["close", "half", "nothing"])
+@pytest.mark.parametrize("held_back", [False, True])
+async def test_a_write_that_waits_can_be_seen_to_have_lost_its_client(
+    line: Line, tmp_path: Path, end: str, held_back: bool
+) -> None:
+    """Also where the client sent more than is read while the write waits."""
+    line.ops.gate = anyio.Event()
+    async with connected(line, tmp_path) as client:
+        with socket.socket(socket.AF_UNIX) as asking:
+            asking.setblocking(False)
+            asking.connect(str(tmp_path / "s"))
+            asking.sendall(put(7) + (GET * 40 if held_back else b""))
+            await line.ops.begun.wait()
+            assert line.ops.is_gone is not None
+            assert not line.ops.is_gone(), "a kept connection is there"
+            if end == "close":
+                asking.close()
+            elif end == "half":
+                asking.shutdown(socket.SHUT_WR)
+            await client.say(GET)
+            await client.answer()
+            assert line.ops.is_gone() is (end == "close")
+            line.ops.gate.set()
+            await anyio.sleep(0.02)
+
+
+async def test_who_repeats_a_write_whose_first_client_left_is_the_next_first(
+    line: Line, tmp_path: Path
+) -> None:
+    def report(drive: str, code: Code) -> WriteReport:
+        gone = line.ops.is_gone is not None and line.ops.is_gone()
+        if gone:
+            return WriteReport(drive, code, Outcome.REFUSED, "it left", kind="client-gone")
+        return WriteReport(drive, code, Outcome.DONE)
+
+    line.ops.report = report
+    line.ops.gate = anyio.Event()
+    key = "Idempotency-Key: k\r\n"
+    async with connected(line, tmp_path) as client:
+        with socket.socket(socket.AF_UNIX) as asking:
+            asking.setblocking(False)
+            asking.connect(str(tmp_path / "s"))
+            asking.sendall(put(7, key))
+            await line.ops.begun.wait()
+        await client.say(put(7, key))
+        await anyio.sleep(0.05)
+        assert len(line.ops.asked) == 1, "it waits for the first one's end"
+        line.ops.gate.set()
+        assert (await client.answer())[0] == 200
+        assert len(line.ops.asked) == 2

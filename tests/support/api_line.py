@@ -27,6 +27,7 @@ from lecombus.operations.reports import (
     VerbReport,
     WriteReport,
 )
+from lecombus.operations.requests import IS_GONE, refuse_for_gone_client
 from lecombus.operations.wear import CodeWear, WearReport
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value
@@ -51,6 +52,7 @@ class FakeOperations:
     gate: anyio.Event | None = None
     read_as: tuple[Priority, float] | None = None
     written_as: tuple[Priority | None, bool] | None = None
+    is_gone: Callable[[], bool] | None = None
     begun: anyio.Event = field(default_factory=anyio.Event)
 
     async def _ask(self, *what: object) -> None:
@@ -88,6 +90,8 @@ class FakeOperations:
         restoring: bool = False,
         unless_stopped_since: str | None = None,
     ) -> WriteReport:
+        refuse_for_gone_client(drive)
+        self.is_gone = IS_GONE.get()
         self.written_as = (urgency, restoring)
         self.unless_stopped_since = unless_stopped_since
         await self._ask("write", drive, code, value, expires_s, verify)

@@ -30,10 +30,7 @@ from lecombus.api.bounds import BODY_LIMIT, BODY_TOO_BIG
 from lecombus.api.exact import NotJsonError, decode, decode_texts, short
 from lecombus.api.problems import Problem, ProblemError
 
-__all__ = ["GONE_KEY", "check_query", "read_body", "read_stop"]
-
-GONE_KEY: Final = "is_gone"
-"""Where a connection puts into a request a call that says whether its client has gone."""
+__all__ = ["check_query", "read_body", "read_stop"]
 
 MISTAKES_LIMIT: Final = 10
 
@@ -54,17 +51,10 @@ async def read_body(
         may_be_empty: No body at all stands for one without keys.
 
     Raises:
-        ProblemError: It is too big, not JSON, or not what is asked for; or its client has gone: a
-            person who gave up must not see a motor start later.
+        ProblemError: It is too big, not JSON, or not what is asked for.
     """
     raw = await bounded_bytes(request) or (b"{}" if may_be_empty else b"")
-    body = checked(object_of(raw, model), model)
-    is_gone = getattr(request.state, GONE_KEY, None)
-    if is_gone is not None and is_gone():
-        raise ProblemError(
-            Problem("client-gone", "the client closed its connection: nothing was sent")
-        )
-    return body, raw
+    return checked(object_of(raw, model), model), raw
 
 
 async def read_stop(request: Request) -> tuple[StopBody, bytes, tuple[str, ...]]:

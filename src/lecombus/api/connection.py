@@ -27,6 +27,7 @@ import select
 import socket
 import struct
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Final, NoReturn
 
 import httptools
@@ -47,14 +48,13 @@ from lecombus.api.bounds import (
     TOO_MANY_HEADERS,
     TOO_MANY_PARAMETERS,
 )
-from lecombus.api.checking import GONE_KEY
 from lecombus.api.crowd import Places
 from lecombus.api.doors import ACTOR_KEY
 from lecombus.api.problems import Problem
 from lecombus.api.stops import is_stop, is_stop_verb
 from lecombus.api.turns import Turns
 from lecombus.operations.actions import Actor
-from lecombus.operations.requests import CAME_S
+from lecombus.operations.requests import CAME_S, IS_GONE
 
 __all__ = ["PENDING_LIMIT", "SLICE", "Connection"]
 
@@ -100,7 +100,7 @@ class Connection(HttpToolsProtocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Take the connection; called by the loop."""
         super().connection_made(transport)
-        self.app_state = {ACTOR_KEY: self._actor(), GONE_KEY: self._is_gone}
+        self.app_state = {ACTOR_KEY: self._actor()}
         self.flow = PatientFlow(transport)
         self._unread = bytearray()
         self._size = 0  # bytes of the head, or of the body, that is being parsed
@@ -123,19 +123,6 @@ class Connection(HttpToolsProtocol):
             return Actor("socket")
         pid, uid, _ = CREDENTIALS.unpack(said)
         return Actor("socket", uid, pid)
-
-    def _is_gone(self) -> bool:
-        """Whether the client has closed its socket; one that only sends no more has not.
-
-        The kernel is asked, because a request and the end of its client come in one turn of the
-        loop where the process did not run meanwhile.
-        """
-        poll = select.poll()
-        try:
-            poll.register(self.transport.get_extra_info("socket"), 0)
-        except (OSError, ValueError):  # closed on this side
-            return True
-        return bool(poll.poll(0))
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Give the place back; called by the loop."""
@@ -341,13 +328,15 @@ class Connection(HttpToolsProtocol):
         """Have a request answered in its turn; a stop at once."""
         self._running = cycle
         came_s = asyncio.get_running_loop().time()
+        is_gone = partial(is_closed, self.transport.get_extra_info("socket"))
 
         def start() -> None:
-            token = CAME_S.set(came_s)
+            came, gone = CAME_S.set(came_s), IS_GONE.set(is_gone)
             try:
                 super(Connection, self)._start_asgi_task(cycle, app)
             finally:
-                CAME_S.reset(token)
+                CAME_S.reset(came)
+                IS_GONE.reset(gone)
 
         if is_stop(cycle.scope["path"]):
             start()
@@ -407,3 +396,18 @@ class Connection(HttpToolsProtocol):
         head = b"".join([STATUS_LINE[answer.status_code], *lines, b"connection: close\r\n\r\n"])
         self.transport.write(head + bytes(answer.body))
         self.transport.close()
+
+
+def is_closed(peer: Any) -> bool:
+    """Whether the client has closed its socket; one that only sends no more has not.
+
+    The kernel is asked, because a request and the end of its client come in one turn of the loop
+    where the process did not run in between, and because nothing more is read of a client that
+    sent much. The connection itself is not held: a context keeps what was set in it for long.
+    """
+    poll = select.poll()
+    try:
+        poll.register(peer, 0)
+    except (OSError, ValueError):  # closed on this side
+        return True
+    return bool(poll.poll(0))

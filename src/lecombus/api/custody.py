@@ -28,6 +28,7 @@ from lecombus.api.documents import (
 from lecombus.api.idempotency import Idempotency
 from lecombus.api.problems import report_problem
 from lecombus.api.seam import CustodyPort
+from lecombus.operations.requests import refuse_for_gone_client
 
 __all__ = ["add_custody"]
 
@@ -70,6 +71,7 @@ def add_what_is_done(app: FastAPI, custody: CustodyPort, keys: Idempotency) -> N
         body, raw = await read_body(request, AddressBody)
 
         async def act() -> Response:
+            refuse_for_gone_client(drive)
             report = await custody.readdress(drive, body.address)
             problem = report_problem(report)
             return problem.response() if problem else json_response(report_json(report))
@@ -88,6 +90,7 @@ def add_what_is_done(app: FastAPI, custody: CustodyPort, keys: Idempotency) -> N
         body, raw = await read_body(request, AcceptBody)
 
         async def act() -> Response:
+            refuse_for_gone_client(drive)
             return json_response(custody.accept(drive, body.identity).as_json())
 
         return await keys.run(key, content_of(request, raw), act)

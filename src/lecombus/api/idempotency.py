@@ -3,7 +3,8 @@
 Strategy: the first request with a key runs; others with the same key and the same content wait
 for its end if need be and are given the same response; the same key with other content is
 refused. Only requests that were carried out are remembered, whatever their outcome: when nothing
-was sent at all (queue full, line lost, not understood), the same key may be tried again.
+was sent at all (queue full, line lost, not understood, the client gone), the same key may be tried
+again; who waited for such a first request with the same key is the next first.
 
 Stops are different (`SharedStops`): a repeat shares the first one's result only while that is under
 way. Afterwards the drive may have been started again, so a repeat is a new stop and is sent; and
@@ -24,7 +25,7 @@ import anyio
 from starlette.responses import Response
 
 from lecombus.api.exact import short
-from lecombus.api.problems import Problem, ProblemError
+from lecombus.api.problems import STATUS_BY_KIND, Problem, ProblemError
 
 __all__ = [
     "KEEP_S",
@@ -39,6 +40,7 @@ __all__ = [
 KEY_LIMIT: Final = 1000
 KEEP_S: Final = 600.0
 KEY_CHARS: Final = 255
+CLIENT_GONE: Final = STATUS_BY_KIND["client-gone"][0]
 
 
 @dataclass(slots=True, eq=False)
@@ -97,8 +99,10 @@ class Idempotency:
         self._make_room()
         entry = self._entries[key] = Entry(content, self._clock())
         try:
-            entry.response = await act()
-            return entry.response
+            response = await act()
+            if response.status_code != CLIENT_GONE:
+                entry.response = response
+            return response
         finally:
             if entry.response is None and self._entries.get(key) is entry:
                 del self._entries[key]

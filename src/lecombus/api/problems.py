@@ -312,7 +312,11 @@ def group_problem(report: GroupReport, members: list[Json]) -> Problem | None:
     problems = [problem for one in report.members if (problem := report_problem(one)) is not None]
     if not problems and report.outcome in (Outcome.DONE, Outcome.VERIFIED):
         return None
-    worst = max(problems, key=lambda problem: problem.status, default=None)
+    sent = len(problems) < len(report.members) or any(one.kind != "client-gone" for one in problems)
+    # What was done to a part of a group was done: `client-gone` says that nothing was sent.
+    worst = max(problems, key=lambda one: (one.kind != "client-gone", one.status), default=None)
+    if worst is not None and worst.kind == "client-gone" and sent:
+        worst = replace(worst, kind="refused")
     kind = worst.kind if worst else KIND_BY_OUTCOME[report.outcome]
     failed = ", ".join(problem.drive for problem in problems)
     return Problem(

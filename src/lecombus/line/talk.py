@@ -37,6 +37,7 @@ from ..errors import LineLostError
 from ..protocol.exchange import Exchange, Result, ResultKind
 from ..protocol.telegrams import NakAnswer, ValueAnswer
 from ..schedule import Outcome, Priority, Request, Schedule
+from ..schedule.request import CLIENT_GONE
 from .aftermath import Aftermath
 from .connection import Connection
 from .doubts import Asked, Doubts
@@ -272,6 +273,9 @@ class Talk:
 
     def _say(self, request: Request, now: float) -> None:
         """Begin the next step of a request as one exchange."""
+        if request.is_unwanted:
+            self._withdraw(request, now)
+            return
         job: Job = request.work  # type: ignore[assignment]
         ready, self._ready = self._ready, None
         is_ready = ready is not None and ready[0] is request
@@ -336,6 +340,12 @@ class Talk:
         """Whether the telegram that was written out is the one to be said at that time."""
         return self._ready is not None and self._schedule.foreseen(at_s) is self._ready[0]
 
+    def _withdraw(self, request: Request, now: float) -> None:
+        """End a write that was chosen and not sent: no motor starts for a client that has left."""
+        self._ready = None
+        self._schedule.defer(request, now, now)
+        self._schedule.withdraw(request, Outcome.REFUSED, CLIENT_GONE)
+
     def _postpone(self, request: Request, until_s: float, now: float) -> None:
         """Say it later: an old answer that could pass for its own may still come.
 
@@ -389,6 +399,8 @@ class Talk:
         """
         ready = self._ready
         if ready is None or type(result.answer) is not ValueAnswer or type(done[1]) is not ReadJob:
+            return False
+        if ready[0].is_unwanted:
             return False
         now = self._time()
         if now < max(result.ended_s + self._options.turnaround_s, self._silence.quiet_until_s):

@@ -41,7 +41,12 @@ from lecombus.operations.findings import WhyReport
 from lecombus.operations.permissions import Permissions
 from lecombus.operations.refusals import Refusals
 from lecombus.operations.reports import Proof, RestoreRights, WriteReport
-from lecombus.operations.requests import Ending, Requests
+from lecombus.operations.requests import (
+    Ending,
+    Requests,
+    client_check,
+    refuse_for_gone_client,
+)
 from lecombus.operations.wear import Wear, wears
 from lecombus.operations.why import Why
 from lecombus.protocol.addressing import Code, Form
@@ -208,6 +213,8 @@ class Operations:
         """
         station = self._requests.station(drive)
         wire = self._permissions.permitted(drive, station, code, value, restoring=restoring)
+        if not asks_to_stop(station.family, code, wire):
+            refuse_for_gone_client(drive)
         expires_at_s = None if expires_s is None else self._clock() + expires_s
         mark = self.stop_mark(drive)
         outdated = self._requests.stopped_since_asked(drive)
@@ -306,8 +313,20 @@ class Operations:
         *,
         verify: bool,
         urgency: Priority | None = None,
+        goes_on: bool = False,
     ) -> Ending:
-        """Put a permitted write into the line; its end is waited for by the caller."""
+        """Put a permitted write into the line; its end is waited for by the caller.
+
+        Args:
+            station: The drive.
+            code: What to write.
+            wire: The value, as it is sent.
+            expires_at_s: Not begun after this time.
+            verify: Read back afterwards.
+            urgency: The class to run in; None: by what is written.
+            goes_on: It is part of something that was begun on the line: it is sent even when its
+                client leaves.
+        """
         ending = Ending()
         # From now on a stop must not rely on the control word this write may change.
         settle = self._words.guard((station.name,), code, ending.settle)
@@ -315,6 +334,7 @@ class Operations:
             station, code, wire, settle=settle, verify=verify, expires_at_s=expires_at_s,
             urgency=urgency,
         )  # fmt: skip
+        request.is_gone = None if goes_on else client_check(station, code, wire)
         try:
             self._requests.worker.submit(request)
         except LecombusError as exc:

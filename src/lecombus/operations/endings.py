@@ -13,7 +13,7 @@ from lecombus.operations.reports import WriteReport
 from lecombus.operations.requests import Ending, is_line_lost
 from lecombus.protocol.addressing import Code
 from lecombus.schedule import Outcome
-from lecombus.schedule.request import STOPPED
+from lecombus.schedule.request import CLIENT_GONE, STOPPED
 
 __all__ = ["CUT_REMEDY", "REMEDIES", "STOPPED_REMEDY", "kind_of", "stopped_first"]
 
@@ -42,6 +42,8 @@ def kind_of(ending: Ending, outcome: Outcome, reason: str) -> str:
     """Give the stable word for why a write was not done."""
     if outcome in (Outcome.EXPIRED, Outcome.SUPERSEDED):
         return outcome.value
+    if reason == CLIENT_GONE:
+        return "client-gone"
     error = ending.error
     if error is None and is_line_lost(reason):
         return "line-lost"

@@ -16,7 +16,7 @@ from decimal import Decimal
 
 from lecombus.config import GroupEntry
 from lecombus.drives import WriteClass
-from lecombus.drives.stops import stops_every_drive
+from lecombus.drives.stops import asks_to_stop, stops_every_drive
 from lecombus.errors import (
     CutReplyError,
     ExchangeError,
@@ -37,7 +37,7 @@ from lecombus.operations.reports import (
     WriteReport,
     group_report,
 )
-from lecombus.operations.requests import Ending
+from lecombus.operations.requests import Ending, client_check, refuse_for_gone_client
 from lecombus.operations.stop_operations import StopOperations
 from lecombus.operations.wear import wears
 from lecombus.protocol.addressing import Code
@@ -85,6 +85,9 @@ class GroupOperations(StopOperations):
         """
         expires_at_s = None if expires_s is None else self._clock() + expires_s
         stations, wires = self._permitted_all(group, code, value)
+        if not all(asks_to_stop(one.family, code, wire)
+                   for one, wire in zip(stations, wires, strict=True)):  # fmt: skip
+            refuse_for_gone_client(group)
         there: Sequence[WriteReport | None] = [None] * len(stations)
         marks = {one.name: self.stop_mark(one.name) for one in stations}
         if any(wears(one.family, code) for one in stations):
@@ -271,6 +274,7 @@ class GroupOperations(StopOperations):
             expires_at_s=expires_at_s,
         )  # fmt: skip
         ending.request = request
+        request.is_gone = client_check(stations[0], code, wire)
         try:
             self._requests.worker.submit(request)
         except LecombusError as exc:

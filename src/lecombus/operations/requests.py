@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Callable
 from contextvars import ContextVar
 
+from lecombus.drives.stops import asks_to_stop
 from lecombus.errors import (
     CutReplyError,
     ExchangeError,
@@ -29,12 +30,41 @@ from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 from lecombus.schedule import Outcome, Priority, Request
 
-__all__ = ["CAME_S", "Ending", "Requests", "is_of_the_line"]
+__all__ = [
+    "CAME_S",
+    "IS_GONE",
+    "Ending",
+    "Requests",
+    "client_check",
+    "is_of_the_line",
+    "refuse_for_gone_client",
+]
 
 
 CAME_S: ContextVar[float | None] = ContextVar("came_s", default=None)
 """When what is being done was asked for, monotonic seconds; None: just now. A request may wait for
 its turn before anything is done about it, and a stop that comes meanwhile ends it too."""
+
+IS_GONE: ContextVar[Callable[[], bool] | None] = ContextVar("IS_GONE", default=None)
+"""Says whether the client that asked for what is being done has closed its connection; None: there
+is no such client."""
+
+
+def refuse_for_gone_client(drive: str) -> None:
+    """Begin nothing for a client that has left: no motor may start for a person who gave up.
+
+    Raises:
+        OperationError: `client-gone`.
+    """
+    is_gone = IS_GONE.get()
+    if is_gone is not None and is_gone():
+        text = "the client closed its connection: nothing was sent"
+        raise OperationError(text, kind="client-gone", drive=drive)
+
+
+def client_check(station: Station, code: Code, wire: Value) -> Callable[[], bool] | None:
+    """Give what withdraws a write that waits when its client leaves; None for one that stops."""
+    return None if asks_to_stop(station.family, code, wire) else IS_GONE.get()
 
 
 class Ending:

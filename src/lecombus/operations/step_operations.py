@@ -161,7 +161,10 @@ class StepOperations(GroupOperations):
     async def _write(self, run: Run, code: Code, raw: str) -> WriteReport:
         name = run.station.name
         wire = self._permissions.permitted(name, run.station, code, raw)
-        ending = self.submit_write(run.station, code, wire, run.expires_at_s, verify=run.verify)
+        ending = self.submit_write(
+            run.station, code, wire, run.expires_at_s, verify=run.verify,
+            goes_on=bool(run.written) or run.lifts is not None,
+        )  # fmt: skip
         report = self.report(name, code, ending, *await ending.wait())
         if ending.was_sent and report.kind != "nak":
             run.written.append((code, wire.raw))

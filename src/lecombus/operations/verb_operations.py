@@ -38,6 +38,7 @@ from lecombus.drives.verbs import (
 )
 from lecombus.errors import OperationError
 from lecombus.operations.reports import VerbReport, WriteReport
+from lecombus.operations.requests import refuse_for_gone_client
 from lecombus.operations.step_operations import TROUBLE, StepOperations, words_of
 from lecombus.operations.stop_operations import STOP_REMEDY
 from lecombus.operations.verb_reports import (
@@ -93,6 +94,7 @@ class VerbOperations(StepOperations):
         if verb in STOPS:
             return await self._stop_verb(drive, verb)
         rules_of(drive, station.family, verb)
+        refuse_for_gone_client(drive)
         self._permissions.check_ready(drive)
         expires_at_s = None if expires_s is None else self._clock() + expires_s
         run = Run(station, verb, self._stops_said[drive], expires_at_s, verify)

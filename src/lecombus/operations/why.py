@@ -87,12 +87,15 @@ class Why:
         self._lapses_then: dict[str, int] = {}
 
     def enable_ended(self, report: VerbReport, *, taken_back: bool) -> None:
-        """Remember an enable that failed until one succeeds; one that a stop ended says nothing."""
+        """Remember an enable that failed until one succeeds.
+
+        One that a stop ended, or whose client left before anything was sent, says nothing.
+        """
         drive = report.drive
         if report.outcome in (Outcome.DONE, Outcome.VERIFIED):
             self._enables.pop(drive, None)
             self._lapses_then[drive] = self._lapses(drive)
-        elif report.outcome is not Outcome.SUPERSEDED:
+        elif report.outcome is not Outcome.SUPERSEDED and report.kind != "client-gone":
             self._remember(report, taken_back=taken_back, by_drive=True)
 
     def enable_refused(self, drive: str, error: OperationError) -> None:

@@ -14,6 +14,7 @@ from enum import IntEnum, StrEnum
 from typing import Any, Final
 
 __all__ = [
+    "CLIENT_GONE",
     "DEFERRED",
     "OUT",
     "QUEUED",
@@ -35,6 +36,9 @@ UNDER_WAY: Final = 3
 
 STOPPED: Final = "ended by a stop of the drive"
 """Why a write ended for which a stop came while it waited, or between two of its steps."""
+
+CLIENT_GONE: Final = "its client closed the connection before it was sent"
+"""Why a write ended that waited when the client that asked for it left."""
 
 
 class Priority(IntEnum):
@@ -106,6 +110,8 @@ class Request:
             it off between two of its steps. The line sets it as soon as something went out that
             may have changed the drive (`UNKNOWN`), and again once that was acknowledged (`DONE`).
         yields: For a stop: only more proof is wanted, and it waits for feeds (`silent_stops`).
+        is_gone: Says whether the client that asked for it has left. The line asks directly before
+            the first telegram; None: it is sent whatever its client does.
 
     The fields after it belong to the schedule; nobody else writes them.
     """
@@ -125,6 +131,7 @@ class Request:
     cut_outcome: Outcome | None = None
     told: tuple[float, float] | None = None
     yields: bool = False
+    is_gone: Callable[[], bool] | None = None
     settled: bool = field(default=False, repr=False)
     # -- bookkeeping of the schedule ------------------------------------------------------------
     state: int = field(default=0, init=False, repr=False)  # OUT, QUEUED, DEFERRED, UNDER_WAY
@@ -158,6 +165,11 @@ class Request:
         elif self.attempts and (self.writes or self.supersedes is not None):
             outcome = Outcome.UNKNOWN
         self.end(outcome, reason)
+
+    @property
+    def is_unwanted(self) -> bool:
+        """Whether nothing of it was sent yet and its client has left."""
+        return self.is_gone is not None and not self.attempts and self.is_gone()
 
     def end(self, outcome: Outcome, reason: str = "") -> None:
         """Settle the request.
