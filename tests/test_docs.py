@@ -1,4 +1,8 @@
-"""The documentation names what there is: every roster key, command, metric and problem, no more."""
+"""The documentation names what there is: every roster key, command, metric, log event and problem.
+
+And it can be used: the README is short, links lead somewhere, the first roster is right, and every
+document is in an index.
+"""
 
 from __future__ import annotations
 
@@ -7,17 +11,24 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from lecombus.api.problems import STATUS_BY_KIND
-from lecombus.cli.entry import COMMANDS
+from lecombus.cli.entry import COMMANDS, main
 from lecombus.config import roster_json_schema
 from lecombus.drives import FAMILY_NAMES, family
 from lecombus.protocol.addressing import Code
 from support.site_host import Plant, roster_of, until, with_plant
 
 ROOT = Path(__file__).parent.parent
+DOCS = ROOT / "docs"
 README = (ROOT / "README.md").read_text()
-API = (ROOT / "docs" / "api.md").read_text()
-OPERATIONS = (ROOT / "docs" / "operations.md").read_text()
+API = (DOCS / "api.md").read_text()
+ALARMS = (DOCS / "alarms.md").read_text()
+COMMANDS_DOC = (DOCS / "commands.md").read_text()
+DRIVES = (DOCS / "drives.md").read_text()
+ROSTER = (DOCS / "roster.md").read_text()
+WRITTEN = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted(DOCS.rglob("*.md"))]
 
 
 def rows(text: str, heading: str) -> list[list[str]]:
@@ -34,7 +45,7 @@ def quoted(cell: str) -> list[str]:
 
 
 def keys(piece: dict[str, Any], path: str = "") -> Iterator[str]:
-    """Yield the path of every key of a roster that holds a value, as the README writes it."""
+    """Yield the path of every key of a roster that holds a value, as docs/roster.md writes it."""
     inside = dict(piece.get("properties", {}))
     if isinstance(piece.get("additionalProperties"), dict):
         inside["NAME"] = piece["additionalProperties"]
@@ -46,24 +57,24 @@ def keys(piece: dict[str, Any], path: str = "") -> Iterator[str]:
         yield path
 
 
-def test_the_readme_has_every_key_of_a_roster_and_no_other() -> None:
-    told = {key for cells in rows(README, "## The roster") for key in quoted(cells[0])}
+def test_every_key_of_a_roster_and_no_other_is_documented() -> None:
+    told = {key for cells in rows(ROSTER, "## All keys") for key in quoted(cells[0])}
     there = set(keys(roster_json_schema()))
     covers = {key: {one for one in there if f"{one}.".startswith(f"{key}.")} for key in told}
     assert [key for key, found in covers.items() if not found] == []
     assert there - set().union(*covers.values()) == set()
 
 
-def test_the_readme_has_every_default_of_the_line() -> None:
+def test_every_default_of_the_line_is_documented() -> None:
     line = roster_json_schema()["properties"]["line"]["properties"]
-    for cells in rows(README, "## The roster"):
+    for cells in rows(ROSTER, "## All keys"):
         name = quoted(cells[0])[0].removeprefix("line.")
         if name in line and "default" in line[name]:
             assert cells[1] == str(line[name]["default"]).lower(), name
 
 
-def test_the_readme_names_setpoints_that_may_be_written() -> None:
-    told = {name: cells[-1] for cells in rows(README, "## What is supported")
+def test_documented_setpoints_may_be_written() -> None:
+    told = {name: cells[-1] for cells in rows(DRIVES, "## Families")
             for name in quoted(cells[0])}  # fmt: skip
     assert sorted(told) == sorted(FAMILY_NAMES)
     for name, text in told.items():
@@ -79,20 +90,14 @@ def test_the_readme_names_setpoints_that_may_be_written() -> None:
         assert (Code(46) in readable) == (name in ("93xx", "smvector"))
 
 
-def test_the_readme_has_every_command_in_the_order_of_the_help() -> None:
-    named = [quoted(cells[0])[0].split()[1] for cells in rows(README, "## Commands")]
+def test_every_command_is_documented_in_the_order_of_the_help() -> None:
+    named = [quoted(cells[0])[0].split()[1] for cells in rows(COMMANDS_DOC, "## All commands")]
     assert named == list(COMMANDS)
 
 
 def test_metrics_are_those_that_are_served() -> None:
-    text = (
-        README.partition("\nMetrics, all prefixed")[2]
-        .partition("What they mean")[0]
-        .partition(":")[2]
-    )
-    told = {f"lecombus_{name}" for name in quoted(text)}
     explained = {
-        name for cells in rows(OPERATIONS, "## Metrics") for name in quoted(cells[0])
+        name for cells in rows(ALARMS, "## Metrics") for name in quoted(cells[0])
         if name.startswith("lecombus_")
     }  # fmt: skip
     alerts = (ROOT / "deploy" / "prometheus" / "lecombus.rules.yml").read_text()
@@ -104,7 +109,6 @@ def test_metrics_are_those_that_are_served() -> None:
         await until(lambda: (one := fault("a").fault) is not None and one.number == 50)
         page = (await plant.site.metrics.fresh_page(openmetrics=False)).decode()
         served = set(re.findall(r"^# TYPE (lecombus_\w+)", page, re.MULTILINE))
-        assert told == served
         assert explained == served
         assert set(re.findall(r"lecombus_[a-z_]+", alerts)) <= {
             name + suffix for name in served for suffix in ("", "_bucket", "_sum", "_count")
@@ -112,6 +116,17 @@ def test_metrics_are_those_that_are_served() -> None:
 
     watched = ", watchdog: {time: 2s, action: inhibit, configure: true}"
     with_plant(test, roster_of([("a", 11, "8200vector")], drive=watched))
+
+
+def test_every_log_event_is_documented() -> None:
+    logged = {
+        name
+        for path in (ROOT / "src" / "lecombus").rglob("*.py")
+        for name in re.findall(r"\bevent=([a-z-]*[a-z])\b", path.read_text())
+    }
+    assert {"port-open", "watchdog-missed", "slow-drive"} <= logged
+    explained = {name for cells in rows(ALARMS, "## Log") for name in quoted(cells[0])}
+    assert logged - explained == set()
 
 
 def test_the_words_of_problems_stand_beside_their_status() -> None:
@@ -133,3 +148,49 @@ def test_every_problem_that_an_operation_names_has_a_status() -> None:
     }
     assert "no-such-drive" in named
     assert named <= STATUS_BY_KIND.keys()
+
+
+def test_the_readme_is_read_in_the_first_hour() -> None:
+    assert README.count("\n") <= 200
+    first_screen = README.splitlines()[:25]
+    for wanted in ("make demo", "make test", "not a safety function"):
+        assert any(wanted in line for line in first_screen), wanted
+
+
+def test_the_first_roster_is_right(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    roster = tmp_path / "bench.yaml"
+    roster.write_text(README.partition("<<'END'\n")[2].partition("\nEND\n")[0])
+    assert main(["check", "-c", str(roster)]) == 0
+    shown = README.partition("$ lecombus check -c bench.yaml\n")[2].partition("```")[0]
+    said = " ".join(capsys.readouterr().out.split())
+    cyclic = re.findall(r"C\d{4} \d+\w+", shown)
+    assert len(cyclic) == 5
+    for words in (*cyclic, "8200vector", "reaches every drive at 11 to 19"):
+        assert words in said, words
+
+
+def anchors(text: str) -> set[str]:
+    """Return what GitHub makes of the headings of a document."""
+    outside = re.sub(r"^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL)
+    return {
+        re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+        for heading in re.findall(r"^#+ (.*)$", outside, re.MULTILINE)
+    }
+
+
+@pytest.mark.parametrize("path", WRITTEN, ids=lambda path: str(path.relative_to(ROOT)))
+def test_links_lead_somewhere(path: Path) -> None:
+    for target in re.findall(r"\]\(([^)\s]+)\)", path.read_text()):
+        if target.startswith(("http://", "https://")):
+            continue
+        name, _, anchor = target.partition("#")
+        file = (path.parent / name).resolve() if name else path
+        assert file.exists(), target
+        if anchor:
+            assert anchor in anchors(file.read_text()), target
+
+
+@pytest.mark.parametrize("folder", [DOCS, DOCS / "adr"], ids=["docs", "adr"])
+def test_every_document_is_in_its_index(folder: Path) -> None:
+    named = set(re.findall(r"\]\(([\w-]+\.md)", (folder / "README.md").read_text()))
+    assert {path.name for path in folder.glob("*.md")} - {"README.md"} == named - {"README.md"}

@@ -1,6 +1,6 @@
 """Four hours and more of random lines, ten with the long tests, and the mutants they find out.
 
-The same as `make proof` (docs/timing.md), which goes on where it stopped, for a thousand hours.
+The same as `make proof` (docs/proof.md), which goes on where it stopped, for a thousand hours.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ LENGTH_S = 60.0
 HOURS = 3.5
 CHUNKS = 5
 OPEN: dict[int, str] = {}
-"""Lines that show a defect which is not mended yet, and which (docs/timing.md)."""
+"""Lines that show a defect which is not mended yet, and which (docs/proof.md)."""
 JOBS = 2
 
 
@@ -64,7 +64,7 @@ def judge(findings: list[Finding]) -> None:
 @pytest.mark.timeout(900)
 def test_what_is_said_to_be_open_still_is(findings: list[Finding]) -> None:
     mended = [found.line.seed for found in findings if found.line.seed in OPEN and not found.broken]
-    assert not mended, f"take these out of OPEN and out of docs/timing.md: {mended}"
+    assert not mended, f"take these out of OPEN and out of docs/proof.md: {mended}"
 
 
 @pytest.mark.timeout(900)
