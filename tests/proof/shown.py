@@ -37,7 +37,7 @@ SILENT = 6
 LOOKED_AT = 8
 """Values looked at each time: all in turn."""
 LEAST_TRIED_S = 1.5
-"""A stop whose proof is missing is said again for so long at least. Source: docs/troubleshooting.md."""
+"""A stop without proof is sent again for at least this long. Source: docs/troubleshooting.md."""
 PERIODS, STRETCH_MOST, GRACE_S = 2.0, 4.0, 1.0
 """A cyclic value is good for two periods, as stretched, and this. Source: docs/operations.md."""
 
