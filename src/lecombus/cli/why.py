@@ -23,7 +23,7 @@ WORDS: Mapping[str, Mapping[str, str]] = {
         "stale": "as known {age} ago",
     },
     "de": {
-        "do": "tun", "also": "außerdem", "may": "kann dazu beitragen", "note": "zur Kenntnis",
+        "do": "Abhilfe", "also": "außerdem", "may": "kann dazu beitragen", "note": "Hinweise",
         "memory": "Fehlerspeicher, Neuestes zuerst (was war, nicht was ist)",
         "empty": "der Fehlerspeicher ist leer", "unread": "der Fehlerspeicher ist nicht gelesen",
         "stale": "Stand vor {age}",

@@ -212,7 +212,7 @@ LINE_REMEDY: Final = Text(
 )
 OFFLINE_REMEDY: Final = Text(
     "check its supply, address, baud rate and plug; it is asked again all the time",
-    "Versorgung, Adresse, Baudrate und Stecker prüfen; er wird laufend gefragt",
+    "Versorgung, Adresse, Baudrate und Stecker prüfen; er wird weiter regelmäßig abgefragt",
 )
 STARTING_REMEDY: Final = Text(
     "wait; what keeps the audit from ending stands behind the colon",
@@ -226,7 +226,7 @@ UNSEEN_STOP: Final = Text(
     "a quick stop that it set may last, for no status word of this family shows one: lecombus "
     "enable releases it when the motor may turn",
     "ein Quickstop davon kann noch bestehen, denn kein Statuswort dieser Familie zeigt ihn: "
-    "lecombus enable löst ihn, wenn der Motor drehen darf",
+    "lecombus enable hebt ihn auf, wenn der Motor drehen darf",
 )
 NUMBER_REMEDY: Final = Text(
     "look at the keypad, or in the fault memories below",
@@ -279,7 +279,7 @@ def state_finding(info: DriveInfo) -> Finding | None:
     if info.state is DriveState.STARTING:
         text = Text(
             f"it has not been audited yet, nothing but stops is written to it: {info.reason}",
-            f"er ist noch nicht geprüft, außer Stopps wird nichts geschrieben: {info.reason}",
+            f"er ist noch nicht geprüft, es werden nur Stopps gesendet: {info.reason}",
         )
         return Finding("not-audited", Weight.REASON, text, STARTING_REMEDY)
     return None
@@ -300,7 +300,7 @@ def lock_finding(remark: str) -> Finding:
     """Say that nothing may be written to the drive."""
     text = Text(
         f"nothing but stops is written to it: {remark}",
-        f"außer Stopps wird nichts geschrieben: {remark}",
+        f"es werden nur Stopps gesendet: {remark}",
     )
     return Finding("locked", Weight.HINT, text, Text("", ""))
 
