@@ -4,7 +4,7 @@
 
     LecombusError
     ├── ConfigError (ValueError)          file, where
-    │   └── DescriptionError              + drive_type, code
+    │   └── DescriptionError              + drive_type, code, path, value
     ├── CodeValueError (ValueError)       code, value, low, high
     ├── LineError                         line
     │   ├── LineLostError
@@ -104,14 +104,34 @@ class ConfigError(LecombusError, ValueError):
 
 
 class DescriptionError(ConfigError):
-    """A family description is wrong: lecombus was shipped or extended with a bad data file."""
+    """A data file of lecombus or a backup is wrong.
+
+    Args:
+        message: What is wrong and what would be right.
+        file: The file.
+        where: `LINE:COLUMN`.
+        drive_type: The family that was read.
+        code: The code concerned, as text.
+        path: The keys and numbers that lead to the value, such as `codes.3.format`.
+        value: The value as it stands in the file, where it is known.
+    """
 
     def __init__(
-        self, message: str, *, file: str = "", where: str = "", drive_type: str = "", code: str = ""
+        self,
+        message: str,
+        *,
+        file: str = "",
+        where: str = "",
+        drive_type: str = "",
+        code: str = "",
+        path: str = "",
+        value: object = None,
     ) -> None:
         super().__init__(message, file=file, where=where)
         self.drive_type = drive_type
         self.code = code
+        self.path = path
+        self.value = value
 
 
 class CodeValueError(LecombusError, ValueError):

@@ -185,8 +185,14 @@ BAD = [
     ("[{code: C0040, equals: 0}]", "[{code: C0040}]", "{code: C0040", "equals is missing"),
     ("family: test", "family: other", "other", "family must be test"),
     ("include: [shared]", "include: [elsewhere]", "elsewhere", "no data file elsewhere.yaml"),
-    ("addressing: [standard]", "addressing: [short]", "short", "short is no addressing form"),
-    ("title: a drive", "titel: a drive", "family: test", "title is missing"),
+    (
+        "addressing: [standard]",
+        "addressing: [short]",
+        "short",
+        "short is not known here; standard, ext",
+    ),
+    ("title: a drive", "titel: a drive", "titel", "titel is not known here; .*title"),
+    ("title: a drive for tests\n", "", "family: test", "title is missing"),
     ("title: a drive", "note: 1\ntitle: a drive", "note: 1", "note is not known here"),
     ("codes:\n", "codes: [\n", "- {code: C0040", "this is no YAML"),
 ]

@@ -1,18 +1,21 @@
-"""Reading a backup's file, with every complaint at its line and column.
+"""Reading a backup's file, with line and column in every error.
 
-A file may have been written by hand or merged by git, so nothing in it is taken on trust: a code
-that stands twice, a value that is none, a family that is not known are refused with their place.
-In which section a code stands does not matter: what it is follows from its description.
-
-What must not live here: what is done with a backup.
+A file may have been written by hand or merged by git, so everything in it is checked: a code that
+stands twice, a value that is none, a family that is not known are refused with their place. In
+which section a code stands does not matter: what it is follows from its description.
 """
 
 from __future__ import annotations
 
-from typing import Final
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Annotated, Final
+
+from pydantic import Field, TypeAdapter
 
 from lecombus.drives import FAMILY_NAMES, family
-from lecombus.drives.document import Item, Origin, Table, read_document
+from lecombus.drives.field_types import Words, read_words, whole
+from lecombus.drives.yaml_models import FILE_TABLE, KEY, Document, Reads, mistake
 from lecombus.errors import CodeValueError
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
@@ -25,73 +28,104 @@ __all__ = ["read_backup"]
 HIGHEST_FORMAT: Final = 1_000_000
 
 
+def _read_family(given: object) -> str:
+    if given not in FAMILY_NAMES:
+        known = ", ".join(FAMILY_NAMES)
+        raise mistake(f"there is no family {read_words(given)}; {known} are known")
+    return str(given)
+
+
+def _read_value(given: object) -> Value:
+    """Read a value as it stands on the wire."""
+    try:
+        return Value.parse(read_words(given))
+    except CodeValueError as exc:
+        raise mistake(str(exc)) from exc
+
+
+Values = dict[str, Annotated[Value, Reads(_read_value)]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _BackupFile:
+    __pydantic_config__ = FILE_TABLE
+
+    version: Annotated[int, whole(1, HIGHEST_FORMAT), Field(alias=FORMAT_KEY)]
+    drive: Words
+    line: Words
+    address: Annotated[int, whole(1, 99)]
+    family: Annotated[str, Reads(_read_family)]
+    taken: Words
+    lecombus: Words
+    identity: Values = field(default_factory=dict)
+    parameters: Values = field(default_factory=dict)
+    module: Values = field(default_factory=dict)
+    process: Values = field(default_factory=dict)
+    undescribed: Values = field(default_factory=dict)
+    not_read: Annotated[dict[str, Words], Field(alias=NOT_READ)] = field(default_factory=dict)
+
+
+@cache
+def _backup_file() -> TypeAdapter[_BackupFile]:
+    return TypeAdapter(_BackupFile)
+
+
 def read_backup(text: str, file: str) -> Backup:
     """Read a backup.
 
     Args:
         text: The file's content.
-        file: Its name, for complaints.
+        file: Its name, for errors.
 
     Raises:
         ConfigError: It is no backup, or something in it cannot be.
     """
-    table = read_document(text, Origin(file, ""), foreign=True)
-    version = table.get(FORMAT_KEY)
-    if version is None:
-        table.fail(f"this is no backup: it does not begin with {FORMAT_KEY}: {FORMAT_VERSION}")
-    if version.integer(1, HIGHEST_FORMAT) > FORMAT_VERSION:
-        version.fail(f"a later lecombus wrote this: format {FORMAT_VERSION} is read here")
-    head = read_head(table)
+    document = Document(text, file, untrusted=True)
+    if FORMAT_KEY not in document.data:
+        raise document.error(
+            f"this is no backup: it does not begin with {FORMAT_KEY}: {FORMAT_VERSION}"
+        )
+    version = document.data[FORMAT_KEY]
+    # Checked first: a later format may have keys that are not known here, or lack some.
+    if isinstance(version, str) and version.isdecimal() and int(version[:7]) > FORMAT_VERSION:
+        message = f"a later lecombus wrote this: format {FORMAT_VERSION} is read here"
+        raise document.error(message, FORMAT_KEY)
+    backup = document.read(_backup_file())
+    head = Head(
+        drive=backup.drive,
+        line=backup.line,
+        address=backup.address,
+        family=backup.family,
+        taken=backup.taken,
+        version=backup.lecombus,
+    )
+    read = document.read(_backup_file())
     entries: dict[Code, Entry] = {}
-    for section in Section:
-        for key, value in pairs(table, section.value):
-            put(entries, key, Entry(read_code(key), read_value(value), place=key.place))
-    for key, value in pairs(table, NOT_READ):
-        put(entries, key, Entry(read_code(key), None, missing=value.text(), place=key.place))
-    table.done()
+    for section in (*Section, NOT_READ):
+        values: dict[str, Value | str] = getattr(read, section.replace("-", "_"))
+        for key, value in values.items():
+            entry = _entry(document, section, key, value)
+            other = entries.setdefault(entry.code, entry)
+            if other is not entry:
+                message = f"{entry.code} stands in this file twice: also at {other.place}"
+                raise document.error(message, section, key, KEY)
+    head = Head(
+        drive=read.drive,
+        line=read.line,
+        address=read.address,
+        family=read.family,
+        taken=read.taken,
+        version=read.lecombus,
+    )
     return Backup(head, family(head.family), dict(sorted(entries.items())), name=file)
 
 
-def read_head(table: Table) -> Head:
-    """Read whose backup it is."""
-    name = table.take("family")
-    if name.text() not in FAMILY_NAMES:
-        name.fail(f"there is no family {name.text()}; {', '.join(FAMILY_NAMES)} are known")
-    return Head(
-        drive=table.take("drive").text(),
-        line=table.take("line").text(),
-        address=table.take("address").integer(1, 99),
-        family=name.text(),
-        taken=table.take("taken").text(),
-        version=table.take("lecombus").text(),
-    )
-
-
-def pairs(table: Table, key: str) -> list[tuple[Item, Item]]:
-    """Give the keys and values of a section that may be missing."""
-    item = table.get(key)
-    return list(item.table().pairs()) if item is not None else []
-
-
-def put(entries: dict[Code, Entry], key: Item, entry: Entry) -> None:
-    """Take an entry, unless its code stands in the file already, however it is written there."""
-    other = entries.get(entry.code)
-    if other is not None:
-        key.fail(f"{entry.code} stands in this file twice: also at {other.place}")
-    entries[entry.code] = entry
-
-
-def read_code(key: Item) -> Code:
-    """Read a code."""
+def _entry(document: Document, section: str, key: str, value: Value | str) -> Entry:
+    place = document.place(section, key, KEY)
     try:
-        return Code.parse(key.text())
+        code = Code.parse(key)
     except CodeValueError as exc:
-        key.fail(str(exc))
-
-
-def read_value(item: Item) -> Value:
-    """Read a value as it stands on the wire."""
-    try:
-        return Value.parse(item.text())
-    except CodeValueError as exc:
-        item.fail(str(exc))
+        raise document.error(str(exc), section, key, KEY) from exc
+    if isinstance(value, Value):
+        return Entry(code, value, place=place)
+    return Entry(code, None, missing=value, place=place)

@@ -11,6 +11,7 @@ Pure: no input or output but the packaged data files, no clock, nothing of the l
 
 from __future__ import annotations
 
+from .address_codes import address_code, baud_code, baud_numbers, moves_drive, shifts_addressing
 from .bit_names import german_name
 from .codes import CodeInfo, PlainWhen, Storage, WriteClass
 from .commands import ControlBit, ControlField, ControlWordInfo
@@ -24,7 +25,6 @@ from .family import (
 )
 from .faults import Fault, FaultKind
 from .loading import FAMILY_NAMES, family, load_family
-from .moves import address_code, baud_code, baud_numbers, moves_drive, shifts_addressing
 from .operating import OperatingState, StateRule, believed_states, join_states
 from .restoring import (
     RestoreRule,

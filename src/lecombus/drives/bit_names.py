@@ -1,24 +1,33 @@
 """What bits and fields of words are called in German, from `bit-names.yaml`.
 
-Strategy: the name that a family's file gives a bit is a word for programs and stays the same in
-every language; what people read in German stands once for all families. A name that the file does
-not have, such as one of an extension, is its own German.
-
-What must not live here: what a bit means (`words`, `commands`).
+The name that a family's file gives a bit is a word for programs and stays the same in every
+language; the German names stand once for all families. A name that the file does not have, such as
+one of an extension, is its own German.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from typing import Final
 
-from .document import Origin, read_document
+from pydantic import TypeAdapter
+
+from .field_types import Words
+from .yaml_models import FILE_TABLE, Document
 
 __all__ = ["german_name", "load_bit_names"]
 
 FILE: Final = "bit-names.yaml"
+
+
+@dataclass(frozen=True)
+class _BitNamesFile:
+    __pydantic_config__ = FILE_TABLE
+
+    names: dict[Words, Words]
 
 
 def german_name(name: str) -> str:
@@ -42,9 +51,4 @@ def load_bit_names(text: str) -> dict[str, str]:
     Raises:
         DescriptionError: It says something that cannot be.
     """
-    document = read_document(text, Origin(f"families/{FILE}", ""))
-    found: dict[str, str] = {}
-    for key, value in document.take("names").table().pairs():
-        found[key.text()] = value.text()
-    document.done()
-    return found
+    return Document(text, f"families/{FILE}").read(TypeAdapter(_BitNamesFile)).names

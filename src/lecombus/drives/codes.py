@@ -15,11 +15,27 @@ from collections.abc import Mapping
 from dataclasses import astuple, dataclass, field
 from decimal import Decimal
 from enum import StrEnum
+from typing import Annotated
 
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Format, Value
+from pydantic import Field
 
+from lecombus.protocol.values import HIGHEST_VALUE_CHARS, LOWEST_DECIMAL, Format, Value
+
+from .field_types import (
+    WORD_MAX,
+    BothLanguages,
+    CodeNumber,
+    Flag,
+    Number,
+    Source,
+    WordNumber,
+    Words,
+    ends,
+    numbered,
+    whole,
+)
 from .texts import Language, Text
+from .yaml_models import FILE_TABLE
 
 __all__ = ["BY_OWN_MANUAL", "OTHERS", "CodeInfo", "PlainWhen", "Storage", "WriteClass"]
 
@@ -34,6 +50,11 @@ OTHERS = {
     Language.DE: f"weitere {BY_OWN_MANUAL[Language.DE]}",
 }
 """Stands after a selection of which the manual names some values only."""
+
+
+RANGE, LOW, HIGH = ends("range", "a range is [lowest, highest]")
+SelectionNumber = Annotated[int, whole(int(LOWEST_DECIMAL), 0xFFFF_FFFF)]
+BitNumber = Annotated[int, whole(0, 15)]
 
 
 class WriteClass(StrEnum):
@@ -68,11 +89,13 @@ class Storage(StrEnum):
 class PlainWhen:
     """Values of a delicate code that may be repeated: those with `number & mask == equals`."""
 
-    mask: int
-    equals: int
+    __pydantic_config__ = FILE_TABLE
+
+    mask: Annotated[int, whole(1, WORD_MAX)]
+    equals: WordNumber
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CodeInfo:
     """One described code.
 
@@ -104,31 +127,35 @@ class CodeInfo:
         array: Its values are reached by subcodes, of which the manual does not say how many.
     """
 
-    code: Code
-    name: str
-    unit: str | None
+    __pydantic_config__ = FILE_TABLE
+
+    code: CodeNumber
+    name: Words
     format: Format
-    hex_digits: int | None
-    chars: int
-    write_class: WriteClass
-    plain_when: PlainWhen | None
-    writable: bool
-    motion: bool
-    source: str
-    name_de: str = ""
-    low: Decimal | None = None
-    high: Decimal | None = None
-    step: Decimal | None = None
-    selection: Mapping[int, Text] = field(default_factory=dict)
-    bits: Mapping[int, Text] = field(default_factory=dict)
+    source: Source
+    name_de: Words = ""
+    unit: Words | None = None
+    hex_digits: Annotated[int, whole(2, 8)] | None = None
+    chars: Annotated[int, whole(1, HIGHEST_VALUE_CHARS)] = 0
+    low: Annotated[Number | None, LOW] = None
+    high: Annotated[Number | None, HIGH] = None
+    step: Number | None = None
+    selection: Annotated[Mapping[SelectionNumber, BothLanguages], numbered] = field(
+        default_factory=dict
+    )
+    selection_partial: Flag = False
+    bits: Annotated[Mapping[BitNumber, BothLanguages], numbered] = field(default_factory=dict)
+    default: Words | None = None
+    writable: Flag = False
+    readable: Flag = True
+    motion: Flag = False
+    write_class: WriteClass = WriteClass.PLAIN
+    plain_when: PlainWhen | None = None
     storage: Storage = Storage.VOLATILE
-    readable: bool = True
-    needs_inhibit: bool = False
-    default: str | None = None
-    parameter_set: int = 1
-    secret: bool = False
-    selection_partial: bool = False
-    array: bool = False
+    needs_inhibit: Flag = False
+    secret: Flag = False
+    array: Flag = False
+    parameter_set: Annotated[int, Field(init=False)] = 1
 
     def name_in(self, language: Language) -> str:
         """Return its name in a language."""

@@ -16,16 +16,26 @@ Source: EDB2102EN 8.2 (C0135); CMVLC401A table 9 (C0135).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import Annotated
+
+from pydantic import AfterValidator, Field
 
 from lecombus.errors import CodeValueError
-from lecombus.protocol.addressing import Code
 
-from .texts import Text
+from .field_types import (
+    WORD_MAX,
+    BothLanguages,
+    CodeNumber,
+    Source,
+    Words,
+    ends,
+    numbered,
+    whole,
+)
+from .yaml_models import FILE_TABLE, KEY, ReadAs, mistake
 
 __all__ = ["ControlBit", "ControlField", "ControlWordInfo"]
-
-WORD_MAX = 0xFFFF
 
 QUICK_STOP = "quick_stop"
 INHIBIT = "controller_inhibit"
@@ -35,21 +45,27 @@ JOG = "jog"
 """Names that have one meaning in every family, by which verbs find them."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+Bit = Annotated[int, whole(0, 15)]
+BITS, LOW, HIGH = ends("bits", "bits is the lowest and the highest bit: [8, 11]")
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ControlBit:
     """One named bit.
 
     Args:
         name: Its name, such as `quick_stop`.
-        bit: Its number, 0..15.
         off: What 0 means.
         on: What 1 means.
+        bit: Its number, 0..15; in a file the key that this stands under.
     """
 
-    name: str
-    bit: int
-    off: Text
-    on: Text
+    __pydantic_config__ = FILE_TABLE
+
+    name: Words
+    off: BothLanguages
+    on: BothLanguages
+    bit: Annotated[int, Field(init=False)] = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,10 +79,12 @@ class ControlField:
         texts: What each number means.
     """
 
-    name: str
-    low: int
-    high: int
-    texts: Mapping[int, Text]
+    __pydantic_config__ = FILE_TABLE
+
+    name: Words
+    low: Annotated[Bit, LOW]
+    high: Annotated[Bit, HIGH]
+    texts: Annotated[Mapping[Annotated[int, whole(0, WORD_MAX)], BothLanguages], numbered]
 
     @property
     def mask(self) -> int:
@@ -74,7 +92,44 @@ class ControlField:
         return ((1 << self.high - self.low + 1) - 1) << self.low
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+def _check_field(field: ControlField) -> ControlField:
+    if field.low > field.high:
+        raise mistake(
+            f"{field.high}: a whole number from {field.low} to 15 is right here", "bits", 1
+        )
+    highest = field.mask >> field.low
+    for number in field.texts:
+        if number > highest:
+            right = f"a whole number from 0 to {highest} is right here"
+            raise mistake(f"{number}: {right}", "texts", str(number), KEY)
+    return field
+
+
+def _bits_by_name(bits: Mapping[int, ControlBit]) -> dict[str, ControlBit]:
+    found: dict[str, ControlBit] = {}
+    for number, bit in bits.items():
+        if bit.name in found:
+            raise mistake(f"two bits have the name {bit.name}", str(number), KEY)
+        found[bit.name] = replace(bit, bit=number)
+    return found
+
+
+def _fields_by_name(fields: tuple[ControlField, ...]) -> dict[str, ControlField]:
+    found: dict[str, ControlField] = {}
+    for number, one in enumerate(fields):
+        if one.name in found:
+            raise mistake(f"{one.name} stands here twice", number)
+        found[one.name] = one
+    return found
+
+
+BITS_BY_NAME = ReadAs(Annotated[dict[Bit, ControlBit], numbered], _bits_by_name)
+FIELDS_BY_NAME = ReadAs(
+    tuple[Annotated[ControlField, BITS, AfterValidator(_check_field)], ...], _fields_by_name
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ControlWordInfo:
     """The control word of one family, or of one signal configuration of it.
 
@@ -87,12 +142,26 @@ class ControlWordInfo:
         source: Manual and section.
     """
 
-    code: Code
-    bits: Mapping[str, ControlBit]
-    fields: Mapping[str, ControlField]
-    free: tuple[int, ...]
-    reserved: tuple[int, ...]
-    source: str
+    __pydantic_config__ = FILE_TABLE
+
+    code: CodeNumber
+    bits: Annotated[Mapping[str, ControlBit], BITS_BY_NAME]
+    fields: Annotated[Mapping[str, ControlField], FIELDS_BY_NAME] = field(default_factory=dict)
+    free: tuple[Bit, ...] = ()
+    reserved: tuple[Bit, ...] = ()
+    source: Source
+
+    @property
+    def described_bits(self) -> list[int]:
+        """The bits that have a name or lie in a field, each as often as that."""
+        named = [bit.bit for bit in self.bits.values()]
+        fields = self.fields.values()
+        return named + [bit for field in fields for bit in range(field.low, field.high + 1)]
+
+    @property
+    def every_bit(self) -> list[int]:
+        """All bits that the description accounts for, each as often as it does."""
+        return [*self.described_bits, *self.free, *self.reserved]
 
     def encode(self, current: int, changes: Mapping[str, bool | int]) -> int:
         """Change the named bits and fields of a control word, and only those.

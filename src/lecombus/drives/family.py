@@ -15,6 +15,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Annotated
+
+from pydantic import Field
 
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value
@@ -22,10 +25,20 @@ from lecombus.protocol.values import Value
 from .codes import CodeInfo, WriteClass
 from .commands import ControlWordInfo
 from .faults import NO_FAULT, Fault, FaultKind, FaultTable, fault_table
+from .field_types import (
+    CodeNumber,
+    Flag,
+    Source,
+    WordNumber,
+    Words,
+    milliseconds,
+    whole,
+)
 from .restoring import RestoreRule
 from .stops import StopAction, StopRule
 from .verb_rules import VerbRules
 from .words import FieldReading, WordInfo
+from .yaml_models import FILE_TABLE, Reads, mistake
 
 __all__ = [
     "AnswerTime",
@@ -44,7 +57,17 @@ ANSWER_FACTOR = 2.0
 LIMIT_FACTOR = 1.2
 
 
-@dataclass(frozen=True, slots=True)
+ModeNumber = Annotated[int, whole(0, 255)]
+ROSTER_ACTIONS = ("none", "inhibit", "quick-stop", "trip")
+
+
+def _read_action(given: object) -> str:
+    if given not in ROSTER_ACTIONS:
+        raise mistake(f"{given} is no action; {', '.join(ROSTER_ACTIONS)} are")
+    return str(given)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class AnswerTime:
     """How long a drive thinks (t3) about one code.
 
@@ -58,13 +81,15 @@ class AnswerTime:
         source: Manual and section.
     """
 
-    read_s: float
-    write_s: float
-    slow_read_s: float
-    slow_write_s: float
-    slow_c0001: int | None
-    is_limit: bool
-    source: str
+    __pydantic_config__ = FILE_TABLE
+
+    read_s: Annotated[float, milliseconds(), Field(alias="read_ms")]
+    write_s: Annotated[float, milliseconds(), Field(alias="write_ms")]
+    slow_read_s: Annotated[float, milliseconds(), Field(alias="slow_read_ms")] = 0.0
+    slow_write_s: Annotated[float, milliseconds(), Field(alias="slow_write_ms")] = 0.0
+    slow_c0001: Annotated[ModeNumber | None, Field(alias="slow_when_c0001")] = None
+    is_limit: Annotated[Flag, Field(alias="limit")] = False
+    source: Source
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,13 +106,15 @@ class WatchdogTraits:
         source: Manual and section.
     """
 
-    time_code: Code
-    action_code: Code
-    actions: Mapping[str, int]
-    low_s: float
-    high_s: float
-    volatile: bool
-    source: str
+    __pydantic_config__ = FILE_TABLE
+
+    time_code: CodeNumber
+    action_code: CodeNumber
+    actions: Mapping[Annotated[str, Reads(_read_action)], WordNumber]
+    low_s: Annotated[float, milliseconds(0), Field(alias="low_ms")]
+    high_s: Annotated[float, milliseconds(), Field(alias="high_ms")]
+    volatile: Flag
+    source: Source
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,9 +127,11 @@ class SoftwareGate:
         source: Manual and section.
     """
 
-    code: Code
-    versions: tuple[str, ...]
-    source: str
+    __pydantic_config__ = FILE_TABLE
+
+    code: CodeNumber
+    versions: tuple[Words, ...]
+    source: Source
 
 
 @dataclass(frozen=True, slots=True, eq=False)

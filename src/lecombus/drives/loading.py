@@ -1,44 +1,36 @@
-"""Families from their data files: find, put together, check, keep.
+"""Families from their data files: find, read, put together, check, keep.
 
-Strategy: a family's file names the shared files it includes. Lists of entries (codes, answer
-times, words, stops, shared fields) are joined; everything else must be given by exactly one of
-the files. No entry replaces another: a code described twice is a mistake, so that what a family
-does can be read off its files without knowing an order. Then the whole is checked across its
-sections, and the first mistake is raised with file, line and column.
-
-Families are kept: a second `family()` costs a dictionary access. A bad data file is a bad release
-or a bad extension, never a user's roster; that is why one mistake at a time is enough here.
+A family's file names the files it includes. Lists of entries (codes, answer times, words, stops,
+shared fields) are joined; every other key must be given by exactly one of the files. No entry
+replaces another: a code described twice is a mistake, so that a family can be read off its files
+without knowing an order. Each file is validated by itself (`FamilyFile`). Then the references
+between sections are checked. The first mistake is raised with file, line and column.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from importlib import resources
-from typing import Final
+from typing import Annotated, Any, Final, TypeVar
+
+from pydantic import AfterValidator, BeforeValidator, Field, TypeAdapter
 
 from lecombus.errors import ConfigError, DescriptionError, meant
-from lecombus.protocol.addressing import Code
+from lecombus.protocol.addressing import Code, Form
 
-from .code_entries import CodeBook
+from .code_entries import CodeBook, CodeEntry
 from .codes import CodeInfo, WriteClass
-from .document import Item, Origin, Table, read_document
+from .commands import INHIBIT, QUICK_STOP
 from .family import AnswerTime, Family, SoftwareGate, WatchdogTraits
-from .readers import read_code_number
+from .field_types import CodeNumber, Flag, Words, milliseconds, whole
 from .restoring import RestoreRule, RestoreWord
-from .sections import (
-    read_answer_time,
-    read_form,
-    read_restore,
-    read_software,
-    read_stop,
-    read_watchdog,
-)
 from .stops import StopAction, StopRule
 from .verb_rules import VerbRules
-from .verb_sections import read_verbs
-from .word_entries import WordBook
+from .word_entries import ControlWordEntry, WordBook, WordEntry
+from .words import WordFieldEntry
+from .yaml_models import FILE_TABLE, KEY, LIST_RIGHT, Document, Place, mistake, without_keys
 
 __all__ = ["FAMILY_NAMES", "family", "load_family"]
 
@@ -53,19 +45,126 @@ FAMILY_NAMES: Final = (
     "generic",
 )
 
-NEVER_BY_DEFAULT = frozenset({WriteClass.ADDRESS, WriteClass.SAVE})
+NEVER_BY_DEFAULT: Final = frozenset({WriteClass.ADDRESS, WriteClass.SAVE})
 """Write classes that a roster must spell out: they cut the drive off or wear its memory."""
 
-HIGHEST_SET_OFFSET = 60_000
-LONGEST_PERIOD_MS = 86_400_000
-LONGEST_HOLD_MS = 10_000
+HIGHEST_SET_OFFSET: Final = 60_000
+LONGEST_PERIOD_MS: Final = 86_400_000
+LONGEST_HOLD_MS: Final = 10_000
 
 ReadFile = Callable[[str], str]
+T = TypeVar("T")
+
+
+def _or_others(given: Any) -> Any:
+    """Read `codes` of an answer time: a list of codes, or `others` for all that have none."""
+    if isinstance(given, str):
+        if given != "others":
+            raise mistake(f"{LIST_RIGHT}, or: others")
+        return None
+    return given
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _AnswerTimeEntry(AnswerTime):
+    codes: Annotated[tuple[CodeNumber, ...] | None, BeforeValidator(_or_others)]
+
+
+def _check_times(times: _AnswerTimeEntry) -> _AnswerTimeEntry:
+    slow_read_s, slow_write_s = (
+        times.slow_read_s or times.read_s,
+        times.slow_write_s or times.write_s,
+    )
+    if slow_read_s < times.read_s or slow_write_s < times.write_s:
+        raise mistake("the slow time is shorter than the usual one")
+    return replace(times, slow_read_s=slow_read_s, slow_write_s=slow_write_s)
+
+
+def _check_watchdog(traits: WatchdogTraits) -> WatchdogTraits:
+    if traits.low_s >= traits.high_s:
+        raise mistake("low_ms is not below high_ms")
+    return traits
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _StopEntry(StopRule):
+    action: StopAction
+
+
+def _check_stop(entry: _StopEntry) -> _StopEntry:
+    if (entry.value is None) == (not entry.set_mask):
+        raise mistake("either value or set is right here")
+    return entry
+
+
+def _check_restore(rule: RestoreRule) -> RestoreRule:
+    if (rule.value is not None) != (rule.word is RestoreWord.SAVE):
+        raise mistake("value belongs to the rule save, and only there")
+    return rule
+
+
+def _check_offsets(offsets: tuple[int, ...]) -> tuple[int, ...]:
+    if offsets[:1] != (0,) or list(offsets) != sorted(set(offsets)):
+        raise mistake("offsets begin with 0 and grow: [0, 2000]")
+    return offsets
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _StatusEntry:
+    __pydantic_config__ = FILE_TABLE
+
+    code: CodeNumber
+    period_s: Annotated[float, milliseconds(high=LONGEST_PERIOD_MS), Field(alias="every_ms")]
+
+
+SetOffset = Annotated[int, whole(0, HIGHEST_SET_OFFSET)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FamilyFile:
+    """One data file: of a family, or included by several.
+
+    `family` and `include` stand in a family's own file only. See `Family` for the meaning of the
+    other keys.
+    """
+
+    __pydantic_config__ = FILE_TABLE
+
+    family: Words | None = None
+    include: tuple[Words, ...] = ()
+    title: Words | None = None
+    manual: Words | None = None
+    addressing: tuple[Form, ...] | None = None
+    codes: tuple[CodeEntry, ...] = ()
+    stored_needs_inhibit: Flag | None = None
+    set_offsets: Annotated[tuple[SetOffset, ...], AfterValidator(_check_offsets)] | None = None
+    keypad_offset: Annotated[int, whole(1, HIGHEST_SET_OFFSET)] | None = None
+    saved_by: CodeNumber | None = None
+    answer_times: tuple[Annotated[_AnswerTimeEntry, AfterValidator(_check_times)], ...] = ()
+    hold_after_write_ms: Annotated[float, milliseconds(0, LONGEST_HOLD_MS)] | None = None
+    watchdog: Annotated[WatchdogTraits, AfterValidator(_check_watchdog)] | None = None
+    software: SoftwareGate | None = None
+    feed: CodeNumber | None = None
+    identity: tuple[CodeNumber, ...] | None = None
+    status: tuple[_StatusEntry, ...] | None = None
+    writable: tuple[CodeNumber, ...] | None = None
+    configured_by: CodeNumber | None = None
+    fields: tuple[WordFieldEntry, ...] = ()
+    words: tuple[WordEntry, ...] = ()
+    control_words: tuple[ControlWordEntry, ...] = ()
+    stops: tuple[Annotated[_StopEntry, AfterValidator(_check_stop)], ...] = ()
+    restore: tuple[Annotated[RestoreRule, AfterValidator(_check_restore)], ...] = ()
+    verbs: VerbRules | None = None
+
+
+@cache
+def _family_file() -> TypeAdapter[FamilyFile]:
+    return TypeAdapter(FamilyFile)
 
 
 @cache
 def family(name: str) -> Family:
-    """Give the family of a roster's word for it.
+    """Return the family of a roster's word for it.
 
     Args:
         name: One of `FAMILY_NAMES`.
@@ -85,7 +184,7 @@ def load_family(name: str, read_file: ReadFile) -> Family:
 
     Args:
         name: The file's name without `.yaml`; its `family` must be the same.
-        read_file: Gives the text of a file by its name with `.yaml`.
+        read_file: Returns the text of a file by its name with `.yaml`.
 
     Raises:
         DescriptionError: A file is missing, or says something that cannot be.
@@ -102,234 +201,281 @@ class _Builder:
 
     def __init__(self, name: str, read_file: ReadFile) -> None:
         self._name = name
-        self._read_file = read_file
-        self._own = self._open(f"{name}.yaml")
-        include = self._own.get("include")
-        self._tables = [self._own]
-        for item in include.items() if include else []:
-            self._tables.append(self._open(f"{item.text()}.yaml", item))
-        manual = self._single("manual")
-        self._manual = manual.text() if manual else ""
+        try:
+            own = self._open(f"{name}.yaml", read_file)
+        except (OSError, KeyError) as exc:
+            raise DescriptionError("there is no such data file", file=f"{name}.yaml") from exc
+        documents = [own, *self._included(own, read_file)]
+        manual = next((one.data["manual"] for one in documents if "manual" in one.data), "")
+        files = [(one, one.read(_family_file(), manual=str(manual))) for one in documents]
+        self._own = Place(own, ())
+        self._check_names(files)
+        self._places: dict[str, list[Place]] = {}
+        self._file = self._joined(files)
+        self._codes = self._described_codes()
+
+    def _open(self, file: str, read_file: ReadFile) -> Document:
+        return Document(read_file(file), f"families/{file}", family=self._name)
+
+    def _included(self, own: Document, read_file: ReadFile) -> Iterator[Document]:
+        named = own.data.get("include")
+        for number, name in enumerate(named if isinstance(named, list) else ()):
+            try:
+                yield self._open(f"{name}.yaml", read_file)
+            except (OSError, KeyError) as exc:
+                error = own.error(f"there is no data file {name}.yaml", "include", number)
+                raise error from exc
+
+    def _check_names(self, files: list[tuple[Document, FamilyFile]]) -> None:
+        (own, file), *included = files
+        if file.family is None:
+            raise own.error("family is missing")
+        if file.family != self._name:
+            message = f"the file is named {self._name}.yaml: family must be {self._name}"
+            raise own.error(message, "family")
+        for document, shared in included:
+            for key in ("family", "include"):
+                if getattr(shared, key):
+                    raise document.error(
+                        f"{key} is not known here: a family includes this", key, KEY
+                    )
+
+    def _joined(self, files: list[tuple[Document, FamilyFile]]) -> FamilyFile:
+        """Join the entries of all files; take any other key from the file that has it."""
+        joined: dict[str, Any] = {}
+        for key, default in ((one.name, one.default) for one in fields(FamilyFile)):
+            found = [
+                (one, value) for one, file in files if (value := getattr(file, key)) != default
+            ]
+            if default == ():
+                joined[key] = tuple(entry for _, entries in found for entry in entries)
+                self._places[key] = [
+                    Place(document, (key, number))
+                    for document, entries in found
+                    for number in range(len(entries))
+                ]
+            elif found:
+                document, joined[key] = found[0]
+                self._places[key] = [Place(document, (key,))]
+                if len(found) > 1:
+                    self._places[key][0].fail(f"{key} is also given by an included file")
+        return FamilyFile(**joined)
 
     def build(self) -> Family:
-        own = self._own.take("family")
-        if own.text() != self._name:
-            own.fail(f"the file is named {self._name}.yaml: family must be {self._name}")
-        offsets = self._set_offsets()
-        codes = self._codes(offsets)
+        file, book = self._file, self._words()
         answer_times, other = self._answer_times()
-        watchdog = self._single("watchdog")
-        software = self._single("software")
-        book = self._words(codes)
         variants: dict[str, Family] = {}
         family = Family(
             name=self._name,
-            title=self._required("title").text(),
-            forms=tuple(read_form(item) for item in self._required("addressing").items()),
-            codes=codes,
-            status=tuple(self._status(codes)),
-            writable=frozenset(self._writable(codes)),
-            watchdog=self._watchdog(watchdog, codes) if watchdog else None,
-            feed_code=self._feed(codes),
-            hold_after_write_s=self._required("hold_after_write_ms").integer(0, LONGEST_HOLD_MS)
-            / 1000,
-            identity=tuple(self._shown(item, codes) for item in self._required("identity").items()),
-            stops=self._stops(codes),
+            title=self._required("title", file.title),
+            forms=self._required("addressing", file.addressing),
+            codes=self._codes,
+            status=tuple(self._status()),
+            writable=frozenset(self._writable()),
+            watchdog=self._watchdog(),
+            feed_code=self._feed(),
+            hold_after_write_s=self._required("hold_after_write_ms", file.hold_after_write_ms),
+            identity=self._identity(),
+            stops=self._stops(),
             words=book.words(),
             control_words=book.control_words(),
-            configured_by=self._configured_by(codes, book),
+            configured_by=self._configured_by(book),
             variants=variants,
             answer_times=answer_times,
             other_answer_time=other,
-            software=self._software(software, codes) if software else None,
-            set_offsets=offsets,
-            saved_by=self._saved_by(codes),
-            restore=tuple(self._restore(codes)),
-            verbs=self._verbs(codes, book),
-            keypad_offset=self._keypad_offset(),
+            software=self._software(),
+            set_offsets=file.set_offsets or (0,),
+            saved_by=self._saved_by(),
+            restore=tuple(self._restore()),
+            verbs=self._verbs(book),
+            keypad_offset=file.keypad_offset,
         )
-        for table in self._tables:
-            table.done()
         variants |= _variants(family, book)
         return family
 
-    def _open(self, file: str, named: Item | None = None) -> Table:
-        try:
-            text = self._read_file(file)
-        except (OSError, KeyError) as exc:
-            if named is not None:
-                named.fail(f"there is no data file {file}")
-            raise DescriptionError("there is no such data file", file=file) from exc
-        return read_document(text, Origin(f"families/{file}", self._name))
-
-    def _single(self, key: str) -> Item | None:
-        """Take what at most one of the files may give."""
-        found = [item for table in self._tables if (item := table.get(key)) is not None]
-        if len(found) > 1:
-            found[0].fail(f"{key} is also given by an included file")
-        return found[0] if found else None
-
-    def _required(self, key: str) -> Item:
-        item = self._single(key)
-        if item is None:
+    def _required(self, key: str, value: T | None) -> T:
+        if value is None:
             self._own.fail(f"{key} is missing, here and in the included files")
-        return item
+        return value
 
-    def _entries(self, key: str) -> Iterator[Item]:
-        """Take the entries of a list from all files that have it."""
-        for table in self._tables:
-            items = table.get(key)
-            if items is not None:
-                yield from items.items()
+    def _at(self, key: str) -> Place:
+        return self._places[key][0]
 
-    def _codes(self, offsets: tuple[int, ...]) -> dict[Code, CodeInfo]:
-        inhibit = self._single("stored_needs_inhibit")
-        book = CodeBook(offsets, stored_needs_inhibit=inhibit.flag() if inhibit else False)
-        for item in self._entries("codes"):
-            book.add(item, self._manual)
+    def _entries(self, key: str, entries: tuple[T, ...]) -> Iterator[tuple[Place, T]]:
+        """Return the entries of a list with their places."""
+        return zip(self._places[key], entries, strict=True)
+
+    def _described_codes(self) -> dict[Code, CodeInfo]:
+        file = self._file
+        inhibit = file.stored_needs_inhibit or False
+        book = CodeBook(file.set_offsets or (0,), stored_needs_inhibit=inhibit)
+        for at, entry in self._entries("codes", file.codes):
+            book.add(at, entry)
         return dict(sorted(book.codes.items()))
 
-    def _set_offsets(self) -> tuple[int, ...]:
-        item = self._single("set_offsets")
-        if item is None:
-            return (0,)
-        offsets = tuple(one.integer(0, HIGHEST_SET_OFFSET) for one in item.items())
-        if offsets[:1] != (0,) or list(offsets) != sorted(set(offsets)):
-            item.fail("offsets begin with 0 and grow: [0, 2000]")
-        return offsets
-
-    def _keypad_offset(self) -> int | None:
-        item = self._single("keypad_offset")
-        return item.integer(1, HIGHEST_SET_OFFSET) if item is not None else None
-
-    def _saved_by(self, codes: dict[Code, CodeInfo]) -> Code | None:
-        item = self._single("saved_by")
-        if item is None:
-            return None
-        code = self._described(item, codes)
-        if codes[code].write_class is not WriteClass.SAVE:
-            item.fail(f"{code} does not save: its write_class is {codes[code].write_class}")
-        return code
-
-    def _restore(self, codes: dict[Code, CodeInfo]) -> Iterator[RestoreRule]:
-        for item in self._entries("restore"):
-            rule = read_restore(item.table(), self._manual)
-            for code in rule.codes:
-                if code not in codes:
-                    item.fail(f"{code} is not described", code=str(code))
-                if codes[code].parameter_set != 1:
-                    item.fail(f"a rule for {code} is written for parameter set 1", code=str(code))
-                if rule.word is RestoreWord.SAVE and codes[code].write_class is not WriteClass.SAVE:
-                    item.fail(f"{code} does not save", code=str(code))
-            yield rule
+    def _words(self) -> WordBook:
+        file = self._file
+        book = WordBook({field.name: field for field in file.fields}, self._codes)
+        for at, word in self._entries("words", file.words):
+            book.add_word(at, word)
+        for at, control in self._entries("control_words", file.control_words):
+            book.add_control_word(at, control)
+        return book
 
     def _answer_times(self) -> tuple[dict[int, AnswerTime], AnswerTime]:
         times: dict[int, AnswerTime] = {}
         other: AnswerTime | None = None
-        for item in self._entries("answer_times"):
-            codes, time = read_answer_time(item.table(), self._manual)
-            if codes is None and other is not None:
-                item.fail("the answer time of all other codes is given twice")
-            if codes is None:
+        for at, entry in self._entries("answer_times", self._file.answer_times):
+            if entry.codes is None and other is not None:
+                at.fail("the answer time of all other codes is given twice")
+            time = without_keys(AnswerTime, entry)
+            if entry.codes is None:
                 other = time
-            for code in codes or ():
+            for code in entry.codes or ():
                 if code.number in times:
-                    item.fail(f"{code} has an answer time already", code=str(code))
+                    at.fail(f"{code} has an answer time already", code=str(code))
                 times[code.number] = time
         if other is None:
             self._own.fail("answer_times needs one entry with codes: others")
         return times, other
 
-    def _words(self, codes: dict[Code, CodeInfo]) -> WordBook:
-        book = WordBook(self._entries("fields"), codes, self._manual)
-        for item in self._entries("words"):
-            book.add_word(item)
-        for item in self._entries("control_words"):
-            book.add_control_word(item)
-        return book
+    def _status(self) -> Iterator[tuple[Code, float]]:
+        at, seen = self._at, set[Code]()
+        for number, entry in enumerate(self._required("status", self._file.status)):
+            self._check_shown(at("status"), entry.code, number, "code")
+            if entry.code in seen:
+                message = f"{entry.code} is read cyclically twice"
+                at("status").fail(message, number, code=str(entry.code))
+            seen.add(entry.code)
+            yield entry.code, entry.period_s
 
-    def _configured_by(self, codes: dict[Code, CodeInfo], book: WordBook) -> Code | None:
-        item = self._single("configured_by")
-        if item is None and book.configurations:
-            self._own.fail("configured_by must name the code of the signal configuration")
-        return self._shown(item, codes) if item else None
-
-    def _stops(self, codes: dict[Code, CodeInfo]) -> dict[StopAction, StopRule]:
-        stops: dict[StopAction, StopRule] = {}
-        for item in self._entries("stops"):
-            action, rule = read_stop(item.table(), self._manual)
-            if action in stops:
-                item.fail(f"{action} is given twice")
-            for code in (rule.code, *rule.proofs):
-                if code not in codes:
-                    item.fail(f"{code} is not described", code=str(code))
-            if not codes[rule.code].writable:
-                item.fail(f"{rule.code} cannot be written", code=str(rule.code))
-            stops[action] = rule
-        return stops
-
-    def _verbs(self, codes: dict[Code, CodeInfo], book: WordBook) -> VerbRules | None:
-        item = self._single("verbs")
-        return read_verbs(item, self._manual, codes, book.control_words()) if item else None
-
-    def _status(self, codes: dict[Code, CodeInfo]) -> Iterator[tuple[Code, float]]:
-        seen: set[Code] = set()
-        for item in self._required("status").items():
-            table = item.table()
-            code = self._shown(table.take("code"), codes)
-            period_s = table.take("every_ms").integer(1, LONGEST_PERIOD_MS) / 1000
-            table.done()
-            if code in seen:
-                item.fail(f"{code} is read cyclically twice", code=str(code))
-            seen.add(code)
-            yield code, period_s
-
-    def _writable(self, codes: dict[Code, CodeInfo]) -> Iterator[Code]:
-        for item in self._required("writable").items():
-            code = self._described(item, codes)
-            info = codes[code]
-            if not info.writable:
-                item.fail(f"{code} cannot be written", code=str(code))
-            if info.write_class in NEVER_BY_DEFAULT:
-                item.fail(
-                    f"{code} ({info.write_class}) is never writable by default", code=str(code)
-                )
+    def _writable(self) -> Iterator[Code]:
+        for number, code in enumerate(self._required("writable", self._file.writable)):
+            at = self._at("writable")
+            self._check_writable(at, code, number)
+            write_class = self._codes[code].write_class
+            if write_class in NEVER_BY_DEFAULT:
+                why = f"{code} ({write_class}) is never writable by default"
+                at.fail(why, number, code=str(code))
             yield code
 
-    def _watchdog(self, item: Item, codes: dict[Code, CodeInfo]) -> WatchdogTraits:
-        traits = read_watchdog(item.table(), self._manual)
-        for code in (traits.time_code, traits.action_code):
-            if code not in codes or not codes[code].writable:
-                item.fail(f"{code} is not described as writable", code=str(code))
+    def _watchdog(self) -> WatchdogTraits | None:
+        traits = self._file.watchdog
+        for code in (traits.time_code, traits.action_code) if traits is not None else ():
+            if code not in self._codes or not self._codes[code].writable:
+                self._at("watchdog").fail(f"{code} is not described as writable", code=str(code))
         return traits
 
-    def _software(self, item: Item, codes: dict[Code, CodeInfo]) -> SoftwareGate:
-        gate = read_software(item.table(), self._manual)
-        if gate.code not in codes:
-            item.fail(f"{gate.code} is not described", code=str(gate.code))
+    def _feed(self) -> Code:
+        code = self._required("feed", self._file.feed)
+        if self._codes:
+            self._check_shown(self._at("feed"), code)
+        return code
+
+    def _identity(self) -> tuple[Code, ...]:
+        codes = self._required("identity", self._file.identity)
+        for number, code in enumerate(codes):
+            self._check_shown(self._at("identity"), code, number)
+        return codes
+
+    def _configured_by(self, book: WordBook) -> Code | None:
+        code = self._file.configured_by
+        if code is not None:
+            self._check_shown(self._at("configured_by"), code)
+        elif book.configurations:
+            self._own.fail("configured_by must name the code of the signal configuration")
+        return code
+
+    def _software(self) -> SoftwareGate | None:
+        gate = self._file.software
+        if gate is not None:
+            self._check_described(self._at("software"), gate.code)
         return gate
 
-    def _feed(self, codes: dict[Code, CodeInfo]) -> Code:
-        item = self._required("feed")
-        return self._shown(item, codes) if codes else read_code_number(item)
-
-    def _shown(self, item: Item, codes: dict[Code, CodeInfo]) -> Code:
-        """Read a code that is read unasked, whose value is then there for everyone to see."""
-        code = self._described(item, codes)
-        if codes[code].secret or not codes[code].readable:
-            why = "is secret" if codes[code].secret else "cannot be read"
-            item.fail(f"{code} {why}, so it is not read unasked", code=str(code))
+    def _saved_by(self) -> Code | None:
+        code = self._file.saved_by
+        if code is not None:
+            at = self._at("saved_by")
+            self._check_described(at, code)
+            write_class = self._codes[code].write_class
+            if write_class is not WriteClass.SAVE:
+                at.fail(f"{code} does not save: its write_class is {write_class}")
         return code
 
-    def _described(self, item: Item, codes: dict[Code, CodeInfo]) -> Code:
-        code = read_code_number(item)
-        if code not in codes:
-            item.fail(f"{code} is not described", code=str(code))
-        return code
+    def _restore(self) -> Iterator[RestoreRule]:
+        for at, rule in self._entries("restore", self._file.restore):
+            for code in rule.codes:
+                self._check_described(at, code)
+                info = self._codes[code]
+                if info.parameter_set != 1:
+                    at.fail(f"a rule for {code} is written for parameter set 1", code=str(code))
+                if rule.word is RestoreWord.SAVE and info.write_class is not WriteClass.SAVE:
+                    at.fail(f"{code} does not save", code=str(code))
+            yield rule
+
+    def _stops(self) -> dict[StopAction, StopRule]:
+        stops: dict[StopAction, StopRule] = {}
+        for at, entry in self._entries("stops", self._file.stops):
+            if entry.action in stops:
+                at.fail(f"{entry.action} is given twice")
+            for code in entry.proofs:
+                self._check_described(at, code)
+            self._check_writable(at, entry.code)
+            stops[entry.action] = without_keys(StopRule, entry)
+        return stops
+
+    def _verbs(self, book: WordBook) -> VerbRules | None:
+        """Check the rules for verbs: each code that they read or write must be there."""
+        rules = self._file.verbs
+        if rules is None:
+            return None
+        at, reset = self._at("verbs"), rules.reset
+        word = book.control_words().get(rules.control)
+        self._check_writable(at, rules.control, "control")
+        if word is None or not {QUICK_STOP, INHIBIT} <= word.bits.keys():
+            message = f"{rules.control} is no control word with bits {QUICK_STOP} and {INHIBIT}"
+            at.fail(message, "control")
+        for number, demand in enumerate(rules.demands):
+            self._check_described(at, demand.condition.code, "demands", number, "code")
+        self._check_writable(at, rules.enable.code, "enable", "code")
+        for code in rules.enable.proofs:
+            self._check_described(at, code, "enable")
+        if (reset.code is None) != (reset.value is None):
+            at.fail("code and value belong together; without them, an enable resets the fault",
+                    "reset")  # fmt: skip
+        if reset.code is not None:
+            self._check_writable(at, reset.code, "reset", "code")
+        self._check_described(at, reset.number, "reset", "number")
+        for number, rule in enumerate(rules.setpoints):
+            here = Place(at.document, (*at.path, "setpoints", number))
+            self._check_writable(here, rule.code, "code")
+            for key, other in (("least", rule.least), ("full_scale", rule.full_scale)):
+                if other is not None:
+                    self._check_described(here, other, key)
+            if rule.when is not None:
+                self._check_described(here, rule.when.code, "when", "code")
+        return rules
+
+    def _check_described(self, at: Place, code: Code, *below: int | str) -> None:
+        if code not in self._codes:
+            at.fail(f"{code} is not described", *below, code=str(code))
+
+    def _check_writable(self, at: Place, code: Code, *below: int | str) -> None:
+        self._check_described(at, code, *below)
+        if not self._codes[code].writable:
+            at.fail(f"{code} cannot be written", *below, code=str(code))
+
+    def _check_shown(self, at: Place, code: Code, *below: int | str) -> None:
+        """Check a code that is read without a request: every user sees its value."""
+        self._check_described(at, code, *below)
+        info = self._codes[code]
+        if info.secret or not info.readable:
+            why = "is secret" if info.secret else "cannot be read"
+            at.fail(f"{code} {why}, so it is not read unasked", *below, code=str(code))
 
 
 def _variants(family: Family, book: WordBook) -> dict[str, Family]:
-    """Give the family in each signal configuration, and in any under the empty name."""
+    """Return the family in each signal configuration, and in any under the empty name."""
     return {"": family} | {
         name: replace(
             family,

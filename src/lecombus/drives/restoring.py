@@ -16,11 +16,15 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Annotated, Final
+
+from pydantic import Field
 
 from lecombus.protocol.addressing import Code
 
 from .codes import CodeInfo, Storage, WriteClass
+from .field_types import CodeNumber, Source, WordNumber, Words
+from .yaml_models import FILE_TABLE
 
 if TYPE_CHECKING:
     from .family import Family
@@ -52,7 +56,7 @@ class RestoreWord(StrEnum):
     """Written once at the end, to keep what was written."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class RestoreRule:
     """One rule of a family for restoring.
 
@@ -64,11 +68,13 @@ class RestoreRule:
         source: Manual and section.
     """
 
-    word: RestoreWord
-    codes: tuple[Code, ...]
-    because: str
-    value: int | None
-    source: str
+    __pydantic_config__ = FILE_TABLE
+
+    word: Annotated[RestoreWord, Field(alias="rule")]
+    codes: tuple[CodeNumber, ...]
+    because: Words
+    value: WordNumber | None = None
+    source: Source
 
 
 DELICATE: Final = {

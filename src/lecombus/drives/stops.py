@@ -18,18 +18,23 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+from pydantic import Field
 
 from lecombus.errors import OperationError
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 
 from .commands import INHIBIT
+from .field_types import WORD_MAX, CodeNumber, Source, WordNumber, WordValue, whole
+from .yaml_models import FILE_TABLE, ReadAs, mistake
 
 if TYPE_CHECKING:
     from .family import Family
 
 __all__ = [
+    "Proofs",
     "StopAction",
     "StopProof",
     "StopRule",
@@ -47,7 +52,8 @@ __all__ = [
     "usable_word",
 ]
 
-WORD_MAX = 0xFFFF
+
+Mask = Annotated[int, whole(1, WORD_MAX)]
 
 
 class StopAction(StrEnum):
@@ -66,8 +72,10 @@ class StopProof:
         equals: What they must be.
     """
 
-    mask: int | None
-    equals: int
+    __pydantic_config__ = FILE_TABLE
+
+    mask: Mask | None
+    equals: WordNumber
 
     def holds(self, value: Value) -> bool:
         """Say whether a value that was read back shows the stop."""
@@ -86,7 +94,26 @@ class StopProof:
         return number & self.mask == self.equals
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Proof(StopProof):
+    mask: Mask | None = None
+    code: CodeNumber
+
+
+def _by_code(entries: tuple[_Proof, ...]) -> dict[Code, StopProof]:
+    proofs: dict[Code, StopProof] = {}
+    for number, one in enumerate(entries):
+        if one.code in proofs:
+            raise mistake(f"{one.code} stands here twice", number)
+        proofs[one.code] = StopProof(one.mask, one.equals)
+    return proofs
+
+
+Proofs = Annotated[Mapping[Code, StopProof], ReadAs(tuple[_Proof, ...], _by_code)]
+"""What codes must show, the most telling first."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class StopRule:
     """How one family is stopped in one way.
 
@@ -99,12 +126,14 @@ class StopRule:
         source: Manual and section.
     """
 
-    code: Code
-    value: Value | None
-    set_mask: int
-    clear_mask: int
-    proofs: Mapping[Code, StopProof]
-    source: str
+    __pydantic_config__ = FILE_TABLE
+
+    code: CodeNumber
+    value: WordValue | None = None
+    set_mask: Annotated[Mask, Field(alias="set")] = 0
+    clear_mask: Annotated[WordNumber, Field(alias="clear")] = 0
+    proofs: Proofs
+    source: Source
 
 
 def knows_stop(family: Family, action: StopAction) -> bool:

@@ -10,15 +10,26 @@ What must not live here: values read from a drive, and what to do with them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from decimal import Decimal
 from enum import StrEnum
+from typing import Annotated, Final
 
-from lecombus.protocol.addressing import Code
+from pydantic import AfterValidator, Field
+
 from lecombus.protocol.values import Value
 
-from .stops import StopProof
+from .field_types import (
+    CodeNumber,
+    Number,
+    Source,
+    Words,
+    WordValue,
+    ends,
+    whole,
+    whole_number,
+)
+from .stops import Proofs
+from .yaml_models import FILE_TABLE, ReadAs, Reads, mistake, without_keys
 
 __all__ = [
     "Access",
@@ -51,6 +62,17 @@ class Access(StrEnum):
     RESET = "reset"
 
 
+HIGHEST_SETTING: Final = 99_999
+DIGITS: Final = (1, 10, 100, 1000, 10_000)
+
+
+def _read_digit(given: object) -> int:
+    digit = whole_number(given, DIGITS[0], DIGITS[-1])
+    if digit not in DIGITS:
+        raise mistake(f"{', '.join(map(str, DIGITS))} are right here")
+    return digit
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Condition:
     """A setting that has one of a few values.
@@ -61,9 +83,11 @@ class Condition:
         digit: 1 looks at the last digit only, 1000 at the fourth from the right; 0: at the whole.
     """
 
-    code: Code
-    values: frozenset[int]
-    digit: int = 0
+    __pydantic_config__ = FILE_TABLE
+
+    code: CodeNumber
+    values: frozenset[Annotated[int, whole(0, HIGHEST_SETTING)]]
+    digit: Annotated[int, Reads(_read_digit)] = 0
 
     def holds(self, value: Value | None) -> bool:
         """Say whether a setting that was read is as wanted; one that is not known is not."""
@@ -72,6 +96,16 @@ class Condition:
             return False
         whole = int(number)
         return (whole // self.digit % 10 if self.digit else whole) in self.values
+
+
+def _check_condition(condition: Condition) -> Condition:
+    if not condition.values:
+        raise mistake("values must not be empty")
+    highest = 9 if condition.digit else HIGHEST_SETTING
+    for value in condition.values:
+        if value > highest:
+            raise mistake(f"{value}: a whole number from 0 to {highest} is right here", "values")
+    return condition
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,14 +137,16 @@ class EnableRule:
         source: Manual and section.
     """
 
-    code: Code
-    value: Value
-    proofs: Mapping[Code, StopProof]
-    otherwise: str
-    source: str
+    __pydantic_config__ = FILE_TABLE
+
+    code: CodeNumber
+    value: WordValue
+    proofs: Proofs
+    otherwise: Words
+    source: Source
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ResetRule:
     """How a fault is reset.
 
@@ -122,13 +158,36 @@ class ResetRule:
         source: Manual and section.
     """
 
-    code: Code | None
-    value: Value | None
-    number: Code
-    source: str
+    __pydantic_config__ = FILE_TABLE
+
+    code: CodeNumber | None = None
+    value: WordValue | None = None
+    number: CodeNumber
+    source: Source
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _DemandEntry(Condition):
+    access: Annotated[frozenset[Access], Field(alias="for")]
+    remedy: Words
+    source: Source
+
+    def demand(self) -> Demand:
+        condition = _check_condition(without_keys(Condition, self))
+        return Demand(self.access, condition, self.remedy, self.source)
+
+
+UNITS: Final = ("Hz", "%")
+RANGE, LOW, HIGH = ends("range", "range is the least and the greatest value: [0, 480]")
+
+
+def _read_unit(given: object) -> str:
+    if given not in UNITS:
+        raise mistake(f"{' and '.join(UNITS)} are right here")
+    return str(given)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SetpointRule:
     """One way to give a speed.
 
@@ -145,18 +204,28 @@ class SetpointRule:
         source: Manual and section.
     """
 
-    code: Code
-    unit: str
-    low: Decimal
-    high: Decimal
-    step: Decimal | None
-    least: Code | None
-    full_scale: Code | None
-    when: Condition | None
-    source: str
+    __pydantic_config__ = FILE_TABLE
+
+    code: CodeNumber
+    unit: Annotated[str, Reads(_read_unit)]
+    low: Annotated[Number, LOW]
+    high: Annotated[Number, HIGH]
+    step: Number | None = None
+    least: CodeNumber | None = None
+    full_scale: CodeNumber | None = None
+    when: Annotated[Condition, AfterValidator(_check_condition)] | None = None
+    source: Source
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+def _check_setpoint(rule: SetpointRule) -> SetpointRule:
+    if rule.low >= rule.high:
+        raise mistake("range is the least and the greatest value: [0, 480]", "range")
+    if rule.step is not None and rule.step <= 0:
+        raise mistake("step is over 0", "step")
+    return rule
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class VerbRules:
     """Everything that verbs are made of in one family.
 
@@ -168,8 +237,10 @@ class VerbRules:
         setpoints: The ways to give a speed, the first that fits counts.
     """
 
-    control: Code
-    demands: tuple[Demand, ...]
+    __pydantic_config__ = FILE_TABLE
+
+    control: CodeNumber
+    demands: tuple[Annotated[Demand, ReadAs(_DemandEntry, _DemandEntry.demand)], ...] = ()
     enable: EnableRule
     reset: ResetRule
-    setpoints: tuple[SetpointRule, ...]
+    setpoints: tuple[Annotated[SetpointRule, RANGE, AfterValidator(_check_setpoint)], ...]

@@ -1,110 +1,150 @@
-"""Building the status and control words of a family from the entries of its data files.
+"""Making the status and control words of a family from the entries of its data files.
 
-Strategy: an entry without `configuration` describes a word as every drive of the family has it.
-An entry with one describes what that signal configuration adds: bits that the general entry leaves
-free and nothing else, so that no entry replaces another. `WordBook` takes them all, joins each
-configuration with the general entry, and refuses what overlaps or, in a control word, is left out.
-
-A status word and a control word read::
-
-    words:
-      - code: C0150
-        configuration: [6xx1, 7xx1]       # where the family has signal configurations
-        bits: {3: torque_below_limit, 15: ready}
-        fields: [communication_error]     # shared under `fields`, or described here
-        free: [14]
-        states: {ready: ready, torque_limit: not torque_below_limit, fault: status = 8}
-        source: "8.2"
-    control_words:
-      - code: C0135
-        bits:
-          3: {name: quick_stop, off: [not active, nicht aktiv], on: [active, aktiv]}
-        fields:
-          - {name: jog, bits: [0, 1], texts: {0: [C0046 active, C0046 aktiv]}}
-        free: [2]
-        reserved: [4, 5, 6, 7, 8]
-        source: "8.2"
+An entry without `configuration` describes a word as every drive of the family has it. An entry
+with one says what that signal configuration adds: it gives a meaning to bits that the general
+entry leaves free, so that no entry replaces another. Every bit of a control word must be described,
+because a program that changes one bit must know what the others do.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Annotated, Final, TypeVar
+
+from pydantic import BeforeValidator, Discriminator, Tag
 
 from lecombus.protocol.addressing import Code
 
 from .codes import CodeInfo
 from .commands import ControlWordInfo
-from .control_entries import check_whole, control_bits, read_control_word
-from .document import Item, Table
+from .field_types import CodeNumber, Source, Words, numbered, read_words
 from .operating import OperatingState, StateRule
-from .readers import (
-    read_choice,
-    read_code_number,
-    read_items,
-    read_numbers,
-    read_source,
-    read_span,
-    read_text,
-)
-from .texts import Text
-from .words import WordField, WordInfo
+from .words import Bit, WordField, WordFieldEntry, WordInfo
+from .yaml_models import FILE_TABLE, Place, Reads, mistake, without_keys
 
-__all__ = ["CONFIGURATION", "WordBook"]
+__all__ = ["ControlWordEntry", "WordBook", "WordEntry"]
 
-LONGEST_WORD = 0xFFFF_FFFF
-
-CONFIGURATION = re.compile(r"[0-9x]{1,5}")
+CONFIGURATION: Final = re.compile(r"[0-9x]{1,5}")
 """A signal configuration as the manual writes it: `1xx1`, any digit for an x."""
 
-_STATE = re.compile(r"(?P<no>not )?(?P<name>\w+)(?: = (?P<number>\d+))?", re.ASCII)
+_STATE: Final = re.compile(r"(?P<no>not )?(?P<name>\w+)(?: = (?P<number>\d+))?", re.ASCII)
 
-GENERAL = ""
+GENERAL: Final = ""
+CONTROL_BITS: Final = frozenset(range(16))
+
+AnyWord = TypeVar("AnyWord", WordInfo, ControlWordInfo)
+
+
+def _read_configuration(given: object) -> str:
+    if CONFIGURATION.fullmatch(read_words(given)) is None:
+        raise mistake(f"{given} is no signal configuration such as 1xx1")
+    return read_words(given)
+
+
+Configurations = tuple[Annotated[str, Reads(_read_configuration)], ...]
+
+FieldOrName = Annotated[
+    Annotated[Words, Tag("a name")] | Annotated[WordFieldEntry, Tag("a field")],
+    Discriminator(lambda given: "a name" if isinstance(given, str) else "a field"),
+]
+
+Conditions = Annotated[
+    tuple[Words, ...], BeforeValidator(lambda given: [given] if isinstance(given, str) else given)
+]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WordEntry:
+    """One entry of `words`: a status word.
+
+    Args:
+        code: Its code.
+        configuration: The signal configurations that the entry is for.
+        bits: The name of each bit.
+        fields: The numbers inside the word; by name where they stand under `fields` of the file.
+        free: Bits that the drive's user assigns.
+        fault_bit: The bit that is set while a fault is active.
+        states: What shows which state: `ready`, `not ready`, `controller_status = 8`.
+        source: Section of the manual.
+    """
+
+    __pydantic_config__ = FILE_TABLE
+
+    code: CodeNumber
+    configuration: Configurations = (GENERAL,)
+    bits: Annotated[Mapping[Bit, Words], numbered]
+    fields: tuple[FieldOrName, ...] = ()
+    free: tuple[Bit, ...] = ()
+    fault_bit: Bit | None = None
+    states: Mapping[OperatingState, Conditions] | None = None
+    source: Source
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ControlWordEntry(ControlWordInfo):
+    """One entry of `control_words`."""
+
+    configuration: Configurations = (GENERAL,)
 
 
 class WordBook:
     """The words of one family while its files are read.
 
     Args:
-        fields: The entries of `fields`, which several words share.
+        shared: The fields that several words name.
         codes: The family's described codes.
-        manual: What sources begin with.
     """
 
-    def __init__(self, fields: Iterable[Item], codes: Mapping[Code, CodeInfo], manual: str) -> None:
+    def __init__(self, shared: Mapping[str, WordField], codes: Mapping[Code, CodeInfo]) -> None:
         self._codes = codes
-        self._manual = manual
-        self._shared = {field.name: field for field in map(_read_field, map(Item.table, fields))}
+        self._shared = shared
         self._words: dict[str, dict[Code, WordInfo]] = {GENERAL: {}}
         self._controls: dict[str, dict[Code, ControlWordInfo]] = {GENERAL: {}}
 
-    def add_word(self, item: Item) -> None:
-        """Take one entry of `words`."""
-        table = item.table()
-        code = self._word_code(table)
-        names = _configurations(table)
-        word = self._read_word(table)
-        table.done()
-        for name in names:
-            known = self._words.setdefault(name, {})
-            if code in known:
-                item.fail(f"{code} is taken apart twice", code=str(code))
-            known[code] = word if name == GENERAL else self._joined(item, code, word)
+    def add_word(self, at: Place, entry: WordEntry) -> None:
+        """Take one entry of `words`.
 
-    def add_control_word(self, item: Item) -> None:
-        """Take one entry of `control_words`."""
-        table = item.table()
-        code = self._word_code(table)
-        names = _configurations(table)
-        word = read_control_word(table, code, self._manual)
-        table.done()
-        for name in names:
-            known = self._controls.setdefault(name, {})
-            if code in known:
-                item.fail(f"{code} is described twice", code=str(code))
-            known[code] = word if name == GENERAL else self._joined_control(item, word)
-            check_whole(item, known[code])
+        Raises:
+            DescriptionError: It contradicts itself or another entry.
+        """
+        self._check_is_word(at, entry.code)
+        fields = tuple(self._field(at, number, one) for number, one in enumerate(entry.fields))
+        numbers = sorted(entry.bits.items())
+        word = WordInfo(
+            bits=tuple((name, 1 << bit) for bit, name in numbers),
+            fields=fields,
+            fault_mask=0 if entry.fault_bit is None else 1 << entry.fault_bit,
+            source=entry.source,
+            states=tuple(_states(at, entry, fields)),
+            free=entry.free,
+        )
+        if len(set(entry.bits.values())) < len(entry.bits):
+            at.fail("two bits have one name", "bits")
+        for field in fields:
+            if any(field.low <= bit <= field.high for bit in entry.bits):
+                at.fail(f"a bit of {field.name} has a name of its own", "bits")
+        for number, bit in enumerate(entry.free):
+            if bit in word.described_bits:
+                at.fail(f"bit {bit} has a meaning: it is not free", "free", number)
+        for name in entry.configuration:
+            _put(at, self._words, name, entry.code, word, _joined)
+
+    def add_control_word(self, at: Place, entry: ControlWordEntry) -> None:
+        """Take one entry of `control_words`.
+
+        Raises:
+            DescriptionError: It contradicts itself or another entry.
+        """
+        self._check_is_word(at, entry.code)
+        word = without_keys(ControlWordInfo, entry)
+        for number, field in enumerate(word.fields):
+            if field in word.bits:
+                at.fail(f"{field} stands here twice", "fields", number)
+        for name in entry.configuration:
+            _put(at, self._controls, name, entry.code, word, _joined_control)
+            _check_whole(at, self._controls[name][entry.code])
 
     @property
     def configurations(self) -> tuple[str, ...]:
@@ -112,162 +152,96 @@ class WordBook:
         return tuple(sorted((self._words.keys() | self._controls.keys()) - {GENERAL}))
 
     def words(self, configuration: str = GENERAL) -> dict[Code, WordInfo]:
-        """Give the status words of a configuration."""
+        """Return the status words of a configuration."""
         return self._words[GENERAL] | self._words.get(configuration, {})
 
     def control_words(self, configuration: str = GENERAL) -> dict[Code, ControlWordInfo]:
-        """Give the control words of a configuration."""
+        """Return the control words of a configuration."""
         return self._controls[GENERAL] | self._controls.get(configuration, {})
 
-    def _word_code(self, table: Table) -> Code:
-        item = table.take("code")
-        code = read_code_number(item)
+    def _check_is_word(self, at: Place, code: Code) -> None:
         if code not in self._codes or self._codes[code].hex_digits is None:
-            table.fail(f"{code} is not described as a word (VH)", code=str(code))
-        return code
+            at.fail(f"{code} is not described as a word (VH)", code=str(code))
 
-    def _read_word(self, table: Table) -> WordInfo:
-        """Read one entry of `words`; its fields stand in it or are named from `fields`."""
-        fields = [self._field(item) for item in read_items(table, "fields")]
-        fault_bit = table.get("fault_bit")
-        bits = _bits(table.take("bits").table(), fields)
-        free = read_numbers(table, "free", 31)
-        for item, bit in zip(read_items(table, "free"), free, strict=True):
-            if bit in _taken(bits, fields):
-                item.fail(f"bit {bit} has a meaning: it is not free")
-        return WordInfo(
-            bits=bits,
-            fields=tuple(fields),
-            fault_mask=1 << fault_bit.integer(0, 31) if fault_bit else 0,
-            source=read_source(table, self._manual),
-            states=tuple(_states(table.get("states"), bits, fields)),
-            free=free,
-        )
-
-    def _field(self, item: Item) -> WordField:
-        if not item.is_text():
-            return _read_field(item.table())
-        if item.text() not in self._shared:
+    def _field(self, at: Place, number: int, field: str | WordField) -> WordField:
+        if isinstance(field, WordField):
+            return field
+        if field not in self._shared:
             known = ", ".join(self._shared) or "none"
-            item.fail(f"there is no field {item.text()}; {known} are shared")
-        return self._shared[item.text()]
-
-    def _joined(self, item: Item, code: Code, extra: WordInfo) -> WordInfo:
-        """Join what a configuration says of a word with what holds for every drive."""
-        general = self._words[GENERAL].get(code)
-        if general is None:
-            item.fail(f"{code} has no entry without configuration before this one", code=str(code))
-        taken = _taken(extra.bits, extra.fields)
-        self._only_free(item, taken | set(extra.free), general.free)
-        return replace(
-            general,
-            bits=tuple(sorted((*general.bits, *extra.bits), key=lambda bit: bit[1])),
-            fields=(*general.fields, *extra.fields),
-            states=(*general.states, *extra.states),
-            free=tuple(bit for bit in general.free if bit not in taken),
-        )
-
-    def _joined_control(self, item: Item, extra: ControlWordInfo) -> ControlWordInfo:
-        general = self._controls[GENERAL].get(extra.code)
-        if general is None:
-            item.fail(
-                f"{extra.code} has no entry without configuration before this one",
-                code=str(extra.code),
-            )
-        taken = set(control_bits(extra))
-        self._only_free(item, taken | set(extra.free) | set(extra.reserved), general.free)
-        return replace(
-            general,
-            bits={**general.bits, **extra.bits},
-            fields={**general.fields, **extra.fields},
-            free=tuple(bit for bit in general.free if bit not in taken),
-        )
-
-    def _only_free(self, item: Item, bits: set[int], free: tuple[int, ...]) -> None:
-        """Refuse to give a bit of a configuration another meaning than it always has."""
-        wrong = sorted(bits - set(free))
-        if wrong:
-            item.fail(f"bit {wrong[0]} is not free, so no configuration gives it a meaning")
+            at.fail(f"there is no field {field}; {known} are shared", "fields", number)
+        return self._shared[field]
 
 
-def _configurations(table: Table) -> list[str]:
-    """Read which signal configurations an entry is for; the general one if it does not say."""
-    item = table.get("configuration")
-    if item is None:
-        return [GENERAL]
-    names = item.items()
-    for name in names:
-        if CONFIGURATION.fullmatch(name.text()) is None:
-            name.fail(f"{name.text()} is no signal configuration such as 1xx1")
-    return [name.text() for name in names]
+def _put(
+    at: Place,
+    known: dict[str, dict[Code, AnyWord]],
+    configuration: str,
+    code: Code,
+    word: AnyWord,
+    join: Callable[[AnyWord, AnyWord], AnyWord],
+) -> None:
+    """Take a word of one configuration, joined with what holds for every drive."""
+    words, general = known.setdefault(configuration, {}), known[GENERAL].get(code)
+    if code in words:
+        at.fail(f"{code} is described twice", code=str(code))
+    if configuration == GENERAL:
+        words[code] = word
+        return
+    if general is None:
+        at.fail(f"{code} has no entry without configuration before this one", code=str(code))
+    wrong = set(word.every_bit) - set(general.free)
+    if wrong:
+        at.fail(f"bit {min(wrong)} is not free, so no configuration gives it a meaning")
+    words[code] = join(general, word)
 
 
-def _read_field(table: Table) -> WordField:
-    """Read a number inside a status word."""
-    low, high = read_span(table, 31)
-    texts, fault = table.get("texts"), table.get("fault")
-    field = WordField(
-        name=table.take("name").text(),
-        low=low,
-        high=high,
-        texts=_texts(texts.table()) if texts else {},
-        fault=frozenset(item.integer(0, LONGEST_WORD) for item in fault.items())
-        if fault
-        else frozenset(),
+def _joined(general: WordInfo, extra: WordInfo) -> WordInfo:
+    return replace(
+        general,
+        bits=tuple(sorted((*general.bits, *extra.bits), key=lambda bit: bit[1])),
+        fields=(*general.fields, *extra.fields),
+        states=(*general.states, *extra.states),
+        free=tuple(bit for bit in general.free if bit not in extra.described_bits),
     )
-    if not field.fault <= field.texts.keys():
-        table.fail("every number under fault needs a text")
-    table.done()
-    return field
 
 
-def _states(
-    item: Item | None, bits: tuple[tuple[str, int], ...], fields: list[WordField]
-) -> Iterable[StateRule]:
-    """Read what shows which state: a bit, `not` a bit, or a number of a field."""
+def _joined_control(general: ControlWordInfo, extra: ControlWordInfo) -> ControlWordInfo:
+    return replace(
+        general,
+        bits={**general.bits, **extra.bits},
+        fields={**general.fields, **extra.fields},
+        free=tuple(bit for bit in general.free if bit not in extra.described_bits),
+    )
+
+
+def _check_whole(at: Place, word: ControlWordInfo) -> None:
+    """Refuse a control word of which a bit has two meanings, or none."""
+    every = word.every_bit
+    for bit in sorted(CONTROL_BITS | set(every)):
+        if every.count(bit) != 1:
+            times = "two meanings" if bit in every else "no meaning: named, field, free, reserved?"
+            at.fail(f"bit {bit} has {times}", code=str(word.code))
+
+
+def _states(at: Place, entry: WordEntry, fields: tuple[WordField, ...]) -> Iterator[StateRule]:
+    """Return what shows which state: a bit, `not` a bit, or a number of a field."""
     known = {field.name: field for field in fields}
-    masks = dict(bits)
-    for key, value in item.table().pairs() if item else ():
-        state = read_choice(key, OperatingState)
-        for condition in [value] if value.is_text() else value.items():
-            match = _STATE.fullmatch(condition.text())
-            name = match["name"] if match else ""
-            if match and name in masks and match["number"] is None:
+    masks = {name: 1 << bit for bit, name in entry.bits.items()}
+    for state, conditions in (entry.states or {}).items():
+        for place, condition in enumerate(conditions):
+            match = _STATE.fullmatch(condition)
+            name, number = (match["name"], match["number"]) if match else ("", None)
+            if match and name in masks and number is None:
                 yield StateRule(state, masks[name], 0 if match["no"] else masks[name])
-            elif match and name in known and match["number"] and not match["no"]:
-                yield _field_rule(condition, state, known[name], int(match["number"]))
+            elif match and name in known and number and not match["no"]:
+                field = known[name]
+                if int(number) not in field.texts:
+                    why = f"{name} has no text for {number}, so it shows no state"
+                    at.fail(why, "states", state, place)
+                yield StateRule(state, field.mask, int(number) << field.low)
             else:
-                condition.fail(
-                    f"{condition.text()}: a bit, `not` and a bit, or a field as in `{state} = 8` "
-                    f"is right here; {', '.join((*masks, *known))} are known"
-                )
-
-
-def _field_rule(item: Item, state: OperatingState, field: WordField, number: int) -> StateRule:
-    if number not in field.texts:
-        item.fail(f"{field.name} has no text for {number}, so it shows no state")
-    return StateRule(state, field.mask, number << field.low)
-
-
-def _bits(table: Table, fields: list[WordField]) -> tuple[tuple[str, int], ...]:
-    numbered = _numbered(table, 31)
-    if len(set(numbered.values())) < len(numbered):
-        table.fail("two bits have one name")
-    for field in fields:
-        if any(field.low <= bit <= field.high for bit in numbered):
-            table.fail(f"a bit of {field.name} has a name of its own")
-    return tuple((name, 1 << bit) for bit, name in sorted(numbered.items()))
-
-
-def _taken(bits: Iterable[tuple[str, int]], fields: Iterable[WordField]) -> set[int]:
-    """Give the numbers of the bits that have a meaning."""
-    named = {mask.bit_length() - 1 for _, mask in bits}
-    return named | {bit for field in fields for bit in range(field.low, field.high + 1)}
-
-
-def _texts(table: Table) -> dict[int, Text]:
-    return {key.integer(0, LONGEST_WORD): read_text(value) for key, value in table.pairs()}
-
-
-def _numbered(table: Table, high: int) -> dict[int, str]:
-    return {key.integer(0, high): value.text() for key, value in table.pairs()}
+                at.fail(
+                    f"{condition}: a bit, `not` and a bit, or a field as in `{state} = 8` "
+                    f"is right here; {', '.join((*masks, *known))} are known",
+                    "states", state, place,
+                )  # fmt: skip

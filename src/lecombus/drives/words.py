@@ -14,12 +14,21 @@ Nothing here decides what a bit means for the operation of a line; in particular
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Annotated
 
+from pydantic import AfterValidator
+
+from .field_types import BothLanguages, Words, ends, numbered, whole
 from .operating import OperatingState, StateRule
 from .texts import NOTHING, Text
+from .yaml_models import FILE_TABLE, mistake
 
-__all__ = ["FieldReading", "WordField", "WordInfo"]
+__all__ = ["FieldReading", "WordField", "WordFieldEntry", "WordInfo"]
+
+Bit = Annotated[int, whole(0, 31)]
+Number = Annotated[int, whole(0, 0xFFFF_FFFF)]
+BITS, LOW, HIGH = ends("bits", "bits is the lowest and the highest bit: [8, 11]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,11 +56,13 @@ class WordField:
         fault: The numbers that mean an active fault; empty where the field says nothing of it.
     """
 
-    name: str
-    low: int
-    high: int
-    texts: Mapping[int, Text]
-    fault: frozenset[int] = frozenset()
+    __pydantic_config__ = FILE_TABLE
+
+    name: Words
+    low: Annotated[Bit, LOW]
+    high: Annotated[Bit, HIGH]
+    texts: Annotated[Mapping[Number, BothLanguages], numbered] = field(default_factory=dict)
+    fault: frozenset[Number] = frozenset()
 
     @property
     def mask(self) -> int:
@@ -62,6 +73,20 @@ class WordField:
         """Take this field out of a word."""
         number = (word & self.mask) >> self.low
         return FieldReading(number, self.texts.get(number, NOTHING))
+
+
+def _check_field(field: WordField) -> WordField:
+    if field.low > field.high:
+        raise mistake(
+            f"{field.high}: a whole number from {field.low} to 31 is right here", "bits", 1
+        )
+    if not field.fault <= field.texts.keys():
+        raise mistake("every number under fault needs a text")
+    return field
+
+
+WordFieldEntry = Annotated[WordField, BITS, AfterValidator(_check_field)]
+"""A field as it stands in a file."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,6 +108,17 @@ class WordInfo:
     source: str
     states: tuple[StateRule, ...] = ()
     free: tuple[int, ...] = ()
+
+    @property
+    def described_bits(self) -> list[int]:
+        """The bits that have a name or lie in a field."""
+        named = [mask.bit_length() - 1 for _, mask in self.bits]
+        return named + [bit for field in self.fields for bit in range(field.low, field.high + 1)]
+
+    @property
+    def every_bit(self) -> list[int]:
+        """All bits that the description accounts for."""
+        return [*self.described_bits, *self.free]
 
     def flags(self, word: int) -> dict[str, bool]:
         """Name every described bit and say whether it is set."""
@@ -110,10 +146,10 @@ class WordInfo:
         """
         if self.fault_mask:
             return bool(word & self.fault_mask)
-        for field in self.fields:
-            if field.fault:
-                number = field.read(word).number
-                return number in field.fault if number in field.texts else None
+        for one in self.fields:
+            if one.fault:
+                number = one.read(word).number
+                return number in one.fault if number in one.texts else None
         return None
 
     def notice(self, word: int) -> str:

@@ -13,18 +13,19 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 from enum import IntEnum, StrEnum
 from functools import cache
-from typing import Final
+from typing import Annotated, Final
+
+from pydantic import Field, TypeAdapter
 
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 
 from ..codes import CodeInfo, Storage
-from ..document import Item, Table
-from ..readers import read_choice, read_code_number, read_flag, read_text
-from ..texts import Text
-from .loading import ReadFile, link_report, packaged
+from ..field_types import BothLanguages, CodeNumber, Flag, Words, whole
+from ..yaml_models import FILE_TABLE
+from .loading import ReadFile, link_report, open_document, packaged
 from .model import LinkReport
-from .rules import Condition, load_rules, read_condition, read_each, read_families
+from .rules import Condition, Families, each_once
 
 __all__ = [
     "Cause",
@@ -80,7 +81,7 @@ class Support(IntEnum):
     """A value of the drive shows it."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CauseRule:
     """One likely cause.
 
@@ -99,18 +100,20 @@ class CauseRule:
         source: Manual and section.
     """
 
-    name: str
-    families: frozenset[str]
-    codes: frozenset[Code]
+    __pydantic_config__ = FILE_TABLE
+
+    name: Words
+    families: frozenset[Words]
+    codes: frozenset[CodeNumber] = frozenset()
     happened: frozenset[Happened]
-    when: frozenset[When]
-    condition: Condition | None
-    extended: frozenset[int]
-    communication: frozenset[int]
-    likely: bool
-    cause: Text
-    remedy: Text
-    source: str
+    when: frozenset[When] = frozenset()
+    condition: Annotated[Condition | None, Field(alias="value")] = None
+    extended: frozenset[Annotated[int, whole(1, HIGHEST_C1962)]] = frozenset()
+    communication: frozenset[Annotated[int, whole(1, HIGHEST_ERROR)]] = frozenset()
+    likely: Flag = False
+    cause: BothLanguages
+    remedy: BothLanguages
+    source: Words
 
     def fits(self, family: str, known: Known) -> bool:
         """Say whether it is a rule for this exchange at all."""
@@ -248,38 +251,18 @@ def cause_rules() -> tuple[CauseRule, ...]:
     return load_causes(packaged)
 
 
+@dataclass(frozen=True)
+class _CausesFile:
+    __pydantic_config__ = FILE_TABLE
+
+    families: Families
+    causes: Annotated[tuple[CauseRule, ...], each_once]
+
+
 def load_causes(read_file: ReadFile) -> tuple[CauseRule, ...]:
     """Build the rules from `causes.yaml`.
 
     Raises:
         DescriptionError: The file is missing, or says something that cannot be.
     """
-    return load_rules("causes", read_file, _rule)
-
-
-def _rule(table: Table) -> CauseRule:
-    value = table.get("value")
-    rule = CauseRule(
-        name=table.take("name").text(),
-        families=read_families(table),
-        codes=frozenset(read_each(table.get("codes"), read_code_number)),
-        happened=frozenset(read_each(table.take("happened"), lambda it: read_choice(it, Happened))),
-        when=frozenset(read_each(table.get("when"), lambda it: read_choice(it, When))),
-        condition=read_condition(value.table()) if value else None,
-        extended=frozenset(read_each(table.get("extended"), _c1962)),
-        communication=frozenset(read_each(table.get("communication"), _c0068)),
-        likely=read_flag(table, "likely"),
-        cause=read_text(table.take("cause")),
-        remedy=read_text(table.take("remedy")),
-        source=table.take("source").text(),
-    )
-    table.done()
-    return rule
-
-
-def _c1962(item: Item) -> int:
-    return item.integer(1, HIGHEST_C1962)
-
-
-def _c0068(item: Item) -> int:
-    return item.integer(1, HIGHEST_ERROR)
+    return open_document("causes", read_file).read(TypeAdapter(_CausesFile)).causes

@@ -8,16 +8,19 @@ without a fault never needs them; that is why nothing here runs at import.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
-from typing import Final
+from typing import Annotated, Final, TypeVar
+
+from pydantic import TypeAdapter
 
 from lecombus.errors import DescriptionError
 
-from ..document import Item, Origin, Table, read_document
-from ..readers import read_code_number, read_source, read_text
-from ..texts import NOTHING, Text
+from ..field_types import BothLanguages, CodeNumber, Flag, Source, Words, whole
+from ..texts import NOTHING
+from ..yaml_models import FILE_TABLE, Document
 from .model import (
     CommunicationError,
     ExtendedFault,
@@ -41,10 +44,9 @@ __all__ = [
 
 TABLES: Final = ("82xx", "93xx", "smvector")
 HIGHEST_NUMBER: Final = 9999
-HIGHEST_EXTENDED: Final = 255
-HIGHEST_ERROR: Final = 15
 
 ReadFile = Callable[[str], str]
+N = TypeVar("N", ExtendedFault, CommunicationError)
 
 
 @cache
@@ -85,35 +87,91 @@ def packaged(file: str) -> str:
     return (resources.files(__package__) / file).read_text(encoding="utf-8")
 
 
+@dataclass(frozen=True, kw_only=True)
+class _FaultEntry:
+    """One entry of `faults`: what all of its numbers mean."""
+
+    __pydantic_config__ = FILE_TABLE
+
+    numbers: tuple[Annotated[int, whole(1, HIGHEST_NUMBER)], ...]
+    keypad: Words = ""
+    kind: FaultKind | None = None
+    meaning: BothLanguages
+    cause: BothLanguages = NOTHING
+    remedy: BothLanguages | None = None
+    source: Source
+
+
+@dataclass(frozen=True, kw_only=True)
+class _FaultsFile:
+    __pydantic_config__ = FILE_TABLE
+
+    table: Words
+    families: tuple[Words, ...]
+    manual: Words
+    memories: tuple[CodeNumber, ...]
+    memories_source: Source
+    look_up: BothLanguages
+    faults: tuple[_FaultEntry, ...]
+    thousands: Flag = False
+    own_list: Flag = False
+
+
 def load_table(name: str, read_file: ReadFile) -> FaultTable:
     """Build a fault table from its data file.
 
     Args:
         name: The file's name without `.yaml`; its `table` must be the same.
-        read_file: Gives the text of a file by its name with `.yaml`.
+        read_file: Returns the text of a file by its name with `.yaml`.
 
     Raises:
         DescriptionError: The file is missing, or says something that cannot be.
     """
     document = open_document(name, read_file)
-    own = document.take("table")
-    if own.text() != name:
-        own.fail(f"the file is named {name}.yaml: table must be {name}")
-    manual = document.take("manual").text()
-    look_up = read_text(document.take("look_up"))
-    thousands, own_list = document.get("thousands"), document.get("own_list")
-    table = FaultTable(
+    file = document.read(TypeAdapter(_FaultsFile), manual=str(document.data.get("manual", "")))
+    if file.table != name:
+        raise document.error(f"the file is named {name}.yaml: table must be {name}", "table")
+    return FaultTable(
         name=name,
-        families=tuple(item.text() for item in document.take("families").items()),
-        faults=_faults(document.take("faults"), manual, look_up),
-        thousands=thousands.flag() if thousands else False,
-        memories=tuple(read_code_number(item) for item in document.take("memories").items()),
-        look_up=look_up,
-        source=f"{manual} {document.take('memories_source').text()}",
-        lecom_numbers=not (own_list and own_list.flag()),
+        families=file.families,
+        faults=_faults(document, file),
+        thousands=file.thousands,
+        memories=file.memories,
+        look_up=file.look_up,
+        source=file.memories_source,
+        lecom_numbers=not file.own_list,
     )
-    document.done()
-    return table
+
+
+def _faults(document: Document, file: _FaultsFile) -> dict[int, Fault]:
+    faults: dict[int, Fault] = {}
+    for place, entry in enumerate(file.faults):
+        if not entry.numbers:
+            raise document.error("an entry needs at least one number", "faults", place)
+        for item, number in enumerate(entry.numbers):
+            if number in faults:
+                path = ("faults", place, "numbers", item)
+                raise document.error(f"fault {number} stands here twice", *path)
+            faults[number] = Fault(
+                number=number,
+                keypad=entry.keypad,
+                kind=entry.kind or kind_by_thousands(number),
+                meaning=entry.meaning,
+                cause=entry.cause,
+                remedy=entry.remedy or file.look_up,
+                source=entry.source,
+            )
+    return dict(sorted(faults.items()))
+
+
+@dataclass(frozen=True)
+class _LinkReportFile:
+    __pydantic_config__ = FILE_TABLE
+
+    manual: Words
+    classes: dict[Words, BothLanguages]
+    extended: tuple[ExtendedFault, ...]
+    communication: tuple[CommunicationError, ...]
 
 
 def load_link_report(read_file: ReadFile) -> LinkReport:
@@ -123,33 +181,36 @@ def load_link_report(read_file: ReadFile) -> LinkReport:
         DescriptionError: The file is missing, or says something that cannot be.
     """
     document = open_document("extended", read_file)
-    manual = document.take("manual").text()
-    classes = {
-        key.text(): read_text(item) for key, item in document.take("classes").table().pairs()
-    }
-    extended: dict[int, ExtendedFault] = {}
-    for number, entry in _numbered(document.take("extended"), HIGHEST_EXTENDED):
-        name = _known(entry.take("class"), classes)
-        extended[number] = ExtendedFault(
-            number,
-            name,
-            read_text(entry.take("meaning")),
-            classes[name],
-            read_source(entry, manual),
-        )
-        entry.done()
-    communication: dict[int, CommunicationError] = {}
-    for number, entry in _numbered(document.take("communication"), HIGHEST_ERROR):
-        allows = frozenset(_known(item, classes) for item in entry.take("allows").items())
-        communication[number] = CommunicationError(
-            number, read_text(entry.take("meaning")), allows, read_source(entry, manual)
-        )
-        entry.done()
-    document.done()
-    return LinkReport(extended, communication)
+    manual = str(document.data.get("manual", ""))
+    file = document.read(TypeAdapter(_LinkReportFile), manual=manual)
+
+    extended = _by_number(document, "extended", file.extended)
+    for place, fault in enumerate(file.extended):
+        _check_class(document, fault.classification, file, "extended", place, "class")
+        text = file.classes[fault.classification]
+        extended[fault.number] = replace(fault, class_text=text)
+    for place, given in enumerate(document.data["communication"]):
+        for item, name in enumerate(given["allows"]):
+            _check_class(document, name, file, "communication", place, "allows", item)
+    return LinkReport(extended, _by_number(document, "communication", file.communication))
 
 
-def open_document(name: str, read_file: ReadFile) -> Table:
+def _by_number(document: Document, key: str, entries: tuple[N, ...]) -> dict[int, N]:
+    found: dict[int, N] = {}
+    for place, entry in enumerate(entries):
+        if entry.number in found:
+            raise document.error(f"{entry.number} stands here twice", key, place, "number")
+        found[entry.number] = entry
+    return found
+
+
+def _check_class(document: Document, name: str, file: _LinkReportFile, *path: int | str) -> None:
+    if name not in file.classes:
+        known = ", ".join(file.classes)
+        raise document.error(f"{name} is not known here; {known} are", *path)
+
+
+def open_document(name: str, read_file: ReadFile) -> Document:
     """Open a data file by its name without `.yaml`.
 
     Raises:
@@ -160,61 +221,4 @@ def open_document(name: str, read_file: ReadFile) -> Table:
         text = read_file(file)
     except (OSError, KeyError) as exc:
         raise DescriptionError("there is no such data file", file=f"faults/{file}") from exc
-    return read_document(text, Origin(f"faults/{file}", name))
-
-
-def _faults(entries: Item, manual: str, look_up: Text) -> dict[int, Fault]:
-    faults: dict[int, Fault] = {}
-    for item in entries.items():
-        for fault, number in _read_fault(item.table(), manual, look_up):
-            if fault.number in faults:
-                number.fail(f"fault {fault.number} stands here twice")
-            faults[fault.number] = fault
-    return dict(sorted(faults.items()))
-
-
-def _read_fault(entry: Table, manual: str, look_up: Text) -> Iterator[tuple[Fault, Item]]:
-    """Read one entry: its words, for every number it stands for."""
-    numbers = entry.take("numbers").items()
-    shown = entry.get("keypad")
-    kind = entry.get("kind")
-    cause, remedy = entry.get("cause"), entry.get("remedy")
-    keypad = shown.text() if shown else ""
-    words = (
-        read_text(entry.take("meaning")),
-        read_text(cause) if cause else NOTHING,
-        read_text(remedy) if remedy else look_up,
-        read_source(entry, manual),
-    )
-    entry.done()
-    if not numbers:
-        entry.fail("an entry needs at least one number")
-    for item in numbers:
-        number = item.integer(1, HIGHEST_NUMBER)
-        yield Fault(number, keypad, _kind(kind, number), *words), item
-
-
-def _kind(item: Item | None, number: int) -> FaultKind:
-    if item is None:
-        return kind_by_thousands(number)
-    return FaultKind(_known(item, FaultKind))
-
-
-def _numbered(entries: Item, high: int) -> Iterator[tuple[int, Table]]:
-    """Give each entry with its number; none may come twice."""
-    seen: set[int] = set()
-    for item in entries.items():
-        entry = item.table()
-        place = entry.take("number")
-        number = place.integer(1, high)
-        if number in seen:
-            place.fail(f"{number} stands here twice")
-        seen.add(number)
-        yield number, entry
-
-
-def _known(item: Item, known: Iterable[str]) -> str:
-    words = tuple(known)
-    if item.text() not in words:
-        item.fail(f"{item.text()} is not known here; {', '.join(words)} are")
-    return item.text()
+    return Document(text, f"faults/{file}", family=name)

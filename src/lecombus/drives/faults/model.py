@@ -12,10 +12,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Annotated
+
+from pydantic import Field
 
 from lecombus.protocol.addressing import Code
 
-from ..texts import Text
+from ..field_types import BothLanguages, Source, Words, whole
+from ..texts import NOTHING, Text
+from ..yaml_models import FILE_TABLE
 
 __all__ = [
     "NO_FAULT",
@@ -152,11 +157,13 @@ class ExtendedFault:
         source: Manual and section.
     """
 
-    number: int
-    classification: str
-    meaning: Text
-    class_text: Text
-    source: str
+    __pydantic_config__ = FILE_TABLE
+
+    number: Annotated[int, whole(1, 255)]
+    classification: Annotated[Words, Field(alias="class")]
+    meaning: BothLanguages
+    source: Source
+    class_text: Annotated[Text, Field(init=False)] = NOTHING
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,10 +177,12 @@ class CommunicationError:
         source: Manual and section.
     """
 
-    number: int
-    meaning: Text
-    allows: frozenset[str]
-    source: str
+    __pydantic_config__ = FILE_TABLE
+
+    number: Annotated[int, whole(1, 15)]
+    meaning: BothLanguages
+    allows: frozenset[Words]
+    source: Source
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,16 +11,18 @@ from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
+from typing import Annotated
+
+from pydantic import TypeAdapter
 
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 
-from ..document import Item, Table
+from ..field_types import BothLanguages, Words
 from ..operating import OperatingState
-from ..readers import read_choice, read_text
-from ..texts import Text
-from .loading import ReadFile, packaged
-from .rules import Condition, load_rules, read_condition, read_each, read_families
+from ..yaml_models import FILE_TABLE
+from .loading import ReadFile, open_document, packaged
+from .rules import Condition, Families, each_once
 
 __all__ = ["Reason", "Weight", "asked_codes", "holding", "load_reasons", "reasons"]
 
@@ -36,7 +38,7 @@ class Weight(StrEnum):
     """It is good to know."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Reason:
     """One reason.
 
@@ -54,17 +56,19 @@ class Reason:
         unless: Reasons that say the same more exactly: where one of them holds, this is not told.
     """
 
-    name: str
-    families: frozenset[str]
-    states: frozenset[OperatingState]
-    not_states: frozenset[OperatingState]
-    values: tuple[Condition, ...]
-    not_values: tuple[Condition, ...]
+    __pydantic_config__ = FILE_TABLE
+
+    name: Words
+    families: frozenset[Words]
+    states: frozenset[OperatingState] = frozenset()
+    not_states: frozenset[OperatingState] = frozenset()
+    values: tuple[Condition, ...] = ()
+    not_values: tuple[Condition, ...] = ()
     weight: Weight
-    text: Text
-    remedy: Text
-    source: str
-    unless: frozenset[str] = frozenset()
+    text: BothLanguages
+    remedy: BothLanguages
+    source: Words
+    unless: frozenset[Words] = frozenset()
 
     def holds(
         self,
@@ -137,36 +141,18 @@ def reasons() -> tuple[Reason, ...]:
     return load_reasons(packaged)
 
 
+@dataclass(frozen=True)
+class _ReasonsFile:
+    __pydantic_config__ = FILE_TABLE
+
+    families: Families
+    reasons: Annotated[tuple[Reason, ...], each_once]
+
+
 def load_reasons(read_file: ReadFile) -> tuple[Reason, ...]:
     """Build the reasons from `reasons.yaml`.
 
     Raises:
         DescriptionError: The file is missing, or says something that cannot be.
     """
-    return load_rules("reasons", read_file, _reason)
-
-
-def _reason(table: Table) -> Reason:
-    reason = Reason(
-        name=table.take("name").text(),
-        families=read_families(table),
-        states=_states(table.get("states")),
-        not_states=_states(table.get("not_states")),
-        values=tuple(read_each(table.get("values"), _condition)),
-        not_values=tuple(read_each(table.get("not_values"), _condition)),
-        weight=read_choice(table.take("weight"), Weight),
-        text=read_text(table.take("text")),
-        remedy=read_text(table.take("remedy")),
-        source=table.take("source").text(),
-        unless=frozenset(read_each(table.get("unless"), lambda one: one.text())),
-    )
-    table.done()
-    return reason
-
-
-def _states(item: Item | None) -> frozenset[OperatingState]:
-    return frozenset(read_each(item, lambda one: read_choice(one, OperatingState)))
-
-
-def _condition(item: Item) -> Condition:
-    return read_condition(item.table())
+    return open_document("reasons", read_file).read(TypeAdapter(_ReasonsFile)).reasons

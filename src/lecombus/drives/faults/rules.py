@@ -1,27 +1,23 @@
 """What causes and reasons share: files of named rules, and conditions on what a code reads.
 
-Strategy: a file names its families first, for its own aliases, then its rules in the order in which
-they count; a name that stands twice is refused with its place.
-
-What must not live here: what a rule says (`causes`, `reasons`).
+A file lists its families first, for its own aliases, then its rules in the order in which they
+count.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, Protocol, TypeVar
+from typing import Annotated, Final, Protocol, TypeVar
+
+from pydantic import AfterValidator, Field
 
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 
-from ..document import Item, Table
-from ..readers import WORD_MAX, read_code_number
-from .loading import ReadFile, open_document
+from ..field_types import WORD_MAX, CodeNumber, WordNumber, Words, whole_number
+from ..yaml_models import FILE_TABLE, ReadAs, Reads, mistake
 
-__all__ = ["Condition", "Named", "load_rules", "read_condition", "read_each", "read_families"]
-
-T = TypeVar("T")
+__all__ = ["Condition", "Families", "ValueCondition", "each_once"]
 
 
 class Named(Protocol):
@@ -38,7 +34,7 @@ TESTS: Final = ("not_in", "in", "below", "last_digit_not", "clear", "set")
 
 
 @dataclass(frozen=True, slots=True)
-class Condition:
+class ValueCondition:
     """A value of the drive that makes a rule true.
 
     Args:
@@ -68,49 +64,56 @@ class Condition:
         return (number in self.numbers) == (self.test == "in")
 
 
-def load_rules(name: str, read_file: ReadFile, read_rule: Callable[[Table], N]) -> tuple[N, ...]:
-    """Read the rules of a file, in its order.
-
-    Args:
-        name: The file's name, which is also the key that the rules stand under.
-        read_file: Gives its text.
-        read_rule: Reads one rule and nothing beside it.
-
-    Raises:
-        DescriptionError: The file is missing, or says something that cannot be.
-    """
-    document = open_document(name, read_file)
-    for _, families in document.take("families").table().pairs():
-        families.items()
-    found: dict[str, N] = {}
-    for item in document.take(name).items():
-        rule = read_rule(item.table())
-        if rule.name in found:
-            item.fail(f"{rule.name} stands here twice")
-        found[rule.name] = rule
-    document.done()
-    return tuple(found.values())
+def _not_empty(numbers: frozenset[int]) -> frozenset[int]:
+    if not numbers:
+        raise mistake("at least one number is right here")
+    return numbers
 
 
-def read_families(table: Table) -> frozenset[str]:
-    """Read whose drives a rule is for."""
-    return frozenset(item.text() for item in table.take("families").items())
+def _read_one(given: object) -> frozenset[int]:
+    return frozenset({whole_number(given, 0, WORD_MAX)})
 
 
-def read_condition(table: Table) -> Condition:
-    """Read a code and what it must read."""
-    code = read_code_number(table.take("code"))
-    given = [(test, item) for test in TESTS if (item := table.get(test)) is not None]
-    table.done()
-    if len(given) != 1:
-        table.fail(f"one of {', '.join(TESTS)} is right here")
-    ((test, item),) = given
-    items = item.items() if test in ("not_in", "in") else [item]
-    if not items:
-        item.fail("at least one number is right here")
-    return Condition(code, test, frozenset(one.integer(0, WORD_MAX) for one in items))
+One = Annotated[frozenset[int], Reads(_read_one)] | None
+Several = Annotated[frozenset[WordNumber], AfterValidator(_not_empty)] | None
 
 
-def read_each(item: Item | None, read: Callable[[Item], T]) -> list[T]:
-    """Read the entries of a list that may be missing."""
-    return [read(one) for one in item.items()] if item is not None else []
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _ConditionEntry:
+    """The key of a field is the name of its test."""
+
+    __pydantic_config__ = FILE_TABLE
+
+    code: CodeNumber
+    not_in: Several = None
+    in_: Annotated[Several, Field(alias="in")] = None
+    below: One = None
+    last_digit_not: One = None
+    clear: One = None
+    set: One = None
+
+    def condition(self) -> ValueCondition:
+        tests = {test: getattr(self, "in_" if test == "in" else test) for test in TESTS}
+        given = [(test, numbers) for test, numbers in tests.items() if numbers is not None]
+        if len(given) != 1:
+            raise mistake(f"one of {', '.join(TESTS)} is right here")
+        return ValueCondition(self.code, *given[0])
+
+
+Condition = Annotated[ValueCondition, ReadAs(_ConditionEntry, _ConditionEntry.condition)]
+"""A condition as it stands in a file."""
+
+
+def _refuse_twice(rules: tuple[N, ...]) -> tuple[N, ...]:
+    names = [rule.name for rule in rules]
+    for number, name in enumerate(names):
+        if name in names[:number]:
+            raise mistake(f"{name} stands here twice", number)
+    return rules
+
+
+each_once: Final = AfterValidator(_refuse_twice)
+"""Marks a list of rules whose names differ."""
+
+Families = dict[str, tuple[Words, ...]]
+"""Aliases for lists of families, which YAML resolves."""

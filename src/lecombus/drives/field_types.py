@@ -1,0 +1,170 @@
+"""Types for the fields of data files: what a text of a file may be, and what it becomes.
+
+Each is `Annotated` with the function that reads it, so that a dataclass with such fields is both
+the grammar of a file's table and the object that the program works with.
+"""
+
+from __future__ import annotations
+
+from decimal import Decimal
+from typing import Annotated, Any, Final
+
+from pydantic import AliasPath, BeforeValidator, Field
+from pydantic.fields import FieldInfo
+
+from lecombus.errors import CodeValueError
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import HIGHEST_DECIMAL, LOWEST_DECIMAL, Value
+
+from .texts import Text
+from .yaml_models import KEY, LIST_RIGHT, TEXT_RIGHT, Quoted, Reads, mistake
+
+__all__ = [
+    "WORD_MAX",
+    "BothLanguages",
+    "CodeNumber",
+    "Flag",
+    "Number",
+    "Source",
+    "WordNumber",
+    "WordValue",
+    "Words",
+    "ends",
+    "milliseconds",
+    "numbered",
+    "read_code",
+    "read_number",
+    "read_words",
+    "whole",
+    "whole_number",
+]
+
+WORD_MAX: Final = 0xFFFF
+LONGEST_MS: Final = 600_000
+
+
+def read_words(given: object, *below: int | str) -> str:
+    """Read a text that is not empty and has no control characters."""
+    if not isinstance(given, str) or not given.strip():
+        raise mistake(TEXT_RIGHT, *below)
+    if not given.isprintable():
+        raise mistake("a control character stands in this text: it would steer a terminal", *below)
+    return str(given)
+
+
+def read_code(given: object) -> Code:
+    """Read a code, such as `C0150` or `C0168/1`."""
+    try:
+        return Code.parse(read_words(given))
+    except CodeValueError as exc:
+        raise mistake(str(exc)) from exc
+
+
+def read_number(given: object, *below: int | str) -> Decimal:
+    """Read a number that a decimal on the wire could carry: 4 decimals, 32 bits."""
+    text = read_words(given, *below)
+    right = f"a number from {LOWEST_DECIMAL} to {HIGHEST_DECIMAL} is right here"
+    try:
+        number = Decimal(text)
+    except ArithmeticError as exc:
+        raise mistake(right, *below) from exc
+    if not number.is_finite() or not LOWEST_DECIMAL <= number <= HIGHEST_DECIMAL:
+        raise mistake(f"{text}: {right}", *below)
+    if number != round(number, 4):
+        raise mistake(f"{text} has more than 4 decimals, which cannot be sent", *below)
+    return number
+
+
+def whole_number(given: object, low: int, high: int, *below: int | str) -> int:
+    """Read a whole number from `low` to `high`, decimal or hexadecimal (`0x0800`)."""
+    right = f"a whole number from {low} to {high} is right here"
+    if not isinstance(given, str) or isinstance(given, Quoted):
+        raise mistake(right, *below)
+    try:
+        number = int(given, 0)
+    except ValueError as exc:  # also 010 and 1:30, which YAML takes for whole numbers
+        raise mistake(right, *below) from exc
+    if not low <= number <= high:
+        raise mistake(f"{given}: {right}", *below)
+    return number
+
+
+def whole(low: int, high: int) -> Reads:
+    """Mark a whole number from `low` to `high`."""
+    return Reads(lambda given: whole_number(given, low, high))
+
+
+def milliseconds(low: int = 1, high: int = LONGEST_MS) -> Reads:
+    """Mark a time that stands in milliseconds in the file and is kept in seconds."""
+    return Reads(lambda given: whole_number(given, low, high) / 1000)
+
+
+def ends(key: str, what: str) -> tuple[BeforeValidator, FieldInfo, FieldInfo]:
+    """Return what reads a pair such as `bits: [8, 11]` into two fields.
+
+    Args:
+        key: The pair's key.
+        what: What is right, for errors.
+
+    Returns:
+        The mark of the table, of the field of the first and of the field of the second number.
+    """
+
+    def check(given: Any) -> Any:
+        pair = given.get(key) if isinstance(given, dict) else None
+        if pair is not None and (not isinstance(pair, list) or len(pair) != 2):
+            raise mistake(what, key)
+        return given
+
+    first, second = (Field(validation_alias=AliasPath(key, number)) for number in (0, 1))
+    return BeforeValidator(check), first, second
+
+
+def _read_flag(given: object) -> bool:
+    if isinstance(given, Quoted) or given not in FLAGS:
+        raise mistake("true or false is right here")
+    return FLAGS[given]
+
+
+FLAGS: Final[dict[object, bool]] = {"true": True, "false": False}
+
+
+def _read_both(given: object) -> Text:
+    if not isinstance(given, list):
+        raise mistake(LIST_RIGHT)
+    if len(given) != 2:
+        raise mistake("a text is given in two languages: [english, german]")
+    return Text(read_words(given[0], 0), read_words(given[1], 1))
+
+
+def _read_source(given: object, manual: str) -> str:
+    return f"{manual} {read_words(given)}".strip()
+
+
+def _refuse_number_twice(given: Any) -> Any:
+    """Refuse a table in which two keys are one number, such as 8 and 0x8."""
+    seen: set[int] = set()
+    for key in given if isinstance(given, dict) else ():
+        try:
+            number = int(key, 0)
+        except ValueError:
+            continue  # refused as a key, with its place
+        if number in seen:
+            raise mistake(f"{number} stands here twice", key, KEY)
+        seen.add(number)
+    return given
+
+
+numbered: Final = BeforeValidator(_refuse_number_twice)
+"""Marks a table whose keys are numbers."""
+
+Words = Annotated[str, Reads(read_words)]
+Flag = Annotated[bool, Reads(_read_flag)]
+CodeNumber = Annotated[Code, Reads(read_code)]
+Number = Annotated[Decimal, Reads(read_number)]
+BothLanguages = Annotated[Text, Reads(_read_both)]
+Source = Annotated[str, Reads(_read_source, sourced=True)]
+"""Section of the manual; kept with the manual's name before it."""
+WordNumber = Annotated[int, whole(0, WORD_MAX)]
+WordValue = Annotated[Value, Reads(lambda given: Value.decimal(whole_number(given, 0, WORD_MAX)))]
+"""A whole number that is written as a decimal."""
