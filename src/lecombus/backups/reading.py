@@ -8,10 +8,9 @@ which section a code stands does not matter: what it is follows from its descrip
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Annotated, Final
 
-from pydantic import Field, TypeAdapter
+from pydantic import Field
 
 from lecombus.drives import FAMILY_NAMES, family
 from lecombus.drives.field_types import Words, read_words, whole
@@ -65,11 +64,6 @@ class _BackupFile:
     not_read: Annotated[dict[str, Words], Field(alias=NOT_READ)] = field(default_factory=dict)
 
 
-@cache
-def _backup_file() -> TypeAdapter[_BackupFile]:
-    return TypeAdapter(_BackupFile)
-
-
 def read_backup(text: str, file: str) -> Backup:
     """Read a backup.
 
@@ -90,7 +84,7 @@ def read_backup(text: str, file: str) -> Backup:
     if isinstance(version, str) and version.isdecimal() and int(version[:7]) > FORMAT_VERSION:
         message = f"a later lecombus wrote this: format {FORMAT_VERSION} is read here"
         raise document.error(message, FORMAT_KEY)
-    backup = document.read(_backup_file())
+    backup = document.read(_BackupFile)
     head = Head(
         drive=backup.drive,
         line=backup.line,
@@ -99,7 +93,7 @@ def read_backup(text: str, file: str) -> Backup:
         taken=backup.taken,
         version=backup.lecombus,
     )
-    read = document.read(_backup_file())
+    read = document.read(_BackupFile)
     entries: dict[Code, Entry] = {}
     for section in (*Section, NOT_READ):
         values: dict[str, Value | str] = getattr(read, section.replace("-", "_"))

@@ -13,8 +13,6 @@ from functools import cache
 from importlib import resources
 from typing import Final
 
-from pydantic import TypeAdapter
-
 from .field_types import Words
 from .yaml_models import FILE_TABLE, Document
 
@@ -51,4 +49,4 @@ def load_bit_names(text: str) -> dict[str, str]:
     Raises:
         DescriptionError: It says something that cannot be.
     """
-    return Document(text, f"families/{FILE}").read(TypeAdapter(_BitNamesFile)).names
+    return Document(text, f"families/{FILE}").read(_BitNamesFile).names

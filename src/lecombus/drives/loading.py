@@ -15,7 +15,7 @@ from functools import cache
 from importlib import resources
 from typing import Annotated, Any, Final, TypeVar
 
-from pydantic import AfterValidator, BeforeValidator, Field, TypeAdapter
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from lecombus.errors import ConfigError, DescriptionError, meant
 from lecombus.protocol.addressing import Code, Form
@@ -158,11 +158,6 @@ class FamilyFile:
 
 
 @cache
-def _family_file() -> TypeAdapter[FamilyFile]:
-    return TypeAdapter(FamilyFile)
-
-
-@cache
 def family(name: str) -> Family:
     """Return the family of a roster's word for it.
 
@@ -207,7 +202,7 @@ class _Builder:
             raise DescriptionError("there is no such data file", file=f"{name}.yaml") from exc
         documents = [own, *self._included(own, read_file)]
         manual = next((one.data["manual"] for one in documents if "manual" in one.data), "")
-        files = [(one, one.read(_family_file(), manual=str(manual))) for one in documents]
+        files = [(one, one.read(FamilyFile, manual=str(manual))) for one in documents]
         self._own = Place(own, ())
         self._check_names(files)
         self._places: dict[str, list[Place]] = {}

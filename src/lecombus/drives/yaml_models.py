@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
+from functools import cache
 from typing import Annotated, Any, Final, NoReturn, TypeVar, get_args, get_origin, get_type_hints
 
 import yaml
@@ -157,7 +158,7 @@ class Document:
             raise self.error(TABLE_RIGHT)
         self.data: Mapping[str, Any] = data
 
-    def read(self, kind: TypeAdapter[T], *, manual: str = "") -> T:
+    def read(self, kind: type[T], *, manual: str = "") -> T:
         """Validate the document.
 
         Args:
@@ -168,10 +169,12 @@ class Document:
             DescriptionError: Something in it is wrong; of several mistakes the first in the file.
         """
         try:
-            return kind.validate_python(self.data, context=manual)
+            found: T = _validator(kind).validate_python(self.data, context=manual)
         except ValidationError as exc:
-            found = [(_path(one), one) for one in exc.errors(include_url=False)]
-        path, first = min(found, key=lambda one: self._position(one[0]))
+            mistakes = [(_path(one), one) for one in exc.errors(include_url=False)]
+        else:
+            return found
+        path, first = min(mistakes, key=lambda one: self._position(one[0]))
         raise self.error(_message(first, kind), *path, value=first["input"])
 
     def place(self, *path: int | str) -> str:
@@ -251,6 +254,11 @@ class Document:
                 raise self._error_at(message, event.start_mark)
 
 
+@cache
+def _validator(kind: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(kind)
+
+
 TEXT_RIGHT: Final = "a text is right here"
 TABLE_RIGHT: Final = "a table of keys and values is right here"
 LIST_RIGHT: Final = "a list is right here"
@@ -270,7 +278,7 @@ def _path(error: ErrorDetails) -> Path:
     return (*path, KEY) if error["type"] == "unexpected_keyword_argument" else path
 
 
-def _message(error: ErrorDetails, kind: TypeAdapter[Any]) -> str:
+def _message(error: ErrorDetails, kind: type) -> str:
     """Say in plain words what is wrong and what would be right."""
     *above, last = error["loc"]
     if error["type"] == "missing":
@@ -283,9 +291,9 @@ def _message(error: ErrorDetails, kind: TypeAdapter[Any]) -> str:
     return MESSAGES.get(error["type"], error["msg"])
 
 
-def _known_keys(kind: TypeAdapter[Any], path: list[int | str]) -> dict[str, Any]:
+def _known_keys(kind: type, path: list[int | str]) -> dict[str, Any]:
     """Return the keys of the table at a path with their types."""
-    known = _keys(_table_in(kind._type))
+    known = _keys(kind)
     for step in path:
         table = _table_in(known.get(str(step)))
         known = _keys(table) if table is not None else known

@@ -15,7 +15,7 @@ from enum import IntEnum, StrEnum
 from functools import cache
 from typing import Annotated, Final
 
-from pydantic import Field, TypeAdapter
+from pydantic import Field
 
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
@@ -265,4 +265,4 @@ def load_causes(read_file: ReadFile) -> tuple[CauseRule, ...]:
     Raises:
         DescriptionError: The file is missing, or says something that cannot be.
     """
-    return open_document("causes", read_file).read(TypeAdapter(_CausesFile)).causes
+    return open_document("causes", read_file).read(_CausesFile).causes

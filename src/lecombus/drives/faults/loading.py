@@ -14,8 +14,6 @@ from functools import cache
 from importlib import resources
 from typing import Annotated, Final, TypeVar
 
-from pydantic import TypeAdapter
-
 from lecombus.errors import DescriptionError
 
 from ..field_types import BothLanguages, CodeNumber, Flag, Source, Words, whole
@@ -128,7 +126,7 @@ def load_table(name: str, read_file: ReadFile) -> FaultTable:
         DescriptionError: The file is missing, or says something that cannot be.
     """
     document = open_document(name, read_file)
-    file = document.read(TypeAdapter(_FaultsFile), manual=str(document.data.get("manual", "")))
+    file = document.read(_FaultsFile, manual=str(document.data.get("manual", "")))
     if file.table != name:
         raise document.error(f"the file is named {name}.yaml: table must be {name}", "table")
     return FaultTable(
@@ -182,7 +180,7 @@ def load_link_report(read_file: ReadFile) -> LinkReport:
     """
     document = open_document("extended", read_file)
     manual = str(document.data.get("manual", ""))
-    file = document.read(TypeAdapter(_LinkReportFile), manual=manual)
+    file = document.read(_LinkReportFile, manual=manual)
 
     extended = _by_number(document, "extended", file.extended)
     for place, fault in enumerate(file.extended):

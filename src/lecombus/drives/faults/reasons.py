@@ -13,8 +13,6 @@ from enum import StrEnum
 from functools import cache
 from typing import Annotated
 
-from pydantic import TypeAdapter
-
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 
@@ -155,4 +153,4 @@ def load_reasons(read_file: ReadFile) -> tuple[Reason, ...]:
     Raises:
         DescriptionError: The file is missing, or says something that cannot be.
     """
-    return open_document("reasons", read_file).read(TypeAdapter(_ReasonsFile)).reasons
+    return open_document("reasons", read_file).read(_ReasonsFile).reasons
