@@ -168,8 +168,9 @@ class Document:
         Raises:
             DescriptionError: Something in it is wrong; of several mistakes the first in the file.
         """
+        model: Any = kind
         try:
-            found: T = _validator(kind).validate_python(self.data, context=manual)
+            found: T = _validator(model).validate_python(self.data, context=manual)
         except ValidationError as exc:
             mistakes = [(_path(one), one) for one in exc.errors(include_url=False)]
         else:
