@@ -45,6 +45,7 @@ from lecombus.schedule.stats import ScheduleStats
 from lecombus.state import State
 from lecombus.store import Store
 from lecombus.supervision.books import Books
+from lecombus.supervision.command_effects import CommandEffects
 from lecombus.supervision.configurations import Configurations
 from lecombus.supervision.cyclic_reads import CyclicReads
 from lecombus.supervision.fault_watch import FaultWatch
@@ -186,9 +187,10 @@ class Site:
 
     def _make_books(self, wall: Callable[[], float]) -> Books:
         watch = FaultWatch(self.store, self._read_soon, wall)
+        effects = CommandEffects(self.store, self._read_soon, self._read_later, self._clock)
         return Books(
-            self.store, self.metrics, self.health, self.words, watch, self._configurations,
-            self.identities, self.wear, self._has_drive,
+            self.store, self.metrics, self.health, self.words, watch, effects,
+            self._configurations, self.identities, self.wear, self._has_drive,
         )  # fmt: skip
 
     def _make_keeper(self, clock: Callable[[], float]) -> Keeper:

@@ -209,6 +209,18 @@ class Store:
             if self._subscribers:
                 self._publish(ValueChanged(drive, code))
 
+    def is_outdated(self, drive: str, code: Code) -> bool:
+        """Say whether what is known of a code is from before a write or a command that changes it.
+
+        Raises:
+            OperationError: `no-such-drive`.
+        """
+        record = self._record(drive)
+        cell = record.cells.get(code)
+        if cell is None or cell.value is None:
+            return True
+        return cell.failure == WRITTEN_SINCE or is_before_command(record, cell)
+
     def setpoint_taken(self, drive: str, code: Code, value: Value, at_s: float) -> None:
         """Keep a setpoint that the drive has acknowledged; other codes are ignored."""
         record = self._drives[drive]

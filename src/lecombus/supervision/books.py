@@ -19,6 +19,7 @@ from lecombus.protocol.telegrams import AckAnswer, NakAnswer, UnknownCodeAnswer,
 from lecombus.readings import NO_SUCH_CODE, DriveState, LineState
 from lecombus.schedule import Priority
 from lecombus.store import Store
+from lecombus.supervision.command_effects import CommandEffects
 from lecombus.supervision.configurations import Configurations
 from lecombus.supervision.fault_watch import FaultWatch
 from lecombus.supervision.health import Health
@@ -48,6 +49,7 @@ class Books:
         health: Judges the drives.
         words: Control words.
         faults: Watches for faults.
+        effects: Has status words read after a command.
         configurations: Follows the signal configurations.
         identities: Knows what the drives said of themselves.
         wear: Counts what may have worn a drive's memory.
@@ -62,6 +64,7 @@ class Books:
         health: Health,
         words: ControlWords,
         faults: FaultWatch,
+        effects: CommandEffects,
         configurations: Configurations,
         identities: Identities,
         wear: Wear,
@@ -74,6 +77,7 @@ class Books:
         self._wear = wear
         self._is_drive = is_drive
         self._faults = faults
+        self._effects = effects
         self.disturbances = 0
         self.failures = 0
         self._configurations = configurations
@@ -99,6 +103,7 @@ class Books:
                         report.drive, report.step.code, report.step.value,
                         heard=type(answer) is AckAnswer,
                     )  # fmt: skip
+                self._effects.written(report.drive, report.step.code)
                 self._configurations.written(report.drive, report.step.code)
                 self._wear.written(report.drive, report.step.code)
             if type(answer) is ValueAnswer:
@@ -108,6 +113,7 @@ class Books:
                 self._metrics.minutes.value(report.drive, code, result.ended_s)
                 self._words.seen(report.drive, code, answer.value)
                 self._faults.seen(report.drive, code, answer.value)
+                self._effects.seen(report.drive, code, answer.value)
                 self._configurations.seen(report.drive, code, answer.value)
                 self._identities.seen(report.drive, code, answer.value)
             elif not (type(answer) is AckAnswer and kind is StepKind.WRITE):
@@ -126,6 +132,7 @@ class Books:
     def forget(self, drive: str) -> None:
         """The drive has left the roster; what comes back by its name may be another device."""
         self._faults.forget(drive)
+        self._effects.forget(drive)
         self._configurations.forget(drive)
 
     def _book_multicast(self, report: ExchangeReport) -> None:
@@ -133,6 +140,7 @@ class Books:
         for member in report.members:
             if self._is_drive(member, None):
                 self._store.value_written(member, code, report.result.ended_s)
+                self._effects.written(member, code)
                 self._configurations.written(member, code)
                 self._wear.written(member, code)
             if value is not None and report.result.kind is ResultKind.SENT:

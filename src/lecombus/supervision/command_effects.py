@@ -1,0 +1,140 @@
+"""Status words read sooner than in their own turn, where what is known of a drive calls for it.
+
+Two things call for it:
+
+* A command to stop or to run went out. What the status words said before it counts no longer, so
+  that the drive's motion is not known until they are read: the word that proves the stop and the
+  first status word are read in the interactive class.
+* A drive's speed fell to 0 and no command was given. A terminal may have set its quick stop, which
+  only the slow second status word (C0068) shows: that is read in the background class, and no more
+  often than every `ZERO_GAP_S`.
+
+Of each kind one read is in the schedule at a time, whatever the number of drives: a read that
+somebody waits for has at most one of these in front of it, and what `plan` promises holds.
+
+What must not live here: what a word means (`motion`), who goes first (`schedule`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+from lecombus.drives import OperatingState
+from lecombus.drives.verbs import status_shows_quick_stop
+from lecombus.errors import LecombusError
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+from lecombus.schedule import Outcome, Settle
+from lecombus.store import Store
+
+__all__ = ["ZERO_GAP_S", "CommandEffects"]
+
+ZERO_GAP_S: Final = 5.0
+"""A motor that stops and starts all the time costs no more than one read in this, seconds."""
+
+OUTPUT: Final = Code(50)
+SPEED_CODES: Final = (OUTPUT, Code(150))
+AT_ZERO: Final = frozenset((OperatingState.ZERO_SPEED, OperatingState.OUTPUT_FREQUENCY_0))
+
+Ask = Callable[[str, Code, Settle], None]
+"""Reads a code of a drive; raises a `LecombusError` where that cannot be asked."""
+
+
+class _OneByOne:
+    """Reads that are asked for one after the other, each drive's code once.
+
+    Args:
+        ask: Reads a code.
+        is_wanted: Whether a code need still be read.
+    """
+
+    def __init__(self, ask: Ask, is_wanted: Callable[[str, Code], bool]) -> None:
+        self._ask = ask
+        self._is_wanted = is_wanted
+        self._waiting: dict[tuple[str, Code], None] = {}
+        self._is_asking = False
+
+    def want(self, drive: str, code: Code) -> None:
+        """Have a code read."""
+        self._waiting[drive, code] = None
+        self._go_on()
+
+    def _go_on(self) -> None:
+        while self._waiting and not self._is_asking:
+            drive, code = next(iter(self._waiting))
+            del self._waiting[drive, code]
+            self._is_asking = True
+            try:
+                if self._is_wanted(drive, code):
+                    self._ask(drive, code, self._ended)
+                    return
+            except LecombusError:
+                pass  # the line or the drive is gone; the code's own turn comes later
+            self._is_asking = False
+
+    def _ended(self, outcome: Outcome, reason: str) -> None:
+        self._is_asking = False
+        self._go_on()
+
+
+class CommandEffects:
+    """Has status words read after a command, and when a motor stops without one.
+
+    Args:
+        store: What is known.
+        ask: Reads a code in the interactive class.
+        ask_later: Reads a code in the background class.
+        clock: Monotonic time, seconds.
+    """
+
+    def __init__(self, store: Store, ask: Ask, ask_later: Ask, clock: Callable[[], float]) -> None:
+        self._store = store
+        self._clock = clock
+        self._after_command = _OneByOne(ask, store.is_outdated)
+        self._at_zero = _OneByOne(ask_later, lambda drive, code: True)
+        self._turns: dict[str, bool] = {}
+        self._raws: dict[tuple[str, Code], str] = {}
+        self._looked_s: dict[str, float] = {}
+
+    def forget(self, drive: str) -> None:
+        """The drive has left the roster; what comes back by its name may be another device."""
+        self._turns.pop(drive, None)
+        for code in SPEED_CODES:
+            self._raws.pop((drive, code), None)
+        self._looked_s.pop(drive, None)
+
+    def written(self, drive: str, code: Code) -> None:
+        """A code was written: read what shows the effect, if it stops drives or lets them run."""
+        family = self._store.family(drive)
+        rules = [rule for rule in family.stops.values() if rule.code == code]
+        shown_by = [proof for rule in rules for proof in list(rule.proofs)[:1]]
+        if rules:
+            self._turns.pop(drive, None)  # what its speed does now was asked for
+            # The first status word comes last: with it the motion is known.
+            for one in dict.fromkeys((*shown_by, *list(family.words)[:1])):
+                self._after_command.want(drive, one)
+
+    def seen(self, drive: str, code: Code, value: Value) -> None:
+        """Take a value that was read: the speed, or a status word that tells that it is 0."""
+        if code not in SPEED_CODES or self._raws.get((drive, code)) == value.raw:
+            return
+        self._raws[drive, code] = value.raw
+        number, family = value.number, self._store.family(drive)
+        if isinstance(number, str | bytes):
+            return
+        turns, word = number != 0, family.words.get(code)
+        if word is not None:
+            if not isinstance(number, int) or not word.told_states & AT_ZERO:
+                return
+            turns = AT_ZERO.isdisjoint(word.shown_states(number))
+        if self._turns.get(drive) and not turns and status_shows_quick_stop(family):
+            self._look(drive, list(family.words)[-1])
+        self._turns[drive] = turns
+
+    def _look(self, drive: str, word: Code) -> None:
+        now_s = self._clock()
+        if now_s - self._looked_s.get(drive, -math.inf) >= ZERO_GAP_S:
+            self._looked_s[drive] = now_s
+            self._at_zero.want(drive, word)

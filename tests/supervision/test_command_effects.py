@@ -1,0 +1,185 @@
+"""After a command, and when a motor stops without one, what shows why is read soon."""
+
+from __future__ import annotations
+
+import anyio
+import pytest
+
+from lecombus.drives import StopAction, family
+from lecombus.errors import LineLostError
+from lecombus.motion import Doing
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+from lecombus.schedule import Outcome, Settle
+from lecombus.store import LineState, Store
+from lecombus.supervision.command_effects import ZERO_GAP_S, CommandEffects
+from support.site_host import Plant, roster_of, with_plant
+
+WORD, OUTPUT, OPERATING, INHIBIT, CONTROL = (Code(one) for one in (150, 50, 68, 40, 135))
+TURNS, STANDS = "H0600", "H0640"
+
+
+class Desk:
+    """The effects of commands to two drives, and what is asked for."""
+
+    def __init__(self, kind: str = "821x") -> None:
+        self.now_s = 100.0
+        self.store = Store(lambda: self.now_s, lambda: self.now_s)
+        for name in "ab":
+            self.store.add_drive(name, 1, family(kind))
+        self.store.line_state(LineState.OPEN)
+        self.asked: list[tuple[str, Code, str]] = []
+        self.settles: list[Settle] = []
+        self.fails = False
+        self.effects = CommandEffects(
+            self.store, self._ask("soon"), self._ask("later"), lambda: self.now_s
+        )
+
+    def _ask(self, how: str):  # type: ignore[no-untyped-def]
+        def ask(drive: str, code: Code, settle: Settle) -> None:
+            if self.fails:
+                raise LineLostError("no line")
+            self.asked.append((drive, code, how))
+            self.settles.append(settle)
+
+        return ask
+
+    def writes(self, drive: str, code: Code) -> None:
+        self.now_s += 0.1
+        self.store.value_written(drive, code, self.now_s)
+        self.effects.written(drive, code)
+
+    def reads(self, drive: str, code: Code, raw: str) -> None:
+        self.now_s += 0.1
+        self.store.value_read(drive, code, Value.parse(raw), self.now_s)
+        self.effects.seen(drive, code, Value.parse(raw))
+
+    def answers(self) -> None:
+        self.settles.pop(0)(Outcome.DONE, "")
+
+
+@pytest.mark.parametrize(
+    ("kind", "code", "wanted"),
+    [
+        ("821x", CONTROL, [OPERATING, WORD]),
+        ("8200vector", CONTROL, [CONTROL, WORD]),
+        ("smvector", CONTROL, [OPERATING, WORD]),
+        ("821x", INHIBIT, [WORD]),
+        ("821x", Code(46), []),
+        ("generic", CONTROL, []),
+    ],
+)
+def test_a_command_has_what_shows_its_effect_read(
+    kind: str, code: Code, wanted: list[Code]
+) -> None:
+    desk = Desk(kind)
+    for word in (WORD, OPERATING, CONTROL):
+        desk.reads("a", word, "H0000")
+    desk.writes("a", code)
+    while desk.settles:
+        desk.answers()
+    assert desk.asked == [("a", one, "soon") for one in wanted]
+
+
+def test_one_read_is_asked_for_at_a_time_and_each_once() -> None:
+    desk = Desk()
+    for _ in range(5):
+        desk.writes("a", INHIBIT)
+        desk.writes("b", INHIBIT)
+    assert desk.asked == [("a", WORD, "soon")]
+    desk.answers()
+    assert desk.asked[1:] == [("b", WORD, "soon")], "the other drive is not made to wait"
+    desk.answers()
+    assert desk.asked[2:] == [("a", WORD, "soon")], "the later commands want it read again"
+    desk.reads("a", WORD, TURNS)
+    desk.answers()
+    assert len(desk.asked) == 3
+
+
+def test_what_was_read_since_is_not_asked_for() -> None:
+    desk = Desk()
+    desk.writes("b", INHIBIT)
+    desk.writes("a", INHIBIT)
+    desk.reads("a", WORD, TURNS)
+    desk.answers()
+    assert desk.asked == [("b", WORD, "soon")]
+
+
+def test_a_line_that_is_lost_leaves_nothing_pending() -> None:
+    desk = Desk()
+    desk.fails = True
+    desk.writes("a", INHIBIT)
+    desk.fails = False
+    desk.writes("b", INHIBIT)
+    assert desk.asked == [("b", WORD, "soon")]
+
+
+@pytest.mark.parametrize(("kind", "looks"), [("821x", 1), ("8200vector", 0), ("93xx", 0)])
+def test_a_motor_that_stops_without_a_command_has_the_slow_word_read(kind: str, looks: int) -> None:
+    desk = Desk(kind)
+    desk.reads("a", WORD, TURNS)
+    desk.reads("a", WORD, STANDS)
+    assert desk.asked == [("a", OPERATING, "later")] * looks
+
+
+def test_it_is_not_read_for_a_stop_that_was_asked_for_nor_all_the_time() -> None:
+    desk = Desk()
+    desk.reads("a", OUTPUT, "20.0")
+    desk.writes("a", CONTROL)
+    before = len(desk.asked)
+    desk.reads("a", OUTPUT, "0.0")
+    assert len(desk.asked) == before
+    for _ in range(10):
+        desk.reads("a", WORD, TURNS)
+        desk.reads("a", WORD, STANDS)
+    assert [how for *_, how in desk.asked[before:]] == ["later"]
+    desk.answers()
+    while desk.settles:
+        desk.answers()
+    desk.now_s += ZERO_GAP_S
+    desk.reads("a", OUTPUT, "20.0")
+    desk.reads("a", OUTPUT, "0.0")
+    assert [how for *_, how in desk.asked[before:]].count("later") == 2
+
+
+LINE = [("a", 11, "821x"), ("v", 12, "8200vector"), ("m", 13, "smvector")]
+
+
+@pytest.mark.parametrize(
+    ("name", "after"), [("a", Doing.ENABLED), ("v", Doing.ENABLED), ("m", Doing.UNKNOWN)]
+)
+def test_the_motion_is_known_soon_after_a_plain_write(name: str, after: Doing) -> None:
+    """It was unknown until the first status word's turn came, a second and more.
+
+    No word of an SMVector says that it is enabled.
+    """
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await anyio.sleep(10.0)  # the modules' own codes take half a second each
+        operations, store = plant.site.operations, plant.site.store
+        for word, expected in (("H0008", Doing.STOPPED), ("H0000", after)) * 3:
+            await anyio.sleep(0.13)
+            report = await operations.write(name, Code(135), word)
+            assert report.outcome is Outcome.DONE
+            seen = []
+            for _ in range(25):
+                await anyio.sleep(0.01)
+                motion = store.motion(name)
+                if motion.age_s is not None:
+                    seen.append(motion.doing)
+            assert set(seen) == {expected}, "known soon, and never shown as it is not"
+
+    with_plant(test, roster_of(LINE, baud=9600))
+
+
+def test_after_a_stop_of_all_every_motion_is_known_soon() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await anyio.sleep(10.0)
+        await plant.site.operations.stop(StopAction.QUICK_STOP, "all")
+        await anyio.sleep(0.3)
+        doing = {plant.site.store.motion(name).doing for name, *_ in LINE}
+        assert doing <= {Doing.STOPPED, Doing.STOPPING}
+
+    with_plant(test, roster_of(LINE, baud=9600))
