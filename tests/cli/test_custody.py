@@ -174,3 +174,13 @@ def test_forget_times_shows_what_is_forgotten(run: Run, daemon: DaemonStub) -> N
     ran = run("forget-times", "feeder")
     assert (ran.status, ran.out) == (0, "C0150\tread\t0.020\t0.250\n")
     assert run("forget-times", "feeder", "--json").out.strip() == document
+
+
+def test_forget_times_says_in_a_pipe_too_that_there_was_nothing(
+    run: Run, daemon: DaemonStub
+) -> None:
+    document = json.dumps({"drive": "feeder", "forgotten": []})
+    daemon.answers["POST /v1/drives/feeder/forget-times"] = (200, document)
+    ran = run("forget-times", "feeder")
+    assert (ran.status, ran.out) == (0, "")
+    assert "nothing was measured of feeder" in ran.err

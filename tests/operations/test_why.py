@@ -12,9 +12,10 @@ import pytest
 from lecombus.drives import FAMILY_NAMES, Language, StopAction, Verb, family
 from lecombus.drives.faults.reasons import Weight, asked_codes, load_reasons, reasons
 from lecombus.errors import DescriptionError, OperationError
-from lecombus.operations.findings import WhyReport
+from lecombus.operations.findings import WhyReport, lapse_finding
 from lecombus.operations.reports import VerbReport
 from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome
 from support.site_host import Plant, roster_of, until, with_plant
@@ -515,3 +516,61 @@ def test_a_quick_stop_of_the_watchdog_that_no_word_shows_is_a_hint_until_an_enab
     chosen = [one for one in FAMILIES if one[0] == drive]
     watchdog = "{time: 2s, action: quick-stop, configure: true}"
     with_plant(main, roster_of(chosen, watchdog=watchdog), word_as_written=True)
+
+
+@pytest.mark.parametrize("how", ["stop", "verb", "write"])
+def test_after_a_later_stop_the_enable_that_was_taken_back_no_longer_leads(how: str) -> None:
+    async def test(plant: Plant) -> None:
+        operations = plant.site.operations
+        model = plant.line["belt"].model
+        model.set_terminal(high=False)
+        assert (await enable(plant, "belt")).outcome is Outcome.REFUSED
+        model.set_terminal(high=True)
+        assert (await operations.why("belt")).findings[0].name == "enable-taken-back"
+        if how == "stop":
+            await operations.stop(StopAction.INHIBIT, "belt")
+        elif how == "verb":
+            await operations.verb("belt", Verb.INHIBIT)
+        else:
+            await operations.write("belt", Code(40), 0)
+        for fresh in (True, False):
+            why = await operations.why("belt", fresh=fresh)
+            assert why.findings[0].name == "inhibited-by-line"
+            (found,) = [one for one in why.findings if one.name == "enable-taken-back"]
+            assert found.weight is Weight.HINT, "it is still remembered"
+
+    at("belt", test)
+
+
+def test_an_old_command_does_not_lead_against_a_fresh_status_word() -> None:
+    async def test(plant: Plant) -> None:
+        operations = plant.site.operations
+        await run_motor(plant, "belt")
+        plant.site.store.value_read("belt", Code(40), Value.parse("0"), plant.now_s - 60.0)
+        why = await operations.why("belt")
+        assert "inhibited-by-c0040" not in names(why)
+        assert "nothing that is known" in why.answer.en
+
+    at("belt", test)
+
+
+def test_a_feed_that_came_late_does_not_say_that_the_drive_has_acted() -> None:
+    for unseen in (True, False):
+        found = lapse_finding(1, unseen=unseen)
+        assert "fed too late once" in found.text.en
+        assert "may have acted then" in found.text.en
+        assert "kann angesprochen haben" in found.text.de
+
+
+@pytest.mark.parametrize("verb", list(Verb))
+def test_a_group_is_no_drive_and_the_answer_says_so(verb: Verb) -> None:
+    async def test(plant: Plant) -> None:
+        with pytest.raises(OperationError) as refused:
+            await plant.site.operations.verb("all", verb)
+        assert refused.value.kind == "no-such-drive"
+        assert "all is a group" in str(refused.value)
+        assert "name one of its drives (belt)" in refused.value.remedy
+        with pytest.raises(OperationError, match="is a group"):
+            await plant.site.operations.why("all")
+
+    at("belt", test)

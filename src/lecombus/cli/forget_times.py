@@ -22,7 +22,8 @@ def command(drive: str, socket: str | None, url: str | None, as_json: bool) -> i
 
     Time-outs and plans go by its manual and the roster again, until it answers late again as a
     rule. Shows what is forgotten. In a pipe: code, read or write, the manual's longest time and the
-    time measured, in seconds. With --json: the daemon's document.
+    time measured, in seconds; where there is nothing, that stands on standard error. With --json:
+    the daemon's document.
     """
     with connect(socket, url) as daemon:
         answer = daemon.post(f"/v1/drives/{quote(drive, safe='')}/forget-times", {})
@@ -30,8 +31,9 @@ def command(drive: str, socket: str | None, url: str | None, as_json: bool) -> i
         click.echo(answer.text)
         return Exit.DONE
     forgotten = answer.data.get("forgotten") or []
-    if not forgotten and on_terminal():
-        click.echo(f"nothing was measured of {drive} that is later than its manual says")
+    if not forgotten:
+        text = f"nothing was measured of {drive} that is later than its manual says"
+        click.echo(text, err=not on_terminal())
         return Exit.DONE
     rows = [
         (

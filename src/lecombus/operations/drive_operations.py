@@ -88,7 +88,7 @@ class Operations:
         self._store = store
         self._words = words
         self._refusals = Refusals(requests, store, clock)
-        self._why = Why(requests, store, clock)
+        self._why = Why(requests, store, clock, lambda drive: self._stops_said[drive])
         self._permissions = Permissions(requests, store)
         self._clock = clock
         self._disturbances = disturbances
@@ -113,6 +113,24 @@ class Operations:
         self._groups = dict(groups)
         self._permissions.entries = self._entries
 
+    def _station(self, drive: str) -> Station:
+        """Look a drive up.
+
+        Raises:
+            OperationError: `no-such-drive`; where the name is a group's, it says so.
+        """
+        group = self._groups.get(drive)
+        if group is not None and drive not in self._entries:
+            members = ", ".join(group.members)
+            raise OperationError(
+                f"{drive} is a group: this takes one drive",
+                kind="no-such-drive",
+                drive=drive,
+                remedy=f"name one of its drives ({members}); a group is taken by `group`, `stop`, "
+                "`quick-stop` and `inhibit`",
+            )
+        return self._requests.station(drive)
+
     async def read(
         self,
         drive: str,
@@ -135,7 +153,7 @@ class Operations:
             LineError: There is no line.
             QueueFullError: Too many requests wait.
         """
-        station = self._requests.station(drive)
+        station = self._station(drive)
         try:
             await self._requests.read(station, code, priority, timeout_s=timeout_s)
         except RefusedError as exc:
@@ -211,7 +229,7 @@ class Operations:
             LineError: There is no line; nothing was sent.
             QueueFullError: Too many requests wait; nothing was sent.
         """
-        station = self._requests.station(drive)
+        station = self._station(drive)
         wire = self._permissions.permitted(drive, station, code, value, restoring=restoring)
         if not asks_to_stop(station.family, code, wire):
             refuse_for_gone_client(drive)
@@ -302,6 +320,7 @@ class Operations:
         Raises:
             OperationError: No such drive.
         """
+        self._station(drive)
         return await self._why.why(drive, fresh=fresh)
 
     def submit_write(

@@ -305,8 +305,14 @@ def lock_finding(remark: str) -> Finding:
     return Finding("locked", Weight.HINT, text, Text("", ""))
 
 
-def enable_finding(last: LastEnable) -> Finding:
-    """Say that the last enable was refused or taken back, and why."""
+def enable_finding(last: LastEnable, *, stopped_since: bool) -> Finding:
+    """Say that the last enable was refused or taken back, and why.
+
+    Args:
+        last: That enable.
+        stopped_since: The drive was stopped on purpose after it: what keeps it from turning now is
+            that stop.
+    """
     en, de = ("taken back", "zurückgenommen") if last.taken_back else ("refused", "abgelehnt")
     if not last.taken_back and last.outcome != "refused":
         en, de = "not brought to its end", "nicht zu Ende geführt"
@@ -317,7 +323,7 @@ def enable_finding(last: LastEnable) -> Finding:
         f"die letzte Freigabe, um {time}, wurde {de}: {why}",
     )
     # A setting that is still in the way is a reason of its own.
-    weight = Weight.REASON if last.by_drive else Weight.HINT
+    weight = Weight.REASON if last.by_drive and not stopped_since else Weight.HINT
     name = "enable-taken-back" if last.taken_back else "enable-refused"
     return Finding(name, weight, text, Text(last.remedy, last.remedy))
 
@@ -331,8 +337,9 @@ def lapse_finding(lapses: int, *, unseen: bool) -> Finding:
     """
     often = ("once", "einmal") if lapses == 1 else (f"{lapses} times", f"{lapses}-mal")
     text = Text(
-        f"its watchdog was fed too late {often[0]} since lecombus started, and has acted then",
-        f"die Überwachung wurde seit dem Start {often[1]} zu spät bedient und hat angesprochen",
+        f"its watchdog was fed too late {often[0]} since lecombus started, and may have acted then",
+        f"die Überwachung wurde seit dem Start {often[1]} zu spät bedient und kann angesprochen "
+        "haben",
     )
     if unseen:
         text = Text(f"{text.en}; {UNSEEN_STOP.en}", f"{text.de}; {UNSEEN_STOP.de}")

@@ -90,7 +90,7 @@ class VerbOperations(StepOperations):
             LineError: There is no line.
             QueueFullError: Too many requests wait.
         """
-        station = self._requests.station(drive)
+        station = self._station(drive)
         if verb in STOPS:
             return await self._stop_verb(drive, verb)
         rules_of(drive, station.family, verb)

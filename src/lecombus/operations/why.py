@@ -77,12 +77,21 @@ class Why:
         requests: Sends requests.
         store: What is known.
         clock: Monotonic time, seconds.
+        stops: How often a drive was told to stop, also by plain writes.
     """
 
-    def __init__(self, requests: Requests, store: Store, clock: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        requests: Requests,
+        store: Store,
+        clock: Callable[[], float],
+        stops: Callable[[str], int],
+    ) -> None:
         self._requests = requests
         self._store = store
         self._clock = clock
+        self._stops = stops
+        self._stops_then: dict[str, int] = {}
         self._enables: dict[str, LastEnable] = {}
         self._lapses_then: dict[str, int] = {}
 
@@ -110,8 +119,10 @@ class Why:
         for drive in drives:
             self._enables.pop(drive, None)
             self._lapses_then.pop(drive, None)
+            self._stops_then.pop(drive, None)
 
     def _remember(self, report: VerbReport, *, taken_back: bool, by_drive: bool) -> None:
+        self._stops_then[report.drive] = self._stops(report.drive)
         remedy = TAKEN_BACK_REMEDY if taken_back else report.remedy
         self._enables[report.drive] = LastEnable(
             self._store.time_of_day(), report.outcome.value, taken_back, report.reason,
@@ -142,7 +153,8 @@ class Why:
         last_enable = self._last_enable(drive, values)
         findings = self._own(info)
         if last_enable is not None:
-            findings.append(enable_finding(last_enable))
+            stopped_since = self._stops(drive) != self._stops_then.get(drive)
+            findings.append(enable_finding(last_enable, stopped_since=stopped_since))
         absent = self._absent(drive, family)
         known = {code: one.value for code, one in values.items() if one.value is not None}
         findings += [
@@ -226,13 +238,21 @@ class Why:
     def _values(self, drive: str, codes: tuple[Code, ...]) -> dict[Code, Reading]:
         """Give what is known of codes, fresh or not.
 
-        What was written since, or could not be read though the drive answers, is not known.
+        What was written since, or could not be read though the drive answers, is not known. Nor is
+        an old command (C0040, C0135) while the first status word is fresh: a keypad may have
+        changed it.
         """
         silent = self._store.drive(drive).state is DriveState.OFFLINE
+        family = self._store.family(drive)
+        first = next((self._store.reading(drive, code) for code in family.words), None)
+        fresh = first is not None and first.quality is Quality.GOOD
+        commands = {rule.code for rule in family.stops.values()} if fresh else set()
         found = {}
         for code in codes:
             reading = self._store.reading(drive, code)
             if reading is None or reading.value is None or reading.reason == WRITTEN_SINCE:
+                continue
+            if code in commands and reading.quality is not Quality.GOOD:
                 continue
             if silent or reading.quality is not Quality.BAD:
                 found[code] = reading

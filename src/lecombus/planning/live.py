@@ -99,7 +99,7 @@ class LiveDrive:
         if self.least_s is None:
             return "not fed"
         if self.least_s < 0.0:
-            return "fed too late: the drive has acted"
+            return "fed too late: the drive may have acted"
         return "within" if self.least_s >= self.promised_s - ROUNDING_S else "less than promised"
 
 

@@ -33,7 +33,7 @@ class FeedStats:
         fed: Exchanges that fed it.
         failures: Exchanges in a row that it did not answer.
         misses: Times the hard deadline passed unfed.
-        lapses: Times the watchdog time itself passed unfed: the drive has acted.
+        lapses: Times the watchdog time itself passed unfed: the drive may have acted.
         paused: Not kept at present: the drive is parked.
     """
 

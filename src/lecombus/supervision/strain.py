@@ -1,8 +1,8 @@
 """The remark on a line that cannot hold the cyclic reads it was asked for.
 
-What a line could not do while it was closed, or while its drives were being started, is not what it
-cannot hold: the periods of that time are told as they were (`cyclic_stretch_ratio`), and nothing is
-made of them.
+What a line could not do while it was closed, while its drives were being started, or while the
+daemon did not run, is not what it cannot hold: the periods of that time are given as they were
+(`cyclic_stretch_ratio`), and no remark is made of them.
 """
 
 from __future__ import annotations
@@ -23,6 +23,9 @@ STARTING_MOST_S: Final = 600.0
 """A full line's first start takes minutes; a drive that is starting for longer than this, seconds,
 is in some trouble of its own and hides nothing."""
 
+PAUSED_FROM_S: Final = 1.5
+"""The figure comes once a second; where it comes so much later, seconds, the daemon did not run."""
+
 
 class Strain:
     """Says when the cyclic reads are more than the line can do.
@@ -33,8 +36,9 @@ class Strain:
 
     def __init__(self, store: Store) -> None:
         self._store = store
-        self._closed_at_s = -math.inf  # when the line was last seen closed, or starting drives
+        self._closed_at_s = -math.inf  # when the line was last closed, starting or paused
         self._starting_from_s: float | None = None
+        self._noted_s = math.inf
 
     def note(self, stretch: float, now_s: float, *, is_open: bool, starting: bool = False) -> None:
         """Take the figure of the moment; about once a second.
@@ -50,7 +54,9 @@ class Strain:
         elif self._starting_from_s is None:
             self._starting_from_s = now_s
         begun_s = self._starting_from_s
-        if not is_open or (begun_s is not None and now_s - begun_s < STARTING_MOST_S):
+        paused = now_s - self._noted_s >= PAUSED_FROM_S
+        self._noted_s = now_s
+        if paused or not is_open or (begun_s is not None and now_s - begun_s < STARTING_MOST_S):
             self._closed_at_s = now_s
         self._store.set_stretch(stretch)
         text = None
