@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from decimal import Decimal
+
 import anyio
 import pytest
 
-from lecombus.drives import StopAction, family
+from lecombus.drives import StopAction, Verb, family
 from lecombus.errors import LineLostError
 from lecombus.motion import Doing
 from lecombus.protocol.addressing import Code
@@ -181,5 +183,29 @@ def test_after_a_stop_of_all_every_motion_is_known_soon() -> None:
         await anyio.sleep(0.3)
         doing = {plant.site.store.motion(name).doing for name, *_ in LINE}
         assert doing <= {Doing.STOPPED, Doing.STOPPING}
+
+    with_plant(test, roster_of(LINE, baud=9600))
+
+
+def test_a_quick_stop_by_a_terminal_is_known_when_the_motor_has_stopped() -> None:
+    """Only C0068 shows it, which is read every 10 s."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await anyio.sleep(10.0)
+        operations, store = plant.site.operations, plant.site.store
+        await operations.verb("a", Verb.SET_SPEED, value=Decimal(20), unit="Hz")
+        assert (await operations.verb("a", Verb.ENABLE)).outcome is Outcome.VERIFIED
+        await anyio.sleep(8.0)
+        assert store.motion("a").doing is Doing.RUNNING
+        readers = plant.line["a"].model.readers
+        shown, word = readers[68], readers[150]
+        readers[68] = lambda code: f"H{int(shown(code)[1:], 16) | 0x1000:04X}"
+        readers[150] = lambda code: f"H{int(word(code)[1:], 16) | 0x0040:04X}"
+        readers[50] = lambda code: "0"
+        await anyio.sleep(1.4)
+        motion = store.motion("a")
+        assert motion.doing in (Doing.STOPPING, Doing.STOPPED)  # C0050 has a slow turn, too
+        assert motion.stops[0].name == "quick-stop"
 
     with_plant(test, roster_of(LINE, baud=9600))
