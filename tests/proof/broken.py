@@ -16,7 +16,7 @@ from typing import Any
 from lecombus.config import Roster
 from lecombus.line.silence import Silence
 from lecombus.line.talk import Talk
-from lecombus.planning import Plan, make_plan
+from lecombus.planning import Promises, make_promises
 from lecombus.protocol.exchange import Ask, Exchange, Result
 from lecombus.protocol.telegrams import ValueAnswer
 from lecombus.protocol.values import Value
@@ -140,8 +140,8 @@ def _falling() -> list[Patch]:
 def _promising(**factors: float) -> list[Patch]:
     """Promises a part of what the plan promises."""
 
-    def make_better(roster: Roster) -> Plan:
-        plan = make_plan(roster)
+    def make_better(roster: Roster) -> Promises:
+        plan = make_promises(roster)
         waits = (
             dataclasses.replace(
                 wait, **{name: getattr(wait, name) * part for name, part in factors.items()}
@@ -150,7 +150,7 @@ def _promising(**factors: float) -> list[Patch]:
         )
         return dataclasses.replace(plan, waits=tuple(waits))
 
-    return [(invariants, "make_plan", make_better)]
+    return [(invariants, "make_promises", make_better)]
 
 
 def _short_waits() -> list[Patch]:

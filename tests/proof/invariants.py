@@ -20,7 +20,7 @@ import asyncio
 from collections import Counter
 
 from lecombus.line.observer import ExchangeReport
-from lecombus.planning import make_plan
+from lecombus.planning import make_promises
 from lecombus.simulator.line import SimLine
 from lecombus.simulator.receiver import Heard
 from lecombus.site import Site
@@ -57,7 +57,7 @@ class Invariants:
         self.exchanges = 0
         self.outcomes: Counter[str] = Counter()
         self._site = site
-        plan = make_plan(line.roster)
+        plan = make_promises(line.roster)
         self.wire = Wire(sim, line.kind != "faulty", self.say, told_apart=line.is_told_apart)
         self.promises = Promises(line, plan, sim, self.say)
         self._now = asyncio.get_running_loop().time

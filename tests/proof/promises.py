@@ -21,7 +21,7 @@ from collections.abc import Callable
 from lecombus.config import line_timing
 from lecombus.config.exchanges import read_times, watched_s
 from lecombus.line.observer import ExchangeReport
-from lecombus.planning import Plan
+from lecombus.planning import Promises as LinePromises
 from lecombus.protocol.exchange import ResultKind
 from lecombus.protocol.telegrams import ValueAnswer
 from lecombus.schedule import Priority
@@ -58,7 +58,7 @@ class Promises:
     """
 
     def __init__(
-        self, line: RandomLine, plan: Plan, sim: SimLine, say: Callable[[str], None]
+        self, line: RandomLine, plan: LinePromises, sim: SimLine, say: Callable[[str], None]
     ) -> None:
         self._say = say
         self._sim = sim
@@ -92,7 +92,7 @@ class Promises:
         self._fed: dict[int, float] = {}
         self.most: dict[str, float] = {}
 
-    def _promise_gaps(self, line: RandomLine, plan: Plan, late_s: float) -> None:
+    def _promise_gaps(self, line: RandomLine, plan: LinePromises, late_s: float) -> None:
         timing = line_timing(line.roster.line)
         for drive in line.roster.drives:
             periods = 2.0 if watched_s(drive) else 1.0

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from lecombus.line.observer import ExchangeReport
-from lecombus.planning import Plan, make_plan
+from lecombus.planning import Promises, make_promises
 from lecombus.planning.silent_stops import PAUSE_S
 from lecombus.protocol.exchange import ResultKind
 from lecombus.schedule import Priority
@@ -48,7 +48,7 @@ class Stops:
     """
 
     def __init__(
-        self, line: RandomLine, plan: Plan, site: Site, say: Callable[[str], None]
+        self, line: RandomLine, plan: Promises, site: Site, say: Callable[[str], None]
     ) -> None:
         self._line = line
         self._plan = plan
@@ -158,12 +158,12 @@ class Stops:
         if waited_s > promised_s:
             self._say_late(f"a stop of the silent {name}", waited_s, promised_s)
 
-    def _promise(self, promise: Callable[[Plan], float], needed_s: float) -> float:
+    def _promise(self, promise: Callable[[Promises], float], needed_s: float) -> float:
         """Give what was promised; where that is not enough, what is promised as measured."""
         promised_s = promise(self._plan)
         return promised_s if needed_s <= promised_s else promise(self._plan_as_measured())
 
-    def _plan_as_measured(self, *, watched: bool = True) -> Plan:
+    def _plan_as_measured(self, *, watched: bool = True) -> Promises:
         """Plan as `plan --from-daemon`: drives whose answers came late are waited for longer."""
         without = {} if watched else {"watchdog": None}
         requests, roster = self._site.requests, self._line.roster
@@ -171,7 +171,7 @@ class Stops:
             drive.model_copy(update={"slow": requests.station(drive.name).measured.slow} | without)
             for drive in roster.drives
         )
-        return make_plan(roster.model_copy(update={"drives": drives}))
+        return make_promises(roster.model_copy(update={"drives": drives}))
 
     def _say_late(self, what: str, waited_s: float, promised_s: float) -> None:
         self._say(f"{what} waited {waited_s:.3f} s, promised {promised_s:.3f} s")

@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Callable
 
 from lecombus.line.observer import ExchangeReport
-from lecombus.planning import Plan
+from lecombus.planning import Promises
 from lecombus.protocol.exchange import ResultKind
 from lecombus.schedule import Priority
 from proof.lines import RandomLine
@@ -32,7 +32,7 @@ class Turns:
     """
 
     def __init__(
-        self, line: RandomLine, plan: Plan, now: Callable[[], float], say: Callable[[str], None]
+        self, line: RandomLine, plan: Promises, now: Callable[[], float], say: Callable[[str], None]
     ) -> None:
         self._say = say
         self._now = now

@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 from lecombus.config.exchanges import watched_s
 from lecombus.line.observer import ExchangeReport
-from lecombus.planning import Plan
+from lecombus.planning import Promises
 from lecombus.protocol.exchange import ResultKind
 from lecombus.schedule import Priority
 from lecombus.simulator.line import SimLine
@@ -33,7 +33,7 @@ class Watchdogs:
     """
 
     def __init__(
-        self, line: RandomLine, plan: Plan, sim: SimLine, say: Callable[[str], None]
+        self, line: RandomLine, plan: Promises, sim: SimLine, say: Callable[[str], None]
     ) -> None:
         self._judged = line.kind != "faulty"
         self._excuses = line.kind != "tolerant"

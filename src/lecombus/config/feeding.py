@@ -31,7 +31,8 @@ choices.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from operator import attrgetter
 from typing import Final
 
 from lecombus.config.exchanges import (
@@ -100,12 +101,32 @@ class Obstacle:
 
 
 @dataclass(frozen=True, slots=True)
+class Others:
+    """What may go once before one drive's feed, of all drives but itself (see `Obstacle`).
+
+    Args:
+        under_way_s: The longest exchange that may be under way.
+        answered_s: The longest that is answered.
+        failed_s: The longest of the cheapest reads, not answered.
+        stop_s: The longest stop with its proof.
+        stop_failed_s: The longest telegram of a stop, not answered.
+    """
+
+    under_way_s: float
+    answered_s: float
+    failed_s: float
+    stop_s: float
+    stop_failed_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class Feeding:
     """What feeding a roster's watchdogs asks of the line.
 
     Args:
         drives: The watched drives.
         streams: The feed of each, in the same order, with what may stand before it once.
+        others: For each watched drive, what the others may put before its feed.
         obstacles: What each drive of the line may put before the others.
         lost_s: What one feed that is not answered costs at most, seconds.
         own_s: For each watched drive, its own longest exchange: meanwhile nothing feeds it.
@@ -114,6 +135,7 @@ class Feeding:
 
     drives: tuple[DriveEntry, ...]
     streams: tuple[Stream, ...]
+    others: tuple[Others, ...]
     obstacles: tuple[Obstacle, ...]
     lost_s: float
     own_s: tuple[float, ...]
@@ -146,18 +168,14 @@ class Feeding:
 
     def _behind_lost(self, lost: int) -> tuple[Stream, ...]:
         """Put lost answers and what else may come before it once in front of each stream."""
-        answered = _two_longest(self.obstacles, lambda one: one.answered_s)
-        failed = _two_longest(self.obstacles, lambda one: one.failed_s)
-        stops = _two_longest(self.obstacles, lambda one: one.stop_s)
-        stops_lost = _two_longest(self.obstacles, lambda one: one.stop_failed_s)
         again_s = (lost - 1) * self.lost_s
         found = []
-        for one in self.streams:
+        for one, others in zip(self.streams, self.others, strict=True):
             tenth_s = one.every_s * (1.0 - HARD_PART) / HARD_PART
-            stop_s = max(self.lost_s + _but(one.name, stops), _but(one.name, stops_lost)) - tenth_s
-            behind_s = _but(one.name, answered) + max(self.lost_s, stop_s)
-            blocked_s = max(_but(one.name, failed), behind_s) + again_s
-            found.append(replace(one, blocked_s=blocked_s))
+            stop_s = max(self.lost_s + others.stop_s, others.stop_failed_s) - tenth_s
+            behind_s = others.answered_s + max(self.lost_s, stop_s)
+            blocked_s = max(others.failed_s, behind_s) + again_s
+            found.append(Stream(one.name, one.cost_s, one.every_s, blocked_s))
         return tuple(found)
 
     def holds(self, *, lost: int | None = None) -> bool:
@@ -262,23 +280,25 @@ def _put_together(
     tolerate: int,
 ) -> Feeding:
     """Let each stream know what may stand before it: the longest of all drives but its own."""
-    exchanges = _two_longest(obstacles, lambda one: one.under_way_s)
-    stops = _two_longest(obstacles, lambda one: one.stop_s)
+    others = _others(obstacles, [one.name for one in streams])
     blocked = tuple(
-        replace(one, blocked_s=_but(one.name, exchanges) + _but(one.name, stops)) for one in streams
+        replace(one, blocked_s=before.under_way_s + before.stop_s)
+        for one, before in zip(streams, others, strict=True)
     )
-    return Feeding(drives, blocked, obstacles, lost_s, own_s, tolerate)
+    return Feeding(drives, blocked, others, obstacles, lost_s, own_s, tolerate)
 
 
-def _two_longest(
-    obstacles: Sequence[Obstacle], of: Callable[[Obstacle], float]
-) -> list[tuple[str, float]]:
-    ordered = sorted(obstacles, key=of, reverse=True)
-    return [(one.drive, of(one)) for one in ordered[:2]]
-
-
-def _but(drive: str, longest: Sequence[tuple[str, float]]) -> float:
-    return next((time_s for name, time_s in longest if name != drive), 0.0)
+def _others(obstacles: Sequence[Obstacle], names: Sequence[str]) -> tuple[Others, ...]:
+    """Give, for each of some drives, the longest that all drives but itself put before it."""
+    longest = []
+    for what in (field.name for field in fields(Others)):
+        of = attrgetter(what)
+        two = sorted(obstacles, key=of, reverse=True)[:2]
+        longest.append([(one.drive, of(one)) for one in two])
+    return tuple(
+        Others(*(next((s for drive, s in two if drive != name), 0.0) for two in longest))
+        for name in names
+    )
 
 
 def least_time_s(

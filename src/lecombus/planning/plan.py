@@ -29,7 +29,7 @@ from lecombus.planning.silent_stops import SilentStop, silent_stop
 from lecombus.planning.waits import ClassWait, class_waits
 from lecombus.planning.watchdogs import WatchdogPlan, watchdog_plans
 
-__all__ = ["Plan", "PlannedExchange", "make_plan"]
+__all__ = ["Plan", "PlannedExchange", "Promises", "make_plan", "make_promises"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +51,27 @@ class PlannedExchange:
     times: Times
     most_s: float
     cycle_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Promises:
+    """How long everything waits at most on a line: the part of its plan that a run is held to.
+
+    Args:
+        load: What is asked of the line all the time.
+        waits: How long each class waits at most.
+        room: What it takes to make room for an exchange beside the feeds.
+        silent_stop: What a stop of a drive that does not answer is promised.
+    """
+
+    load: Load
+    waits: tuple[ClassWait, ...]
+    room: Room
+    silent_stop: SilentStop
+
+    def wait(self, name: str) -> ClassWait:
+        """Give the promise to a class, such as `stop`."""
+        return next(one for one in self.waits if one.name == name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,25 +131,36 @@ def make_plan(roster: Roster, timing: LineTiming | None = None) -> Plan:
         timing: The line's times; None: the roster's.
     """
     timing = timing or line_timing(roster.line)
-    load = load_on(roster.drives, timing)
-    ahead = ahead_on(roster, timing)
-    longest_stop_s = max((stop_s(drive, timing) for drive in roster.drives), default=0.0)
+    promises = make_promises(roster, timing)
     return Plan(
         line=roster.line.name,
         baud=timing.baud,
-        load=load,
+        load=promises.load,
         exchanges=tuple(
             exchange
             for drive in roster.drives
-            for exchange in _exchanges(drive, roster, timing, load)
+            for exchange in _exchanges(drive, roster, timing, promises.load)
         ),
-        waits=tuple(class_waits(roster, timing, ahead, longest_stop_s)),
-        room=ahead.room,
-        silent_stop=silent_stop(roster, timing, ahead),
+        waits=promises.waits,
+        room=promises.room,
+        silent_stop=promises.silent_stop,
         watchdogs=tuple(watchdog_plans(roster, timing)),
         bauds=tuple(baud_effects(roster)),
         adapter=adapter_effect(roster, timing),
         absent=tuple(absent_effects(roster, timing)),
+    )
+
+
+def make_promises(roster: Roster, timing: LineTiming | None = None) -> Promises:
+    """Make the part of a plan that says how long everything waits; arguments as for `make_plan`."""
+    timing = timing or line_timing(roster.line)
+    ahead = ahead_on(roster, timing)
+    longest_stop_s = max((stop_s(drive, timing) for drive in roster.drives), default=0.0)
+    return Promises(
+        load_on(roster.drives, timing),
+        tuple(class_waits(roster, timing, ahead, longest_stop_s)),
+        ahead.room,
+        silent_stop(roster, timing, ahead),
     )
 
 
