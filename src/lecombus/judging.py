@@ -107,17 +107,20 @@ class Judge:
             None if value is None or cell.info is None else meaning_of(cell.info, value),
         )
 
+    def state(self, record: DriveRecord) -> DriveState:
+        """Return a drive's state: offline while the line is not open."""
+        return record.state if self._line.state is LineState.OPEN else DriveState.OFFLINE
+
     def drive(self, record: DriveRecord) -> DriveInfo:
         """Return a snapshot of a drive: no drive looks well over a line that is not there."""
-        state, reason, since_s = record.state, record.reason, record.since_s
+        reason, since_s = record.reason, record.since_s
         if self._line.state is not LineState.OPEN:
-            state, reason = DriveState.OFFLINE, self._why_no_line()
-            since_s = max(since_s, self._line.since_s)
+            reason, since_s = self._why_no_line(), max(since_s, self._line.since_s)
         return DriveInfo(
             record.name,
             record.address,
             record.family.name,
-            state,
+            self.state(record),
             reason,
             since_s,
             MappingProxyType(dict(record.remarks)),

@@ -443,7 +443,7 @@ class Site:
             "answers": answers_of({one.name: one.measured.rows() for one in stations}),
             "state": str(self.store.line().state),
             "away": [
-                name for name in self._entries if self.store.drive(name).state is DriveState.OFFLINE
+                name for name in self._entries if self.store.state(name) is DriveState.OFFLINE
             ],
         }
 

@@ -328,6 +328,14 @@ class Store:
         """
         return self._judge.drive(self._record(drive))
 
+    def state(self, drive: str) -> DriveState:
+        """Return a drive's state alone, which costs far less than all of `drive`.
+
+        Raises:
+            OperationError: `no-such-drive`.
+        """
+        return self._judge.state(self._record(drive))
+
     def motion(self, drive: str) -> Motion:
         """Return what a drive does with its motor, as far as that is known.
 

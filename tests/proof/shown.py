@@ -97,7 +97,7 @@ class Shown:
     def lost_power(self, drive: str) -> None:
         """A drive has been without its supply: what its module had is gone."""
         self._free.pop(drive, None)
-        if self._site.store.drive(drive).state is DriveState.OFFLINE:
+        if self._site.store.state(drive) is DriveState.OFFLINE:
             self._powerless.add(drive)
 
     def enable_asked(self, drive: str) -> None:
@@ -185,7 +185,7 @@ class Shown:
         for drive in self._sim.drives:
             self._look_at_motor(drive)
         for name, silent in self._silent.items():
-            state = store.drive(name).state
+            state = store.state(name)
             if silent > SILENT and state is not DriveState.OFFLINE:
                 self._say(f"{name} is shown as {state}, and {silent} telegrams drew nothing")
             if name in self._powerless and state is DriveState.ONLINE:
@@ -212,7 +212,7 @@ class Shown:
             return  # it was read before anybody looked
         text, at_s = given
         age_s = self._clock() - at_s
-        if self._site.store.drive(name).state is DriveState.OFFLINE:
+        if self._site.store.state(name) is DriveState.OFFLINE:
             self._say(f"{code} of {name} is shown as good, and the drive is offline")
         elif (name, str(code)) in self._failed:
             self._say(f"{code} of {name} is shown as good, and the last attempt failed")

@@ -112,9 +112,10 @@ class World:
     def _is_settled(self) -> bool:
         """Whether all drives are there and what the daemon wants to know of them is known."""
         names = [drive.name for drive in self.line.roster.drives]
-        online = all(self.site.store.drive(name).state is DriveState.ONLINE for name in names)
+        if not all(self.site.store.state(name) is DriveState.ONLINE for name in names):
+            return False
         waiting = self.site.schedule.stats(asyncio.get_running_loop().time()).depth
-        return online and not waiting[Priority.BACKGROUND]
+        return not waiting[Priority.BACKGROUND]
 
 
 def _simulated(line: RandomLine) -> SimLine:

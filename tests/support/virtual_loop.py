@@ -114,6 +114,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         self._timers: list[tuple[float, int, asyncio.TimerHandle]] = []
         self._count = 0
         super().__init__()
+        self._sockets = self._selector._fd_to_key  # type: ignore[attr-defined]
 
     def time(self) -> float:
         if self.machine is not None:  # taken from the processor in the middle of a callback
@@ -139,9 +140,10 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         """Run what is ready; if nothing is, let time jump and run what is due then."""
         ready, timers = self._ready, self._timers  # type: ignore[attr-defined]
         if not ready:
-            self._ask_sockets()
-        if not ready and not self._stopping:  # type: ignore[attr-defined]
-            self._jump()
+            if len(self._sockets) > _OWN_DESCRIPTORS:
+                self._ask_sockets()
+            if not ready and not self._stopping:  # type: ignore[attr-defined]
+                self._jump()
         if self.machine is None:
             while timers and timers[0][0] <= self._virtual_s:
                 ready.append(heappop(timers)[2])
@@ -149,7 +151,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
             ready.extend(self._due_bytes_last())
         for _ in range(len(ready)):
             handle = ready.popleft()
-            if not handle.cancelled():
+            if not handle._cancelled:
                 handle._run()
 
     def _due_bytes_last(self) -> list[asyncio.TimerHandle]:
@@ -160,18 +162,18 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         return sorted(due, key=_is_of_port)
 
     def _ask_sockets(self) -> None:
-        selector = self._selector  # type: ignore[attr-defined]
-        if len(selector.get_map()) > _OWN_DESCRIPTORS:
-            self._process_events(selector.select(0))  # type: ignore[attr-defined]
+        events = self._selector.select(0)  # type: ignore[attr-defined]
+        self._process_events(events)  # type: ignore[attr-defined]
 
     def _jump(self) -> None:
         """Move time to the next timer exactly."""
         timers = self._timers
-        while timers and timers[0][2].cancelled():
+        while timers and timers[0][2]._cancelled:
             heappop(timers)
         if not timers:
             raise DeadlockError("nothing is ready and no timer is set")
-        self._virtual_s = max(self._virtual_s, timers[0][0])
+        if timers[0][0] > self._virtual_s:
+            self._virtual_s = timers[0][0]
         if self.machine is not None:
             self._virtual_s = self.machine.runs_s(self._virtual_s)
         if self._virtual_s > self._limit_s:

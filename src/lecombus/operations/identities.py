@@ -140,7 +140,7 @@ class Identities:
         known = self._known.get(name, {}).get(code)
         if known is None or is_same_text(text_of(value), known):
             return
-        if self._store.drive(name).state is DriveState.ONLINE:
+        if self._store.state(name) is DriveState.ONLINE:
             self._on_doubt(name, f"{code} reads {text_of(value)}, not {known}: to be audited")
 
     def report(self, name: str) -> IdentityReport:

@@ -178,7 +178,7 @@ class StepOperations(GroupOperations):
         name = run.station.name
         self._restarted(name)
         with anyio.move_on_after(BACK_WITHIN_S):
-            while self._store.drive(name).state is not DriveState.ONLINE:  # noqa: ASYNC110
+            while self._store.state(name) is not DriveState.ONLINE:  # noqa: ASYNC110
                 await anyio.sleep(LOOK_AGAIN_S)
             return WriteReport(name, step.code, Outcome.DONE)
         state = self._store.drive(name)

@@ -112,7 +112,7 @@ class StopOperations(Operations):
         return group_report(target, "multicast" if shared else "one-by-one", reports)
 
     def _state_of(self, station: Station) -> DriveState:
-        return self._store.drive(station.name).state
+        return self._store.state(station.name)
 
     def silence_of(self, station: Station) -> int:
         """Tell how little is to be expected of a drive: 0 where it answers."""

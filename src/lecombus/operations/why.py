@@ -232,7 +232,7 @@ class Why:
             except LineError:
                 return
             except LecombusError:
-                if self._store.drive(drive).state is DriveState.OFFLINE:
+                if self._store.state(drive) is DriveState.OFFLINE:
                     return
 
     def _values(self, drive: str, codes: tuple[Code, ...]) -> dict[Code, Reading]:
@@ -242,7 +242,7 @@ class Why:
         an old command (C0040, C0135) while the first status word is fresh: a keypad may have
         changed it.
         """
-        silent = self._store.drive(drive).state is DriveState.OFFLINE
+        silent = self._store.state(drive) is DriveState.OFFLINE
         family = self._store.family(drive)
         first = next((self._store.reading(drive, code) for code in family.words), None)
         fresh = first is not None and first.quality is Quality.GOOD

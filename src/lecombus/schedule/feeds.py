@@ -30,6 +30,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
+from operator import attrgetter, itemgetter
 from typing import Final
 
 from lecombus.schedule.faults import Faults
@@ -39,6 +40,8 @@ __all__ = ["Feeds"]
 
 ROUNDING_S: Final = 1e-9  # a feed that is just in time must not be late by a rounding error
 WAKE_S: Final = 1e-6
+_hard, _held_until, _time = map(attrgetter, ("hard_s", "held_until_s", "time_s"))
+_first = itemgetter(0)
 SPARE_PART: Final = 0.5  # of the best slack: more is not kept for failed attempts
 
 
@@ -120,14 +123,19 @@ class Feeds:
         end_s = now_s + worst_s
         if end_s <= self._latest_end_s:
             return True
+        return self._fit(self._in_order(now_s), end_s, drive)
+
+    def _fit(self, feeds: list[Feed], end_s: float, drive: str) -> bool:
+        """Tell whether all feeds still fit behind an exchange; keeps the bound for all drives."""
         latest_s = others_s = math.inf
         total_s = 0.0
-        for feed in self._in_order(now_s):
+        for feed in feeds:
             total_s += feed.cost_s
             end_by_s = feed.hard_s - total_s
-            latest_s = min(latest_s, end_by_s)
-            if feed.drive != drive:
-                others_s = min(others_s, end_by_s)
+            if end_by_s < latest_s:
+                latest_s = end_by_s
+            if end_by_s < others_s and feed.drive != drive:
+                others_s = end_by_s
         self._latest_end_s = latest_s
         return end_s <= others_s
 
@@ -138,8 +146,12 @@ class Feeds:
         for feed in self.by_drive.values():
             if not feed.active:
                 continue
-            starts_s = max(now_s, feed.free_s())
-            feed.left_out = starts_s + feed.cost_s > feed.hard_s + ROUNDING_S
+            cost_s, by_s = feed.cost_s, feed.hard_s + ROUNDING_S
+            feed.left_out = (
+                now_s + cost_s > by_s
+                or feed.held_until_s + cost_s > by_s
+                or feed.retry_at_s + cost_s > by_s
+            )
             if not feed.left_out:
                 found.append(feed)
             else:
@@ -227,12 +239,16 @@ class Feeds:
 
         It is the earliest deadline of those past half their time; before that, whichever helps.
         """
-        if not self.by_drive or self.fits(now_s, spare_s, ""):
+        end_s = now_s + spare_s
+        if not self.by_drive or end_s <= self._latest_end_s:
             return None
-        for feed in self._in_order(now_s):
+        feeds = self._in_order(now_s)
+        if self._fit(feeds, end_s, ""):
+            return None
+        for feed in feeds:
             if feed.soft_s <= now_s and not feed.failures and feed.free_s() <= now_s:
                 return feed
-        return self.room(now_s, spare_s, "")
+        return _room(feeds, now_s, spare_s, "")
 
     def first(self, now_s: float) -> Feed | None:
         """Find the earliest hard deadline of all drives that answer and may be spoken to.
@@ -319,23 +335,7 @@ class Feeds:
         what it takes off the sum. Of those, the longest watchdog goes first, as it stays fresh
         longest, if those before it can wait that long; else the earliest deadline goes.
         """
-        end_s = now_s + worst_s
-        total_s = 0.0
-        earlier_s = math.inf  # by when the line must be free for the feeds before this one
-        broken = False  # a bound that can be mended
-        first: Feed | None = None
-        best: Feed | None = None
-        for feed in self._in_order(now_s):
-            total_s += feed.cost_s
-            end_by_s = feed.hard_s - total_s
-            if feed.drive != drive and feed.free_s() <= now_s:
-                first = first or feed
-                helps = end_s > end_by_s and now_s + feed.worst_s <= earlier_s
-                broken = broken or end_s > end_by_s
-                if helps and (best is None or feed.time_s > best.time_s):
-                    best = feed
-            earlier_s = min(earlier_s, end_by_s)
-        return best or (first if broken else None)
+        return _room(self._in_order(now_s), now_s, worst_s, drive)
 
     def round_s(self) -> float:
         """Tell how long it takes to feed every drive once, seconds."""
@@ -379,17 +379,23 @@ class Feeds:
         return most_s, whose
 
 
-def _hard(feed: Feed) -> float:
-    return feed.hard_s
-
-
-def _held_until(feed: Feed) -> float:
-    return feed.held_until_s
-
-
-def _time(feed: Feed) -> float:
-    return feed.time_s
-
-
-def _first(pair: tuple[float, Feed]) -> float:
-    return pair[0]
+def _room(feeds: list[Feed], now_s: float, worst_s: float, drive: str) -> Feed | None:
+    """See `Feeds.room`; the feeds are in the order of their hard deadlines."""
+    end_s = now_s + worst_s
+    total_s = 0.0
+    earlier_s = math.inf  # by when the line must be free for the feeds before this one
+    broken = False  # a bound that can be mended
+    first: Feed | None = None
+    best: Feed | None = None
+    for feed in feeds:
+        total_s += feed.cost_s
+        end_by_s = feed.hard_s - total_s
+        if feed.drive != drive and feed.free_s() <= now_s:
+            first = first or feed
+            helps = end_s > end_by_s and now_s + feed.worst_s <= earlier_s
+            broken = broken or end_s > end_by_s
+            if helps and (best is None or feed.time_s > best.time_s):
+                best = feed
+        if end_by_s < earlier_s:
+            earlier_s = end_by_s
+    return best or (first if broken else None)

@@ -95,10 +95,12 @@ class MemoryPort:
             self._loop.call_soon(self._receiver.lost, error)
 
     def _arm(self) -> None:
-        self._disarm()
+        if self._timer is not None:
+            self._timer.cancel()
         due_s = self._line.next_event_s()
-        if due_s is not None:
-            self._timer = self._loop.call_at(due_s + self._latency_s, self._due)
+        self._timer = (
+            None if due_s is None else self._loop.call_at(due_s + self._latency_s, self._due)
+        )
 
     def _disarm(self) -> None:
         if self._timer is not None:

@@ -107,10 +107,11 @@ class Outbox:
 
     def _end(self, run: _Run, count: int, now_s: float) -> int:
         """Find how far a run comes before it is too late, or the turn of another one's byte."""
-        end = run.taken + 1
-        while end < len(run.data):
+        others = self._heap[0][:2] if self._heap else None
+        end, size = run.taken + 1, len(run.data)
+        while end < size:
             at_s = run.at_s(end)
-            if at_s > now_s or (self._heap and self._heap[0][:2] < (at_s, count)):
+            if at_s > now_s or (others is not None and others < (at_s, count)):
                 break
             end += 1
         return end
