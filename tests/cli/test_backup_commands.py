@@ -9,6 +9,7 @@ import signal
 from collections.abc import Iterator
 from pathlib import Path
 
+import anyio
 import pytest
 
 from backups.backups import backup_of
@@ -337,6 +338,24 @@ def test_a_ctrl_c_during_a_restore_says_what_was_written_and_how_to_go_on(
     else:
         assert "interrupted: 1 of 2 codes written to feeder and read back" in ran.err
         assert "Run the same command again: it goes on with what is missing" in ran.err
+
+
+def test_a_ctrl_c_before_anything_is_written_says_so(
+    run: Run, drive: Drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = to_restore(run, drive, tmp_path)
+
+    async def interrupted(*_args: object, **_more: object) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        await anyio.sleep(5)
+
+    monkeypatch.setattr("lecombus.cli.restore.take", interrupted)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        ran = run("restore", str(path), "feeder", "--yes")
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert (ran.status, ran.err.strip()) == (130, "interrupted: nothing was written")
 
 
 def test_another_files_unfinished_restore_is_told(run: Run, drive: Drive, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -133,7 +134,8 @@ def command(
     backup = read_backup(text, str(file))
     wish = Wish(backup, digest_of(text), drive, other_drive, dry_run, yes or dry_run, enable,
                 patience_s, as_json)  # fmt: skip
-    seen = anyio.run(look, wish, socket, url)
+    with said_when_interrupted("nothing was written"):
+        seen = anyio.run(look, wish, socket, url)
     if dry_run:
         if as_json:
             click.echo(json.dumps(plan_json(seen.plan, drive)))
@@ -143,6 +145,16 @@ def command(
         return Exit.DONE
     with Notes.opened(seen.whose.line, drive) as notes:
         return carry_out(wish, seen, notes, socket, url)
+
+
+@contextlib.contextmanager
+def said_when_interrupted(what: str) -> Iterator[None]:
+    """Say what a Ctrl-C leaves behind."""
+    try:
+        yield
+    except (KeyboardInterrupt, click.Abort):
+        click.echo(f"\ninterrupted: {what}", err=True)
+        raise
 
 
 async def look(wish: Wish, socket: str | None, url: str | None) -> Seen:
@@ -218,7 +230,7 @@ def carry_out(wish: Wish, seen: Seen, notes: Notes, socket: str | None, url: str
         notes.finish()
     enabling = ""
     if wish.enable and enabled and result.complete:
-        enabling = anyio.run(enable_again, wish, stops, socket, url)
+        enabling = enable_again(wish, stops, socket, url)
     if wish.as_json:
         click.echo(json.dumps(result_json(plan, result, wish.drive)))
     else:
@@ -257,7 +269,9 @@ def make_sure(wish: Wish) -> None:
     if wish.as_json or not (sys.stdin.isatty() and sys.stdout.isatty()):
         problem = Problem("nobody can be asked here; nothing was written", "repeat it with --yes")
         raise CommandError(Exit.USAGE, problem)
-    if not click.confirm(f"Restore {wish.drive}?"):
+    with said_when_interrupted("nothing was written"):
+        sure = click.confirm(f"Restore {wish.drive}?")
+    if not sure:
         raise CommandError(Exit.FAILED, Problem("nothing was written"))
 
 
@@ -292,8 +306,16 @@ async def work(
         return result, drive.stops
 
 
-async def enable_again(wish: Wish, stops: str, socket: str | None, url: str | None) -> str:
+def enable_again(wish: Wish, stops: str, socket: str | None, url: str | None) -> str:
     """Lift the inhibit; give why it could not be, empty when it was."""
-    async with connect_async(socket, url) as (client, where):
-        said = await HttpDrive(client, where, wish.drive, stops=stops).enable()
-        return "" if said.done else said.text or said.kind
+    left = (
+        f"{wish.drive} is restored, and stays inhibited unless `lecombus status` shows it enabled"
+    )
+
+    async def enable() -> str:
+        async with connect_async(socket, url) as (client, where):
+            said = await HttpDrive(client, where, wish.drive, stops=stops).enable()
+            return "" if said.done else said.text or said.kind
+
+    with said_when_interrupted(left):
+        return anyio.run(enable)

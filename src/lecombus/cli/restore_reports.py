@@ -107,9 +107,10 @@ def show_interrupted(plan: Plan, result: Restored, drive: str) -> None:
     written = len(result.written)
     of = f"{written} of {counted(len(plan.steps), 'code')}"
     more = "" if written == len(plan.steps) else "; the one under way may have been written too"
+    holds = "stays inhibited and holds" if written else "may be inhibited and hold"
     click.echo(
-        f"interrupted: {of} written to {drive} and read back{more}; it may be inhibited, and holds "
-        "a part of the backup. Run the same command again: it goes on with what is missing",
+        f"interrupted: {of} written to {drive} and read back{more}; it {holds} a part of the "
+        "backup. Run the same command again: it goes on with what is missing",
         err=True,
     )
 
