@@ -3,13 +3,14 @@
 # make test-long  what takes a minute or more by its nature, such as a full line under load
 # make check   the part of it that runs no code: lint, format, types, imports
 # make proof   random lines in virtual time, on where it stopped; 1000 hours take some ten
+# make compare  proves that nothing differs from a commit: make compare BASE=fab6b02
 # make bench   the figures of docs, ours and the peers' in one run
 # make wheel   dist/lecombus-*.whl, built offline from the lock
 # make lock    requirements/*.txt anew from *.in (make lock ARGS=--upgrade for newer versions)
 
 ARGS ?=
 
-.PHONY: demo test test-long proof check bench wheel lock format clean
+.PHONY: demo test test-long proof compare check bench wheel lock format clean
 
 demo:
 	@scripts/venv runtime
@@ -33,6 +34,10 @@ check:
 proof:
 	@scripts/venv dev
 	@PYTHONPATH=src:tests .venv/bin/python -m proof.run --hours 1000 --length 60 $(ARGS)
+
+compare:
+	@scripts/venv dev
+	@PYTHONPATH=tests .venv/bin/python -m compare --base $(BASE) $(ARGS)
 
 bench:
 	@scripts/venv bench

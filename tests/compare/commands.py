@@ -1,0 +1,199 @@
+"""Records what commands print, and their exit statuses, for rosters right and wrong.
+
+Nothing of lecombus is imported here: each command is a process of a tree's source.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import tempfile
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from compare.normal import normal
+from compare.rosters import RIGHT, WRONG, written
+from compare.trees import ROOT, Side
+
+FAMILIES = ("820x", "821x", "822x", "824x", "8200vector", "93xx", "smvector", "generic")
+COMMANDS = ("demo", "run", "check", "plan", "simulate", "read", "write", "group", "enable",
+            "set-speed",
+            "reset-fault", "quick-stop", "inhibit", "stop", "readdress", "rebaud", "wear", "accept",
+            "forget-times", "describe", "backup", "diff", "restore", "status", "scan",
+            "why")  # fmt: skip
+TIME_S = 60.0
+
+LINES = """\
+
+--version
+--help
+nonsense
+chek -c config/small.yaml
+check
+check -c
+check -c nowhere.yaml
+check -c config
+check -c config/small.yaml more
+check -c config/small.yaml --frob
+check -c nowhere.yaml --json
+run -c nowhere.yaml
+run -c config/small.yaml --log-format xml
+run
+plan
+plan -c nowhere.yaml --json
+plan --live
+plan --live --socket /nowhere.sock --json
+simulate
+simulate -c config/small.yaml
+simulate -c config/small.yaml --pty x --tcp 0
+simulate -c config/small.yaml --tcp nowhere
+simulate -c config/small.yaml --tcp 99999
+simulate -c config/small.yaml --tcp 0 --faults nonsense
+simulate -c config/small.yaml --tcp 0 --faults late=2
+simulate -c config/small.yaml --tcp 0 --faults absent=x
+simulate -c config/small.yaml --tcp 0 --control-word no
+simulate --pty nowhere --tell help
+describe
+describe siemens
+describe smvector C9999
+describe 8200vector C0043
+describe 820x C0043
+describe smvector P425
+describe smvector P425 --json
+describe 8200vector C0135
+describe 8200vector C0135 --lang de
+describe 93xx C0150 --configuration 1011 --json
+describe 93xx C0135 --configuration 4711
+describe 820x --configuration 1
+describe 93xx --lang fr
+describe 93xx x
+read
+read feeder
+read feeder C0150
+read feeder C0150 more
+read feeder C99999
+read feeder C0150 --socket /nowhere.sock
+read feeder C0150 --socket /nowhere.sock --json
+read feeder C0150 --url ftp://x
+read feeder C0150 --url http://127.0.0.1:1
+read C0150 --port /dev/nowhere
+read C0150 --port /dev/nowhere --address 11
+read C0150 --port /dev/nowhere --address 100
+read C0150 --port /dev/nowhere --address 11 --baud 115200
+read C0150 --port /dev/nowhere --address 11 --family x
+write feeder C0046
+write feeder C0046 1,5
+write feeder C0046 1e3
+write feeder C0046 x
+write feeder C0046 -5 --socket /nowhere.sock
+write feeder C0046 20 --expires 2
+write feeder C0046 20 --expires 2h
+write feeder C0046 20 --wait x
+group
+group all C0046
+group all C0046 20 --socket /nowhere.sock
+set-speed feeder
+set-speed feeder fast
+set-speed feeder 20 --unit rpm
+enable
+enable feeder --socket /nowhere.sock --json
+inhibit --socket /nowhere.sock
+quick-stop a b c
+stop --action halt
+stop feeder --all --socket /nowhere.sock
+stop --socket /nowhere.sock --json
+readdress feeder
+readdress feeder 20 --socket /nowhere.sock
+readdress feeder x
+rebaud
+rebaud 115200 -c config/small.yaml
+rebaud 9600 -c nowhere.yaml
+rebaud 19200 -c config/small.yaml --dry-run
+wear
+accept
+forget-times
+backup
+backup feeder
+diff
+diff a
+diff nowhere.yaml nothing.yaml
+diff config/small.yaml config/small.yaml
+restore
+restore nowhere.yaml feeder
+restore config/small.yaml feeder --socket /nowhere.sock
+status --socket /nowhere.sock
+status --socket /nowhere.sock --json
+why
+why feeder --lang fr
+scan --addresses 0
+scan --addresses 5-1
+scan --addresses x
+scan --bauds 1
+scan --port /dev/nowhere --bauds 9600
+scan --port /dev/nowhere --all-bauds --bauds 9600"""
+
+
+def corpus(rosters: Path) -> Iterator[list[str]]:
+    """Give all command lines; the rosters lie in a folder."""
+    for file in sorted(rosters.glob("config/*.yaml")):
+        yield from _of_a_right_one(f"config/{file.name}")
+    for name in RIGHT:
+        yield from _of_a_right_one(f"right/{name}.yaml")
+    for name in WRONG:
+        yield ["check", "-c", f"wrong/{name}.yaml", "--json"]
+    for name in list(WRONG)[::8]:
+        for words in (["check"], ["plan"], ["plan", "--json"], ["run"], ["simulate", "--tcp", "0"]):
+            yield [*words, "-c", f"wrong/{name}.yaml"]
+    for family in FAMILIES:
+        yield ["describe", family, "--json"]
+        yield ["describe", family, "--lang", "de"]
+    yield ["describe", "93xx", "--configuration", "1011", "--json"]
+    for command in COMMANDS:
+        yield [command, "--help"]
+    for line in LINES.splitlines():
+        yield line.split()
+
+
+def _of_a_right_one(path: str) -> Iterator[list[str]]:
+    for words in (["check"], ["check", "--json"], ["plan"], ["plan", "--json"]):
+        yield [*words, "-c", path]
+
+
+def record(side: Side, lines: Iterable[list[str]] | None = None, *, jobs: int | None = None) -> str:
+    """Return the record of the command part of one side."""
+    with tempfile.TemporaryDirectory(prefix="lc-") as name:
+        folder = Path(name)
+        _write_rosters(folder)
+        asked = list(corpus(folder) if lines is None else lines)
+        with ThreadPoolExecutor(jobs or os.cpu_count() or 1) as pool:
+            return "".join(pool.map(lambda words: _section(side, folder, words), asked))
+
+
+def _write_rosters(folder: Path) -> None:
+    (folder / "config").mkdir()
+    for file in (ROOT / "config").glob("*.yaml"):
+        (folder / "config" / file.name).write_bytes(file.read_bytes())
+    for kind, rosters in (("right", RIGHT), ("wrong", WRONG)):
+        (folder / kind).mkdir()
+        for name, edit in rosters.items():
+            (folder / kind / f"{name}.yaml").write_bytes(written(edit))
+
+
+def _section(side: Side, folder: Path, words: list[str]) -> str:
+    """Return the section of one command: exit status, standard output, standard error."""
+    env = {**side.environment(), "HOME": str(folder), "XDG_RUNTIME_DIR": str(folder)}
+    done = subprocess.run(
+        side.command(*words), cwd=folder, env=env, stdin=subprocess.DEVNULL,
+        capture_output=True, timeout=TIME_S, check=False,
+    )  # fmt: skip
+    rows = [f"=== lecombus {' '.join(words)}", f"exit status {done.returncode}"]
+    rows += [f"out: {row}" for row in _rows(done.stdout)]
+    rows += [f"err: {row}" for row in _rows(done.stderr)]
+    return normal("\n".join([*rows, ""]))
+
+
+def _rows(output: bytes) -> list[str]:
+    """Return lines; those of a long document one part a row."""
+    text = output.decode(errors="backslashreplace")
+    return text.replace(', "', ',\n "').split("\n")
