@@ -47,7 +47,7 @@ PREFACE = """\
 
 Measured by `make bench`: medians of {rounds} rounds (least and most in brackets), lecombus and the
 peers in turn in the same run, ratios taken round by round. {date}, {machine}.
-Meanwhile {noise}.
+During the run {noise}.
 
 """
 

@@ -46,10 +46,10 @@ def command(
     url: str | None,
     as_json: bool,
 ) -> int:
-    """Take the drive that answers at DRIVE's address for DRIVE, after it was replaced.
+    """Accept the device that answers at DRIVE's address as DRIVE, after a replacement.
 
-    Shows what it was and what it is, and asks. Until then nothing but stops is written to it. In a
-    pipe, or with --json, nobody can be asked: repeat every value that differs with --seen.
+    Shows the old and the new identity, and asks. Until then only stops are sent to it. In a
+    pipe, or with --json, there is no question: repeat every value that differs with --seen.
     """
     with connect(socket, url) as daemon:
         path = f"/v1/drives/{quote(drive, safe='')}"

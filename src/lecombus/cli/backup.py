@@ -67,10 +67,10 @@ def command(
 ) -> int:
     """Read every described parameter of DRIVE, of all parameter sets, into a YAML file.
 
-    It runs in the background class: setpoints, watchdogs and cyclic reads go first. A line that is
-    lost meanwhile is waited for. Passwords are never read. What the drive does not give stands in
-    the file with its reason; what could not be read because the line or the drive stayed away makes
-    the backup incomplete, which is not written (exit status 1) without --partial.
+    It runs in the background class: setpoints, watchdogs and cyclic reads go first. If the line
+    is lost, it waits. Passwords are never read. Codes that the drive refuses stand in the file
+    with the reason. If codes could not be read because the line or the drive was not available,
+    the backup is incomplete: without --partial it is not written (exit status 1).
 
     `lecombus diff` compares such files and drives, `lecombus restore` writes one back. With --json:
     {"drive", "file", "complete", "codes": [{"code", "name", "section", "raw", "unit", "reason"}]}.

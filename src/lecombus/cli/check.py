@@ -21,12 +21,12 @@ __all__ = ["command"]
 @roster_option
 @json_option
 def command(roster: Path, as_json: bool) -> int:
-    """Say every mistake of a roster in one go, or what the roster means.
+    """List all mistakes of a roster, or show what the roster means.
 
-    Mistakes go to standard error, one a line as FILE:LINE:COLUMN, and the exit status is 2. Else
-    the line, its drives, and for each group whether stops and writes are one multicast or one
-    telegram after another are shown, with warnings and with keys that this version does not use
-    yet. No port is opened.
+    Mistakes go to standard error, one a line as FILE:LINE:COLUMN, and the exit status is 2.
+    Without mistakes, the line, its drives, and the way in which stops and writes of each group
+    are sent are shown, with warnings and with keys that this version does not use yet. No port
+    is opened.
 
     With --json, on standard output: {"ok": false, "mistakes": [{"file", "line", "column", "what",
     "right"}]} or {"ok": true, "file", "line", "cyclic_load", "drives", "groups", "warnings",

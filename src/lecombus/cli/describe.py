@@ -46,8 +46,8 @@ def command(
     """Show what is known of the codes of FAMILY, or all that is known of one CODE.
 
     Everything is from the manuals; a range that they do not give is missing here, and any other
-    code may be read all the same. In a pipe: code, name, format, values, access, kept, source; or
-    with CODE one property a line. With --json: the document of GET /v1/drives/DRIVE/described, or
+    code can be read too. In a pipe: code, name, format, values, access, kept, source; or with
+    CODE one property a line. With --json: the document of GET /v1/drives/DRIVE/described, or
     with CODE that code's part of it.
     """
     described = configured(family(family_name), configuration)

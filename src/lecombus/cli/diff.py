@@ -45,10 +45,10 @@ def command(
     url: str | None,
     as_json: bool,
 ) -> int:
-    """Show what A and B differ in; each is a backup's file, or a drive, which is read now.
+    """Show the differences of A and B; each is a backup's file, or a drive, which is read now.
 
-    What has a slash or ends in .yaml or .yml is a file, everything else a drive. Numbers are
-    compared as numbers: 35.0 is 35.
+    An argument with a slash, or that ends in .yaml or .yml, is a file; all others are drives.
+    Numbers are compared as numbers: 35.0 is 35.
 
     Exit status: 0 they are equal; 1 they differ (or a drive could not be read: nothing is shown
     then). In a pipe: code, name, A, B, unit, separated by tabs. With --json: {"equal", "same",

@@ -16,9 +16,9 @@ __all__ = ["command"]
 def command(drive: str, socket: str | None, url: str | None, as_json: bool) -> int:
     """Release quick stop and inhibit of DRIVE. Its motor turns if it has a setpoint.
 
-    It is refused while a fault is active (`lecombus reset-fault`), and where a setting of the drive
-    keeps control from the line: the setting is named. The drive's status words must show the
-    enable; if they do not, because its enable terminal is open, it is inhibited again.
+    It is refused while a fault is active (`lecombus reset-fault`), and where a setting of the
+    drive prevents control over the line; the setting is named. The drive's status words must
+    show the enable; if they do not, because its enable terminal is open, it is inhibited again.
 
     In a pipe: drive, verb, outcome, what the drive shows, value read back, reason. With --json: the
     daemon's document, {"drive", "verb", "outcome", "reason", "states", "written"}.

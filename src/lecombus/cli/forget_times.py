@@ -18,12 +18,12 @@ __all__ = ["command"]
 @click.argument("drive")
 @daemon_options
 def command(drive: str, socket: str | None, url: str | None, as_json: bool) -> int:
-    """Forget how long DRIVE was measured to take for its answers.
+    """Drop the measured answer times of DRIVE.
 
-    Time-outs and plans go by its manual and the roster again, until it answers late again as a
-    rule. Shows what is forgotten. In a pipe: code, read or write, the manual's longest time and the
-    time measured, in seconds; where there is nothing, that stands on standard error. With --json:
-    the daemon's document.
+    Time-outs and plans then use its manual and the roster, until most of its answers are late
+    again. Shows what is dropped. In a pipe: code, read or write, the manual's longest time and
+    the time measured, in seconds; if there is nothing, a message on standard error says so.
+    With --json: the daemon's document.
     """
     with connect(socket, url) as daemon:
         answer = daemon.post(f"/v1/drives/{quote(drive, safe='')}/forget-times", {})

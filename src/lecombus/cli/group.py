@@ -35,7 +35,7 @@ def was_only_sent(report: Document) -> bool:
     default=None,
     help="Read it back from every member; a multicast is, unless told otherwise.",
 )
-@click.option("--expires", type=EXPIRY, help="Not sent any more after so long, such as 2s.")
+@click.option("--expires", type=EXPIRY, help="Not sent any more after this time, such as 2s.")
 @daemon_options
 def command(
     group: str,
@@ -49,8 +49,8 @@ def command(
 ) -> int:
     """Write VALUE to CODE of every drive of GROUP; the group `all` is every drive of the roster.
 
-    It goes out as one multicast where the group allows that (`lecombus check` tells), which
-    nobody acknowledges, and is then read back. Else one write follows the other.
+    Where the group allows that (`lecombus check` shows it), it is sent as one multicast, which
+    is not acknowledged, and then read back. Otherwise one write follows the other.
 
     Exit status 0 only if every member's outcome is done or verified: never for a multicast with
     --no-verify, whose outcome is unknown. In a pipe: one line a member

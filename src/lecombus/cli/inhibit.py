@@ -16,7 +16,7 @@ __all__ = ["command"]
 def command(target: str, socket: str | None, url: str | None, as_json: bool) -> int:
     """Inhibit TARGET, a drive or a group, before everything else: no torque, the motor coasts.
 
-    The same as `lecombus stop TARGET --action inhibit`: it works at once, whatever else waits,
-    and also where writes are refused. It is read back. It is no safety function.
+    The same as `lecombus stop TARGET --action inhibit`: it is sent before all other requests,
+    and also where writes are refused. It is read back. It is not a safety function.
     """
     return stop(target, "inhibit", socket=socket, url=url, as_json=as_json)

@@ -61,16 +61,16 @@ def command(
     as_json: bool,
     svg: Path | None,
 ) -> int:
-    """Say what a line can hold and how long everything waits at most, before it runs.
+    """Say what a line can hold and how long requests wait at most, before it runs.
 
-    No port is opened. A roster whose watchdogs cannot be held is refused with the arithmetic, as
-    by check. The promises hold while every drive answers and at most one exchange is lost, and not
-    while drives that do not answer are being stopped; they are reckoned with the same costs that
-    the schedule and the time-outs use.
+    No port is opened. A roster whose watchdogs cannot be held is refused with the arithmetic,
+    as by check. The promises hold while every drive answers and at most one exchange is lost,
+    and not while drives that do not answer are being stopped; they are calculated with the same
+    costs that the schedule and the time-outs use.
 
     With --live the running daemon is asked instead of a roster (--socket, --url): its promises
-    stand beside what the last five minutes of its line showed, and what is beyond them is said.
-    With --from-daemon the plan is that of the running roster, or of ROSTER, with the answer times
+    are compared with the last five minutes of its line, and what is beyond them is named. With
+    --from-daemon the plan is that of the running roster, or of ROSTER, with the answer times
     that the daemon has measured, and the drives that are slower than their manual are named.
     """
     if live and from_daemon:

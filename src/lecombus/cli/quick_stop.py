@@ -14,9 +14,9 @@ __all__ = ["command"]
 @click.argument("target")
 @daemon_options
 def command(target: str, socket: str | None, url: str | None, as_json: bool) -> int:
-    """Ramp TARGET, a drive or a group, down by its quick stop, before everything else.
+    """Stop TARGET, a drive or a group, along its ramp by quick stop, before everything else.
 
-    The same as `lecombus stop TARGET --action quick-stop`: it works at once, whatever else waits,
-    and also where writes are refused. It is read back. It is no safety function.
+    The same as `lecombus stop TARGET --action quick-stop`: it is sent before all other
+    requests, and also where writes are refused. It is read back. It is not a safety function.
     """
     return stop(target, "quick-stop", socket=socket, url=url, as_json=as_json)

@@ -41,7 +41,7 @@ def command(
     """Read CODE of DRIVE now, or with --stored as the daemon last read it.
 
     With --port no daemon is needed: `read --port /dev/ttyUSB0 --address 1 C0046`. A port that
-    somebody else has open is refused, and so is one that a daemon uses.
+    another program has open is refused, and so is one that a daemon uses.
 
     On a terminal: a line of text. In a pipe: drive, code, value, unit, quality, reason, separated
     by tabs. With --json: {"drive", "code", "subcode", "name", "value", "raw", "format", "unit",

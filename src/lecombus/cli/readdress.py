@@ -18,17 +18,18 @@ __all__ = ["command"]
 @click.command("readdress")
 @click.argument("drive")
 @click.argument("address", type=click.IntRange(1, 99), metavar="NEW")
-@click.option("--yes", is_flag=True, help="Do it without being asked.")
+@click.option("--yes", is_flag=True, help="Do it without asking.")
 @daemon_options
 def command(
     drive: str, address: int, yes: bool, socket: str | None, url: str | None, as_json: bool
 ) -> int:
-    """Give DRIVE the address NEW, find it there and follow it.
+    """Give DRIVE the address NEW, find it there, and use that address from then on.
 
     The roster must say `allow_address_change: true` for it, the drive must be inhibited or stopped,
     and nothing may answer at NEW. Afterwards write the new address into the roster.
 
-    Exit status 0 only if it was found at NEW. If it is found nowhere, what is known of it is said.
+    Exit status 0 only if it was found at NEW. If it is not found at either address, the answer
+    says what is known.
     """
     if address % 10 == 0:
         what = f"{address} is no drive's address"

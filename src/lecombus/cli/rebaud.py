@@ -53,11 +53,11 @@ class Wish:
 @click.argument("rate", type=click.Choice(RATES), metavar="NEW")
 @roster_option
 @click.option("--from", "origin", type=click.Choice(RATES), metavar="RATE",
-              help="The rate that is to be left, where it is not the roster's.")  # fmt: skip
+              help="The present rate, if it is not the roster's.")  # fmt: skip
 @click.option("--dry-run", is_flag=True, help="Ask the drives and show the plan, write nothing.")
-@click.option("--yes", is_flag=True, help="Do not ask; needed where nobody can be asked.")
+@click.option("--yes", is_flag=True, help="Do not ask; needed without a terminal.")
 @click.option("--back", is_flag=True,
-              help="If a drive does not come over, bring the others back unasked.")  # fmt: skip
+              help="If a drive does not change, set the others back without asking.")  # fmt: skip
 @click.option("--generic-c0125", "generic", is_flag=True,
               help="Generic drives are stopped, and their C0125 is like a 2102's.")  # fmt: skip
 @json_option
@@ -73,12 +73,12 @@ def command(
 ) -> int:
     """Give every drive of ROSTER the baud rate NEW: 1200, 2400, 4800, 9600 or 19200.
 
-    The daemon must be stopped: all drives share one rate, and nobody feeds watchdogs meanwhile.
-    First every drive is asked: it must answer, be the one it should be, and be inhibited or in
-    quick stop at a frequency of 0; what it says of its motion is shown. An inverter does not
-    measure whether its motor has come to rest: look at the machine. Nothing is written before all
-    have passed. Then drive by drive is written to, found again at NEW and confirmed. If one does
-    not come over, those that did can be brought back.
+    The daemon must be stopped: all drives share one rate, and no watchdog is fed during the
+    change. First every drive is asked: it must answer, have the expected identity, and be
+    inhibited or in quick stop at a frequency of 0; what it reports of its motion is shown. An
+    inverter does not measure whether its motor has come to rest: look at the machine. Nothing
+    is written before all have passed. Then each drive in turn is written to, found again at NEW
+    and confirmed. If one does not change, those that did can be set back.
 
     An attempt that was interrupted is run again: drives that are at NEW already are left there. The
     roster is not changed; the line to write is shown.

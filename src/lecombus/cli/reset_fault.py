@@ -16,8 +16,8 @@ __all__ = ["command"]
 def command(drive: str, socket: str | None, url: str | None, as_json: bool) -> int:
     """Reset the active fault of DRIVE, by its family's own way. It never starts the motor.
 
-    The drive is inhibited first and stays so: `lecombus enable` lets it run again. Without a fault
-    nothing is sent. An 820X and its module start anew by it, which takes some ten seconds: its
+    The drive is inhibited first and stays so: `lecombus enable` lets it run again. Without a
+    fault nothing is sent. An 820X and its module restart, which takes about ten seconds: its
     watchdog is set again before it is called online.
 
     In a pipe and with --json: as for enable.

@@ -95,7 +95,7 @@ class Seen:
 @click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
 @click.argument("drive")
 @click.option("--dry-run", is_flag=True, help="Show the plan, write nothing.")
-@click.option("--yes", is_flag=True, help="Do not ask; needed where nobody can be asked.")
+@click.option("--yes", is_flag=True, help="Do not ask; needed without a terminal.")
 @click.option(
     "--to-other-drive",
     "other_drive",
@@ -124,11 +124,12 @@ def command(
     """Write the backup in FILE back into DRIVE.
 
     First the plan: what is written in which order, what is left out and why. Then the drive is
-    inhibited and stays so; every code is written and read back; at the end everything is read and
-    compared, and saved where the family needs that. What reads as it should is not written.
+    inhibited and stays so; every code is written and read back; at the end everything is read
+    and compared, and saved where the family needs that. A code that already has the value is
+    not written.
 
-    The roster must say `restore: true` for the drive. A restore that was interrupted is run again:
-    it goes on with what is missing. Exit status 1 where not everything is as in the file.
+    The roster must say `restore: true` for the drive. Run an interrupted restore again: it
+    writes what is missing. Exit status 1 if not everything is as in the file.
     """
     text = read_text(file)
     backup = read_backup(text, str(file))

@@ -117,16 +117,17 @@ def command(
 ) -> int:
     """Find the drives on a line, say what they are, and propose a roster.
 
-    With --port the line must be free: a port in use is refused, and so is a line on which somebody
-    else speaks. All addresses at one baud rate take about 20 seconds. Without --port a running
-    daemon asks those addresses that its roster does not have, at its own baud rate, while it does
-    its work; the drives found are to be added to its roster.
+    With --port the line must be free: a port in use is refused, and so is a line on which
+    another master sends. All addresses at one baud rate take about 20 seconds. Without --port a
+    running daemon asks those addresses that its roster does not have, at its own baud rate,
+    while it does its work; the drives found are to be added to its roster.
 
-    Scan while the machine may stand still: a watchdog that is set in a drive may act when the scan
-    is over and nobody speaks to it any more.
+    Scan while the machine may stand still: a watchdog that is set in a drive may act after the
+    scan, when nothing is sent to the drive any more.
 
-    Nothing is ever written to a drive. A family that cannot be told for sure is proposed as
-    generic, or with a comment. The roster goes to standard output, or with -o to a file.
+    Nothing is ever written to a drive. A family that cannot be identified for certain is
+    proposed as generic, or with a comment. The roster goes to standard output, or with -o to a
+    file.
 
     With --json: {"port", "baud", "drives": [{"drive", "address", "baud", "family", "certain",
     "why", "says", "watchdog", "remarks"}], "unclear", "roster"}. Exit status 1: no drive found.

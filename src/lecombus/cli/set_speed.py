@@ -20,7 +20,7 @@ _SPEED = re.compile(r"\0?([+-]?[0-9.,]+(?:[eE][+-]?[0-9]+)?)\s*(.*)", re.DOTALL)
 @click.argument("drive")
 @click.argument("speed", nargs=-1, required=True, metavar="VALUE UNIT")
 @click.option("--verify", is_flag=True, help="Read it back afterwards.")
-@click.option("--expires", type=EXPIRY, help="Not sent any more after so long, such as 2s.")
+@click.option("--expires", type=EXPIRY, help="Not sent any more after this time, such as 2s.")
 @daemon_options
 @click.pass_context
 def command(
@@ -35,9 +35,9 @@ def command(
 ) -> int:
     """Give DRIVE its speed: `set-speed belt 35 Hz`, `set-speed belt 70%`.
 
-    % is that of the drive's highest frequency or speed. It goes to the code that the drive's
-    family and settings want, and is refused with the range when it is out of it. It does not
-    enable the drive.
+    % refers to the drive's highest frequency or speed. The setpoint is written to the code that
+    the drive's family and settings require. Out of its range, it is refused with the range. It
+    does not enable the drive.
 
     In a pipe and with --json: as for enable.
     """

@@ -45,11 +45,11 @@ _ENDS = {signal.SIGINT, signal.SIGTERM}
 @click.option("--fault-digit", default="lecom", show_default=True,
               type=click.Choice(["lecom", "p500", "none"]),
               help="C0068 of an SMVector: tens digit of which fault number.")  # fmt: skip
-@click.option("--seed", type=int, default=0, help="Where all chance starts from.")
+@click.option("--seed", type=int, default=0, help="Seed of the random numbers.")
 @click.option("--control", type=click.Path(path_type=Path), metavar="PATH",
-              help="A socket to be told through; default: PATH.control of --pty.")  # fmt: skip
+              help="A socket for --tell; default: PATH.control of --pty.")  # fmt: skip
 @click.option("--tell", "lines", multiple=True, metavar="LINE",
-              help="Tell a running simulator something, such as help, and end.")  # fmt: skip
+              help="Send a command to a running simulator, such as help, and end.")  # fmt: skip
 @json_option
 def command(
     roster: Path | None, pty: Path | None, tcp: str | None, faults: str, seed: int,
@@ -58,8 +58,8 @@ def command(
 ) -> int:  # fmt: skip
     """Serve the roster's drives as simulated ones until Ctrl-C or SIGTERM.
 
-    Characters take the time they take at the roster's baud rate, and drives answer as late as the
-    manuals say. Point `port:` of the roster that `lecombus run` reads at what is printed here.
+    Characters take their time at the roster's baud rate, and drives take the answer times of
+    the manuals. Point `port:` of the roster that `lecombus run` reads at what is printed here.
 
     FAULTS are NAME=CHANCE with commas between, chance per telegram from 0 to 1: lost, unheard,
     request-noise, damaged (the drive notices and says so), late (:TIME), double (:TIME; an answer
@@ -68,8 +68,8 @@ def command(
     absent=ADDRESS+ADDRESS, twins=ADDRESS (two drives have it), trip=ADDRESS:NUMBER[:stays]: that
     drive has this fault from the start, and with `stays` no reset helps.
 
-    While it runs, faults and more are typed into its terminal, or told from another one:
-    lecombus simulate --pty PATH --tell "trip feeder 50"; help lists what there is.
+    While it runs, faults and other commands are typed into its terminal, or sent from another
+    one: lecombus simulate --pty PATH --tell "trip feeder 50"; help lists them.
 
     In a pipe the first line is the port and nothing else. With --json: {"port", "line", "baud",
     "drives": [{"drive", "address", "family"}]}; with --tell [{"told", "answer"}], one a LINE.

@@ -25,8 +25,8 @@ def command(drive: str | None, socket: str | None, url: str | None, as_json: boo
     """Show the line and all its drives, or DRIVE with every value that is known of it.
 
     Nothing is sent to the line. MOTOR says whether a drive runs or what stops it, by every word
-    that shows it; "stopped" means that it does not drive its motor, which may coast. What is not
-    fresh is shown with its age.
+    that shows it; "stopped" means that it does not drive its motor, which may coast. A value
+    that is not fresh is shown with its age.
 
     In a pipe: first the line (the word `line`, name, state, reason), then one line a drive (drive,
     address, family, state, reason, motor, speed, setpoint); or one a value (code, name, value,

@@ -18,10 +18,10 @@ __all__ = ["command"]
 @click.argument("drive")
 @daemon_options
 def command(drive: str, socket: str | None, url: str | None, as_json: bool) -> int:
-    """Show how often each code that wears DRIVE's memory was written, the most first.
+    """Show how often each code that wears DRIVE's memory was written, the highest count first.
 
-    Every write counts that may have reached the memory, for ever; "this device": since it was
-    accepted in the place of another. In a pipe: code, name, writes, to this device, and how long
+    Every write that may have reached the memory counts, since counting began; "this device":
+    since this device was accepted. In a pipe: code, name, writes, to this device, and how long
     until it may be written again. With --json: the daemon's document.
     """
     with connect(socket, url) as daemon:

@@ -36,7 +36,7 @@ def write_document(value: Given, expires: float | None, verify: bool | None) -> 
 @click.argument("code", type=CODE)
 @click.argument("value", type=VALUE)
 @click.option("--verify", is_flag=True, help="Read it back afterwards.")
-@click.option("--expires", type=EXPIRY, help="Not sent any more after so long, such as 2s.")
+@click.option("--expires", type=EXPIRY, help="Not sent any more after this time, such as 2s.")
 @daemon_options
 def command(
     drive: str,
