@@ -134,17 +134,17 @@ BAD = [
     ("read_ms: 10", "read_ms: 0", "0", "whole number from 1"),
     ("slow_write_ms: 50", "slow_write_ms: 5", "{codes: others", "slow time is shorter"),
     ("codes: others", "codes: C0040", "C0040", "or: others"),
-    ("codes: others", "codes: [C0041]", "family: test", "one entry with codes: others"),
-    ("codes: others", "codes: [C0040]", "{codes: [C0040", "C0040 has an answer time already"),
-    ("codes: [C0040]", "codes: others", "{codes: others", "given twice"),
+    ("codes: others", "codes: [C0041]", "- {codes", "one entry with codes: others"),
+    ("codes: others", "codes: [C0040]", "{codes: [C0040", "answer time of C0040 is given twice"),
+    ("codes: [C0040]", "codes: others", "{codes: others", "all other codes is given twice"),
     ("feed: C0150", "feed: C0151", "C0151", "C0151 is not described"),
     ("feed: C0150\n", "", "family: test", "feed is missing"),
     ("identity: [C0150]", "identity: C0150", "C0150", "a list is right here"),
     (
         "action_code: C0922",
         "action_code: C0921",
-        "{time_code: C0923",
-        "C0921 is not described as writable",
+        "C0921",
+        "C0921 is not described",
     ),
     (
         "actions: {none: 0, inhibit: 1}",
@@ -160,7 +160,7 @@ BAD = [
     (
         "{code: C0150, bits",
         "{code: C0040, bits",
-        "{code: C0040",
+        "C0040",
         "C0040 is not described as a word",
     ),
     (
@@ -172,13 +172,13 @@ BAD = [
     (
         "code: C0040, value: 0",
         "code: C0150, value: 0",
-        "{action: inhibit",
+        "C0150",
         "C0150 cannot be written",
     ),
     (
         "code: C0040, value: 0",
         "code: C0041, value: 0",
-        "{action: inhibit",
+        "C0041",
         "C0041 is not described",
     ),
     ("value: 0, proofs", "value: 0, set: 8, proofs", "{action: inhibit", "either value or set"),
@@ -191,7 +191,7 @@ BAD = [
         "short",
         "short is not known here; standard, ext",
     ),
-    ("title: a drive", "titel: a drive", "titel", "titel is not known here; .*title"),
+    ("title: a drive", "titel: a drive", "family: test", "title is missing"),
     ("title: a drive for tests\n", "", "family: test", "title is missing"),
     ("title: a drive", "note: 1\ntitle: a drive", "note: 1", "note is not known here"),
     ("codes:\n", "codes: [\n", "- {code: C0040", "this is no YAML"),
@@ -228,7 +228,7 @@ def test_what_only_one_file_may_say_is_refused_from_two() -> None:
 
 
 def test_included_file_includes_nothing_itself() -> None:
-    with pytest.raises(DescriptionError, match="include is not known here"):
+    with pytest.raises(DescriptionError, match="include is also given by an included file"):
         load(GOOD, SHARED + "include: [more]\n")
 
 
@@ -425,7 +425,7 @@ BAD_WORDS = [
     ("state = 8", "state = 9", "state = 9", "state has no text for 9"),
     ("state = 8", "state", "state", "or a field as in"),
     ("state = 8", "not state = 8", "not state = 8", "or a field as in"),
-    ("C0150, bits: {7", "C0922, bits: {7", "{code: C0922", "not described as a word"),
+    ("C0150, bits: {7", "C0922, bits: {7", "C0922", "not described as a word"),
     ("free: [2, 4]", "free: [2]", "code: C0135", "bit 4 has no meaning"),
     ("free: [2, 4]", "free: [2, 4, 5]", "code: C0135", "bit 5 has two meanings"),
     ("bits: [0, 1]", "bits: [0, 2]", "code: C0135", "bit 2 has two meanings"),

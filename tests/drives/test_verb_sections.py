@@ -76,7 +76,7 @@ def test_a_good_table_says_what_it_says() -> None:
         ("values: [3], remedy", "values: [], remedy", "{for", "values must not be empty"),
         ("set C0001 = 3, source", "set C0001 = 3, sauce", "{for", "source is missing"),
         ("enable: {code: C0040", "enable: {code: C0150", "C0150", "C0150 cannot be written"),
-        ("proofs: [{code: C0150", "proofs: [{code: C0151", "{code: C0040", "C0151 is not desc"),
+        ("proofs: [{code: C0150", "proofs: [{code: C0151", "C0151", "C0151 is not desc"),
         ("reset: {code: C0043, value: 0,", "reset: {code: C0043,", "{code: C0043", "belong"),
         ("number: C0161", "number: C0162", "C0162", "C0162 is not described"),
         ("unit: Hz", "unit: rpm", "rpm", "Hz and % are right here"),

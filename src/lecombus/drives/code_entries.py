@@ -1,8 +1,7 @@
 """Making the described codes of a family from the entries of its data files.
 
 An entry has the keys of a `CodeInfo` and two more. `subcodes: [1, 8]` makes it many: each gets its
-subcode after its name. `sets: true` repeats it in each parameter set. `CodeBook` takes all entries
-and refuses what overlaps; what an entry cannot mean is refused when it is read.
+subcode after its name. `sets: true` repeats it in each parameter set.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from dataclasses import dataclass, replace
 from decimal import Decimal
 from typing import Annotated, Any
 
-from pydantic import WrapValidator
+from pydantic import ValidationInfo, WrapValidator
 
 from lecombus.protocol.addressing import HIGHEST_SUBCODE, Code
 from lecombus.protocol.values import (
@@ -25,9 +24,9 @@ from lecombus.protocol.values import (
 
 from .codes import RANGE, CodeInfo, Storage
 from .field_types import Flag, read_number, whole, whole_number
-from .yaml_models import KEY, Place, mistake, without_keys
+from .yaml_models import KEY, ReadAs, mistake, reading_of, without_keys
 
-__all__ = ["CodeBook", "CodeEntry"]
+__all__ = ["ALL_CODES"]
 
 HEX_DIGITS = (2, 4, 8)
 
@@ -47,50 +46,37 @@ class _Entry(CodeInfo):
     sets: Flag = False
 
 
-class CodeBook:
-    """The codes of one family while its files are read.
+def _all_codes(entries: tuple[_Entry, ...], info: ValidationInfo) -> dict[Code, CodeInfo]:
+    """Return the codes that the entries describe; later sections are checked against them."""
+    found: dict[Code, CodeInfo] = {}
+    offsets = info.data.get("set_offsets", (0,))
+    for place, entry in enumerate(entries):
+        described = without_keys(CodeInfo, entry)
+        if info.data.get("stored_needs_inhibit") and entry.storage is Storage.STORED:
+            described = replace(described, needs_inhibit=entry.writable or entry.needs_inhibit)
+        for one in _spread_subcodes(described, entry.subcodes):
+            for spread in _spread_sets(one, offsets if entry.sets else (0,), place):
+                other = found.setdefault(spread.code, spread)
+                if other is not spread:
+                    names = (f"{each.name} in parameter set {each.parameter_set}"
+                             for each in (other, spread))  # fmt: skip
+                    message = f"{spread.code} is described twice: as {' and as '.join(names)}"
+                    raise mistake(message, place, code=spread.code)
+    codes = dict(sorted(found.items()))
+    reading_of(info).codes = codes
+    return codes
 
-    Args:
-        offsets: What is added to a code's number for each parameter set; the first is 0.
-        stored_needs_inhibit: Every stored code needs inhibit before it is written.
-    """
 
-    def __init__(self, offsets: tuple[int, ...], *, stored_needs_inhibit: bool) -> None:
-        self.codes: dict[Code, CodeInfo] = {}
-        self._offsets = offsets
-        self._inhibit = stored_needs_inhibit
-
-    def add(self, at: Place, entry: CodeEntry) -> None:
-        """Take one entry.
-
-        Raises:
-            DescriptionError: It describes a code that another entry describes already.
-        """
-        info = without_keys(CodeInfo, entry)
-        if self._inhibit and info.writable and info.storage is Storage.STORED:
-            info = replace(info, needs_inhibit=True)
-        for one in _spread_subcodes(info, entry.subcodes):
-            self._put(at, one)
-            if entry.sets:
-                self._put_further_sets(at, one)
-
-    def _put_further_sets(self, at: Place, info: CodeInfo) -> None:
-        """Take a code once more for each further parameter set."""
-        number = info.code.number
-        for parameter_set, offset in enumerate(self._offsets[1:], start=2):
-            if number >= self._offsets[1]:
-                at.fail(f"{info.code} lies in parameter set 2, which begins at C{offset}")
-            code = Code(number + offset, info.code.subcode)
-            self._put(at, replace(info, code=code, parameter_set=parameter_set))
-
-    def _put(self, at: Place, info: CodeInfo) -> None:
-        other = self.codes.get(info.code)
-        if other is not None:
-            one, two = (
-                f"{known.name} in parameter set {known.parameter_set}" for known in (other, info)
-            )
-            at.fail(f"{info.code} is described twice: as {one} and as {two}", code=str(info.code))
-        self.codes[info.code] = info
+def _spread_sets(info: CodeInfo, offsets: tuple[int, ...], place: int) -> Iterator[CodeInfo]:
+    """Repeat a code in each further parameter set."""
+    yield info
+    number = info.code.number
+    for parameter_set, offset in enumerate(offsets[1:], start=2):
+        if number >= offsets[1]:
+            message = f"{info.code} lies in parameter set 2, which begins at C{offset}"
+            raise mistake(message, place)
+        code = Code(number + offset, info.code.subcode)
+        yield replace(info, code=code, parameter_set=parameter_set)
 
 
 def _spread_subcodes(info: CodeInfo, subcodes: tuple[int, ...] | None) -> Iterator[CodeInfo]:
@@ -123,7 +109,8 @@ def _read_entry(given: Any, read: Callable[[Any], _Entry]) -> _Entry:
 
 
 CodeEntry = Annotated[_Entry, RANGE, WrapValidator(_read_entry)]
-"""One entry of `codes`."""
+ALL_CODES = ReadAs(tuple[CodeEntry, ...], _all_codes, informed=True)
+"""Reads the section `codes`."""
 
 
 def _carried(entry: CodeInfo) -> Limits | None:

@@ -26,8 +26,8 @@ from lecombus.errors import CodeValueError
 from .field_types import (
     WORD_MAX,
     BothLanguages,
-    CodeNumber,
     Source,
+    WordCode,
     Words,
     ends,
     numbered,
@@ -144,7 +144,7 @@ class ControlWordInfo:
 
     __pydantic_config__ = FILE_TABLE
 
-    code: CodeNumber
+    code: WordCode
     bits: Annotated[Mapping[str, ControlBit], BITS_BY_NAME]
     fields: Annotated[Mapping[str, ControlField], FIELDS_BY_NAME] = field(default_factory=dict)
     free: tuple[Bit, ...] = ()

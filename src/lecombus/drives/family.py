@@ -26,11 +26,12 @@ from .codes import CodeInfo, WriteClass
 from .commands import ControlWordInfo
 from .faults import NO_FAULT, Fault, FaultKind, FaultTable, fault_table
 from .field_types import (
-    CodeNumber,
+    DescribedCode,
     Flag,
     Source,
     WordNumber,
     Words,
+    WritableCode,
     milliseconds,
     whole,
 )
@@ -108,8 +109,8 @@ class WatchdogTraits:
 
     __pydantic_config__ = FILE_TABLE
 
-    time_code: CodeNumber
-    action_code: CodeNumber
+    time_code: WritableCode
+    action_code: WritableCode
     actions: Mapping[Annotated[str, Reads(_read_action)], WordNumber]
     low_s: Annotated[float, milliseconds(0), Field(alias="low_ms")]
     high_s: Annotated[float, milliseconds(), Field(alias="high_ms")]
@@ -129,7 +130,7 @@ class SoftwareGate:
 
     __pydantic_config__ = FILE_TABLE
 
-    code: CodeNumber
+    code: DescribedCode
     versions: tuple[Words, ...]
     source: Source
 

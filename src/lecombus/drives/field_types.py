@@ -17,18 +17,22 @@ from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import HIGHEST_DECIMAL, LOWEST_DECIMAL, Value
 
 from .texts import Text
-from .yaml_models import KEY, LIST_RIGHT, TEXT_RIGHT, Quoted, Reads, mistake
+from .yaml_models import KEY, LIST_RIGHT, TEXT_RIGHT, Quoted, Reading, Reads, mistake
 
 __all__ = [
     "WORD_MAX",
     "BothLanguages",
     "CodeNumber",
+    "DescribedCode",
     "Flag",
     "Number",
+    "ShownCode",
     "Source",
+    "WordCode",
     "WordNumber",
     "WordValue",
     "Words",
+    "WritableCode",
     "ends",
     "milliseconds",
     "numbered",
@@ -137,8 +141,39 @@ def _read_both(given: object) -> Text:
     return Text(read_words(given[0], 0), read_words(given[1], 1))
 
 
-def _read_source(given: object, manual: str) -> str:
-    return f"{manual} {read_words(given)}".strip()
+def _read_source(given: object, reading: Reading) -> str:
+    return f"{reading.manual} {read_words(given)}".strip()
+
+
+def _read_described(given: object, reading: Reading) -> Code:
+    """Read a code that must be described; while no code is known, nothing is checked."""
+    code = read_code(given)
+    if reading.codes and code not in reading.codes:
+        raise mistake(f"{code} is not described", code=code)
+    return code
+
+
+def _read_word_code(given: object, reading: Reading) -> Code:
+    code = read_code(given)
+    if code not in reading.codes or reading.codes[code].hex_digits is None:
+        raise mistake(f"{code} is not described as a word (VH)", code=code)
+    return code
+
+
+def _read_writable(given: object, reading: Reading) -> Code:
+    code = _read_described(given, reading)
+    if reading.codes and not reading.codes[code].writable:
+        raise mistake(f"{code} cannot be written", code=code)
+    return code
+
+
+def _read_shown(given: object, reading: Reading) -> Code:
+    code = _read_described(given, reading)
+    info = reading.codes.get(code)
+    if info is not None and (info.secret or not info.readable):
+        why = "is secret" if info.secret else "cannot be read"
+        raise mistake(f"{code} {why}, so it is not read unasked", code=code)
+    return code
 
 
 def _refuse_number_twice(given: Any) -> Any:
@@ -161,9 +196,14 @@ numbered: Final = BeforeValidator(_refuse_number_twice)
 Words = Annotated[str, Reads(read_words)]
 Flag = Annotated[bool, Reads(_read_flag)]
 CodeNumber = Annotated[Code, Reads(read_code)]
+DescribedCode = Annotated[Code, Reads(_read_described, informed=True)]
+WritableCode = Annotated[Code, Reads(_read_writable, informed=True)]
+ShownCode = Annotated[Code, Reads(_read_shown, informed=True)]
+"""A code that is read without a request: every user sees its value."""
+WordCode = Annotated[Code, Reads(_read_word_code, informed=True)]
 Number = Annotated[Decimal, Reads(read_number)]
 BothLanguages = Annotated[Text, Reads(_read_both)]
-Source = Annotated[str, Reads(_read_source, sourced=True)]
+Source = Annotated[str, Reads(_read_source, informed=True)]
 """Section of the manual; kept with the manual's name before it."""
 WordNumber = Annotated[int, whole(0, WORD_MAX)]
 WordValue = Annotated[Value, Reads(lambda given: Value.decimal(whole_number(given, 0, WORD_MAX)))]

@@ -18,18 +18,19 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Final
 
-from pydantic import Field
+from pydantic import Field, ValidationInfo
 
 from lecombus.protocol.addressing import Code
 
 from .codes import CodeInfo, Storage, WriteClass
-from .field_types import CodeNumber, Source, WordNumber, Words
-from .yaml_models import FILE_TABLE
+from .field_types import DescribedCode, Source, WordNumber, Words
+from .yaml_models import FILE_TABLE, ReadAs, mistake, reading_of
 
 if TYPE_CHECKING:
     from .family import Family
 
 __all__ = [
+    "RESTORE",
     "RestoreRule",
     "RestoreWord",
     "is_last",
@@ -71,10 +72,28 @@ class RestoreRule:
     __pydantic_config__ = FILE_TABLE
 
     word: Annotated[RestoreWord, Field(alias="rule")]
-    codes: tuple[CodeNumber, ...]
+    codes: tuple[DescribedCode, ...]
     because: Words
     value: WordNumber | None = None
     source: Source
+
+
+def _check_rules(rules: tuple[RestoreRule, ...], info: ValidationInfo) -> tuple[RestoreRule, ...]:
+    for place, rule in enumerate(rules):
+        if (rule.value is not None) != (rule.word is RestoreWord.SAVE):
+            raise mistake("value belongs to the rule save, and only there", place)
+        for code in rule.codes:
+            described: CodeInfo | None = reading_of(info).codes.get(code)
+            if described is not None and described.parameter_set != 1:
+                raise mistake(f"a rule for {code} is written for parameter set 1", place, code=code)
+            saves = described is not None and described.write_class is WriteClass.SAVE
+            if rule.word is RestoreWord.SAVE and not saves:
+                raise mistake(f"{code} does not save", place, code=code)
+    return rules
+
+
+RESTORE = ReadAs(tuple[RestoreRule, ...], _check_rules, informed=True)
+"""Reads the section `restore`."""
 
 
 DELICATE: Final = {

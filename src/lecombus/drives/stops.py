@@ -27,13 +27,14 @@ from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 
 from .commands import INHIBIT
-from .field_types import WORD_MAX, CodeNumber, Source, WordNumber, WordValue, whole
-from .yaml_models import FILE_TABLE, ReadAs, mistake
+from .field_types import WORD_MAX, DescribedCode, Source, WordNumber, WordValue, WritableCode, whole
+from .yaml_models import FILE_TABLE, ReadAs, mistake, without_keys
 
 if TYPE_CHECKING:
     from .family import Family
 
 __all__ = [
+    "STOPS",
     "Proofs",
     "StopAction",
     "StopProof",
@@ -97,7 +98,7 @@ class StopProof:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Proof(StopProof):
     mask: Mask | None = None
-    code: CodeNumber
+    code: DescribedCode
 
 
 def _by_code(entries: tuple[_Proof, ...]) -> dict[Code, StopProof]:
@@ -128,12 +129,32 @@ class StopRule:
 
     __pydantic_config__ = FILE_TABLE
 
-    code: CodeNumber
+    code: WritableCode
     value: WordValue | None = None
     set_mask: Annotated[Mask, Field(alias="set")] = 0
     clear_mask: Annotated[WordNumber, Field(alias="clear")] = 0
     proofs: Proofs
     source: Source
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Entry(StopRule):
+    action: StopAction
+
+
+def _by_action(entries: tuple[_Entry, ...]) -> dict[StopAction, StopRule]:
+    stops: dict[StopAction, StopRule] = {}
+    for place, entry in enumerate(entries):
+        if (entry.value is None) == (not entry.set_mask):
+            raise mistake("either value or set is right here", place)
+        if entry.action in stops:
+            raise mistake(f"{entry.action} is given twice", place)
+        stops[entry.action] = without_keys(StopRule, entry)
+    return stops
+
+
+STOPS = ReadAs(tuple[_Entry, ...], _by_action)
+"""Reads the section `stops`."""
 
 
 def knows_stop(family: Family, action: StopAction) -> bool:

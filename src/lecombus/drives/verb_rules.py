@@ -14,16 +14,18 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated, Final
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, ValidationInfo
 
 from lecombus.protocol.values import Value
 
+from .commands import INHIBIT, QUICK_STOP
 from .field_types import (
-    CodeNumber,
+    DescribedCode,
     Number,
     Source,
     Words,
     WordValue,
+    WritableCode,
     ends,
     whole,
     whole_number,
@@ -40,6 +42,7 @@ __all__ = [
     "SetpointRule",
     "Verb",
     "VerbRules",
+    "check_control",
 ]
 
 
@@ -85,7 +88,7 @@ class Condition:
 
     __pydantic_config__ = FILE_TABLE
 
-    code: CodeNumber
+    code: DescribedCode
     values: frozenset[Annotated[int, whole(0, HIGHEST_SETTING)]]
     digit: Annotated[int, Reads(_read_digit)] = 0
 
@@ -139,7 +142,7 @@ class EnableRule:
 
     __pydantic_config__ = FILE_TABLE
 
-    code: CodeNumber
+    code: WritableCode
     value: WordValue
     proofs: Proofs
     otherwise: Words
@@ -160,9 +163,9 @@ class ResetRule:
 
     __pydantic_config__ = FILE_TABLE
 
-    code: CodeNumber | None = None
+    code: WritableCode | None = None
     value: WordValue | None = None
-    number: CodeNumber
+    number: DescribedCode
     source: Source
 
 
@@ -206,15 +209,21 @@ class SetpointRule:
 
     __pydantic_config__ = FILE_TABLE
 
-    code: CodeNumber
+    code: WritableCode
     unit: Annotated[str, Reads(_read_unit)]
     low: Annotated[Number, LOW]
     high: Annotated[Number, HIGH]
     step: Number | None = None
-    least: CodeNumber | None = None
-    full_scale: CodeNumber | None = None
+    least: DescribedCode | None = None
+    full_scale: DescribedCode | None = None
     when: Annotated[Condition, AfterValidator(_check_condition)] | None = None
     source: Source
+
+
+def _check_reset(rule: ResetRule) -> ResetRule:
+    if (rule.code is None) != (rule.value is None):
+        raise mistake("code and value belong together; without them, an enable resets the fault")
+    return rule
 
 
 def _check_setpoint(rule: SetpointRule) -> SetpointRule:
@@ -239,8 +248,17 @@ class VerbRules:
 
     __pydantic_config__ = FILE_TABLE
 
-    control: CodeNumber
+    control: WritableCode
     demands: tuple[Annotated[Demand, ReadAs(_DemandEntry, _DemandEntry.demand)], ...] = ()
     enable: EnableRule
-    reset: ResetRule
+    reset: Annotated[ResetRule, AfterValidator(_check_reset)]
     setpoints: tuple[Annotated[SetpointRule, RANGE, AfterValidator(_check_setpoint)], ...]
+
+
+def check_control(rules: VerbRules, info: ValidationInfo) -> VerbRules:
+    """Refuse rules whose control word lacks the bits that verbs change."""
+    word = info.data.get("control_words", {}).get("", {}).get(rules.control)
+    if word is None or not {QUICK_STOP, INHIBIT} <= word.bits.keys():
+        message = f"{rules.control} is no control word with bits {QUICK_STOP} and {INHIBIT}"
+        raise mistake(message, "control")
+    return rules

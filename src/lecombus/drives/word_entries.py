@@ -13,18 +13,17 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Final, TypeVar
 
-from pydantic import BeforeValidator, Discriminator, Tag
+from pydantic import BeforeValidator, Discriminator, Tag, ValidationInfo
 
 from lecombus.protocol.addressing import Code
 
-from .codes import CodeInfo
 from .commands import ControlWordInfo
-from .field_types import CodeNumber, Source, Words, numbered, read_words
+from .field_types import Source, WordCode, Words, numbered, read_words
 from .operating import OperatingState, StateRule
 from .words import Bit, WordField, WordFieldEntry, WordInfo
-from .yaml_models import FILE_TABLE, Place, Reads, mistake, without_keys
+from .yaml_models import FILE_TABLE, ReadAs, Reads, mistake, without_keys
 
-__all__ = ["ControlWordEntry", "WordBook", "WordEntry"]
+__all__ = ["CONTROL_WORDS", "STATUS_WORDS"]
 
 CONFIGURATION: Final = re.compile(r"[0-9x]{1,5}")
 """A signal configuration as the manual writes it: `1xx1`, any digit for an x."""
@@ -34,6 +33,7 @@ _STATE: Final = re.compile(r"(?P<no>not )?(?P<name>\w+)(?: = (?P<number>\d+))?",
 GENERAL: Final = ""
 CONTROL_BITS: Final = frozenset(range(16))
 
+Mistake = tuple[str, *tuple[str | int, ...]]
 AnyWord = TypeVar("AnyWord", WordInfo, ControlWordInfo)
 
 
@@ -72,7 +72,7 @@ class WordEntry:
 
     __pydantic_config__ = FILE_TABLE
 
-    code: CodeNumber
+    code: WordCode
     configuration: Configurations = (GENERAL,)
     bits: Annotated[Mapping[Bit, Words], numbered]
     fields: tuple[FieldOrName, ...] = ()
@@ -89,110 +89,96 @@ class ControlWordEntry(ControlWordInfo):
     configuration: Configurations = (GENERAL,)
 
 
-class WordBook:
-    """The words of one family while its files are read.
-
-    Args:
-        shared: The fields that several words name.
-        codes: The family's described codes.
-    """
-
-    def __init__(self, shared: Mapping[str, WordField], codes: Mapping[Code, CodeInfo]) -> None:
-        self._codes = codes
-        self._shared = shared
-        self._words: dict[str, dict[Code, WordInfo]] = {GENERAL: {}}
-        self._controls: dict[str, dict[Code, ControlWordInfo]] = {GENERAL: {}}
-
-    def add_word(self, at: Place, entry: WordEntry) -> None:
-        """Take one entry of `words`.
-
-        Raises:
-            DescriptionError: It contradicts itself or another entry.
-        """
-        self._check_is_word(at, entry.code)
-        fields = tuple(self._field(at, number, one) for number, one in enumerate(entry.fields))
-        numbers = sorted(entry.bits.items())
+def _status_words(
+    entries: tuple[WordEntry, ...], info: ValidationInfo
+) -> dict[str, dict[Code, WordInfo]]:
+    known: dict[str, dict[Code, WordInfo]] = {GENERAL: {}}
+    shared = {field.name: field for field in info.data.get("fields", ())}
+    for place, entry in enumerate(entries):
+        fields = []
+        for number, one in enumerate(entry.fields):
+            if isinstance(one, str) and one not in shared:
+                message = f"there is no field {one}; {', '.join(shared) or 'none'} are shared"
+                raise mistake(message, place, "fields", number)
+            fields.append(shared[one] if isinstance(one, str) else one)
         word = WordInfo(
-            bits=tuple((name, 1 << bit) for bit, name in numbers),
-            fields=fields,
+            bits=tuple((name, 1 << bit) for bit, name in sorted(entry.bits.items())),
+            fields=tuple(fields),
             fault_mask=0 if entry.fault_bit is None else 1 << entry.fault_bit,
             source=entry.source,
-            states=tuple(_states(at, entry, fields)),
+            states=tuple(_states(entry, fields, place)),
             free=entry.free,
         )
-        if len(set(entry.bits.values())) < len(entry.bits):
-            at.fail("two bits have one name", "bits")
-        for field in fields:
-            if any(field.low <= bit <= field.high for bit in entry.bits):
-                at.fail(f"a bit of {field.name} has a name of its own", "bits")
-        for number, bit in enumerate(entry.free):
-            if bit in word.described_bits:
-                at.fail(f"bit {bit} has a meaning: it is not free", "free", number)
-        for name in entry.configuration:
-            _put(at, self._words, name, entry.code, word, _joined)
+        for message, *below in _wrong_bits(entry, word):
+            raise mistake(message, place, *below)
+        _put(known, entry, word, _joined, place)
+    return _with_general(known)
 
-    def add_control_word(self, at: Place, entry: ControlWordEntry) -> None:
-        """Take one entry of `control_words`.
 
-        Raises:
-            DescriptionError: It contradicts itself or another entry.
-        """
-        self._check_is_word(at, entry.code)
-        word = without_keys(ControlWordInfo, entry)
-        for number, field in enumerate(word.fields):
-            if field in word.bits:
-                at.fail(f"{field} stands here twice", "fields", number)
-        for name in entry.configuration:
-            _put(at, self._controls, name, entry.code, word, _joined_control)
-            _check_whole(at, self._controls[name][entry.code])
+def _control_words(
+    entries: tuple[ControlWordEntry, ...],
+) -> dict[str, dict[Code, ControlWordInfo]]:
+    known: dict[str, dict[Code, ControlWordInfo]] = {GENERAL: {}}
+    for place, entry in enumerate(entries):
+        for number, name in enumerate(entry.fields):
+            if name in entry.bits:
+                raise mistake(f"{name} stands here twice", place, "fields", number)
+        _put(known, entry, without_keys(ControlWordInfo, entry), _joined_control, place)
+        for configuration in entry.configuration:
+            every = known[configuration][entry.code].every_bit
+            for bit in sorted(CONTROL_BITS | set(every)):
+                if every.count(bit) != 1:
+                    none = "no meaning: named, field, free, reserved?"
+                    times = "two meanings" if bit in every else none
+                    raise mistake(f"bit {bit} has {times}", place, code=entry.code)
+    return _with_general(known)
 
-    @property
-    def configurations(self) -> tuple[str, ...]:
-        """The signal configurations that have words of their own."""
-        return tuple(sorted((self._words.keys() | self._controls.keys()) - {GENERAL}))
 
-    def words(self, configuration: str = GENERAL) -> dict[Code, WordInfo]:
-        """Return the status words of a configuration."""
-        return self._words[GENERAL] | self._words.get(configuration, {})
+STATUS_WORDS = ReadAs(tuple[WordEntry, ...], _status_words, informed=True)
+CONTROL_WORDS = ReadAs(tuple[ControlWordEntry, ...], _control_words)
+"""Read the sections `words` and `control_words`, by signal configuration; empty: any."""
 
-    def control_words(self, configuration: str = GENERAL) -> dict[Code, ControlWordInfo]:
-        """Return the control words of a configuration."""
-        return self._controls[GENERAL] | self._controls.get(configuration, {})
 
-    def _check_is_word(self, at: Place, code: Code) -> None:
-        if code not in self._codes or self._codes[code].hex_digits is None:
-            at.fail(f"{code} is not described as a word (VH)", code=str(code))
+def _with_general(known: dict[str, dict[Code, AnyWord]]) -> dict[str, dict[Code, AnyWord]]:
+    """Add to the words of each configuration those that hold for every drive."""
+    return {name: known[GENERAL] | words for name, words in known.items()}
 
-    def _field(self, at: Place, number: int, field: str | WordField) -> WordField:
-        if isinstance(field, WordField):
-            return field
-        if field not in self._shared:
-            known = ", ".join(self._shared) or "none"
-            at.fail(f"there is no field {field}; {known} are shared", "fields", number)
-        return self._shared[field]
+
+def _wrong_bits(entry: WordEntry, word: WordInfo) -> Iterator[Mistake]:
+    if len(set(entry.bits.values())) < len(entry.bits):
+        yield "two bits have one name", "bits"
+    for field in word.fields:
+        if any(field.low <= bit <= field.high for bit in entry.bits):
+            yield f"a bit of {field.name} has a name of its own", "bits"
+    for number, bit in enumerate(entry.free):
+        if bit in word.described_bits:
+            yield f"bit {bit} has a meaning: it is not free", "free", number
 
 
 def _put(
-    at: Place,
     known: dict[str, dict[Code, AnyWord]],
-    configuration: str,
-    code: Code,
+    entry: WordEntry | ControlWordEntry,
     word: AnyWord,
     join: Callable[[AnyWord, AnyWord], AnyWord],
+    place: int,
 ) -> None:
-    """Take a word of one configuration, joined with what holds for every drive."""
-    words, general = known.setdefault(configuration, {}), known[GENERAL].get(code)
-    if code in words:
-        at.fail(f"{code} is described twice", code=str(code))
-    if configuration == GENERAL:
-        words[code] = word
-        return
-    if general is None:
-        at.fail(f"{code} has no entry without configuration before this one", code=str(code))
-    wrong = set(word.every_bit) - set(general.free)
-    if wrong:
-        at.fail(f"bit {min(wrong)} is not free, so no configuration gives it a meaning")
-    words[code] = join(general, word)
+    """Take a word for each of its configurations, joined with what holds for every drive."""
+    code = entry.code
+    for configuration in entry.configuration:
+        words, general = known.setdefault(configuration, {}), known[GENERAL].get(code)
+        if code in words:
+            raise mistake(f"{code} is described twice", place, code=code)
+        if configuration == GENERAL:
+            words[code] = word
+            continue
+        if general is None:
+            message = f"{code} has no entry without configuration before this one"
+            raise mistake(message, place, code=code)
+        wrong = set(word.every_bit) - set(general.free)
+        if wrong:
+            message = f"bit {min(wrong)} is not free, so no configuration gives it a meaning"
+            raise mistake(message, place)
+        words[code] = join(general, word)
 
 
 def _joined(general: WordInfo, extra: WordInfo) -> WordInfo:
@@ -214,34 +200,24 @@ def _joined_control(general: ControlWordInfo, extra: ControlWordInfo) -> Control
     )
 
 
-def _check_whole(at: Place, word: ControlWordInfo) -> None:
-    """Refuse a control word of which a bit has two meanings, or none."""
-    every = word.every_bit
-    for bit in sorted(CONTROL_BITS | set(every)):
-        if every.count(bit) != 1:
-            times = "two meanings" if bit in every else "no meaning: named, field, free, reserved?"
-            at.fail(f"bit {bit} has {times}", code=str(word.code))
-
-
-def _states(at: Place, entry: WordEntry, fields: tuple[WordField, ...]) -> Iterator[StateRule]:
+def _states(entry: WordEntry, fields: list[WordField], place: int) -> Iterator[StateRule]:
     """Return what shows which state: a bit, `not` a bit, or a number of a field."""
     known = {field.name: field for field in fields}
     masks = {name: 1 << bit for bit, name in entry.bits.items()}
     for state, conditions in (entry.states or {}).items():
-        for place, condition in enumerate(conditions):
+        for number, condition in enumerate(conditions):
+            path = (place, "states", state, number)
             match = _STATE.fullmatch(condition)
-            name, number = (match["name"], match["number"]) if match else ("", None)
-            if match and name in masks and number is None:
+            name, shown = (match["name"], match["number"]) if match else ("", None)
+            if match and name in masks and shown is None:
                 yield StateRule(state, masks[name], 0 if match["no"] else masks[name])
-            elif match and name in known and number and not match["no"]:
+            elif match and name in known and shown and not match["no"]:
                 field = known[name]
-                if int(number) not in field.texts:
-                    why = f"{name} has no text for {number}, so it shows no state"
-                    at.fail(why, "states", state, place)
-                yield StateRule(state, field.mask, int(number) << field.low)
+                if int(shown) not in field.texts:
+                    message = f"{name} has no text for {shown}, so it shows no state"
+                    raise mistake(message, *path)
+                yield StateRule(state, field.mask, int(shown) << field.low)
             else:
-                at.fail(
-                    f"{condition}: a bit, `not` and a bit, or a field as in `{state} = 8` "
-                    f"is right here; {', '.join((*masks, *known))} are known",
-                    "states", state, place,
-                )  # fmt: skip
+                right = "a bit, `not` and a bit, or a field as in `{state} = 8` is right here"
+                names = ", ".join((*masks, *known))
+                raise mistake(f"{condition}: {right}; {names} are known", *path)

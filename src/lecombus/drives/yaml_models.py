@@ -8,33 +8,33 @@ validates. Pydantic reports a mistake by its path; the node at that path has the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+import io
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cache
-from typing import Annotated, Any, Final, NoReturn, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Final, TypeVar, get_args, get_type_hints
 
 import yaml
-from pydantic import AliasPath, ConfigDict, GetCoreSchemaHandler, TypeAdapter, ValidationError
+from pydantic import (
+    AliasPath,
+    ConfigDict,
+    GetCoreSchemaHandler,
+    TypeAdapter,
+    ValidationError,
+    ValidationInfo,
+)
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError
 from pydantic_core.core_schema import (
     no_info_after_validator_function,
     no_info_plain_validator_function,
+    with_info_after_validator_function,
     with_info_plain_validator_function,
 )
 
 from lecombus.errors import DescriptionError
 
-__all__ = [
-    "FILE_TABLE",
-    "Document",
-    "Place",
-    "Quoted",
-    "ReadAs",
-    "Reads",
-    "mistake",
-    "without_keys",
-]
+__all__ = ["FILE_TABLE", "Document", "Quoted", "ReadAs", "Reading", "Reads", "mistake"]
 
 LOADER: type = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
@@ -57,24 +57,48 @@ class Quoted(str):
     __slots__ = ()
 
 
+@dataclass(slots=True)
+class Reading:
+    """What is known while a document is read, for the validators of its fields.
+
+    Args:
+        manual: The manual that its sources stand in.
+        codes: The described codes of the family; empty until they are read.
+    """
+
+    manual: str = ""
+    codes: Mapping[Any, Any] = field(default_factory=dict)
+
+    def write_class(self, code: object) -> object:
+        """Return a code's write class; None where it is not described."""
+        return getattr(self.codes.get(code), "write_class", None)
+
+
+def reading_of(info: ValidationInfo) -> Reading:
+    """Return what is known while a document is read."""
+    reading: Any = info.context
+    assert isinstance(reading, Reading)
+    return reading
+
+
 @dataclass(frozen=True)
 class Reads:
     """Marks a field that a function reads; pydantic's own `PlainValidator` takes twice as long.
 
     Args:
-        read: Makes the value of the plain data; given the manual's name too if `sourced`.
+        read: Makes the value of the plain data; it is given the `Reading` too if `informed`.
     """
 
     read: Callable[..., object]
-    sourced: bool = False
+    informed: bool = False
 
     def __get_pydantic_core_schema__(self, _: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Validate by the function alone."""
-        if self.sourced:
-            return with_info_plain_validator_function(
-                lambda given, info: self.read(given, info.context)
-            )
-        return no_info_plain_validator_function(self.read)
+        if not self.informed:
+            return no_info_plain_validator_function(self.read)
+        return with_info_plain_validator_function(
+            lambda given, info: self.read(given, info.context)
+        )
 
 
 @dataclass(frozen=True)
@@ -83,50 +107,41 @@ class ReadAs:
 
     Args:
         form: The type that the file is read into.
-        made: Makes the value of it.
+        made: Makes the value of it; it is given pydantic's `ValidationInfo` too if `informed`.
     """
 
     form: Any
-    made: Callable[[Any], object]
+    made: Callable[..., object]
+    informed: bool = False
 
     def __get_pydantic_core_schema__(self, _: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Validate the file's form, then make the value."""
-        return no_info_after_validator_function(self.made, handler.generate_schema(self.form))
+        form = handler.generate_schema(self.form)
+        if self.informed:
+            return with_info_after_validator_function(self.made, form)
+        return no_info_after_validator_function(self.made, form)
 
 
-def mistake(message: str, *below: int | str) -> PydanticCustomError:
+def mistake(message: str, *below: int | str, code: object = "") -> PydanticCustomError:
     """Return the error that a validator raises.
 
     Args:
         message: What is wrong and what would be right.
         below: Path of the wrong value below the one that is validated.
+        code: The code concerned, if any.
     """
-    return PydanticCustomError("mistake", "{message}", {"message": message, "below": below})
+    found = {"message": message, "below": below, "code": str(code)}
+    return PydanticCustomError("mistake", "{message}", found)
 
 
-def without_keys(kind: type[T], entry: T) -> T:
-    """Return what a file's entry describes, without the keys that its subclass adds."""
-    return kind(**{one.name: getattr(entry, one.name) for one in fields(kind)})  # type: ignore[arg-type]
-
-
-@dataclass(frozen=True, slots=True)
-class Place:
-    """A value of a document, by its path."""
-
-    document: Document
-    path: Path
-
-    def fail(self, message: str, *below: int | str, code: str = "") -> NoReturn:
-        """Refuse this value, or one below it.
-
-        Raises:
-            DescriptionError: Always.
-        """
-        raise self.document.error(message, *self.path, *below, code=code)
+def without_keys(kind: type[T], entry: object) -> T:
+    """Return what an entry of a file describes, without the keys that only the file has."""
+    given: Any = kind
+    return kind(**{one.name: getattr(entry, one.name) for one in fields(given) if one.init})
 
 
 class Document:
-    """A YAML file.
+    """A YAML file, or a file with those it includes.
 
     Args:
         text: Its content.
@@ -141,47 +156,82 @@ class Document:
     def __init__(self, text: str, file: str, *, family: str = "", untrusted: bool = False) -> None:
         self._file = file
         self._family = family
-        self._root: yaml.Node | None = None
         try:
             if untrusted:
                 self._refuse_deep(text)
-            self._root = yaml.compose(text, Loader=LOADER)
+            root = yaml.compose(_Stream(text, file), Loader=LOADER)
         except yaml.YAMLError as exc:
             problem = getattr(exc, "problem", None) or exc
             mark = getattr(exc, "problem_mark", None)
             raise self._error_at(f"this is no YAML: {problem}", mark) from exc
-        if self._root is None:
+        if root is None:
             raise self._error_at("the file is empty", None)
-        self._done: dict[int, object] = {}  # an alias is the same node again
-        data = self._plain(self._root)
-        if not isinstance(data, dict):
-            raise self.error(TABLE_RIGHT)
-        self.data: Mapping[str, Any] = data
+        if not isinstance(root, yaml.MappingNode):
+            raise self._error_at(TABLE_RIGHT, root.start_mark)
+        self._root = root
+        self._done: dict[int, Any] = {}  # an alias is the same node again
 
-    def read(self, kind: type[T], *, manual: str = "") -> T:
+    @property
+    def data(self) -> dict[str, Any]:
+        """The document as plain data: every scalar is its text."""
+        return self._plain_table(self._root)
+
+    def texts(self, key: str) -> list[str]:
+        """Return the texts of a list at the top, as far as they are any."""
+        node = self._node((key,))
+        items = node.value if isinstance(node, yaml.SequenceNode) else ()
+        return [one.value for one in items if isinstance(one, yaml.ScalarNode)]
+
+    def include(self, other: Document, lists: Collection[str]) -> None:
+        """Add the keys of another document.
+
+        Args:
+            other: The other document.
+            lists: Keys that both may have; their lists are joined.
+
+        Raises:
+            DescriptionError: Both give another key than these.
+        """
+        own = {key.value: value for key, value in self._root.value}
+        for key, value in other._root.value:
+            if key.value not in own:
+                self._root.value.append((key, value))
+            elif key.value not in lists:
+                raise self.error(f"{key.value} is also given by an included file", key.value)
+            elif isinstance(value, yaml.SequenceNode):
+                own[key.value].value += value.value
+            else:
+                raise self._error_at(LIST_RIGHT, value.start_mark)
+        self._done.clear()
+
+    def read(self, kind: type[T]) -> T:
         """Validate the document.
 
         Args:
             kind: Its model.
-            manual: The manual that its sources stand in.
 
         Raises:
-            DescriptionError: Something in it is wrong; of several mistakes the first in the file.
+            DescriptionError: Something in it is wrong; of several mistakes the first.
         """
         model: Any = kind
+        reading = Reading(str(self.data.get("manual", "")))
         try:
-            found: T = _validator(model).validate_python(self.data, context=manual)
+            found: T = _validator(model).validate_python(self.data, context=reading)
         except ValidationError as exc:
             mistakes = [(_path(one), one) for one in exc.errors(include_url=False)]
         else:
             return found
-        path, first = min(mistakes, key=lambda one: self._position(one[0]))
-        raise self.error(_message(first, kind), *path, value=first["input"])
+        # Sections depend on those before them: the first section that is wrong is the one to mend.
+        section = mistakes[0][0][:1]
+        own = [one for one in mistakes if one[0][:1] == section]
+        path, first = min(own, key=lambda one: _order(self._node(one[0]).start_mark))
+        code = first.get("ctx", {}).get("code", "")
+        raise self.error(_message(first, kind), *path, code=code, value=first["input"])
 
     def place(self, *path: int | str) -> str:
         """Return where a value stands: `FILE:LINE:COLUMN`."""
-        line, column = self._position(path)
-        return f"{self._file}:{line}:{column}"
+        mark = self._node(path).start_mark
+        return f"{mark.name}:{mark.line + 1}:{mark.column + 1}"
 
     def error(
         self, message: str, *path: int | str, code: str = "", value: object = None
@@ -194,7 +244,7 @@ class Document:
     ) -> DescriptionError:
         return DescriptionError(
             message,
-            file=self._file,
+            file=mark.name if mark else self._file,
             where=f"{mark.line + 1}:{mark.column + 1}" if mark else "",
             drive_type=self._family,
             code=code,
@@ -202,17 +252,12 @@ class Document:
             value=value,
         )
 
-    def _position(self, path: Path) -> tuple[int, int]:
-        mark = self._node(path).start_mark
-        return mark.line + 1, mark.column + 1
-
-    def _node(self, path: Path) -> yaml.Node:
+    def _node(self, path: Path) -> Any:
         """Find the node at a path, passing over the steps that the file does not have.
 
         Such steps are a key that is missing, whose table is then meant, and the branch of a union.
         """
-        assert self._root is not None
-        node = self._root
+        node: Any = self._root
         for number, step in enumerate(path):
             if isinstance(node, yaml.MappingNode):
                 for key, value in node.value:
@@ -223,19 +268,25 @@ class Document:
                 node = node.value[step]
         return node
 
-    def _plain(self, node: yaml.Node) -> object:
+    def _plain(self, node: Any) -> object:
         """Turn a node into a dictionary, a list or the text of a scalar."""
         if isinstance(node, yaml.ScalarNode):
             return Quoted(node.value) if node.style else node.value
+        if isinstance(node, yaml.MappingNode):
+            return self._plain_table(node)
         if id(node) in self._done:
             return self._done[id(node)]
-        if isinstance(node, yaml.SequenceNode):
-            items: list[object] = []
-            self._done[id(node)] = items
-            items += map(self._plain, node.value)
-            return items
-        table: dict[str, object] = {}
-        self._done[id(node)] = table
+        items: list[object] = []
+        self._done[id(node)] = items
+        items += map(self._plain, node.value)
+        return items
+
+    def _plain_table(self, node: Any) -> dict[str, Any]:
+        table: dict[str, Any]
+        if id(node) in self._done:
+            table = self._done[id(node)]
+            return table
+        table = self._done[id(node)] = {}
         for key, value in node.value:
             if not isinstance(key, yaml.ScalarNode):
                 raise self._error_at(TEXT_RIGHT, key.start_mark)
@@ -247,12 +298,20 @@ class Document:
     def _refuse_deep(self, text: str) -> None:
         """Refuse a text that nests deeper than any such file: the composer recurses, in C too."""
         depth = 0
-        for event in yaml.parse(text, Loader=LOADER):
+        for event in yaml.parse(_Stream(text, self._file), Loader=LOADER):
             depth += isinstance(event, yaml.CollectionStartEvent)
             depth -= isinstance(event, yaml.CollectionEndEvent)
             if depth > DEEPEST:
                 message = f"lists and tables nest more than {DEEPEST} deep here"
                 raise self._error_at(message, event.start_mark)
+
+
+class _Stream(io.StringIO):
+    """A text whose nodes know the name of their file."""
+
+    def __init__(self, text: str, name: str) -> None:
+        super().__init__(text)
+        self.name = name
 
 
 @cache
@@ -273,6 +332,10 @@ MESSAGES: Final = {
 """What is right where pydantic found something of another kind."""
 
 
+def _order(mark: Any) -> tuple[int, int]:
+    return mark.line, mark.column
+
+
 def _path(error: ErrorDetails) -> Path:
     """Return the path of the wrong value, of a key that is not known the key's."""
     path = error["loc"] + tuple(error.get("ctx", {}).get("below", ()))
@@ -285,19 +348,23 @@ def _message(error: ErrorDetails, kind: type) -> str:
     if error["type"] == "missing":
         return f"{last} is missing"
     if error["type"] == "unexpected_keyword_argument":
-        return f"{last} is not known here; {', '.join(sorted(_known_keys(kind, above)))} are"
-    if error["type"] in ("enum", "literal_error"):
+        return f"{last} is not known here; {', '.join(sorted(_keys(kind, above)))} are"
+    if error["type"] == "enum":
         expected = error["ctx"]["expected"].replace(" or ", ", ").replace("'", "")
         return f"{error['input']} is not known here; {expected} are"
     return MESSAGES.get(error["type"], error["msg"])
 
 
-def _known_keys(kind: type, path: list[int | str]) -> dict[str, Any]:
-    """Return the keys of the table at a path with their types."""
-    known = _keys(kind)
-    for step in path:
-        table = _table_in(known.get(str(step)))
-        known = _keys(table) if table is not None else known
+def _keys(kind: Any, path: list[int | str]) -> dict[str, Any]:
+    """Return the keys of the table at a path, with their types."""
+    for step in (*path, None):
+        known: dict[str, Any] = {}
+        for name, hint in get_type_hints(kind, include_extras=True).items():
+            marks = getattr(hint, "__metadata__", ())
+            aliases = [one.validation_alias for one in marks if isinstance(one, FieldInfo)]
+            alias = aliases[0] if aliases else name
+            known[str(alias.path[0] if isinstance(alias, AliasPath) else alias)] = hint
+        kind = _table_in(known.get(str(step))) or kind
     return known
 
 
@@ -308,17 +375,4 @@ def _table_in(kind: Any) -> Any:
             return _table_in(mark.form)
     if is_dataclass(kind):
         return kind
-    return next((found for one in get_args(kind) if (found := _table_in(one)) is not None), None)
-
-
-def _keys(table: Any) -> dict[str, Any]:
-    """Return the keys of a dataclass's table: the names of its fields, or their aliases."""
-    keys: dict[str, Any] = {}
-    for name, kind in get_type_hints(table, include_extras=True).items():
-        alias: Any = name
-        marks = get_args(kind)[1:] if get_origin(kind) is Annotated else ()
-        for mark in marks:
-            if isinstance(mark, FieldInfo) and mark.validation_alias is not None:
-                alias = mark.validation_alias
-        keys[str(alias.path[0] if isinstance(alias, AliasPath) else alias)] = kind
-    return keys
+    return next((found for one in get_args(kind) if (found := _table_in(one))), None)

@@ -126,7 +126,7 @@ def load_table(name: str, read_file: ReadFile) -> FaultTable:
         DescriptionError: The file is missing, or says something that cannot be.
     """
     document = open_document(name, read_file)
-    file = document.read(_FaultsFile, manual=str(document.data.get("manual", "")))
+    file = document.read(_FaultsFile)
     if file.table != name:
         raise document.error(f"the file is named {name}.yaml: table must be {name}", "table")
     return FaultTable(
@@ -179,8 +179,7 @@ def load_link_report(read_file: ReadFile) -> LinkReport:
         DescriptionError: The file is missing, or says something that cannot be.
     """
     document = open_document("extended", read_file)
-    manual = str(document.data.get("manual", ""))
-    file = document.read(_LinkReportFile, manual=manual)
+    file = document.read(_LinkReportFile)
 
     extended = _by_number(document, "extended", file.extended)
     for place, fault in enumerate(file.extended):
