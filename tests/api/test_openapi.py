@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
+from openapi_schema_validator import OAS31Validator
 from openapi_spec_validator import validate
 
 from lecombus.api.idempotency import KEY_CHARS
@@ -15,6 +18,8 @@ from lecombus.api.openapi import text_of
 from support.api_line import Line
 
 pytestmark = pytest.mark.anyio
+
+API_DOC = (Path(__file__).parents[2] / "docs" / "api.md").read_text()
 
 
 @pytest.fixture
@@ -76,3 +81,41 @@ def test_a_key_is_described_with_its_bounds(document: dict[str, Any]) -> None:
     assert keys
     for schema in keys:
         assert (schema["minLength"], schema["maxLength"]) == (1, KEY_CHARS)
+
+
+def examples() -> Iterator[tuple[str, str, Any]]:
+    """Yield method, path and answer of each example in docs/api.md that is shown in full."""
+    shown = re.compile(r"^\$ ((?:ask|curl) (?:.*\\\n)*.*)\n(\{.*)$", re.MULTILINE)
+    for call, answer in shown.findall(API_DOC):
+        path = re.search(r"http://[^/]+(/[^?'\s]*)", call)
+        assert path is not None, call
+        method = re.search(r"-X (\w+)", call)
+        if ", ..]" not in answer:
+            yield ("GET" if method is None else method[1]), path[1], json.loads(answer)
+
+
+def described(document: dict[str, Any], method: str, path: str) -> dict[str, Any]:
+    for template, operations in document["paths"].items():
+        pattern = re.sub(r"\{\w+\}", "[^/]+", template)
+        if re.fullmatch(pattern, path) and method.lower() in operations:
+            found: dict[str, Any] = operations[method.lower()]
+            return found
+    raise AssertionError(f"{method} {path} is not described")
+
+
+def test_examples_of_the_documentation_are_as_described(document: dict[str, Any]) -> None:
+    shown = list(examples())
+    assert len(shown) > 12
+    for method, path, answer in shown:
+        responses = described(document, method, path)["responses"]
+        status = "default" if "status" in answer else "200"
+        (content,) = responses[status]["content"].values()
+        schema = {**content["schema"], "components": document["components"]}
+        OAS31Validator(schema).validate(answer)
+
+
+def test_the_documentation_lists_every_path(document: dict[str, Any]) -> None:
+    for path in document["paths"]:
+        written = path.replace("/codes/{code}/{subcode}", "/codes/{code}[/{subcode}]")
+        written = written.replace("/drives/{drive}/accept", "../accept").replace("/v1..", "..")
+        assert f"{written}`" in API_DOC or f"{written}[/{{subcode}}]`" in API_DOC, path
