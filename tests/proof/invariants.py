@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
+from collections.abc import Callable
 
 from lecombus.line.observer import ExchangeReport
 from lecombus.planning import make_promises
@@ -87,6 +88,10 @@ class Invariants:
         self._begun = True
         self.turns.begin()
         self.promises.begin(self._now(), settled=settled)
+
+    def let_pause(self, paused_s: Callable[[float, float], float]) -> None:
+        """The daemon will not run now and then; `paused_s` tells for how long of a stretch."""
+        self._stops.paused_s = paused_s
 
     def end(self) -> None:
         """Look at what can only be judged at the end."""

@@ -105,12 +105,15 @@ class RandomLine:
 
     @property
     def is_told_apart(self) -> bool:
-        """Whether no answer comes twice.
+        """Whether no answer comes twice, or later than the roster's `late_answer` says.
 
         An answer carries no address. A copy that comes when the same code is asked of another drive
-        passes for that one's, and nothing on the wire shows it: what is read then may be wrong.
+        passes for that one's, and nothing on the wire shows it: what is read then may be wrong. So
+        does an answer that is later than `late_answer`: an adapter that holds back an answer
+        without end holds back all behind it for as long as that takes.
         """
-        return "double" not in self.faults
+        endless = "endless" in self.faults or any(one.fault == "endless" for one in self.storms)
+        return "double" not in self.faults and not (endless and ":adapter" in self.faults)
 
     def __str__(self) -> str:
         line = self.roster.line

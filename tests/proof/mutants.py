@@ -27,6 +27,7 @@ from lecombus.line.talk import Talk
 from lecombus.protocol.exchange import Exchange
 from lecombus.schedule.feeds import Feeds
 from lecombus.schedule.schedule import Schedule
+from lecombus.schedule.shares import Shares
 from lecombus.schedule.silent_stops import SilentStops
 from lecombus.schedule.waiting import Waiting
 from lecombus.supervision.health import Health
@@ -135,6 +136,15 @@ MUTANTS: dict[str, Mutant] = {
         "control_word | rule.set_mask",
         "rule.set_mask",
         (15, 18),
+        quick=True,
+    ),
+    # -- shares ---------------------------------------------------------------------------------
+    "no shares": Mutant(
+        sys.modules[Shares.__module__],
+        "_entitled",
+        "if cost_s is not None and",
+        "if False and",
+        (113, 125),
         quick=True,
     ),
     # -- the wire -------------------------------------------------------------------------------

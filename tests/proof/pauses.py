@@ -20,7 +20,7 @@ from lecombus.simulator.families.inverter82xx import Drive82XX
 from lecombus.simulator.line import SimLine
 from lecombus.simulator.receiver import Heard
 from proof.lines import RandomLine
-from proof.telegrams import Telegram
+from proof.telegrams import CHARACTER_BITS, Telegram
 
 __all__ = ["Pauses"]
 
@@ -29,6 +29,8 @@ ADAPTER_S = 0.005
 """What the roster's port, a simulated one, may add."""
 LATENESS_S = 0.020
 QUARANTINE_S = 0.030 + 2.0 * ADAPTER_S
+MOST_STRAY = 3
+"""Noise may put so many characters behind an answer: the host does not wait for them."""
 LIMIT_S = 0.5
 """Answer times of the module's own codes are limits already: a fifth more, not twice."""
 
@@ -47,7 +49,8 @@ class Pauses:
         self._say = say
         # Old answers, or copies of them, may stand between an answer and the next telegram.
         self._sole = line.is_told_apart and "stubborn" not in line.faults
-        self._turnaround_s = line.roster.line.turnaround_s
+        stray = MOST_STRAY if line.faults else 0  # what noise appends is no part of an answer
+        self._turnaround_s = line.roster.line.turnaround_s - stray * CHARACTER_BITS / sim.host_baud
         self._left_alone: dict[int, float] = {}
 
     def drives_heard(self, at_s: float, heard: Heard) -> None:

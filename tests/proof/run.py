@@ -3,7 +3,12 @@
     python -m proof.run --hours 1000        goes on where it stopped
     python -m proof.run --first 500         seeds that CI does not run
     python -m proof.run --seed 1234         one line again, with what broke
+    python -m proof.run --seed 18 --tolerate 2 [--losses 3]    one line of lost answers again
     python -m proof.run --mutants           every mutant on the lines that show it
+
+Besides the random lines it runs lines whose watchdogs just outlast 0 to 3 lost answers, with as
+many answers lost at the worst moments, and with one more (`losses`). Upon one more a watchdog may
+act: that is counted, and no finding.
 
 Every line that was run stands in `.proof/done.jsonl`, with the digest of the program it was of, as
 soon as it has ended: it may be stopped at any time, and goes on with the lines that are missing.
@@ -16,14 +21,19 @@ import hashlib
 import json
 import logging
 import os
+import signal
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from itertools import count, islice
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import lecombus
-from proof.lines import line_of
+from proof.lines import RandomLine, line_of
+from proof.losses import MOST_TOLERATED, tolerant_line
 from proof.mutants import MUTANTS, mutated
 from proof.world import Finding, run_line
 
@@ -35,6 +45,47 @@ LINES_EACH = 200
 """After so many a process is replaced: what it has kept by then is of no more use."""
 SAY_EVERY_S = 3600.0
 MUTANT_LENGTH_S = 60.0
+LOST_EVERY = 4
+"""Behind so many random lines goes one with lost answers, and one with one more."""
+STOPPED, CHANGED = 130, 2
+ACTED = "the watchdog of "
+
+
+class Asked(NamedTuple):
+    """A line that is to be run: a random one, or one whose watchdogs outlast lost answers."""
+
+    seed: int
+    tolerate: int | None = None
+    losses: int = 0
+
+    def line(self, length_s: float) -> RandomLine:
+        """Draw it."""
+        if self.tolerate is None:
+            return line_of(self.seed, length_s)
+        return tolerant_line(
+            self.seed, tolerate=self.tolerate, losses=self.losses, length_s=length_s
+        )
+
+    @property
+    def is_beyond(self) -> bool:
+        """Whether more answers are lost than are tolerated."""
+        return self.tolerate is not None and self.losses > self.tolerate
+
+    def __str__(self) -> str:
+        """Say how it is run again."""
+        if self.tolerate is None:
+            return f"--seed {self.seed}"
+        return f"--seed {self.seed} --tolerate {self.tolerate} --losses {self.losses}"
+
+
+def asked_from(first: int) -> Iterator[Asked]:
+    """Give the lines to be run, without end."""
+    for seed in count(first):
+        yield Asked(seed)
+        if seed % LOST_EVERY == LOST_EVERY - 1:
+            tolerate = seed // LOST_EVERY % (MOST_TOLERATED + 1)
+            yield Asked(seed, tolerate, tolerate)
+            yield Asked(seed, tolerate, tolerate + 1)
 
 
 def program() -> str:
@@ -48,9 +99,14 @@ def program() -> str:
 
 
 def prove(seed: int, length_s: float = LENGTH_S) -> Finding:
-    """Run the line of a seed; what the daemon logs of it is of no use here."""
+    """Run the random line of a seed."""
+    return prove_asked(Asked(seed), length_s)
+
+
+def prove_asked(asked: Asked, length_s: float) -> Finding:
+    """Run a line; what the daemon logs of it is of no use here."""
     logging.getLogger("lecombus").addHandler(logging.NullHandler())
-    return run_line(line_of(seed, length_s))
+    return run_line(asked.line(length_s))
 
 
 def _from(least: int) -> Callable[[str], int]:
@@ -64,10 +120,18 @@ def _from(least: int) -> Callable[[str], int]:
     return number
 
 
-def _hours() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m proof.run", description=__doc__)
+def _arguments() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m proof.run", description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
     parser.add_argument("--hours", type=float, default=10.0, help="hours of line time in all")
     parser.add_argument("--seed", type=int, help="run this line alone")
+    parser.add_argument(
+        "--tolerate", type=int, choices=range(MOST_TOLERATED + 1),
+        help="with --seed: the line whose watchdogs outlast so many lost answers",
+    )  # fmt: skip
+    parser.add_argument("--losses", type=_from(0), help="lost answers; else as many as tolerated")
     parser.add_argument("--length", type=float, default=LENGTH_S, help="seconds a line is run")
     parser.add_argument("--first", type=_from(0), default=0, help="seeds from this one on")
     parser.add_argument(
@@ -77,47 +141,104 @@ def _hours() -> argparse.ArgumentParser:
     return parser
 
 
-def _done(of: str) -> dict[int, float]:
-    """Read which seeds this very program has run, and for how long; a torn last row is none."""
-    if not RECORD.exists():
-        return {}
-    found = {}
-    for text in RECORD.read_text().splitlines():
-        try:
-            row = json.loads(text)
-        except ValueError:
-            continue
-        if row["program"] == of:
-            found[row["seed"]] = row["line_s"]
-    return found
+class Record:
+    """What this very program has run, in this sitting and before.
 
+    Args:
+        of: The digest of the program.
+    """
 
-def _note(found: Finding, of: str) -> None:
-    RECORD.parent.mkdir(exist_ok=True)
-    row = {
-        "program": of, "seed": found.line.seed, "kind": found.line.kind,
-        "line_s": round(found.line_s, 1), "exchanges": found.exchanges,
-        "took_s": round(found.took_s, 2), "broken": list(found.broken),
-    }  # fmt: skip
-    with RECORD.open("a") as file:
-        file.write(json.dumps(row) + "\n")
+    def __init__(self, of: str) -> None:
+        self.of = of
+        self.done: dict[Asked, dict[str, Any]] = {}
+        for text in RECORD.read_text().splitlines() if RECORD.exists() else ():
+            try:
+                row = json.loads(text)
+            except ValueError:  # torn: it was being written when the computer stopped
+                continue
+            if row["program"] == of:
+                asked = Asked(row["seed"], row.get("tolerate"), row.get("losses", 0))
+                self.done[asked] = row
+
+    @property
+    def line_s(self) -> float:
+        """Line time of all of them, seconds."""
+        return float(sum(row["line_s"] for row in self.done.values()))
+
+    def note(self, asked: Asked, found: Finding) -> tuple[str, ...]:
+        """Note a line that has ended; give what broke."""
+        broken = found.broken
+        acted = sum(ACTED in text for text in broken) if asked.is_beyond else 0
+        if asked.is_beyond:
+            broken = tuple(text for text in broken if ACTED not in text)
+        row: dict[str, Any] = {
+            "program": self.of, "seed": asked.seed, "kind": found.line.kind,
+            "line_s": round(found.line_s, 1), "exchanges": found.exchanges,
+            "took_s": round(found.took_s, 2), "broken": list(broken),
+        }  # fmt: skip
+        if asked.tolerate is not None:
+            row |= {"tolerate": asked.tolerate, "losses": asked.losses, "acted": acted}
+        self.done[asked] = row
+        RECORD.parent.mkdir(exist_ok=True)
+        with RECORD.open("a") as file:
+            file.write(json.dumps(row) + "\n")
+        return broken
+
+    def say(self, wanted_s: float) -> bool:
+        """Say in plain words how far the proof is, and what it found; whether nothing broke."""
+        rows, hours, wanted_h = self.done.values(), self.line_s / 3600.0, wanted_s / 3600.0
+        kinds = ", ".join(f"{n} {kind}" for kind, n in Counter(r["kind"] for r in rows).items())
+        print(
+            f"program {self.of}: {hours:.2f} of {wanted_h:g} hours of line time, "
+            f"{len(rows)} lines ({kinds or 'none'}), {sum(r['exchanges'] for r in rows)} exchanges"
+        )
+        for tolerate in range(MOST_TOLERATED + 1):
+            self._say_lost(tolerate)
+        broken = {asked: row["broken"] for asked, row in self.done.items() if row["broken"]}
+        for asked, texts in broken.items():
+            print(f"broken: {asked}: {texts[0]}")
+        if not broken:
+            print("nothing was found broken")
+        else:
+            print(f"{len(broken)} lines broken; one again: make proof ARGS='{next(iter(broken))}'")
+        return not broken
+
+    def _say_lost(self, tolerate: int) -> None:
+        of = [(asked, row) for asked, row in self.done.items() if asked.tolerate == tolerate]
+        held = [row for asked, row in of if not asked.is_beyond]
+        beyond = [row for asked, row in of if asked.is_beyond]
+        if of:
+            acted = sum(any(ACTED in text for text in row["broken"]) for row in held)
+            more = sum(bool(row["acted"]) for row in beyond)
+            print(
+                f"line.tolerate {tolerate}: with so many lost answers a watchdog acted on "
+                f"{acted} of {len(held)} lines, with one more on {more} of {len(beyond)}"
+            )
 
 
 def main() -> int:
     """Prove as asked; the exit status is 1 if anything broke."""
-    asked = _hours().parse_args()
-    if asked.mutants:
+    parser = _arguments()
+    args = parser.parse_args()
+    if args.mutants:
         return _mutants()
-    if asked.seed is not None:
-        found = prove(asked.seed, asked.length)
-        print(f"{found.line}: {found.exchanges} exchanges in {found.line_s:.0f} s of line time")
-        print(f"  digest of all that was said and heard: {found.digest}")
-        near = ", ".join(f"{row} {part:.0%}" for row, part in sorted(found.most.items()))
-        print(f"  nearest to what was promised: {near or 'nothing is judged on such a line'}")
-        for text in found.broken:
-            print(f"  {text}")
-        return 1 if found.broken else 0
-    return _many(asked.hours * 3600.0, asked.length, asked.jobs, asked.first)
+    if args.seed is not None:
+        losses = args.tolerate or 0 if args.losses is None else args.losses
+        return _again(Asked(args.seed, args.tolerate, losses), args.length)
+    if args.tolerate is not None or args.losses is not None:
+        parser.error("--tolerate and --losses need --seed")
+    return _many(args.hours * 3600.0, args.length, args.jobs, args.first)
+
+
+def _again(asked: Asked, length_s: float) -> int:
+    found = prove_asked(asked, length_s)
+    print(f"{found.line}: {found.exchanges} exchanges in {found.line_s:.0f} s of line time")
+    print(f"  digest of all that was said and heard: {found.digest}")
+    near = ", ".join(f"{row} {part:.0%}" for row, part in sorted(found.most.items()))
+    print(f"  nearest to what was promised: {near or 'nothing is judged on such a line'}")
+    for text in found.broken:
+        print(f"  {text}")
+    return 1 if found.broken else 0
 
 
 def _mutants() -> int:
@@ -136,41 +257,64 @@ def _mutants() -> int:
 
 def _many(wanted_s: float, length_s: float, jobs: int, first: int) -> int:
     of = program()
-    done = _done(of)
-    line_s, broken, said_s = sum(done.values()), 0, 0.0
-    print(f"{line_s / 3600:.2f} h of this program so far", file=sys.stderr, flush=True)
-    seeds = (seed for seed in count(first) if seed not in done)
+    record = Record(of)
+    print(f"{record.line_s / 3600:.2f} h of this program so far", file=sys.stderr, flush=True)
+    try:
+        status = _run_many(record, wanted_s, length_s, jobs, first)
+    except BrokenProcessPool:
+        print(f"the program is no longer {of}, or a process was killed: begin again", flush=True)
+        status = CHANGED
+    sound = record.say(wanted_s)
+    return status or (0 if sound else 1)
+
+
+def _run_many(record: Record, wanted_s: float, length_s: float, jobs: int, first: int) -> int:
+    said_s, of = record.line_s, record.of
+    missing = (asked for asked in asked_from(first) if asked not in record.done)
     with ProcessPoolExecutor(
-        jobs, max_tasks_per_child=LINES_EACH, initializer=_check_program, initargs=(of,)
+        jobs, max_tasks_per_child=LINES_EACH, initializer=_begin_process, initargs=(of,)
     ) as pool:
-        under_way: set[Future[Finding]] = set()
-        while line_s < wanted_s:
-            more = islice(seeds, AHEAD * jobs - len(under_way))
-            under_way |= {pool.submit(prove, seed, length_s) for seed in more}
-            for found in _ended(under_way):
-                _note(found, of)
-                line_s += found.line_s
-                broken += bool(found.broken)
-                for text in found.broken:
-                    print(f"{found.line}: {text}", flush=True)
-            if line_s >= said_s + SAY_EVERY_S or line_s >= wanted_s:
-                said_s = line_s
-                print(f"{line_s / 3600:.2f} h, {broken} lines broken", file=sys.stderr, flush=True)
+        under_way: dict[Future[Finding], Asked] = {}
+        try:
+            while record.line_s < wanted_s:
+                for asked in islice(missing, AHEAD * jobs - len(under_way)):
+                    under_way[pool.submit(prove_asked, asked, length_s)] = asked
+                wait(under_way, return_when=FIRST_COMPLETED)
+                _take_ended(record, under_way)
+                if record.line_s >= said_s + SAY_EVERY_S:
+                    said_s = record.line_s
+                    print(f"{said_s / 3600:.2f} h", file=sys.stderr, flush=True)
+        except KeyboardInterrupt:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+            print("ends with the lines that are under way", file=sys.stderr, flush=True)
+            pool.shutdown(cancel_futures=True)
+            _take_ended(record, under_way)
+            return STOPPED
         pool.shutdown(cancel_futures=True)
-    return 1 if broken else 0
+        _take_ended(record, under_way)
+    return 0
 
 
-def _check_program(of: str) -> None:
-    """Begin a process only for the program that is being proven: somebody may have changed it."""
+def _begin_process(of: str) -> None:
+    """Begin a process only for the program that is being proven: somebody may have changed it.
+
+    Ctrl-C goes to all processes of a terminal; only the first one acts upon it.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     if program() != of:
         raise SystemExit(f"the program is no longer {of}: begin again")
 
 
-def _ended(under_way: set[Future[Finding]]) -> Iterator[Finding]:
-    """Wait for one line at least; take those that have ended out, the first seeds first."""
-    ended, _ = wait(under_way, return_when=FIRST_COMPLETED)
-    under_way -= ended
-    yield from sorted((one.result() for one in ended), key=lambda found: found.line.seed)
+def _take_ended(record: Record, under_way: dict[Future[Finding], Asked]) -> None:
+    """Note the lines that have ended, the first seeds first."""
+    ended = [(asked, one) for one, asked in under_way.items() if one.done()]
+    for asked, one in sorted(ended, key=lambda pair: pair[0].seed):
+        del under_way[one]
+        if one.cancelled():
+            continue
+        found = one.result()
+        for text in record.note(asked, found):
+            print(f"{found.line} ({asked}): {text}", flush=True)
 
 
 if __name__ == "__main__":

@@ -28,6 +28,7 @@ from lecombus.simulator.model import INHIBIT
 from lecombus.site import Site
 from lecombus.supervision.watchdogs import REMARK
 from proof.lines import RandomLine
+from proof.losses import TolerantLine
 from proof.telegrams import Telegram
 
 __all__ = ["Shown"]
@@ -65,7 +66,8 @@ class Shown:
         self._site = site
         self._clock = clock
         self._say = say
-        self._clean = line.kind != "faulty"
+        many = isinstance(line, TolerantLine) and line.losses > 1  # a proof takes several answers
+        self._clean = line.kind != "faulty" and not many
         self._names = {drive.address: drive.name for drive in line.roster.drives}
         self._silent = dict.fromkeys(self._names.values(), 0)
         self._guards = {

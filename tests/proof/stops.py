@@ -2,7 +2,7 @@
 
 * From its submission on only the exchange under way, and stops, go before a stop; and its first
   telegram begins within the plan's wait, as `plan --from-daemon` reckons it. Stops of other drives
-  that came before add their line time.
+  that came before add their line time, and a daemon that is not run the time for which it is not.
 * Before a stop of a drive that is known to be silent nothing goes but stops and feeds, and every
   telegram of it begins within what the plan promises for that.
 
@@ -61,6 +61,7 @@ class Stops:
         self._stopped_s = 0.0  # line time of stops
         self._others_s = 0.0  # line time of stops and of exchanges that failed
         self._others = 0
+        self.paused_s: Callable[[float, float], float] = _never_paused
 
     def asked(self, drive: str, now_s: float) -> None:
         """A drive is to be stopped."""
@@ -122,7 +123,8 @@ class Stops:
                 self._judge_wait(name, one, began_s)
 
     def _judge_wait(self, name: str, one: _Waiting, began_s: float) -> None:
-        waited_s, more_s = began_s - one.since_s, self._stopped_s - one.others_s
+        waited_s = began_s - one.since_s
+        more_s = self._stopped_s - one.others_s + self.paused_s(one.since_s, began_s)
         promised_s = self._promise(lambda plan: plan.wait("stop").loaded_s, waited_s - more_s)
         if waited_s > promised_s + more_s:  # watchdogs of drives that are away hold nothing back
             promised_s = self._plan_as_measured(watched=False).wait("stop").loaded_s
@@ -152,7 +154,7 @@ class Stops:
     def _judge_silent(self, name: str, waiting: _Waiting, now_s: float) -> None:
         """Each of the others' stops may let a round of feeds go first, as this one does."""
         waited_s, rounds = now_s - waiting.since_s, 1 + self._others - waiting.others
-        more_s = self._others_s - waiting.others_s
+        more_s = self._others_s - waiting.others_s + self.paused_s(waiting.since_s, now_s)
         own_s = (waited_s - more_s) / rounds
         promised_s = self._promise(lambda plan: plan.silent_stop.loaded_s, own_s) * rounds + more_s
         if waited_s > promised_s:
@@ -175,3 +177,7 @@ class Stops:
 
     def _say_late(self, what: str, waited_s: float, promised_s: float) -> None:
         self._say(f"{what} waited {waited_s:.3f} s, promised {promised_s:.3f} s")
+
+
+def _never_paused(_from_s: float, _to_s: float) -> float:
+    return 0.0

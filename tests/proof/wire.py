@@ -8,8 +8,8 @@ the one that is open, and every report of the daemon must fit the exchange that 
 * At most one exchange is open: the one before had its whole answer, or is reported as failed.
 * No answer is taken for another exchange's: what is reported is what that drive did upon that
   telegram, as the drive itself remembers it. Noise alone may turn an answer into that of a drive
-  without the code (see `simulator.spoiling`), and a stop that is said again may be ended by the
-  late acknowledgement of the same stop said before.
+  without the code (see `simulator.spoiling`), and a stop may be ended by the late acknowledgement
+  of a write that stayed without its own: it is not believed, but proven by a read (`shown`).
 
 Must not live here: who should have spoken (`invariants`), how long anything may wait (`promises`).
 """
@@ -45,6 +45,8 @@ UNREPORTED = 2
 """At the end one exchange may be under way, and one's report put off until the next is said."""
 NOT_REMEMBERED = (UnknownCodeAnswer, TransmissionErrorAnswer, NakAnswer)
 """What noise makes, in the answer or in the question: a drive remembers nothing of it."""
+LATE_ANSWER_S = 0.5
+"""So long an answer that was given up may still come, as the roster of every line says."""
 _TIME = struct.Struct("<d")
 STX, ETX, EOT, ACK, NAK = 2, 3, 4, 6, 21
 
@@ -87,6 +89,7 @@ class Wire:
         self._drives = {drive.address: drive for drive in sim.drives}
         self._host_free_s = 0.0
         self._early_s = 0.0  # a late answer that comes in the last tenth ends a telegram's exchange
+        self._unheard_until_s = 0.0  # an old acknowledgement may come until then
         self._log = hashlib.sha256()
 
     @property
@@ -129,6 +132,11 @@ class Wire:
             self._say(f"the exchange with {report.drive} was open when the next one began")
         if result.kind is ResultKind.ANSWERED:
             self._judge_answer(one, report)
+            old = one.said_s < self._unheard_until_s and isinstance(result.answer, AckAnswer)
+            if old:  # this may have been the old one, and its own the next old one
+                self._unheard_until_s = result.ended_s + LATE_ANSWER_S
+        elif report.step.kind is StepKind.WRITE:
+            self._unheard_until_s = result.ended_s + LATE_ANSWER_S
 
     def _judge_answer(self, one: _Exchange, report: ExchangeReport) -> None:
         whole = not one.spoken_over and is_whole(bytes(one.heard))
@@ -138,9 +146,17 @@ class Wire:
             self._say(f"an answer of nobody was taken for that of {report.drive}")
             return
         trap = not self._clean and isinstance(report.result.answer, NOT_REMEMBERED)
-        again = not self._clean and _is_stop_said_again(one, report)
+        again = not self._clean and self._is_not_believed(one, report)
         if self._told_apart and not trap and not again and not _is_told(one, report):
             self._say(f"{report.drive} did not answer {report.result.answer} to {report.step}")
+
+    def _is_not_believed(self, one: _Exchange, report: ExchangeReport) -> bool:
+        """Whether a stop took an acknowledgement that may be an old one, of any drive.
+
+        Stops alone are said before an old answer can no longer come: theirs is proven by a read.
+        """
+        stop = report.priority is Priority.STOP and isinstance(report.result.answer, AckAnswer)
+        return stop and one.said_s < self._unheard_until_s
 
     def end(self) -> None:
         """Look whether an exchange was forgotten."""
@@ -171,19 +187,6 @@ def _is_told(one: _Exchange, report: ExchangeReport) -> bool:
     if isinstance(answer, UnknownCodeAnswer):
         return same and step.kind is StepKind.READ and not last.accepted
     return False
-
-
-def _is_stop_said_again(one: _Exchange, report: ExchangeReport) -> bool:
-    """Whether a stop took the late acknowledgement of the very same write, said before.
-
-    Stops alone are repeated before an old answer can no longer come: theirs is proven by a read.
-    """
-    if report.priority is not Priority.STOP or not isinstance(report.result.answer, AckAnswer):
-        return False
-    assert one.drive is not None
-    code = report.step.code
-    same = ("write", code.number, code.subcode, True)
-    return any((e.kind, e.code, e.subcode, e.accepted) == same for e in one.drive.log)
 
 
 def _has_come(one: _Exchange, answer: object) -> bool:

@@ -102,6 +102,7 @@ class World:
             at_s += after_s + for_s
         if spans and isinstance(loop, VirtualLoop):
             loop.machine = Paused(spans)
+            self.invariants.let_pause(loop.machine.paused_s)
 
     async def _settle(self) -> None:
         with anyio.move_on_after(START_S):

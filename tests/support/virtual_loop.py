@@ -62,6 +62,11 @@ class Paused:
 
     def __init__(self, spans: Sequence[tuple[float, float]]) -> None:
         self._spans = list(spans)
+        self._all = tuple(spans)
+
+    def paused_s(self, from_s: float, to_s: float) -> float:
+        """Tell for how long of a stretch of time the process did not run."""
+        return sum(max(min(to_s, end_s) - max(from_s, at_s), 0.0) for at_s, end_s in self._all)
 
     def runs_s(self, wanted_s: float) -> float:
         """See `Machine`."""

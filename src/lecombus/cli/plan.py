@@ -65,8 +65,9 @@ def command(
 
     No port is opened. A roster whose watchdogs cannot be held is refused with the arithmetic,
     as by check. The promises hold while every drive answers and at most one exchange is lost,
-    and not while drives that do not answer are being stopped; they are calculated with the same
-    costs that the schedule and the time-outs use.
+    and not while drives that do not answer are being stopped. A computer that does not run the
+    daemon adds its pause. They are calculated with the same costs that the schedule and the
+    time-outs use.
 
     With --live the running daemon is asked instead of a roster (--socket, --url): its promises
     are compared with the last five minutes of its line, and what is beyond them is named. With

@@ -16,10 +16,12 @@ holds the line longer, may use the last tenth of a watchdog time as well: the ru
 which cannot foresee them, keeps room only for what that tenth does not hold (`schedule.faults`). A
 roster that does not hold that is refused, too; one in which a further lost answer makes a watchdog
 act is worth a warning.
-Source: the recovery of faults as additional blocking in the test: A. Burns, R. Davis, S. Punnekkat:
+Source: H. Aydin: Exact Fault-Sensitive Feasibility Analysis of Real-Time Tasks, IEEE Trans. on
+Computers 56 (10), 2007: recovery from at most k faults, of whatever task, added to the demand of
+work by earliest deadline (before for fixed priorities: A. Burns, R. Davis, S. Punnekkat:
 Feasibility Analysis of Fault-Tolerant Real-Time Task Sets, Euromicro Workshop on Real-Time Systems
-1996; for exchanges that cannot be interrupted and are sent again: I. Broster, A. Burns, G.
-Rodriguez-Navas: Probabilistic Analysis of CAN with Faults, RTSS 2002.
+1996). Exact tests for repetitions that cannot be interrupted are intractable, as he shows; this one
+is sufficient: every lost answer costs as much as the dearest.
 
 What is said to a drive feeds it, so no drive stands in its own way; that is reckoned for each of
 them, not only for the one with the shortest time.

@@ -32,7 +32,8 @@ right before each of these three. Where drives are left alone after writes, what
 go once more before each by right. Each exchange may have to wait until feeds have made room for it
 (`_rooms_s`); feeds that only press take turns with the exchanges, one with each.
 
-The bounds hold while the drives answer and at most the exchange under way is lost.
+The bounds hold while the drives answer and at most the exchange under way is lost, and count the
+time in which the daemon is run: a computer that does not run it adds its pause.
 """
 
 from __future__ import annotations
@@ -114,7 +115,7 @@ def _stop(ahead: Ahead, timing: LineTiming, stop_line_s: float) -> ClassWait:
     return ClassWait(
         "stop", ahead.own.times.given_up_s + more_s, longest.times.given_up_s + more_s, stop_line_s,
         f"the exchange under way until it is given up (at most {longest.what}); other drives' "
-        "stops that came before add theirs",
+        "stops that came before add theirs, and a computer that does not run the daemon its pause",
     )  # fmt: skip
 
 
@@ -180,7 +181,8 @@ def _background(ahead: Ahead) -> ClassWait:
         ),
         default=0.0,
     )
-    quiet_s = min(quiet_s, _until_earned(ahead, usual_s, lost_s))
+    own_s = max(usual_s, ahead.read.times.usual_s)
+    quiet_s = min(quiet_s, _until_earned(ahead, own_s, usual_s, lost_s))
     share, crowded_s = _guaranteed(ahead, Priority.BACKGROUND, ahead.read.times.usual_s)
     return ClassWait(
         "background", quiet_s + LATENESS_S, crowded_s, ahead.read.takes_s,
@@ -286,14 +288,20 @@ def _put_off_s(ahead: Ahead) -> float:
     return ahead.doubt_s + under_way_s + others_s
 
 
-def _until_earned(ahead: Ahead, usual_s: float, blocked_s: float) -> float:
+def _until_earned(ahead: Ahead, own_s: float, usual_s: float, blocked_s: float) -> float:
     """Bound the time until a background request goes by its share, all classes being full.
 
     The credit grows with the line's time. Once it is earned, the exchange under way, the feeds and
     one exchange of each of the other classes that have earned theirs may go first, each of those
     after one of the highest class.
+
+    Args:
+        ahead: What can go before a request.
+        own_s: The longest background exchange, answered, seconds.
+        usual_s: The longest of those that come meanwhile, answered, seconds.
+        blocked_s: The longest of these, not answered, seconds.
     """
-    earned_s = usual_s / BACKGROUND_SHARE
+    earned_s = own_s / BACKGROUND_SHARE
     turns_s = 2.0 * (len(CLASS_SHARES) - 1) * usual_s
     return response_s(0.0, earned_s + blocked_s + turns_s, ahead.feeds)
 

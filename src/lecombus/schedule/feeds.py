@@ -16,7 +16,8 @@ is one comparison; it is computed again, O(n log n), only when the bound is reac
 
 The spare. Costs are those of answered exchanges, and a lost answer holds the line for longer. So
 feeding begins while L is still further away than three failed attempts, though never further than
-half of what it is at best, so that short watchdogs do not take the whole line (`spare_s`). What was
+half of what it is at best, so that short watchdogs do not take the whole line (`spare_s`), but in
+any case while the lost answers that are tolerated would still fit. What was
 measured of slow drives counts in all of this, unless it leaves no room for a single failed feed: it
 may be wrong, and could not be held if it were right. Then the manual counts.
 
@@ -203,10 +204,13 @@ class Feeds:
         """Find a drive's own feed if it goes before another's that makes room for that drive.
 
         The exchange that room is made for feeds the drive only if it is answered. Behind one more
-        feed there would be no time left for the lost answers that are tolerated.
+        feed there would be no time left for the lost answers that are tolerated. It does not go
+        before where it, not answered, would make another feed late whose deadline is earlier.
         """
         own = self.by_drive.get(drive)
         if own is None or not own.active or own.failures or own.free_s() > now_s:
+            return None
+        if own.hard_s > other.hard_s and not self.fits(now_s, own.worst_s, drive):
             return None
         lost_s = self.faults.tolerate * own.worst_s
         return own if now_s + other.cost_s + lost_s + own.cost_s > own.hard_s else None
@@ -226,7 +230,8 @@ class Feeds:
         """Tell how much slack is kept for attempts that fail, seconds."""
         if self._spare_s is None:
             best_s = max(self.most_s("")[0], 0.0)
-            self._spare_s = min(self.lost_s(), SPARE_PART * best_s)
+            tolerated_s = self.faults.tolerate * self.lost_s() / SPARE_ATTEMPTS
+            self._spare_s = min(self.lost_s(), max(SPARE_PART * best_s, min(tolerated_s, best_s)))
         return self._spare_s
 
     def lost_s(self) -> float:
