@@ -1,4 +1,4 @@
-"""A stop is not said to be verified because of a second copy of a neighbour's answer.
+"""Neither a stop nor a write is verified because of a second copy of a neighbour's answer.
 
 Lines on which answers are delivered twice, up to 3 s late, or on which two drives have one address;
 some drives are dead. `late_answer` is at its default.
@@ -6,11 +6,14 @@ some drives are dead. `late_answer` is at its default.
 
 from __future__ import annotations
 
+from decimal import Decimal
+
 import anyio
 import pytest
 
 from lecombus.drives import StopAction
 from lecombus.operations.reports import GroupReport
+from lecombus.protocol.addressing import Code
 from lecombus.readings import LineState
 from lecombus.schedule import Outcome
 from lecombus.simulator.faults import parse_faults
@@ -64,6 +67,89 @@ def test_nor_in_many_lines(faults: str) -> None:
                 wrong = [one for one in report.members
                          if one.drive in DEAD and one.outcome is Outcome.VERIFIED]  # fmt: skip
                 assert not wrong, (seed, action, dead_for_s, report)
+
+
+SETPOINT, RAMP = Code(46), Code(12)
+INVERTERS = [(f"d{n}", 11 + n, "8200vector") for n in range(8)]
+WRITES = roster_of(
+    INVERTERS,
+    drive=", writable: [C0012, C0046]",
+    rest="groups:\n  one-by-one: {members: [%s]}\n  multicast: {members: [%s], multicast: yes}\n"
+    % (2 * (", ".join(name for name, _, _ in INVERTERS),)),
+)
+
+
+def written(group: str, faults: str, seed: int, dead_for_s: float) -> GroupReport:
+    """Write a setpoint to all drives of a line, some of which are dead, and read it back."""
+    reports: list[GroupReport] = []
+
+    async def test(plant: Plant) -> None:
+        await plant.online(within_s=600.0)
+        plant.line.faults = parse_faults(faults)
+        await anyio.sleep(2.0)
+        for name in DEAD:
+            plant.line[name].present = False
+        await anyio.sleep(dead_for_s)
+        write = plant.site.operations.write_group
+        reports.append(await write(group, SETPOINT, Decimal(12), verify=True))
+
+    with_plant(test, WRITES, seed=seed)
+    return reports[0]
+
+
+@pytest.mark.parametrize("dead_for_s", [0.0, 0.3])
+@pytest.mark.parametrize("group", ["one-by-one", "multicast"])
+@pytest.mark.parametrize("faults", DOUBLES[:3])
+def test_a_write_to_a_dead_drive_is_never_verified(
+    faults: str, group: str, dead_for_s: float
+) -> None:
+    living = 0
+    for seed in range(4):
+        report = written(group, faults, seed, dead_for_s)
+        assert report.how == group
+        ended = {one.drive: one.outcome for one in report.members}
+        assert not [name for name in DEAD if ended[name] is Outcome.VERIFIED], (seed, report)
+        living += sum(ended[name] is Outcome.VERIFIED for name in ended if name not in DEAD)
+    assert living >= 0.75 * 4 * (len(INVERTERS) - len(DEAD)), "most that took it are proven"
+
+
+def test_on_a_healthy_line_one_reading_of_each_drive_proves_a_write() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online(within_s=600.0)
+        before = len(plant.end.sent)
+        report = await plant.site.operations.write_group(
+            "one-by-one", SETPOINT, Decimal(12), verify=True
+        )
+        assert report.outcome is Outcome.VERIFIED
+        sent = [one.data[3:] for one in plant.end.sent[before:]]
+        assert sum(b"\x0246" in data for data in sent) == len(INVERTERS)
+        reads = [data for data in sent if data in (b"46\x05", b"!002E00\x05")]
+        assert len(reads) == len(INVERTERS)
+        assert len(set(reads)) == 2, "both forms are used in turn"
+
+    with_plant(test, WRITES.replace("8200vector,", "8200vector, cyclic: [],"))
+
+
+def test_a_setting_is_written_where_the_one_that_is_there_may_be_a_neighbours() -> None:
+    """A stored setting that is there already is not written; that must be the drive's own."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online(within_s=600.0)
+        operations = plant.site.operations
+        assert (
+            await operations.write_group("one-by-one", RAMP, Decimal(7))
+        ).outcome is Outcome.DONE
+        await anyio.sleep(5.0)
+        plant.line["d3"].model.params.set(12, "5")
+        plant.line.faults = parse_faults("double=1:20ms-500ms")
+        await anyio.sleep(2.0)
+        await operations.write_group("one-by-one", RAMP, Decimal(7))
+        values.append(plant.line["d3"].model.params.text(12))
+
+    values: list[str] = []
+    for seed in range(8):
+        with_plant(test, WRITES, seed=seed)
+    assert set(values) == {"7"}, values
 
 
 def remarks(faults: str, seconds: float = 20.0) -> tuple[dict[str, str], str]:

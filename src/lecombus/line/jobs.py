@@ -7,7 +7,9 @@ Rules held here (EDB2102EN 8.3.5; CMVLC401A 6):
   written again; an edge, a step, a save is not: it may have happened;
 * NAK is an answer: nothing was changed. It can also mean that the telegram was damaged on its way
   (EDB2102EN 8.3.1; CMVLC401A 6.1), so a plain value is written once more, and a read is asked once
-  more; never an edge, a step or a save. That counts as one of the repetitions.
+  more; never an edge, a step or a save. That counts as one of the repetitions;
+* what was written is proven by reading it back: an answer that may be another drive's, because it
+  was asked for the same, takes more readings (`proving`).
 
 What must not live here: telegrams, time-outs, who goes first.
 """
@@ -19,15 +21,20 @@ from collections.abc import Mapping
 from ..drives import WriteClass
 from ..drives.stops import usable_word
 from ..errors import ExchangeError, NakError
-from ..protocol.addressing import Code
+from ..protocol.addressing import Code, Form
 from ..protocol.exchange import Result, ResultKind
 from ..protocol.telegrams import AckAnswer, Answer, NakAnswer, UnknownCodeAnswer, ValueAnswer
 from ..protocol.values import Value
 from ..schedule.request import Outcome
+from .duplicates import Duplicates
 from .failures import error_of
+from .proving import Proving, Written
 from .station import Station, Step, StepKind, Verdict
 
-__all__ = ["MulticastJob", "ReadJob", "WriteJob"]
+__all__ = ["MulticastJob", "ReadBackJob", "ReadJob", "WriteJob"]
+
+MOST_READINGS = 10
+"""Reading back ends after so many: two of the value, the others of the drive's own address."""
 
 
 class ReadJob:
@@ -38,16 +45,22 @@ class ReadJob:
         code: What to read.
         retries: How often a failed attempt is repeated.
         instead: Codes that will do as well while an old answer to `code` may still come.
+        form: The addressing form to ask in where that is free; None: the station's first.
     """
 
     __slots__ = ("attempts", "error", "instead", "retries", "station", "step", "value")
 
     def __init__(
-        self, station: Station, code: Code, retries: int, instead: tuple[Code, ...] = ()
+        self,
+        station: Station,
+        code: Code,
+        retries: int,
+        instead: tuple[Code, ...] = (),
+        form: Form | None = None,
     ) -> None:
         self.station = station
         self.instead = instead
-        self.step = Step(StepKind.READ, code)
+        self.step = Step(StepKind.READ, code, form=form)
         self.retries = retries
         self.attempts = 0
         self.value: Value | None = None
@@ -75,6 +88,92 @@ class ReadJob:
         return None
 
 
+class ReadBackJob:
+    """Read back what was written, as often as it takes to be sure whose answer it is.
+
+    Args:
+        station: The drive.
+        written: The code and what it should read as.
+        retries: How often a failed reading is repeated.
+        duplicates: What is known of answers that come twice on this line; None: there are none.
+
+    Attributes:
+        value: What the code read as last; None: it could not be read.
+        is_shown: It reads as written, in an answer that is this drive's.
+    """
+
+    __slots__ = ("_proving", "_reading", "_readings", "_retries", "error", "is_shown", "station",
+                 "step", "value", "written")  # fmt: skip
+
+    def __init__(
+        self,
+        station: Station,
+        written: Written,
+        retries: int,
+        duplicates: Duplicates | None = None,
+    ) -> None:
+        self.station = station
+        self.written = written
+        self.error: ExchangeError | None = None
+        self.value: Value | None = None
+        self.is_shown = False
+        self._retries = retries
+        self._proving = Proving(duplicates, silent=False)
+        self._begin()
+
+    @property
+    def cut_outcome(self) -> Outcome | None:
+        """A reading changes nothing."""
+        return None
+
+    def said(self, *, answered: bool) -> None:
+        """Begin again, behind another write; where that had no answer, the drive may be gone."""
+        self._proving.said(acknowledged=False)
+        self._proving.silent |= not answered
+        self._begin()
+
+    def advance(self, result: Result) -> Verdict:
+        """Read on until the value is shown, differs, or cannot be had."""
+        self._proving.silent |= result.kind is not ResultKind.ANSWERED
+        verdict = self._reading.advance(result)
+        if verdict is None:
+            return None
+        self._readings += 1
+        self.error = self._reading.error
+        code, answer = self._reading.step.code, result.answer
+        if type(answer) is ValueAnswer:
+            if code == self.written.code:
+                self.value = answer.value
+            shows = self._proving.take(self.station, self.written, answer, code)
+            if not shows and code == self.written.code:
+                return Outcome.REFUSED, ""
+            if shows and self._proving.is_written(self.station, self.written, result.ended_s):
+                self.is_shown, self.error = True, None
+                return Outcome.VERIFIED, ""
+        elif not self._proving.refused(self.station, code, answer):
+            if self.value is not None:
+                return self._in_doubt()
+            return Outcome.UNKNOWN, f"could not be read back: {verdict[1]}"
+        if self._readings >= MOST_READINGS:
+            return self._in_doubt()
+        self._next()
+        return None
+
+    def _in_doubt(self) -> Verdict:
+        assert self.value is not None
+        text = f"it reads {self.value.raw}, but {self._proving.not_its_own(self.station)}"
+        return Outcome.UNKNOWN, text
+
+    def _begin(self) -> None:
+        self.value, self._readings = None, 0
+        self._next()
+
+    def _next(self) -> None:
+        wanted = self._proving.step(self.station, self.written)
+        self._reading = ReadJob(self.station, wanted.code, self._retries, form=wanted.form)
+        self.step = self._reading.step
+
+
 class WriteJob:
     """Write one code, and prove it where that is asked for or the acknowledgement is missing.
 
@@ -85,10 +184,13 @@ class WriteJob:
         write_class: Whether it may be repeated.
         retries: How often a failed attempt is repeated.
         verify: Read back after the acknowledgement too.
+        duplicates: What is known of answers that come twice on this line; None: there are none.
     """
 
     __slots__ = (
         "_acknowledged",
+        "_back",
+        "_duplicates",
         "_proving",
         "_refused",
         "attempts",
@@ -112,6 +214,7 @@ class WriteJob:
         write_class: WriteClass,
         retries: int,
         verify: bool = False,
+        duplicates: Duplicates | None = None,
     ) -> None:
         self.station = station
         self.code = code
@@ -125,12 +228,14 @@ class WriteJob:
         self.attempts = 0
         self._acknowledged = False
         self._refused = False
-        self._proving: ReadJob | None = None
+        self._duplicates = duplicates
+        self._back: ReadBackJob | None = None
+        self._proving = False
 
     def advance(self, result: Result) -> Verdict:
         """Go from the write to its proof, back to a repetition, or to the end."""
-        if self._proving is not None:
-            return self._proven(self._proving, result)
+        if self._back is not None and self._proving:
+            return self._proven(self._back, result)
         self.attempts += 1
         answer = result.answer
         if type(answer) is AckAnswer:
@@ -162,25 +267,33 @@ class WriteJob:
         return True
 
     def _prove(self) -> Verdict:
-        self._proving = ReadJob(self.station, self.code, self.retries)
-        self.step = self._proving.step
+        if self._back is None:
+            written = Written(self.code, self.value)
+            self._back = ReadBackJob(self.station, written, self.retries, self._duplicates)
+        self._back.said(answered=self._acknowledged)
+        self._proving = True
+        self.step = self._back.step
         return None
 
-    def _proven(self, proving: ReadJob, result: Result) -> Verdict:
-        verdict = proving.advance(result)
+    def _proven(self, back: ReadBackJob, result: Result) -> Verdict:
+        verdict = back.advance(result)
+        self.step = back.step
         if verdict is None:
             return None
-        self.proof = proving.value
+        self.proof = back.value
+        what = "acknowledged" if self._acknowledged else "not acknowledged"
         if self.proof is None:
-            self.error = proving.error
-            what = "acknowledged" if self._acknowledged else "not acknowledged"
-            return Outcome.UNKNOWN, f"the write was {what} and could not be read back: {verdict[1]}"
+            self.error = back.error
+            return Outcome.UNKNOWN, f"the write was {what} and {verdict[1]}"
         if self._is_no_word(self.proof):
             text = f"it reads {self.proof.raw} afterwards, which is no control word"
             return Outcome.UNKNOWN, text
-        if self.proof.means_same(self.value):
+        if back.is_shown:
             self.error = None
-            return Outcome.VERIFIED, ""
+            return verdict
+        if self.proof.means_same(self.value):
+            self.error = back.error
+            return Outcome.UNKNOWN, f"the write was {what}; {verdict[1]}"
         if self._acknowledged:
             # An edge or a step may have happened and still read as before.
             plain = self.write_class is WriteClass.PLAIN
@@ -198,7 +311,7 @@ class WriteJob:
         return usable_word(number) is None
 
     def _again(self) -> Verdict:
-        self._proving = None
+        self._proving = False
         self.step = Step(StepKind.WRITE, self.code, self.value)
         return None
 

@@ -1,6 +1,6 @@
-"""When a stop counts as shown: which codes are read, and how many answers it takes.
+"""When a stop, or a write, counts as shown: which codes are read, and how many answers it takes.
 
-The usual proof is one reading that shows the stop. Consecutive proofs of several drives alternate
+The usual proof is one reading that shows it. Consecutive proofs of several drives alternate
 the addressing form, which the answer repeats, so that a second copy of a neighbour's answer does
 not pass for the next drive's.
 
@@ -9,27 +9,51 @@ nobody asked for) it takes three things: an acknowledgement of the drive's own, 
 forms or of two codes, and its own address, read from the drive itself: that is the one answer
 that no other drive of the line gives.
 
-What must not live here: what is said when, and for how long (`stop_job`).
+A write is proven with less: an answer that no other drive was asked for lately is this drive's, and
+an acknowledgement that was lost is not asked for again.
+
+What must not live here: what is said when, and for how long (`stop_job`, `jobs`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
-from ..drives import StopAction, address_code, confirm_codes, stop_confirmed
+from ..drives import Family, StopAction, address_code, confirm_codes, stop_confirmed
 from ..protocol.addressing import Code, Form, encode_code
 from ..protocol.telegrams import UnknownCodeAnswer, ValueAnswer
+from ..protocol.values import Value
 from .duplicates import COPY_S, Duplicates
 from .station import Station, Step, StepKind
 
-__all__ = ["Proving"]
+__all__ = ["Proving", "Written"]
 
 WANTED = 2
 """Readings that it takes in two forms where one may be another drive's."""
 
 
+class Written(NamedTuple):
+    """What a code should read as after a write."""
+
+    code: Code
+    value: Value
+
+
+def _codes(family: Family, what: StopAction | Written) -> tuple[Code, ...]:
+    """Name the codes that show it, the most telling first."""
+    return (what.code,) if isinstance(what, Written) else confirm_codes(family, what)
+
+
+def _shows(family: Family, what: StopAction | Written, code: Code, value: Value) -> bool:
+    """Say whether a reading shows it."""
+    if isinstance(what, Written):
+        return value.means_same(what.value)
+    return stop_confirmed(family, what, code, value)
+
+
 class Proving:
-    """What has been shown of one stop.
+    """What has been shown of one stop or one write.
 
     Args:
         duplicates: Whom answers were asked of; None: of nobody else.
@@ -54,34 +78,37 @@ class Proving:
         self._led_astray: set[Form] = set()
 
     def said(self, *, acknowledged: bool) -> None:
-        """Take note that the stop was said: what is read before it is acknowledged is too early."""
+        """Take note that it was said: what is read before it is acknowledged is too early."""
         self.repeated = False
         if not self.acknowledged:
             self.acknowledged = acknowledged
             self._shown.clear()
 
-    def step(self, station: Station, action: StopAction) -> Step:
+    def step(self, station: Station, what: StopAction | Written) -> Step:
         """Give the next reading."""
-        fields = [one for one in self._fields(station, action) if one[0] not in self._shown]
-        if self._has_enough(station, action) and not self._knows_it:
+        other_s = self._duplicates.other_s
+        fields = [one for one in self._fields(station, what) if one[0] not in self._shown]
+        if self._has_enough(station, what) and not self._knows_it:
             code = address_code(station.family)
             forms = [form for form in self._forms(station) if code.knows(form)]
+            forms.sort(key=lambda form: other_s(encode_code(code, form), station.name))
             form = forms[self._asked_itself % len(forms)] if forms else None
             return Step(StepKind.READ, code, form=form)
         if not fields:
-            fields = list(self._fields(station, action))
-        other_s = self._duplicates.other_s
+            fields = list(self._fields(station, what))
         _, code, form = min(fields, key=lambda one: other_s(one[0], station.name))
         return Step(StepKind.READ, code, form=form)
 
-    def take(self, station: Station, action: StopAction, answer: ValueAnswer, code: Code) -> bool:
+    def take(
+        self, station: Station, what: StopAction | Written, answer: ValueAnswer, code: Code
+    ) -> bool:
         """Take a reading; say whether it shows what it should."""
         self.repeated = answer.field in self._shown
-        if code == address_code(station.family):
+        if code == address_code(station.family) and code not in _codes(station.family, what):
             self._asked_itself += 1
             self._is_itself = answer.value.number == station.address
             return self._is_itself
-        if not stop_confirmed(station.family, action, code, answer.value):
+        if not _shows(station.family, what, code, answer.value):
             if self._shown:
                 self._lead_astray(station, answer.field)
             self._shown.clear()
@@ -121,20 +148,33 @@ class Proving:
         self.acknowledged = False
         self._shown.clear()
 
-    def is_enough(self, station: Station, action: StopAction, now_s: float) -> bool:
+    def is_enough(self, station: Station, what: StopAction | Written, now_s: float) -> bool:
         """Whether the stop is shown."""
         if not (self.silent or self._duplicates.doubtful(now_s)):
             return bool(self._shown)
-        if not self.acknowledged or not self._has_enough(station, action):
+        if not self.acknowledged or not self._has_enough(station, what):
             return False
         return self._knows_it and not (
             self._has_no_address and any(self._is_old(one, station, now_s) for one in self._shown)
         )
 
+    def is_written(self, station: Station, what: Written, now_s: float) -> bool:
+        """Whether a write is shown, acknowledged or not."""
+        own = any(not self._is_old(one, station, now_s) for one in self._shown)
+        if own or not (self.silent or self._duplicates.doubtful(now_s)):
+            return bool(self._shown)
+        if what.code == address_code(station.family):
+            return bool(self._shown)  # no other drive reads as this one's address
+        return self._is_itself and self._has_enough(station, what)
+
     def missing(self, station: Station) -> str:
         """Say what is not shown, where a reading showed the stop."""
         if not self.acknowledged:
             return "the drive did not acknowledge it: the answer may be another drive's"
+        return self.not_its_own(station)
+
+    def not_its_own(self, station: Station) -> str:
+        """Say why a reading that shows it may be another drive's."""
         if not self._knows_it:
             code = address_code(station.family)
             return f"{code} does not read {station.address}: the answer may be another drive's"
@@ -147,19 +187,21 @@ class Proving:
     def _forms(self, station: Station) -> tuple[Form, ...]:
         return tuple(form for form in station.forms if form not in self._led_astray)
 
-    def _has_enough(self, station: Station, action: StopAction) -> bool:
-        there = sum(1 for _ in self._fields(station, action))
+    def _has_enough(self, station: Station, what: StopAction | Written) -> bool:
+        there = sum(1 for _ in self._fields(station, what))
         return len(self._shown) >= min(WANTED, there)
 
     def _is_old(self, field: bytes, station: Station, now_s: float) -> bool:
         return now_s - self._duplicates.other_s(field, station.name) < COPY_S
 
-    def _fields(self, station: Station, action: StopAction) -> Iterator[tuple[bytes, Code, Form]]:
-        """Name the answers that may show the stop: the most telling code's in every form.
+    def _fields(
+        self, station: Station, what: StopAction | Written
+    ) -> Iterator[tuple[bytes, Code, Form]]:
+        """Name the answers that may show it: the most telling code's in every form.
 
         Where there is one form only, those of the other codes too.
         """
-        codes, forms = confirm_codes(station.family, action), self._forms(station)
+        codes, forms = _codes(station.family, what), self._forms(station)
         if len(forms) > 1:
             codes = codes[:1]
         for code in codes:

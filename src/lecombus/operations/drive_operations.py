@@ -288,16 +288,17 @@ class Operations:
         if station.family.write_class(code, wire) is not WriteClass.PLAIN:
             return None
         try:
-            found = await self._requests.read(
+            found, doubt = await self._requests.read_back(
                 station,
                 code,
+                wire,
                 urgency or Priority.INTERACTIVE,
                 timeout_s=READ_WITHIN_S if within_s is None else within_s,
             )
         except (ExchangeError, OperationError):
             return None  # the write itself tells what is the matter
-        if not found.means_same(wire):
-            return None
+        if doubt or not found.means_same(wire):
+            return None  # what may be another drive's value is written
         outcome = Outcome.VERIFIED if verify else Outcome.DONE
         reading = self._store.reading(station.name, code)
         reason = "already there, not written"
@@ -351,7 +352,7 @@ class Operations:
         settle = self._words.guard((station.name,), code, ending.settle)
         ending.request = request = self._requests.maker.write(
             station, code, wire, settle=settle, verify=verify, expires_at_s=expires_at_s,
-            urgency=urgency,
+            urgency=urgency, duplicates=self._requests.worker.talk.duplicates,
         )  # fmt: skip
         request.is_gone = None if goes_on else client_check(station, code, wire)
         try:

@@ -287,13 +287,16 @@ class GroupOperations(StopOperations):
     async def _proof(self, station: Station, code: Code, wire: Value) -> WriteReport:
         """Read a member back after a multicast."""
         try:
-            found = await self._requests.read(station, code, Priority.INTERACTIVE)
+            found, doubt = await self._requests.read_back(station, code, wire, Priority.INTERACTIVE)
         except (ExchangeError, LineError, OperationError, ScheduleError) as exc:
             text = f"it went out as a multicast and could not be read back: {exc}"
             lost = isinstance(exc, CutReplyError | LineError)
             kind = "line-lost" if lost else "no-answer"
             return WriteReport(station.name, code, Outcome.UNKNOWN, text, kind=kind)
         if found.means_same(wire):
+            if doubt:
+                text = f"it went out as a multicast; {doubt}"
+                return WriteReport(station.name, code, Outcome.UNKNOWN, text, kind="no-answer")
             reading = self._store.reading(station.name, code)
             proof = Proof(code, found.raw, "value")
             return WriteReport(station.name, code, Outcome.VERIFIED, reading=reading, proof=proof)

@@ -25,7 +25,8 @@ from lecombus.drives import (
 from lecombus.drives.measured import SlowAnswers
 from lecombus.errors import OperationError
 from lecombus.line.duplicates import Duplicates
-from lecombus.line.jobs import MulticastJob, ReadJob, WriteJob
+from lecombus.line.jobs import MulticastJob, ReadBackJob, ReadJob, WriteJob
+from lecombus.line.proving import Written
 from lecombus.line.station import Station
 from lecombus.line.stop_job import STOP_PATIENCE_S, StopJob
 from lecombus.protocol.addressing import Code, Form
@@ -184,6 +185,7 @@ class RequestMaker:
         verify: bool,
         expires_at_s: float | None = None,
         urgency: Priority | None = None,
+        duplicates: Duplicates | None = None,
     ) -> Request:
         """Make a request that writes one code.
 
@@ -203,8 +205,10 @@ class RequestMaker:
         info = station.family.info(code)
         write_class = station.family.write_class(code, value)
         job = WriteJob(
-            station, code, value, write_class=write_class, retries=self.retries, verify=verify
-        )
+            station, code, value, write_class=write_class, retries=self.retries, verify=verify,
+            duplicates=duplicates,
+        )  # fmt: skip
+        back_s = self._dearest(station, code, station.answer_s(code))[1]  # whatever it is proven by
         motion = info is not None and info.motion
         setpoint = motion and value.format == "VD" and not is_switch(station, code)
         priority = Priority.CONTROL if motion else urgency or Priority.INTERACTIVE
@@ -212,13 +216,38 @@ class RequestMaker:
             station.name,
             priority,
             cost.expected_s + self.timing.turnaround_s,
-            cost.worst_s + self.timing.turnaround_s,
+            max(cost.worst_s + self.timing.turnaround_s, back_s),
             self._counted(priority, settle),
             job,
             expires_at_s=expires_at_s,
             supersedes=(station.name, code) if setpoint else None,
             writes=True,
             told=self._told(told, cost),
+        )
+
+    def read_back(
+        self,
+        station: Station,
+        code: Code,
+        value: Value,
+        priority: Priority,
+        *,
+        settle: Settle,
+        expires_at_s: float,
+        duplicates: Duplicates | None = None,
+    ) -> Request:
+        """Make a request that reads whether a code holds a value, and whose answer that is."""
+        cost = self._read_cost(station, code)
+        job = ReadBackJob(station, Written(code, value), self.retries, duplicates)
+        return Request(
+            station.name,
+            priority,
+            cost.line_s,
+            cost.worst_s,
+            self._counted(priority, settle),
+            job,
+            expires_at_s=expires_at_s,
+            told=cost.told,
         )
 
     def stop(

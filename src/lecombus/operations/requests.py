@@ -22,7 +22,7 @@ from lecombus.errors import (
     OperationError,
     meant,
 )
-from lecombus.line.jobs import ReadJob
+from lecombus.line.jobs import ReadBackJob, ReadJob
 from lecombus.line.station import Station
 from lecombus.line.worker import LineWorker
 from lecombus.operations.request_maker import RequestMaker
@@ -222,10 +222,44 @@ class Requests:
         """
         ending = Ending()
         request = self.maker.write(
-            station, code, value, settle=ending.settle, verify=verify, expires_at_s=expires_at_s
-        )
+            station, code, value, settle=ending.settle, verify=verify, expires_at_s=expires_at_s,
+            duplicates=self.worker.talk.duplicates,
+        )  # fmt: skip
         self.worker.submit(request)
         return await ending.wait()
+
+    async def read_back(
+        self,
+        station: Station,
+        code: Code,
+        value: Value,
+        priority: Priority,
+        *,
+        timeout_s: float = 10.0,
+    ) -> tuple[Value, str]:
+        """Read whether a code holds a value now.
+
+        Returns:
+            What it reads, and why an equal value may be another drive's; empty: it is its own.
+
+        Raises:
+            ExchangeError: The drive did not answer, or refused.
+            OperationError: It was never sent: expired, or the drive is offline.
+            LineError: There is no line.
+            QueueFullError: Too many wait.
+        """
+        ending = Ending()
+        request = self.maker.read_back(
+            station, code, value, priority, settle=ending.settle,
+            expires_at_s=self._clock() + timeout_s, duplicates=self.worker.talk.duplicates,
+        )  # fmt: skip
+        self.worker.submit(request)
+        outcome, reason = await ending.wait()
+        job = request.work
+        assert isinstance(job, ReadBackJob)
+        if job.value is not None:
+            return job.value, reason
+        raise job.error or never_sent(outcome, reason, station, code)
 
     def feed_maker(self, name: str) -> Callable[[], Request]:
         """Give the maker of the cheapest useful read of a drive."""
