@@ -209,6 +209,41 @@ def test_the_end_does_not_wait_for_a_disk_that_hangs(
     assert "could not be written within" in keeping._failure
 
 
+HANGING = """
+import os, sys, threading
+from pathlib import Path
+import anyio
+from lecombus.state import keeping as module
+
+module.EVERY_S = module.END_S = 0.01
+reached = threading.Event()
+
+def fsync(descriptor):
+    reached.set()
+    threading.Event().wait()
+
+os.fsync = fsync
+
+async def main():
+    keeping = module.Keeping(Path(sys.argv[1]))
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(keeping.run, lambda text: None)
+        keeping.state.touch()
+        while not reached.is_set():
+            await anyio.sleep(0.005)
+        tasks.cancel_scope.cancel()
+    keeping.close()
+
+anyio.run(main)
+"""
+
+
+def test_the_process_ends_while_a_disk_hangs_that_has_been_written_to(tmp_path: Path) -> None:
+    words = [sys.executable, "-c", HANGING, str(tmp_path / "hall.json")]
+    done = subprocess.run(words, timeout=30, check=False)  # before, it never ended
+    assert done.returncode == 0
+
+
 def test_a_disk_that_hangs_at_the_start_is_remarked_and_nothing_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hung: threading.Event
 ) -> None:

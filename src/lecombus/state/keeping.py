@@ -11,14 +11,16 @@ What must not live here: what is kept, how a file is written.
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import logging
 import threading
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
 import anyio
-import anyio.to_thread
 
 from lecombus.state.counts import Counts
 from lecombus.state.document import State
@@ -36,6 +38,9 @@ HANGS_AFTER_S: Final = 5.0
 
 END_S: Final = 3.0
 """How long the end of the daemon waits for the disk, seconds."""
+
+
+T = TypeVar("T")
 
 
 class Keeping:
@@ -64,7 +69,7 @@ class Keeping:
     async def opened(cls, path: Path | None) -> Keeping:
         """Read the state beside the event loop; where the disk hangs, go on without."""
         with anyio.move_on_after(HANGS_AFTER_S):
-            return await anyio.to_thread.run_sync(cls, path, abandon_on_cancel=True)
+            return await _in_daemon_thread(partial(cls, path))
         keeping = cls(None)
         keeping._failure = (
             f"{path} could not be read within {HANGS_AFTER_S:.0f} s, nothing is kept: look at its "
@@ -87,9 +92,7 @@ class Keeping:
                 changes, noted, text = self._taken()
                 async with anyio.create_task_group() as tasks:
                     tasks.start_soon(self._tell_when_it_hangs)
-                    failure = await anyio.to_thread.run_sync(
-                        self._save, text, noted, abandon_on_cancel=True
-                    )
+                    failure = await _in_daemon_thread(partial(self._save, text, noted))
                     tasks.cancel_scope.cancel()
                 self._took(changes, failure)
             elif self._counts is not None and self._counts.failure:
@@ -169,3 +172,20 @@ class Keeping:
         said = (self._file.trouble, self._failure, self._hangs, counts)
         parts = dict.fromkeys(part for part in said if part)
         self._say(f"the state file: {'; '.join(parts)}" if parts else None)
+
+
+async def _in_daemon_thread(work: Callable[[], T]) -> T:
+    """Do work in a thread that the end of the process does not wait for, as it does for anyio's."""
+    loop, done = asyncio.get_running_loop(), asyncio.Event()
+    results: list[T] = []
+
+    def run() -> None:
+        try:
+            results.append(work())
+        finally:
+            with contextlib.suppress(RuntimeError):  # the loop has ended, and who waited with it
+                loop.call_soon_threadsafe(done.set)
+
+    threading.Thread(target=run, name="state", daemon=True).start()
+    await done.wait()
+    return results[0]
