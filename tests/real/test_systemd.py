@@ -90,11 +90,25 @@ def drop_in(unit: Path, name: str) -> Path:
     return dropped
 
 
-def test_users_of_the_socket_can_be_told_apart_by_a_drop_in(unit: Path) -> None:
-    dropped = drop_in(unit, "tell-users-apart.conf")
-    assert complaints(unit) == ""
-    dropped.write_text(dropped.read_text().replace("PrivateUsers=no", "PrivateUsers=perhaps"))
-    assert complaints(unit) != "", "the check would see a mistake"
+IDENTITY_SINCE = 257
+"""The systemd that knows `PrivateUsers=identity`; those before keep the value that stood before."""
+
+
+def test_users_of_the_socket_are_shown_by_a_drop_in(unit: Path) -> None:
+    version = int(run(require("systemd-analyze"), "--version").stdout.split()[1])
+    dropped = drop_in(unit, "show-client-users.conf")
+    ignored = "Failed to parse boolean value, ignoring: identity"
+    assert (ignored in complaints(unit)) == (version < IDENTITY_SINCE)
+    lines = [line for line in dropped.read_text().splitlines() if line.startswith("PrivateUsers=")]
+    assert lines == ["PrivateUsers=no", "PrivateUsers=identity"], "the last one known counts"
+    unit.write_text(unit.read_text().replace("PrivateUsers=yes", "\n".join(lines)))
+    limit = 13 if version < IDENTITY_SINCE else 12
+    for threshold, status in ((limit, 0), (12, int(limit > 12))):
+        done = run(
+            require("systemd-analyze"), "security", "--offline=yes", f"--threshold={threshold}",
+            "--no-pager", unit,
+        )  # fmt: skip
+        assert bool(done.returncode) == bool(status), done.stdout[-2000:] + done.stderr
 
 
 NAMESPACE = """
