@@ -8,11 +8,13 @@ import anyio
 import pytest
 
 from lecombus.drives import family
+from lecombus.drives.faults import FaultKind
 from lecombus.errors import LineLostError
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 from lecombus.readings import ActiveFault
 from lecombus.schedule import Outcome, Settle
+from lecombus.simulator.families.smvector import SMVector
 from lecombus.store import Store
 from lecombus.supervision.fault_watch import TRIES, FaultWatch
 from support.site_host import Plant, roster_of, until, with_plant
@@ -263,6 +265,25 @@ def test_every_trip_of_an_smvector_is_named(digit_of: str) -> None:
             await until(named, within_s=4.0)
             await anyio.sleep(1.0)  # C0068 has been read too
             assert named()
+            model.reset_fault()
+            await until(lambda: store.drive("e").fault is None, within_s=14.0)
+
+    with_plant(test, roster_of(FAMILIES[-1:]))
+
+
+def test_a_trip_of_an_smvector_whose_history_reads_otherwise_is_shown_and_never_misnamed() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        model, store = plant.line["e"].model, plant.site.store
+        assert isinstance(model, SMVector)
+        model.history_form = "place"
+        for number in range(1, 37):
+            model.trip(number)
+            await until(lambda: store.drive("e").fault is not None, within_s=4.0)
+            await anyio.sleep(2.0)  # the memory has been read
+            fault = store.drive("e").fault
+            assert fault is not None
+            assert (fault.kind, fault.number) == (FaultKind.TRIP, None)
             model.reset_fault()
             await until(lambda: store.drive("e").fault is None, within_s=14.0)
 

@@ -44,6 +44,8 @@ class SMVector(Model):
         network_enabled: Whether the contact at the terminal for "network enable" is closed.
         digit_of: Which number C0068 shows the tens digit of: "lecom", that of the LECOM fault
             number, as table 9 says, whose list is missing; "p500", that of P500's number; "none".
+        history_form: How P500 reads: "number", as 9.1 lists it; "place", with its place in the
+            history before the point, such as 1.36: 9.1 does not say that it is a whole number.
     """
 
     family: ClassVar[str] = "smvector"
@@ -57,6 +59,7 @@ class SMVector(Model):
     def __init__(self) -> None:
         self.messages = 0
         self.network_enabled = True
+        self.history_form = "number"
         super().__init__(SPECS_SMV)
 
     def _install(self) -> None:
@@ -71,7 +74,7 @@ class SMVector(Model):
             1402: lambda _: _ONLINE,
             1405: lambda _: "1" if self.fault == F_NF1 else "0",
             1427: lambda _: str(self.messages),
-            1500: lambda subcode: str(self.troubles.newest(subcode)),
+            1500: self._history,
             1508: lambda _: "1.8" if self.motor.output else "0",
             1527: lambda _: self.frequency_text(abs(self.motor.output)),
             1530: lambda _: str(self._terminals()),
@@ -116,6 +119,11 @@ class SMVector(Model):
     def set_terminal(self, *, high: bool) -> None:
         """Close or open the contact at the network enable terminal. Source: CMVLC401A 7.2."""
         self.network_enabled = high
+
+    def _history(self, subcode: int) -> str:
+        """P500: without a subcode the newest. Source: CMVLC401A 9.1."""
+        number = self.troubles.newest(subcode)
+        return f"{max(1, subcode)}.{number}" if self.history_form == "place" else str(number)
 
     def _reset_module(self, text: str) -> None:
         """P403: P401..P499 back to their defaults, address and P420 too. Source: CMVLC401A 4.1."""
