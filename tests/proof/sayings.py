@@ -17,7 +17,8 @@ from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from lecombus.line.jobs import ReadJob, WriteJob
+from lecombus.drives import address_code, family
+from lecombus.line.jobs import ReadBackJob, ReadJob, WriteJob
 from lecombus.protocol.addressing import Code
 from lecombus.schedule import Outcome, Priority, Request
 from lecombus.simulator.families.inverter82xx import Drive82XX
@@ -35,6 +36,8 @@ ASKED = {Priority.INTERACTIVE, Priority.BACKGROUND}
 NEVER_SAID = {Outcome.EXPIRED, Outcome.SUPERSEDED}
 AFTER_NAK = 2
 """A plain write that a drive refuses is said once more: a damaged one is refused, too."""
+VALUE_READINGS, ADDRESS_READINGS = 2, 10
+"""What was written is read in two forms at most, and the drive's own address a few times."""
 KEPT = 4
 Key = tuple[int, tuple[int, int]]
 
@@ -86,6 +89,7 @@ class Sayings:
         self._say = say
         self._sayings = 1 + line.roster.line.retries
         self._addresses = {drive.name: drive.address for drive in line.roster.drives}
+        self._families = {drive.name: family(drive.family) for drive in line.roster.drives}
         self._writes: defaultdict[Key, list[_Write]] = defaultdict(list)
         self._last: dict[Key, int] = {}
         self._reads: defaultdict[Key, _Reads] = defaultdict(_Reads)
@@ -97,7 +101,9 @@ class Sayings:
         """Somebody asks for something; give who wants to know what became of it."""
         job = request.work
         if isinstance(job, ReadJob):
-            return self._read_taken(request, job)
+            return self._read_taken(request, job.step.code)
+        if isinstance(job, ReadBackJob):
+            return self._read_taken(request, job.written.code, VALUE_READINGS)
         if isinstance(job, WriteJob):
             return self._write_taken(request, job)
         return None
@@ -105,15 +111,27 @@ class Sayings:
     def _key(self, drive: str, code: Code) -> Key:
         return self._addresses[drive], (code.number, code.subcode)
 
-    def _read_taken(self, request: Request, job: ReadJob) -> Callable[[Outcome], None]:
-        reads = self._reads[self._key(request.drive, job.step.code)]
+    def _read_taken(
+        self, request: Request, code: Code, readings: int = 1
+    ) -> Callable[[Outcome], None]:
+        reads = self._reads[self._key(request.drive, code)]
         reads.open += 1
-        reads.most += self._sayings
+        reads.most += readings * self._sayings
+        itself = self._itself_taken(request.drive) if readings > 1 else None
 
         def ended(_: Outcome) -> None:
             reads.open -= 1
+            if itself is not None:
+                itself.open -= 1
 
         return ended
+
+    def _itself_taken(self, drive: str) -> _Reads:
+        """What reads back may ask the drive for its own address too."""
+        reads = self._reads[self._key(drive, address_code(self._families[drive]))]
+        reads.open += 1
+        reads.most += self._sayings * self._sayings * ADDRESS_READINGS
+        return reads
 
     def _write_taken(self, request: Request, job: WriteJob) -> Callable[[Outcome], None]:
         self._serial += 1
@@ -129,10 +147,12 @@ class Sayings:
         writes.append(one)
         proofs = self._reads[key]  # each saying may be proven, each proof be repeated
         proofs.open += 1
-        proofs.most += self._sayings * self._sayings
+        proofs.most += self._sayings * self._sayings * VALUE_READINGS
+        itself = self._itself_taken(request.drive)
 
         def ended(outcome: Outcome) -> None:
             proofs.open -= 1
+            itself.open -= 1
             one.over = True
             self._judge_end(key, one, outcome)
 

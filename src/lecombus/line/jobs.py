@@ -154,7 +154,7 @@ class ReadBackJob:
             if self.value is not None:
                 return self._in_doubt()
             return Outcome.UNKNOWN, f"could not be read back: {verdict[1]}"
-        if self._readings >= MOST_READINGS:
+        if self._readings >= MOST_READINGS or self._proving.has_no_address:
             return self._in_doubt()
         self._next()
         return None

@@ -62,6 +62,7 @@ class Proving:
     Attributes:
         acknowledged: The drive acknowledged the stop itself.
         silent: It did not answer before, or not always since.
+        has_no_address: It does not know the code of its own address.
         repeated: The last reading showed what an earlier one had shown in the same form: the other
             form may not be asked for while a late answer in it may still come.
     """
@@ -73,7 +74,7 @@ class Proving:
         self.repeated = False
         self._shown: set[bytes] = set()
         self._is_itself = False
-        self._has_no_address = False
+        self.has_no_address = False
         self._asked_itself = 0
         self._led_astray: set[Form] = set()
 
@@ -124,7 +125,7 @@ class Proving:
         if code != address_code(station.family):
             return False
         self._asked_itself += 1
-        self._has_no_address |= type(answer) is UnknownCodeAnswer
+        self.has_no_address |= type(answer) is UnknownCodeAnswer
         return True
 
     def _lead_astray(self, station: Station, field: bytes) -> bool:
@@ -155,7 +156,7 @@ class Proving:
         if not self.acknowledged or not self._has_enough(station, what):
             return False
         return self._knows_it and not (
-            self._has_no_address and any(self._is_old(one, station, now_s) for one in self._shown)
+            self.has_no_address and any(self._is_old(one, station, now_s) for one in self._shown)
         )
 
     def is_written(self, station: Station, what: Written, now_s: float) -> bool:
@@ -182,7 +183,7 @@ class Proving:
 
     @property
     def _knows_it(self) -> bool:
-        return self._is_itself or self._has_no_address
+        return self._is_itself or self.has_no_address
 
     def _forms(self, station: Station) -> tuple[Form, ...]:
         return tuple(form for form in station.forms if form not in self._led_astray)

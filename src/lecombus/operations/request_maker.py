@@ -208,7 +208,8 @@ class RequestMaker:
             station, code, value, write_class=write_class, retries=self.retries, verify=verify,
             duplicates=duplicates,
         )  # fmt: skip
-        back_s = self._dearest(station, code, station.answer_s(code))[1]  # whatever it is proven by
+        # Read back in whatever form: behind another drive's proof it is the longer one.
+        back_s = self._dearest(station, code, station.answer_s(code))[1] if verify else 0.0
         motion = info is not None and info.motion
         setpoint = motion and value.format == "VD" and not is_switch(station, code)
         priority = Priority.CONTROL if motion else urgency or Priority.INTERACTIVE
