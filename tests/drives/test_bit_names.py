@@ -7,7 +7,7 @@ from importlib import resources
 import pytest
 
 from lecombus.drives import FAMILY_NAMES, Family, family, german_name
-from lecombus.drives.bit_names import load_bit_names
+from lecombus.drives.words import load_bit_names
 from lecombus.errors import DescriptionError
 
 

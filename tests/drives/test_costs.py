@@ -10,7 +10,6 @@ from lecombus.drives import (
     FAMILY_NAMES,
     LineTiming,
     family,
-    multicast_cost,
     read_cost,
     write_cost,
 )
@@ -79,15 +78,6 @@ def test_answer_of_unknown_length_is_not_cut_short() -> None:
 def test_described_number_is_not_waited_for_as_long_as_a_string() -> None:
     cost = read_cost(AT_9600, VECTOR, Code(50), STANDARD)
     assert cost.whole_s - cost.first_byte_s == near((10 + 17) * CHAR_S)
-
-
-def test_group_is_left_alone_for_its_slowest_member() -> None:
-    families = [family("smvector"), family("820x"), VECTOR]
-    cost = multicast_cost(AT_9600, families, Code(40), Value.parse("0"), STANDARD)
-    assert cost.expected_s == near(9 * CHAR_S + 0.230)
-    assert cost.whole_s == cost.worst_s == cost.expected_s
-    patient = multicast_cost(AT_9600, [VECTOR], Code(40), Value.parse("0"), STANDARD, 0.4)
-    assert patient.whole_s == near(9 * CHAR_S + 0.4)
 
 
 def test_unpaced_line_costs_only_the_drives_time() -> None:

@@ -10,7 +10,7 @@ import pytest
 from lecombus.drives import FAMILY_NAMES, Verb, family
 from lecombus.drives.speeds import speed_step
 from lecombus.drives.verb_facts import Known
-from lecombus.drives.verb_steps import BitsStep, InhibitStep, RestartStep, WriteStep
+from lecombus.drives.verb_rules import BitsStep, InhibitStep, RestartStep, WriteStep
 from lecombus.drives.verbs import (
     enable_steps,
     fault_number,

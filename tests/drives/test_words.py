@@ -113,7 +113,7 @@ def test_controller_status_has_a_text_only_where_the_manual_gives_one(
 ) -> None:
     word = 0xF0FF | number << 8
     drive = family(name)
-    reading = drive.controller_status(C0150, word)
+    reading = drive.status_fields(C0150, word).get("controller_status")
     assert reading is not None
     assert (reading.number, reading.text.en) == (number, text)
     assert drive.active_fault(C0150, word) is fault
@@ -129,7 +129,7 @@ def test_a_code_that_is_no_status_word_says_nothing() -> None:
     drive = family("8200vector")
     assert drive.status_bits(Code(46), 0xFFFF) == {}
     assert drive.active_fault(Code(46), 0xFFFF) is None
-    assert drive.controller_status(C0068, 0xFFFF) is None
+    assert "controller_status" not in drive.status_fields(C0068, 0xFFFF)
     assert family("generic").status_bits(C0150, 0xFFFF) == {}
 
 

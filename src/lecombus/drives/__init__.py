@@ -12,22 +12,19 @@ Pure: no input or output but the packaged data files, no clock, nothing of the l
 from __future__ import annotations
 
 from .address_codes import address_code, baud_code, baud_numbers, moves_drive, shifts_addressing
-from .bit_names import german_name
-from .codes import CodeInfo, PlainWhen, Storage, WriteClass
-from .commands import ControlBit, ControlField, ControlWordInfo
-from .costs import Cost, LineTiming, multicast_cost, read_cost, write_cost
+from .codes import CodeInfo, Storage, WriteClass
+from .commands import ControlWordInfo
+from .costs import Cost, LineTiming, read_cost, write_cost
 from .encoding import check_allowed, encode_for
 from .family import (
-    AnswerTime,
     Family,
     SoftwareGate,
     WatchdogTraits,
 )
 from .faults import Fault, FaultKind
 from .loading import FAMILY_NAMES, family, load_family
-from .operating import OperatingState, StateRule, believed_states, join_states
+from .operating import OperatingState, believed_states, join_states
 from .restoring import (
-    RestoreRule,
     RestoreWord,
     is_last,
     must_be_same,
@@ -38,8 +35,6 @@ from .restoring import (
 )
 from .stops import (
     StopAction,
-    StopProof,
-    StopRule,
     confirm_codes,
     knows_stop,
     needs_control_word,
@@ -48,38 +43,27 @@ from .stops import (
     stop_value,
 )
 from .texts import Language, Text
-from .verb_rules import Verb, VerbRules
-from .words import FieldReading, WordField, WordInfo
+from .verb_rules import Verb
+from .words import WordInfo, german_name
 
 __all__ = [
     "FAMILY_NAMES",
-    "AnswerTime",
     "CodeInfo",
-    "ControlBit",
-    "ControlField",
     "ControlWordInfo",
     "Cost",
     "Family",
     "Fault",
     "FaultKind",
-    "FieldReading",
     "Language",
     "LineTiming",
     "OperatingState",
-    "PlainWhen",
-    "RestoreRule",
     "RestoreWord",
     "SoftwareGate",
-    "StateRule",
     "StopAction",
-    "StopProof",
-    "StopRule",
     "Storage",
     "Text",
     "Verb",
-    "VerbRules",
     "WatchdogTraits",
-    "WordField",
     "WordInfo",
     "WriteClass",
     "address_code",
@@ -96,7 +80,6 @@ __all__ = [
     "knows_stop",
     "load_family",
     "moves_drive",
-    "multicast_cost",
     "must_be_same",
     "needs_control_word",
     "not_restored",

@@ -17,7 +17,6 @@ Source: EDB2102EN 3.5, 8.3.5.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
@@ -35,7 +34,7 @@ from lecombus.protocol.values import HIGHEST_VALUE_CHARS, Format, Value
 from .codes import CodeInfo
 from .family import Family
 
-__all__ = ["Cost", "LineTiming", "multicast_cost", "read_cost", "write_cost"]
+__all__ = ["Cost", "LineTiming", "read_cost", "write_cost"]
 
 LATENESS_S: Final = 0.020
 """How late this computer may be: timers up to 4 ms when idle, 20 ms and more on a full box."""
@@ -131,43 +130,6 @@ def write_cost(
 ) -> Cost:
     """Cost a write with its acknowledgement; arguments as for `read_cost`."""
     return _write_cost(timing, family, code, len(value.raw), form, answer_time_s)
-
-
-def multicast_cost(
-    timing: LineTiming,
-    families: Sequence[Family],
-    code: Code,
-    value: Value,
-    form: Form,
-    answer_time_s: float | None = None,
-) -> Cost:
-    """Cost a write to a group: nobody answers, and the slowest member is left its time.
-
-    The longest thinking time counts, not the usual one: a telegram to a member that is still
-    busy would interrupt what it is doing (communication error 7).
-
-    Args:
-        timing: The line.
-        families: The members' families, at least one.
-        code: The code written.
-        value: The value written.
-        form: The addressing form used.
-        answer_time_s: The longest of the roster's own answer times, seconds, if there are any.
-
-    Returns:
-        A cost whose times are all the same: how long the line is busy and then left alone.
-    """
-    request_s = write_request_chars(form, len(value.raw)) * timing.char_s
-    slowest_s = max(family.longest_answer_time_s(code, write=True) for family in families)
-    whole_s = request_s + max(slowest_s, answer_time_s or 0.0)
-    return Cost(
-        expected_s=whole_s,
-        first_byte_s=whole_s,
-        whole_s=whole_s,
-        gap_s=0.0,
-        worst_s=whole_s,
-        request_s=request_s,
-    )
 
 
 @lru_cache(maxsize=CACHE)

@@ -48,7 +48,6 @@ __all__ = [
     "WatchdogTraits",
 ]
 
-CONTROLLER_STATUS = "controller_status"
 SHORTENED_RESPONSE = Code(1921)
 
 KEYPAD_PARAMETERS = range(100, 1000)
@@ -307,10 +306,6 @@ class Family:
         """Read the numbers inside a status word; empty for a code that is none."""
         word = self.words.get(code)
         return word.readings(value) if word is not None else {}
-
-    def controller_status(self, code: Code, value: int) -> FieldReading | None:
-        """Read the controller status (C0150 bits 8 to 11); None for a word without one."""
-        return self.status_fields(code, value).get(CONTROLLER_STATUS)
 
     def active_fault(self, code: Code, value: int) -> bool | None:
         """Say whether a status word reports an active fault; None where it does not say."""

@@ -30,8 +30,7 @@ from .verb_facts import (
     rules_of,
     settings_in_force,
 )
-from .verb_rules import Access, SetpointRule, Verb, VerbRules
-from .verb_steps import WriteStep
+from .verb_rules import Access, SetpointRule, Verb, VerbRules, WriteStep
 
 __all__ = ["speed_step"]
 

@@ -1,11 +1,9 @@
-"""How a family is enabled, given a speed and rid of a fault: the models of `verbs` in its file.
+"""How a family is enabled, set to a speed and reset: rules as data, and the steps of a verb.
 
-A person says "belt: 35 Hz"; what that is on the wire differs from family to family and with the
-drive's settings. The rules are data, so that an electrician can read them beside the manual: which
-bits of the control word mean what, which settings must be so before a write has any effect, where
-a setpoint goes in which unit. `verbs` makes telegrams of them, `verb_sections` reads them.
-
-What must not live here: values read from a drive, and what to do with them.
+A user says "belt: 35 Hz"; what that is on the wire differs from family to family and with the
+drive's settings. The rules stand in the family's file, so that an electrician can read them beside
+the manual: what the bits of the control word mean, which settings a write needs to have an effect,
+where a setpoint goes in which unit. `verbs` and `speeds` make steps of them.
 """
 
 from __future__ import annotations
@@ -16,6 +14,7 @@ from typing import Annotated, Final
 
 from pydantic import AfterValidator, Field, ValidationInfo
 
+from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 
 from .commands import INHIBIT, QUICK_STOP
@@ -35,13 +34,18 @@ from .yaml_models import FILE_TABLE, ReadAs, Reads, mistake, without_keys
 
 __all__ = [
     "Access",
+    "BitsStep",
     "Condition",
     "Demand",
     "EnableRule",
+    "InhibitStep",
     "ResetRule",
+    "RestartStep",
     "SetpointRule",
     "Verb",
     "VerbRules",
+    "VerbStep",
+    "WriteStep",
     "check_control",
 ]
 
@@ -262,3 +266,45 @@ def check_control(rules: VerbRules, info: ValidationInfo) -> VerbRules:
         message = f"{rules.control} is no control word with bits {QUICK_STOP} and {INHIBIT}"
         raise mistake(message, "control")
     return rules
+
+
+@dataclass(frozen=True, slots=True)
+class WriteStep:
+    """Write a code."""
+
+    code: Code
+    value: Value
+
+
+@dataclass(frozen=True, slots=True)
+class BitsStep:
+    """Change bits of the control word as it is then.
+
+    Args:
+        code: The control word.
+        set_mask: Bits set.
+        clear_mask: Bits cleared.
+        always: Write it also where the bits are so already.
+    """
+
+    code: Code
+    set_mask: int = 0
+    clear_mask: int = 0
+    always: bool = False
+
+    def applied(self, word: int) -> int:
+        """Give the word with the bits changed."""
+        return (word | self.set_mask) & ~self.clear_mask
+
+
+@dataclass(frozen=True, slots=True)
+class InhibitStep:
+    """Inhibit the drive, as a stop is said and proven."""
+
+
+@dataclass(frozen=True, slots=True)
+class RestartStep(BitsStep):
+    """Change bits whereupon the drive starts anew without an answer; wait until it is back."""
+
+
+VerbStep = WriteStep | BitsStep | InhibitStep | RestartStep

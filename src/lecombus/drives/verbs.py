@@ -33,8 +33,16 @@ from .verb_facts import (
     objections,
     rules_of,
 )
-from .verb_rules import Access, Verb, VerbRules
-from .verb_steps import BitsStep, InhibitStep, RestartStep, VerbStep, WriteStep
+from .verb_rules import (
+    Access,
+    BitsStep,
+    InhibitStep,
+    RestartStep,
+    Verb,
+    VerbRules,
+    VerbStep,
+    WriteStep,
+)
 
 __all__ = [
     "enable_objection",

@@ -15,16 +15,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated
+from functools import cache
+from importlib import resources
+from typing import Annotated, Final
 
 from pydantic import AfterValidator
 
 from .field_types import BothLanguages, Words, ends, numbered, whole
 from .operating import OperatingState, StateRule
 from .texts import NOTHING, Text
-from .yaml_models import FILE_TABLE, mistake
+from .yaml_models import FILE_TABLE, Document, mistake
 
-__all__ = ["FieldReading", "WordField", "WordFieldEntry", "WordInfo"]
+__all__ = [
+    "FieldReading",
+    "WordField",
+    "WordFieldEntry",
+    "WordInfo",
+    "german_name",
+    "load_bit_names",
+]
+
+BIT_NAMES: Final = "bit-names.yaml"
 
 Bit = Annotated[int, whole(0, 31)]
 Number = Annotated[int, whole(0, 0xFFFF_FFFF)]
@@ -167,3 +178,37 @@ class WordInfo:
         if shown.get("message") or is_message:
             return "message"
         return "warning" if shown.get("warning") else ""
+
+
+@dataclass(frozen=True)
+class _BitNamesFile:
+    __pydantic_config__ = FILE_TABLE
+
+    names: dict[Words, Words]
+
+
+def german_name(name: str) -> str:
+    """Return what a bit or field is called in German; a name that has none stays as it is.
+
+    A bit's name in a family's file is a word for programs, the same in every language; the German
+    names stand once for all families.
+
+    Args:
+        name: As in a family's file, such as `pulse_inhibit`.
+    """
+    return _packaged().get(name, name)
+
+
+@cache
+def _packaged() -> Mapping[str, str]:
+    path = resources.files(__package__) / "families" / BIT_NAMES
+    return load_bit_names(path.read_text(encoding="utf-8"))
+
+
+def load_bit_names(text: str) -> dict[str, str]:
+    """Read `bit-names.yaml`.
+
+    Raises:
+        DescriptionError: It says something that cannot be.
+    """
+    return Document(text, f"families/{BIT_NAMES}").read(_BitNamesFile).names

@@ -24,7 +24,7 @@ import anyio
 
 from lecombus.drives import OperatingState, StopAction, Verb
 from lecombus.drives.verb_facts import Known
-from lecombus.drives.verb_steps import (
+from lecombus.drives.verb_rules import (
     BitsStep,
     InhibitStep,
     RestartStep,
