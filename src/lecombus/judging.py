@@ -149,7 +149,7 @@ class Judge:
                 and not is_before_command(record, cell)
                 and type(number) is int
             ):
-                shown.append((now_s - cell.at_s, word.shown_states(number), word.told_states))
+                shown.append((now_s - cell.at_s, word.shown_states(number), word.possible_states))
             elif not shown:
                 return None
         return join_states(believed_states(shown)) if shown else None

@@ -234,10 +234,10 @@ def _told(
     told: set[OperatingState] = set()
     if word is not None and type(value.number) is int:
         shown += word.shown_states(value.number)
-        told |= word.told_states
+        told |= word.possible_states
     for action, rule in family.stops.items():
         proof = rule.proofs.get(code)
-        tells = None if proof is None else proof.tells(value)
+        tells = None if proof is None else proof.shown_by(value)
         if tells:
             shown.append(OF_ACTION[action])
         if tells is not None and word is not None:

@@ -1,12 +1,13 @@
-"""What lecombus knows of drives: families from data files, and what follows from them.
+"""Families of drives from data files, and what follows from them.
 
-Read `family` and `codes` for the models, `families/*.yaml` for what is known and from which
-manual, `loading` for how the one becomes the other. `words` takes status words apart, `faults`
-says what a fault number means, `stops` says how a drive is stopped and what shows it, `verbs` how
-it is enabled, given a speed and rid of a fault, `encoding` makes the value that is written, `costs`
-says how long an exchange takes and how long to wait.
+`family` and `codes` are the models, `families/*.yaml` the data with the sections of the manuals,
+`loading` reads them (`yaml_models` and `field_types` serve all data files). `words` decodes status
+words, `commands` control words, `faults` explains fault numbers, `stops` and `verbs` make the
+writes that stop, enable, set and reset a drive, `encoding` makes a value of what a user gives,
+`costs` says how long an exchange takes.
 
-Pure: no input or output but the packaged data files, no clock, nothing of the line or the store.
+What must not live here: input and output but for the packaged data files, clocks, the line, values
+that were read from a drive.
 """
 
 from __future__ import annotations

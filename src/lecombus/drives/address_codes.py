@@ -1,12 +1,11 @@
-"""Codes that move a drive away: after their write it answers at another address or baud rate.
+"""Codes whose write makes a drive answer at another address or baud rate.
 
-Strategy: by number, for every family. LECOM devices of any maker have their address in C0009 and
-their baud rate in C0125; where nothing is described, that is the safe guess. An SMVector has them
-in P410 and P411 (C1410, C1411), and its P403 puts both back to their defaults. C0248 and C0249 move
-what every later standard-addressed telegram reaches; they are named where a family describes them,
-for in another device they are codes like any other.
+They are known by number, for every family. LECOM devices of any maker have their address in C0009
+and their baud rate in C0125; for a device that is not described that is the safe guess. An SMVector
+has them in P410 and P411 (C1410, C1411), and its P403 resets both to their defaults. C0248 and
+C0249 change which code a later telegram in standard addressing reaches. They count only where a
+family describes them: in another device they are codes like any other.
 
-What must not live here: doing it (`operations.readdress`, `rebaud`).
 Source: EDB2102EN 5, 8.2 (C0009, C0125, C0248, C0249); CMVLC401A 4.1 (P403), 4.2 (P410, P411).
 """
 
@@ -34,7 +33,7 @@ SHIFTING: Final = frozenset({Code(248), Code(249)})
 
 
 def moves_drive(family: Family, code: Code) -> str | None:
-    """Say how a drive goes away when a code is written; None: it stays.
+    """Return how a drive goes away when a code is written; None: it stays.
 
     Args:
         family: What is known of the drive.
@@ -53,22 +52,22 @@ def moves_drive(family: Family, code: Code) -> str | None:
 
 
 def shifts_addressing(family: Family, code: Code) -> bool:
-    """Whether a code moves what later telegrams in standard addressing reach."""
+    """Return whether a code moves what later telegrams in standard addressing reach."""
     return code in SHIFTING and family.info(code) is not None
 
 
 def address_code(family: Family) -> Code:
-    """Give the code that holds a drive's own address."""
+    """Return the code that holds a drive's own address."""
     return SMV_ADDRESS if family.info(SMV_ADDRESS) is not None else LECOM_ADDRESS
 
 
 def baud_code(family: Family) -> Code:
-    """Give the code that holds a drive's baud rate."""
+    """Return the code that holds a drive's baud rate."""
     return SMV_BAUD if family.info(SMV_BAUD) is not None else LECOM_BAUD
 
 
 def baud_numbers(family: Family) -> Mapping[int, int]:
-    """Give the number of each baud rate that a drive knows, by bit/s.
+    """Return the number of each baud rate that a drive knows, by bit/s.
 
     Of a device that is not described a 2102 module's numbers are guessed.
 

@@ -1,12 +1,9 @@
-"""What lecombus knows of one code of a drive.
+"""The description of one code: format, range, meaning, and what repeating a write could do.
 
-Here live the frozen `CodeInfo` and the words it uses: what repeating a write could do, and where
-a value is kept. `code_entries` builds them from the data files; `family` holds them by code.
-
-Strategy: a description says what the manual says and no more. `low`, `high`, `step` and
-`selection` are absent where the manual gives none, and nothing is refused on their account then.
-Where a range and a selection are given, the range rules and the selection names some of its
-values; a selection alone is all there is, unless it is marked as partial.
+A description holds what the manual says and no more. `low`, `high`, `step` and `selection` are
+absent where the manual gives none; no value is refused then. Where a range and a selection are
+given, the range rules and the selection names some of its values. A selection alone lists all
+values, unless it is marked as partial.
 """
 
 from __future__ import annotations
@@ -175,7 +172,7 @@ class CodeInfo:
         return self.selection.get(int(number))
 
     def may_be(self, number: Decimal | int) -> bool:
-        """Tell whether the manual allows a value: in the range, on the step, in the selection."""
+        """Return whether the manual allows a value: in the range, on the step, in the selection."""
         if self.low is None or self.high is None:
             return self.selection_partial or not self.selection or number in self.selection
         if not self.low <= number <= self.high:

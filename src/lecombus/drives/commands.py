@@ -1,14 +1,11 @@
 """Control words: what their bits and fields command, and how to change some of them.
 
-Strategy: a control word is described whole (`ControlWordInfo`, from the family's data file): every
-bit has a name with a meaning for each level, belongs to a field, is free (the user of the drive
-decides what it does) or is reserved. `encode` changes what is named and nothing else, from the
-word the drive holds now: a word made up from nothing could lift an inhibit, change the direction
-or the parameter set. Free and reserved bits cannot be changed by name, because nobody here knows
-what they would do.
-
-Which word a 93XX has follows from its signal configuration: see `Family.configured`. When a word
-may be sent at all is decided elsewhere (`stops`, `operations`).
+A control word is described whole: every bit has a name with a meaning for each level, belongs to a
+field, is free (the user of the drive decides what it does) or is reserved. `encode` changes the
+named bits of the word that the drive holds now: a word made from nothing could lift an inhibit,
+change the direction or the parameter set. Free and reserved bits cannot be changed by name, because
+their effect is not known here. A 93XX's word depends on its signal configuration: see
+`Family.configured`.
 
 Source: EDB2102EN 8.2 (C0135); CMVLC401A table 9 (C0135).
 """
@@ -188,7 +185,7 @@ class ControlWordInfo:
         return word & WORD_MAX
 
     def decode(self, word: int) -> dict[str, bool | int]:
-        """Name what a control word commands: every named bit and field."""
+        """Return what a control word commands: every named bit and field."""
         bits = {name: bool(word >> bit.bit & 1) for name, bit in self.bits.items()}
         fields = {name: (word & field.mask) >> field.low for name, field in self.fields.items()}
         return bits | fields
@@ -203,7 +200,7 @@ class ControlWordInfo:
         return word & ~field.mask | number << field.low
 
     def _unknown(self, name: str) -> CodeValueError:
-        """Say why a name cannot be changed: `bit_4` may be a free or a reserved one."""
+        """Return why a name cannot be changed: `bit_4` may be a free or a reserved one."""
         known = ", ".join((*self.bits, *self.fields))
         kind, _, number = name.rpartition("_")
         bit = int(number) if kind == "bit" and number.isdecimal() else None

@@ -1,16 +1,16 @@
 """What an exchange costs on the line, and until when its answer may come.
 
-Strategy: wire time follows from baud rate, addressing and value length, thinking time (t3) from
-family and code. The expected cost is both as they usually are; deadlines are made from the
-longest thinking time, twice, as the manual asks ("approx. twice as long as the maximum response
-time"), plus what the adapter and a busy computer add. No constant stands for any of it.
+The time on the wire follows from baud rate, addressing and value length, the drive's answer time
+(t3) from family and code. The expected cost uses both as they usually are. Time-outs are made from
+the longest answer time, twice, as the manual asks ("approx. twice as long as the maximum response
+time"), plus what the adapter and a busy computer add.
 
-The answer's length is known for a described code only as its usual length, and not at all for an
-undescribed one. So the whole answer gets the longest its format allows, and once more the usual
-one on top: where the length is fixed (C0150) that is twice its wire time.
+The length of an answer is known for a described code only as its usual length, and not at all for
+another. So the whole answer gets the longest its format allows plus the usual one: where the length
+is fixed (C0150) that is twice its time on the wire.
 
-All of it is asked for on every exchange, so results are kept by timing, family, code and form.
-Waiting before a telegram (turnaround) belongs to whoever sends it; it is no part of a cost.
+Costs are needed for every exchange, so they are cached by timing, family, code and form. The pause
+before a telegram (turnaround) is kept by the sender and is no part of a cost.
 
 Source: EDB2102EN 3.5, 8.3.5.
 """
@@ -43,7 +43,7 @@ GAP_CHARS: Final = 4
 """Characters' worth of silence inside an answer that a drive is granted."""
 
 USUAL_UNKNOWN_CHARS: Final = 9
-"""Value length taken where no description tells: that of the manual's tables (EDB2102EN 3.5)."""
+"""Value length assumed without a description: that of the manual's tables (EDB2102EN 3.5)."""
 
 LONGEST_CHARS: Final = {Format.VD: 12, Format.VH: 9, Format.VS: 40}
 """Longest value of a described code by format: `-214748.3648`, `H` and 8 digits, and for strings
@@ -184,7 +184,7 @@ def _cost(
 def _think(
     family: Family, code: Code, answer_time_s: float | None, *, write: bool
 ) -> tuple[float, float]:
-    """Give the usual thinking time, and how long to wait for the answer to begin."""
+    """Return the usual thinking time, and how long to wait for the answer to begin."""
     usual_s = family.answer_time_s(code, write=write)
     if answer_time_s is not None:
         own = code.number in family.answer_times
@@ -193,7 +193,7 @@ def _think(
 
 
 def _value_chars(info: CodeInfo | None) -> tuple[int, int]:
-    """Give the usual and the longest length of a code's value."""
+    """Return the usual and the longest length of a code's value."""
     if info is None:
         return USUAL_UNKNOWN_CHARS, HIGHEST_VALUE_CHARS
     if info.hex_digits is not None:

@@ -1,13 +1,12 @@
-"""From what a user gives to what the wire needs.
+"""From what a user gives to the value that is written.
 
-Strategy: the code's description decides the format; without one the format that the code was last
-read in, and without that the value itself (a number is a decimal, `H0008` a word, `O..` octets).
-Values are exact all the way: a binary float is refused, because what it stands for has been lost
-already. Whether the manual allows the value is asked apart from that (`check_allowed`): a setting
-of the drive may change the range, and what was read from a drive can be written back whatever the
-manual says.
+The code's description decides the format; without one, the format that the code was last read in;
+without that, the value itself (a number is a decimal, `H0008` a word, `O..` octets). Values are
+exact: a binary float is refused, because the decimal that was meant is lost. `check_allowed`
+compares with the manual's range separately: a setting of the drive may change the range, and what
+was read from a drive can be written back in any case.
 
-Text of digits is refused where a word is written: the `0208` of a manual means H0208, and as a
+A text of digits is refused where a word is written: the `0208` of a manual means H0208, and as a
 decimal it is H00D0, which enables a drive instead of stopping it. Numbers are taken as they are.
 
 Source: EDB2102EN 8.3.1, CMVLC401A 5.4 (formats; drives accept no strings).
@@ -46,7 +45,7 @@ def encode_for(
         code: The code to be written.
         given: A number, or a text: a decimal such as `-35.4`, a word such as `H0008` or `0x0008`,
             or `O` with octets.
-        last_read: What the code read last, which tells the format of one that is not described;
+        last_read: What the code read last, which decides the format if it is not described;
             None where it was never read.
 
     Raises:
@@ -100,7 +99,7 @@ def check_allowed(family: Family, code: Code, value: Value) -> None:
 
 
 def _word_digits(info: CodeInfo | None, last_read: Value | None) -> int | None:
-    """Give the number of hexadecimal digits a code is sent with, None where it is no word."""
+    """Return the number of hexadecimal digits a code is sent with, None where it is no word."""
     if info is not None:
         return info.hex_digits if info.format is Format.VH else None
     if last_read is not None and last_read.format is Format.VH:
@@ -126,7 +125,7 @@ def _word(given: Decimal | int | str, digits: int) -> Value:
 
 
 def _readings(text: str, digits: int) -> str:
-    """Say what digits without a sign of their base could mean as a word, and how to write it."""
+    """Return what digits without a sign of their base could mean as a word, and how to write it."""
     match = _DIGITS.fullmatch(text)
     if match is None or match[1] == "-" or (match[3] or "").strip(".0"):
         return f"{text!r} is no word; {_word_form(digits)} is right"

@@ -1,14 +1,9 @@
-"""What lecombus knows of a family of drives, as the rest of the program sees it.
+"""A family of drives: answer times, watchdog, codes, words, and the questions about them.
 
-Here live the frozen models: answer times, watchdog traits, and the `Family` that holds them and
-the codes (`codes`), with the questions asked of it on the hot path. They are built by `loading`
-from the data files in `families/`; nobody else makes one outside tests.
-
-Strategy: everything is resolved when the file is loaded, so a question is a dictionary access.
-A code without a description is not an error: any code may be read, its write is never repeated
-blindly, and its format follows from the value given.
-
-What must not live here: reading files, telegram times (`costs`), or anything with a clock.
+`loading` makes a `Family` of the data files in `families/`. Everything is resolved then, so that a
+question on the path of every exchange is a dictionary access. A code without a description is no
+error: it may be read, its write is not repeated after a lost answer, and its format follows from
+the value given.
 """
 
 from __future__ import annotations
@@ -149,7 +144,7 @@ class Family:
         feed_code: The cheapest useful read: feeds a watchdog, probes an absent drive.
         hold_after_write_s: How long the module is left alone after a write while its shortened
             response (C1921 = 1) is on, seconds.
-        identity: Codes that tell what is at the other end.
+        identity: Codes that identify the drive.
         stops: How it is stopped.
         words: Its status words.
         answer_times: Answer times of the codes that have their own, by code number.
@@ -165,7 +160,7 @@ class Family:
         variants: This family in each signal configuration by its name, in any under the empty
             name; empty where there are none.
         saved_by: The code that has to be written before stored values survive a power cycle; None
-            where every write is stored at once.
+            where every write is stored immediately.
         verbs: How it is enabled, given a speed and rid of a fault; None where nothing is known.
         keypad_offset: The keypad names the codes above this by P and the difference: C1411 is P411
             on an SMVector; None where it names them as the line does.
@@ -217,15 +212,15 @@ class Family:
         return f"P{code.number - offset:03d}{subcode}"
 
     def spoken(self, code: Code) -> str:
-        """Name a code for people, as the drive's keypad does: P411, or C0046."""
+        """Return a code for people, as the drive's keypad does: P411, or C0046."""
         return self.keypad_name(code) or str(code)
 
     def info(self, code: Code) -> CodeInfo | None:
-        """Give a code's description; None where there is none (it may be read all the same)."""
+        """Return a code's description; None where there is none (it may be read all the same)."""
         return self.codes.get(code)
 
     def configured(self, number: int | None) -> Family:
-        """Give this family as a drive of it is whose signal configuration is known.
+        """Return this family as a drive of it is whose signal configuration is known.
 
         Args:
             number: The value of `configured_by`; None where it is not known. Where the manual says
@@ -242,11 +237,11 @@ class Family:
         return self.variants.get("", self)
 
     def described(self) -> Iterable[CodeInfo]:
-        """Give every described code by number, those of further parameter sets included."""
+        """Return every described code by number, those of further parameter sets included."""
         return self.codes.values()
 
     def answer_time_s(self, code: Code, *, write: bool, c0001: int | None = None) -> float:
-        """Give the usual time the drive thinks before it answers, seconds.
+        """Return the usual time the drive thinks before it answers, seconds.
 
         Args:
             code: The code; its subcode makes no difference.
@@ -259,12 +254,12 @@ class Family:
         return times.write_s if write else times.read_s
 
     def longest_answer_time_s(self, code: Code, *, write: bool) -> float:
-        """Give the longest time the drive may think: what time-outs are made from, seconds."""
+        """Return the longest time the drive may think: what time-outs are made from, seconds."""
         times = self.answer_times.get(code.number, self.other_answer_time)
         return times.slow_write_s if write else times.slow_read_s
 
     def patience_s(self, code: Code, *, write: bool, answer_time_s: float | None = None) -> float:
-        """Give how long to wait for a drive to begin its answer, seconds.
+        """Return how long to wait for a drive to begin its answer, seconds.
 
         About twice the longest answer time; where the manual gives a limit already, a fifth more
         than that: twice 500 ms would keep other drives' watchdogs waiting for nothing.
@@ -283,7 +278,7 @@ class Family:
         return (LIMIT_FACTOR if times.is_limit else ANSWER_FACTOR) * longest_s
 
     def write_class(self, code: Code, value: Value | None = None) -> WriteClass:
-        """Say what repeating a write could do; without a value, at the worst.
+        """Return what repeating a write could do; without a value, at the worst.
 
         An undescribed code is EDGE: nothing says that it may be repeated.
         """
@@ -298,7 +293,7 @@ class Family:
         return info.write_class
 
     def status_bits(self, code: Code, value: int) -> dict[str, bool]:
-        """Name the bits of a status word; empty for a code that is none."""
+        """Return the bits of a status word; empty for a code that is none."""
         word = self.words.get(code)
         return word.flags(value) if word is not None else {}
 
@@ -308,12 +303,12 @@ class Family:
         return word.readings(value) if word is not None else {}
 
     def active_fault(self, code: Code, value: int) -> bool | None:
-        """Say whether a status word reports an active fault; None where it does not say."""
+        """Return whether a status word reports an active fault; None where it does not say."""
         word = self.words.get(code)
         return word.active_fault(value) if word is not None else None
 
     def shown_fault(self, code: Code, value: int) -> FaultKind | None:
-        """Say what kind of fault a status word shows; None for none, or where it does not say."""
+        """Return the kind of fault a status word shows; None for none, or if it does not say."""
         word = self.words.get(code)
         if word is None:
             return None
@@ -328,7 +323,7 @@ class Family:
         return fault_table(self.name)
 
     def fault(self, number: int) -> Fault | None:
-        """Say what a number in the fault memory means.
+        """Return what a number in the fault memory means.
 
         Returns:
             None for no fault (0), and for a number that the manual does not list.

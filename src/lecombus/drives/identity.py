@@ -1,6 +1,5 @@
-"""Who a drive is: which codes say so, and when two answers are one identity.
+"""Which codes identify a drive, and when two answers are one identity.
 
-What must not live here: what is recorded, accepted or locked (`operations.identities`).
 Source: EDB2102EN 8.2 (C1810, C1811), CMVLC401A table 9 (C0200, C0201), 8.1.3 (C1099), 9.2 (P502).
 """
 
@@ -36,12 +35,12 @@ def text_of(value: Value) -> str:
 
 
 def is_identity(value: Value, text: str | None) -> bool:
-    """Whether a value is what is said of it; what is not said cannot differ."""
+    """Return whether a value is what is said of it; what is not said cannot differ."""
     return text is None or is_same_text(text_of(value), text) or value.raw == text
 
 
 def is_same_text(found: str, text: str) -> bool:
-    """Whether two texts are one identity; `1.2` and `1.20` are."""
+    """Return whether two texts are one identity; `1.2` and `1.20` are."""
     if found == text:
         return True
     try:

@@ -1,23 +1,19 @@
-"""How long a drive really thinks, where that is longer than its manual says.
+"""How long a drive takes to answer, where that is longer than its manual says.
 
-Strategy: of every code that is read or written the last eight attempts are kept: answered in the
-manual's time, answered clearly later, or not answered. A code is slow if two answers or more came
-late, and late and missing ones together are more than the others. So a few answers that a
-disturbance delays change nothing, a code that has become slow is learnt after some five attempts,
-and one that is answered in time again is forgotten as soon. Late ones that lie a minute back are
-forgotten by the first answer in time: a code that is seldom read must not wait for eight of them.
+Of every code that is read or written the last eight attempts are kept: answered in the documented
+time, answered clearly later, or not answered. A code is slow if two answers or more came late, and
+late and missing ones together are more than the others. So a few answers that a disturbance delays
+change nothing, a code that has become slow is found after some five attempts, and it is no longer
+slow when it is answered in time again. Late ones more than a minute old are dropped at the first
+answer in time: a code that is seldom read must not wait for eight of them.
 
-What is slow is reckoned with by the median of what was late, in steps of a quarter, never with less
-than the manual's time and never with more than ten times that (or half a second, if that is more)
-or one second: a stop waits for the time-out of what is under way, and that is twice as long. What
-is not slow changes nothing: costs and time-outs of ordinary drives are those of the manual to the
-digit.
+The time used for a slow code is the median of the late ones, in steps of a quarter. It is never
+less than the documented time and never more than ten times that (or half a second, if that is more)
+or one second: a stop waits for the time-out of the exchange in progress, and that is twice as long.
+For a code that is not slow costs and time-outs are exactly those of the manual.
 
-A drive of which every code that was measured is slow is slow as a whole: codes not yet measured are
-reckoned with by the least of the ratios found, except where the manual tells the most it can be.
-
-What must not live here: where measures come from, and whether one is certain (`line`, `protocol`:
-what the daemon was too late to see is no measure), what is said about them (`supervision`).
+A drive of which every measured code is slow is slow as a whole: for codes not yet measured the
+least of the ratios found is used, except where the manual gives a limit.
 """
 
 from __future__ import annotations
@@ -76,7 +72,7 @@ class SlowAnswers:
     def time_s(
         self, family: Family, code: Code, *, write: bool, answer_time_s: float | None
     ) -> float | None:
-        """Give the answer time to reckon with, as `read_cost` and `write_cost` take it.
+        """Return the answer time to reckon with, as `read_cost` and `write_cost` take it.
 
         Args:
             family: The drive's family.
@@ -89,19 +85,19 @@ class SlowAnswers:
         known_s = (self.writes if write else self.reads).get(code)
         times = family.answer_times.get(code.number, family.other_answer_time)
         if known_s is None and self.ratio > 1.0 and not times.is_limit:
-            told_s = manual_s(family, code, write=write, answer_time_s=answer_time_s)
-            known_s = bounded(self.ratio * told_s, told_s)
+            documented_s = manual_s(family, code, write=write, answer_time_s=answer_time_s)
+            known_s = bounded(self.ratio * documented_s, documented_s)
         return answer_time_s if known_s is None else known_s
 
 
 @dataclass(frozen=True, slots=True)
 class AnswerRow:
-    """One code of one drive: told and measured.
+    """One code of one drive: documented and measured.
 
     Args:
         code: The code.
         write: A write rather than a read.
-        manual_s: The longest that manual or roster tell, seconds.
+        manual_s: The longest by manual or roster, seconds.
         measured_s: How long it takes, as far as measured.
         slow: It is reckoned with.
     """
@@ -163,7 +159,7 @@ class _Attempts:
             self._last.pop()
 
     def is_past(self, now_s: float, *, recovered: bool) -> bool:
-        """Whether nobody has asked for a while, and its slowness is probably over.
+        """Return whether the code was not used for a while, and its slowness is probably over.
 
         That is so if the last answer came in time, or if another code that was slow has `recovered`
         just now: as a rule they were late together. One slow by itself is soon learnt again.
@@ -178,7 +174,7 @@ class _Attempts:
 
     @property
     def is_slow(self) -> bool:
-        """Whether it takes clearly more than the manual's time, as a rule."""
+        """Return whether it takes clearly more than the manual's time, as a rule."""
         untimely = [time_s for _, time_s in self._last if time_s > self._from_s]
         late = len(untimely) - untimely.count(math.inf)
         return late >= LATE_LEAST and 2 * len(untimely) > len(self._last)
@@ -207,13 +203,13 @@ class MeasuredTimes:
         self._judge_at_s = 0.0
 
     def note(
-        self, code: Code, told_s: float, thought_s: float, now_s: float, *, write: bool
+        self, code: Code, documented_s: float, thought_s: float, now_s: float, *, write: bool
     ) -> None:
         """Take the time from the end of a request to the first byte of its answer.
 
         Args:
             code: The code.
-            told_s: The longest that manual or roster tell, seconds (`manual_s`).
+            documented_s: The longest by manual or roster, seconds (`manual_s`).
             thought_s: The time measured, seconds.
             now_s: When that was.
             write: A write rather than a read.
@@ -221,33 +217,33 @@ class MeasuredTimes:
         attempts = self._codes.get((code, write))
         time_s = max(thought_s - self._latency_s, 0.0)
         if attempts is None:
-            if not self._has_room(time_s / told_s):
+            if not self._has_room(time_s / documented_s):
                 return
-            attempts = self._codes[code, write] = _Attempts(told_s, now_s)
-        elif attempts.manual_s != told_s:
-            attempts.take_manual(told_s)
+            attempts = self._codes[code, write] = _Attempts(documented_s, now_s)
+        elif attempts.manual_s != documented_s:
+            attempts.take_manual(documented_s)
         if attempts.note(time_s, now_s) or now_s > self._judge_at_s:
             self._judge(now_s)
 
     def missed(self, code: Code, now_s: float, *, write: bool) -> None:
-        """Take note that a code was not answered, nothing having been heard."""
+        """Record that a code was not answered: no byte came."""
         attempts = self._codes.get((code, write))
         if attempts is not None:
             attempts.note_missing(now_s)
             self._judge(now_s)
 
     def answered_s(self, code: Code) -> float | None:
-        """Tell when a read of a code was last answered; None: not remembered."""
+        """Return when a read of a code was last answered; None: not remembered."""
         attempts = self._codes.get((code, False))
         return None if attempts is None else attempts.last_s
 
-    def note_late(self, code: Code, told_s: float, thought_s: float, now_s: float) -> None:
+    def note_late(self, code: Code, documented_s: float, thought_s: float, now_s: float) -> None:
         """Take a read's answer that came after it was given up: it was too slow in any case."""
-        least_s = 1.001 * slow_from_s(told_s) + self._latency_s
+        least_s = 1.001 * slow_from_s(documented_s) + self._latency_s
         attempts = self._codes.get((code, False))
         if attempts is not None:
             attempts.withdraw_missing()
-        self.note(code, told_s, max(thought_s, least_s), now_s, write=False)
+        self.note(code, documented_s, max(thought_s, least_s), now_s, write=False)
 
     def forget(self) -> None:
         """Forget all that was measured."""
@@ -255,7 +251,7 @@ class MeasuredTimes:
         self.slow = SlowAnswers()
 
     def rows(self) -> list[AnswerRow]:
-        """Give what was measured, the slowest first."""
+        """Return what was measured, the slowest first."""
         rows = [
             AnswerRow(code, write, one.manual_s, one.time_s, one.is_slow)
             for (code, write), one in self._codes.items()
@@ -298,23 +294,23 @@ class MeasuredTimes:
 
 
 def manual_s(family: Family, code: Code, *, write: bool, answer_time_s: float | None) -> float:
-    """Give the longest answer time that manual and roster tell, seconds."""
+    """Return the longest answer time by manual and roster, seconds."""
     own = code.number in family.answer_times
     if answer_time_s is not None and not own:
         return answer_time_s
     return max(family.longest_answer_time_s(code, write=write), answer_time_s or 0.0)
 
 
-def slow_from_s(told_s: float) -> float:
-    """Give from when on an answer is clearly later than told, seconds."""
-    return SLOW_FACTOR * told_s + LATENESS_S
+def slow_from_s(documented_s: float) -> float:
+    """Return from when on an answer is clearly later than documented, seconds."""
+    return SLOW_FACTOR * documented_s + LATENESS_S
 
 
-def bounded(time_s: float, told_s: float) -> float:
-    """Round a time up by steps and keep it between what is told and the most, seconds."""
+def bounded(time_s: float, documented_s: float) -> float:
+    """Round a time up by steps; limit it to the documented time and the most, seconds."""
     steps = math.ceil(round(math.log(max(time_s, 0.001) / 0.001, STEP), 6))
-    most_s = max(told_s, min(max(MOST_FACTOR * told_s, MOST_LEAST_S), MOST_S))
-    return float(min(max(round(0.001 * STEP**steps, 6), told_s), most_s))
+    most_s = max(documented_s, min(max(MOST_FACTOR * documented_s, MOST_LEAST_S), MOST_S))
+    return float(min(max(round(0.001 * STEP**steps, 6), documented_s), most_s))
 
 
 def _used_s(one: _Attempts) -> float:

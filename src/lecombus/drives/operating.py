@@ -1,11 +1,10 @@
-"""What a drive says it is doing, in words that are the same for every family.
+"""The operating states that drives report, in the same words for every family.
 
-Strategy: a rule is a mask and a number (`StateRule`, from the family's data file), so that reading
-a word's states is one short loop. A state has a rule only where the manual gives the bit that one
-meaning: bits that users assign have none, and neither have bits whose meaning two manuals
-contradict (the "power stage energized" bits of SMVector). Nothing is concluded from the absence
-of a state: "not inhibited" does not mean that the motor turns. An output frequency of 0 does not
-mean that it stands: only a drive that measures its speed says that.
+A rule is a mask and a number (`StateRule`, from the family's data file). A state has a rule only
+where the manual gives the bit that one meaning: bits that users assign have none, and neither have
+bits that two manuals contradict each other about (the "power stage energized" bits of SMVector).
+The absence of a state proves nothing: "not inhibited" does not mean that the motor turns. An output
+frequency of 0 does not mean standstill: only a drive that measures its speed reports that.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ class OperatingState(StrEnum):
     INHIBITED = "inhibited"
     """Controller inhibit."""
     OPERATION_INHIBITED = "operation_inhibited"
-    """The controller status says so, whoever does it: line, terminal or the drive itself."""
+    """By the controller status: the line, a terminal or the drive itself inhibits it."""
     ENABLED = "enabled"
     """Operation enabled: not that the motor turns."""
     QUICK_STOP = "quick_stop"
@@ -67,7 +66,7 @@ class StateRule:
     equals: int
 
     def holds(self, word: int) -> bool:
-        """Tell whether a word shows the state."""
+        """Return whether a word shows the state."""
         return word & self.mask == self.equals
 
 
@@ -104,8 +103,8 @@ def believed_states(
         words: Age in seconds, states shown and states that could be shown, of each word.
     """
     denied = [
-        (age_s, (set(told) - set(shown)) | {OPPOSITES[one] for one in shown if one in OPPOSITES})
-        for age_s, shown, told in words
+        (age_s, (set(able) - set(shown)) | {OPPOSITES[one] for one in shown if one in OPPOSITES})
+        for age_s, shown, able in words
     ]
     return [
         tuple(

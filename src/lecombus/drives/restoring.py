@@ -1,14 +1,13 @@
-"""What a backup may put back into a drive, and in which order.
+"""What a backup may write back into a drive, and in which order.
 
-Strategy: the rules are data (`restore` in the family's file), each with the manual's section: what
-comes first because other codes follow from it, what comes last because it shuts the door behind
-itself, what is never written, what must be the same in both drives, and how parameters are saved
-at the end. What follows from a code's description (read only, a process value, an edge) needs no
-rule. The daemon asks `not_restored` before every such write, the command line before it shows its
-plan: the two cannot differ.
+The rules are data (`restore` in the family's file), each with the manual's section: what comes
+first because other codes follow from it, what comes last because it may lock further access, what
+is never written, what must be the same in both drives, and how parameters are saved at the end.
+What follows from a code's description (read only, a process value, an edge) needs no rule. The
+daemon calls `not_restored` before every such write, the command line before it shows its plan, so
+both agree.
 
-A rule names a code of parameter set 1 and holds for every set. Reading values, comparing them and
-talking to a drive are `backups`.
+A rule names a code of parameter set 1 and holds for every set.
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ class RestoreWord(StrEnum):
     NEVER = "never"
     """Left alone."""
     SAME = "same"
-    """Tells drives apart: a restore into a drive that reads otherwise must be asked for."""
+    """Distinguishes drives: a restore into a drive that reads otherwise must be confirmed."""
     SAVE = "save"
     """Written once at the end, to keep what was written."""
 
@@ -108,7 +107,7 @@ FIRST_RANK, USUAL_RANK, LAST_RANK = 0, 1, 2
 
 
 def not_restored(family: Family, code: Code, owned: Collection[Code] = ()) -> str | None:
-    """Say why a code is left out of a restore; None where it is put back.
+    """Return why a code is left out of a restore; None where it is put back.
 
     Args:
         family: The drive's family.
@@ -133,13 +132,13 @@ def not_restored(family: Family, code: Code, owned: Collection[Code] = ()) -> st
 
 
 def restore_rule(family: Family, code: Code) -> RestoreRule | None:
-    """Give the first rule that names a code, whichever parameter set it lies in."""
+    """Return the first rule that names a code, in any parameter set."""
     base = base_code(family, family.info(code), code)
     return next((rule for rule in family.restore if base in rule.codes), None)
 
 
 def restore_rank(family: Family, code: Code) -> tuple[int, int, int, int, Code]:
-    """Give what sorts codes into the order in which they are written."""
+    """Return what sorts codes into the order in which they are written."""
     base = base_code(family, family.info(code), code)
     for number, rule in enumerate(family.restore):
         if base in rule.codes and rule.word in (RestoreWord.FIRST, RestoreWord.LAST):
@@ -150,24 +149,24 @@ def restore_rank(family: Family, code: Code) -> tuple[int, int, int, int, Code]:
 
 
 def is_last(family: Family, code: Code) -> bool:
-    """Tell whether a code is one of those that shut the door behind themselves."""
+    """Return whether a code is one of those that may lock further access."""
     return restore_rank(family, code)[0] == LAST_RANK
 
 
 def must_be_same(family: Family) -> tuple[Code, ...]:
-    """Name the codes that tell whether two drives may hold the same parameters."""
+    """Return the codes that must be the same in two drives with the same parameters."""
     return tuple(
         code for rule in family.restore if rule.word is RestoreWord.SAME for code in rule.codes
     )
 
 
 def saving_rule(family: Family) -> RestoreRule | None:
-    """Give what is written at the end to keep the parameters; None where each write keeps."""
+    """Return what is written at the end to keep the parameters; None where each write keeps."""
     return next((rule for rule in family.restore if rule.word is RestoreWord.SAVE), None)
 
 
 def base_code(family: Family, info: CodeInfo | None, code: Code) -> Code:
-    """Give the code that means the same in parameter set 1."""
+    """Return the code that means the same in parameter set 1."""
     if info is None or info.parameter_set == 1:
         return code
     return Code(code.number - family.set_offsets[info.parameter_set - 1], code.subcode)

@@ -1,13 +1,11 @@
 """What is written for a speed: which code, in which unit, within which range.
 
 A speed has a unit, `Hz` or `%` of the highest frequency or speed; without it a number could mean
-either. It is converted where the drive has a setting that says what 100 % is, and held against the
-range in force, so that a value out of it is refused with the range and not by a bare NAK. That
-setting is the one of the parameter set in use, which the status word tells; where no word tells it
-and the sets differ, nothing is converted. A drive that would not look at its setpoint, because a
-JOG value is selected, is not given one.
-
-What must not live here: the other verbs (`verbs`).
+either. It is converted where the drive has a setting that defines 100 %, and compared with the
+range in force, so that a value outside is refused with the range and not by a bare NAK. That
+setting is the one of the parameter set in use, which the status word shows; where no word shows it
+and the sets differ, nothing is converted. A drive that ignores its setpoint, because a JOG value is
+selected, is given none.
 
 Source: EDB2102EN 5, 6.1, 6.4.1, 6.5, 8.2 (C0046, C0127, C0141); CMVLC401A 4.2, table 9.
 """
@@ -46,7 +44,7 @@ one decimal place (EDB2102EN 8.3.2), and a drive may refuse more."""
 
 
 def speed_step(known: Known, number: Decimal, unit: str) -> WriteStep:
-    """Say what is written for a speed.
+    """Return what is written for a speed.
 
     Args:
         known: The drive.
@@ -75,8 +73,10 @@ def speed_step(known: Known, number: Decimal, unit: str) -> WriteStep:
         given = _converted(number, rule, next(iter(scale.values())))
     low, high = _bounds(known, rule, scale)
     if not low <= given <= high:
-        told = f"{number} {unit}" if rule.unit == unit else f"{number} {unit} ({given} {rule.unit})"
-        raise _bad_speed(known, rule, in_force, f"{told} is out of the range of {known.drive}")
+        given_as = (
+            f"{number} {unit}" if rule.unit == unit else f"{number} {unit} ({given} {rule.unit})"
+        )
+        raise _bad_speed(known, rule, in_force, f"{given_as} is out of the range of {known.drive}")
     finest = rule.step or FINEST
     if given % finest:
         raise _bad_speed(known, rule, in_force, f"{number} {unit} is finer than {finest}")
@@ -93,7 +93,7 @@ def _converted(number: Decimal, rule: SetpointRule, full: Decimal) -> Decimal:
 def _bounds(
     known: Known, rule: SetpointRule, scale: Mapping[Code, Decimal]
 ) -> tuple[Decimal, Decimal]:
-    """Give the range in force, which settings of the drive may make narrower.
+    """Return the range in force, which settings of the drive may make narrower.
 
     Where the parameter set in use is not known the widest counts: a frequency means the same in
     all of them, and the drive holds its own limit.
@@ -104,7 +104,7 @@ def _bounds(
 
 
 def _scale(known: Known, rule: SetpointRule) -> dict[Code, Decimal]:
-    """Give what 100 % is in each parameter set that may be in use; a setting of 0 says nothing."""
+    """Return what 100 % is in each parameter set that may be in use; a setting of 0 is ignored."""
     found = {}
     for code, value in _scale_settings(known, rule).items():
         number = value.number

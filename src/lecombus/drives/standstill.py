@@ -1,17 +1,16 @@
-"""What is known of a drive's motion, and whether it would store what is written to it.
+"""What is known of a drive's motion before its address or baud rate is changed.
 
-While the address or baud rate of a drive changes, it cannot be stopped over the line. So it must be
-inhibited or in quick stop first. An 820X stores a parameter only while it is inhibited: in quick
-stop it acknowledges, and forgets with its supply.
+During that change it cannot be stopped over the line, so it must be inhibited or in quick stop
+first. An 820X stores a parameter only while it is inhibited: in quick stop it acknowledges the
+write, and loses it when it is switched off.
 
-Standstill is measured by a 93XX only (C0150 bit 6, n = 0, where its signal configuration is
-known). An inverter knows its output frequency: that is 0 at once after an inhibit, while the motor
-coasts. So what is known is said in words, and nothing is called standing that may still turn.
+Only a 93XX measures standstill (C0150 bit 6, n = 0, where its signal configuration is known). An
+inverter knows its output frequency: that is 0 immediately after an inhibit, while the motor coasts.
+So the result says in words what is known.
 
-Strategy: a generator that asks for codes and is sent what they read, so that a daemon and a command
-on a port of its own share it.
+`ask_standstill` is a generator that yields codes and is sent their values, so that the daemon and a
+command with its own port use the same one.
 
-What must not live here: how codes are read; what is written.
 Source: EDB2102EN 6.4 (820X saves only while inhibited), 8.2 (C0150 bit 6); CMVLC401A table 9.
 """
 
@@ -97,7 +96,7 @@ def _after_a_ramp(family: Family, held: str) -> Asking:
 
 
 def _measured(family: Family) -> Generator[Code, Value | None, bool | None]:
-    """Whether the drive measures a speed of 0; None where it does not measure, or does not say."""
+    """Return whether the drive measures a speed of 0; None where it does not measure or say."""
     word = family.words[STATUS_WORD]
     if OperatingState.ZERO_SPEED not in {rule.state for rule in word.states}:
         return None
@@ -108,7 +107,7 @@ def _measured(family: Family) -> Generator[Code, Value | None, bool | None]:
 
 
 def _configured(family: Family) -> Generator[Code, Value | None, Family]:
-    """Give the family as the drive's signal configuration makes it, where it has one."""
+    """Return the family as the drive's signal configuration makes it, where it has one."""
     if family.configured_by is None:
         return family
     value = yield family.configured_by
@@ -118,7 +117,7 @@ def _configured(family: Family) -> Generator[Code, Value | None, Family]:
 
 
 def _shows(family: Family, action: StopAction) -> Generator[Code, Value | None, bool]:
-    """Whether a drive's first proof of a stop holds now."""
+    """Return whether a drive's first proof of a stop holds now."""
     if not knows_stop(family, action):
         return False
     code = confirm_codes(family, action)[0]

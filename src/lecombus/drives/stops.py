@@ -1,14 +1,14 @@
-"""Stopping a drive: which code is written with which value, and what shows that it was taken.
+"""Stopping a drive: which code is written with which value, and what shows that it took effect.
 
-Strategy: the rules are data (`StopRule` in the family's file). Inhibit writes C0040 = 0 on every
-described family; quick stop sets bit 3 of the control word C0135 and must know the word it
-changes: a word made up from nothing could lift an inhibit (bit 9), change the direction or the
-parameter set. TRIP reset (bit 11) is always cleared, because writing it again could be the edge
-that resets a fault. A family without a description knows no stop, and says so.
+The rules are data (`StopRule` in the family's file). Inhibit writes C0040 = 0 on every described
+family. Quick stop sets bit 3 of the control word C0135 and needs the word it changes: a word made
+from nothing could lift an inhibit (bit 9), change the direction or the parameter set. TRIP reset
+(bit 11) is always cleared, because writing it again could be the edge that resets a fault. A family
+without a description has no stop.
 
-An acknowledgement is not an effect. `stop_confirmed` looks at what was read back and says no
-more than the manual does: that the drive reports the inhibit or the quick stop, or holds the
-command; never that the motor stands still. When to send, repeat and escalate belongs elsewhere.
+An acknowledgement is not an effect. `stop_confirmed` checks what was read back and claims no more
+than the manual: that the drive reports the inhibit or the quick stop, or holds the command; never
+that the motor stands still.
 
 Source: EDB2102EN 8.2 (C0040, C0068, C0135, C0150); CMVLC401A 4.2 (P420), table 9.
 """
@@ -79,11 +79,11 @@ class StopProof:
     equals: WordNumber
 
     def holds(self, value: Value) -> bool:
-        """Say whether a value that was read back shows the stop."""
-        return self.tells(value) is True
+        """Return whether a value that was read back shows the stop."""
+        return self.shown_by(value) is True
 
-    def tells(self, value: Value) -> bool | None:
-        """Say whether a value shows the stop; None: it shows neither that nor the opposite.
+    def shown_by(self, value: Value) -> bool | None:
+        """Return whether a value shows the stop; None: it shows neither that nor the opposite.
 
         A word of more than 16 bits is something else than the word that was asked for.
         """
@@ -111,7 +111,7 @@ def _by_code(entries: tuple[_Proof, ...]) -> dict[Code, StopProof]:
 
 
 Proofs = Annotated[Mapping[Code, StopProof], ReadAs(tuple[_Proof, ...], _by_code)]
-"""What codes must show, the most telling first."""
+"""What codes must show, the most conclusive first."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -123,7 +123,7 @@ class StopRule:
         value: The value written; None when bits of the control word are changed instead.
         set_mask: Bits set in the control word.
         clear_mask: Bits cleared in the control word.
-        proofs: Codes to read back, the most telling first, with what they must show.
+        proofs: Codes to read back, the most conclusive first, with what they must show.
         source: Manual and section.
     """
 
@@ -158,18 +158,18 @@ STOPS = ReadAs(tuple[_Entry, ...], _by_action)
 
 
 def knows_stop(family: Family, action: StopAction) -> bool:
-    """Say whether the family's description tells how to stop it in this way."""
+    """Return whether a family can be stopped in this way."""
     return action in family.stops
 
 
 def needs_control_word(family: Family, action: StopAction) -> bool:
-    """Say whether `stop_value` must be given the drive's present control word (C0135)."""
+    """Return whether `stop_value` must be given the drive's present control word (C0135)."""
     rule = family.stops.get(action)
     return rule is not None and rule.value is None
 
 
 def usable_word(word: int | None) -> int | None:
-    """Give a control word that bits may be changed of, None for one that is not known.
+    """Return a control word that bits may be changed of, None for one that is not known.
 
     A drive that answers with more than 16 bits has said something else than its control word.
     """
@@ -177,7 +177,7 @@ def usable_word(word: int | None) -> int | None:
 
 
 def stop_value(family: Family, action: StopAction, control_word: int | None) -> tuple[Code, Value]:
-    """Say what to write to stop a drive.
+    """Return what to write to stop a drive.
 
     Args:
         family: The drive's family.
@@ -205,10 +205,10 @@ def stop_value(family: Family, action: StopAction, control_word: int | None) -> 
 
 
 def asks_to_stop(family: Family, code: Code, value: Value) -> bool:
-    """Say whether a plain write means that the drive shall not turn.
+    """Return whether a plain write means that the drive shall not turn.
 
     It does where it writes what a stop writes, or a control word with a quick stop or an inhibit
-    in it, whoever made that word.
+    in it.
     """
     number = value.number
     for rule in family.stops.values():
@@ -220,7 +220,7 @@ def asks_to_stop(family: Family, code: Code, value: Value) -> bool:
 
 
 def stops_every_drive(family: Family, code: Code, value: Value) -> bool:
-    """Say whether a write stops a drive whatever that drive does: one fixed value, as C0040 = 0.
+    """Return whether a write stops a drive in any state: one fixed value, as C0040 = 0.
 
     A control word does not: its other bits could lift an inhibit or change what it holds.
     """
@@ -231,14 +231,14 @@ def stops_every_drive(family: Family, code: Code, value: Value) -> bool:
 
 
 def inhibit_mask(family: Family, code: Code) -> int:
-    """Give the bit of the control word that inhibits, 0 where there is none."""
+    """Return the bit of the control word that inhibits, 0 where there is none."""
     word = family.control_words.get(code)
     bit = word.bits.get(INHIBIT) if word is not None else None
     return 1 << bit.bit if bit is not None else 0
 
 
 def confirm_codes(family: Family, action: StopAction) -> tuple[Code, ...]:
-    """Name the codes whose value shows that a stop was taken, the most telling first.
+    """Return the codes whose value shows that a stop was taken, the most conclusive first.
 
     Raises:
         OperationError: kind `no-stop`.
@@ -247,13 +247,13 @@ def confirm_codes(family: Family, action: StopAction) -> tuple[Code, ...]:
 
 
 def inhibit_proofs(family: Family) -> Mapping[Code, StopProof]:
-    """Give what shows that a drive is inhibited, the most telling first; empty: nothing does."""
+    """Return what shows that a drive is inhibited, the most conclusive first."""
     rule = family.stops.get(StopAction.INHIBIT)
     return rule.proofs if rule is not None else {}
 
 
 def stop_steps(family: Family, action: StopAction) -> list[tuple[Code, Value | None]]:
-    """List what a stop may say to a drive, whatever becomes of it.
+    """List what a stop may send to a drive, in any course it takes.
 
     Learning the control word and whether the drive is inhibited, saying the stop, its proofs, and
     the same for the inhibit that a quick stop may become.
@@ -272,7 +272,7 @@ def stop_steps(family: Family, action: StopAction) -> list[tuple[Code, Value | N
 
 
 def stop_confirmed(family: Family, action: StopAction, code: Code, value: Value) -> bool:
-    """Say whether a value read after a stop shows that the drive took it.
+    """Return whether a value read after a stop shows that the drive took it.
 
     False also stands for "this code says nothing of it": see `confirm_codes`. A control word that
     reads as written shows nothing while the drive is not known to follow it: a 93XX does so only
@@ -286,7 +286,7 @@ def stop_confirmed(family: Family, action: StopAction, code: Code, value: Value)
 
 
 def may_ignore(family: Family, action: StopAction, code: Code, value: Value) -> bool:
-    """Say whether a value shows a stop only as a command that this drive may not follow."""
+    """Return whether a value shows a stop only as a command that this drive may not follow."""
     rule = family.stops.get(action)
     proof = rule.proofs.get(code) if rule is not None else None
     if rule is None or proof is None or code != rule.code:
@@ -295,7 +295,7 @@ def may_ignore(family: Family, action: StopAction, code: Code, value: Value) -> 
 
 
 def _may_ignore(family: Family, rule: StopRule) -> bool:
-    """Whether a stop is a bit of a control word that this drive is not known to follow."""
+    """Return whether a stop is a bit of a control word that this drive is not known to follow."""
     known = family.configuration or family.configured_by is None
     return rule.value is None and not known
 

@@ -1,7 +1,6 @@
-"""Words for people, in the languages the manuals come in.
+"""Texts for people, in English and German.
 
-Data files give every text in English and in German. What shows a text asks for a language; where
-a file has no German, the English stands for both, so that nobody is shown an empty name.
+Data files give every text in both languages.
 """
 
 from __future__ import annotations

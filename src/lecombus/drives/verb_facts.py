@@ -1,9 +1,7 @@
-"""What was just read from a drive, held against its family's rules for verbs.
+"""Current values of a drive, checked against its family's conditions for a verb.
 
-`Known` is what every verb is made from. A setting that the drive does not have objects to nothing,
-for the drive itself still does; a control word that is not known is never guessed.
-
-What must not live here: the verbs (`verbs`, `speeds`).
+A setting that the drive does not have blocks nothing, because the drive itself still checks. A
+control word that is not known is never guessed.
 """
 
 from __future__ import annotations
@@ -53,7 +51,7 @@ class Known:
     values: Mapping[Code, Value]
 
     def number(self, code: Code) -> Decimal | int | None:
-        """Give the number a code holds, None where it is not known or none."""
+        """Return the number a code holds, None where it is not known or none."""
         value = self.values.get(code)
         number = value.number if value is not None else None
         return None if isinstance(number, str | bytes) else number
@@ -88,7 +86,7 @@ class ControlBits:
 
 
 def control_bits(known: Known, rules: VerbRules) -> ControlBits:
-    """Give the bits of the control word, as the drive's signal configuration assigns them."""
+    """Return the bits of the control word, as the drive's signal configuration assigns them."""
     word = known.configured.control_words[rules.control]
 
     def mask(name: str) -> int:
@@ -105,7 +103,7 @@ def control_bits(known: Known, rules: VerbRules) -> ControlBits:
 
 
 def active_set_word(family: Family) -> Code | None:
-    """Name the status word that tells the parameter set in use; None where no word does."""
+    """Return the status word that shows the parameter set in use; None where no word does."""
     return next(
         (
             code
@@ -117,10 +115,10 @@ def active_set_word(family: Family) -> Code | None:
 
 
 def codes_in_force(known: Known, code: Code) -> tuple[Code, ...]:
-    """Name where a setting stands in the parameter sets that may be in use.
+    """Return where a setting stands in the parameter sets that may be in use.
 
     Returns:
-        One code where a status word tells the set, or the family has only one; else one code for
+        One code where a status word shows the set, or the family has only one; else one code for
         each set.
 
     Source: EDB2102EN 6.1, 8.2 (C0150 bit 0).
@@ -135,7 +133,7 @@ def codes_in_force(known: Known, code: Code) -> tuple[Code, ...]:
 
 
 def settings_in_force(known: Known, code: Code) -> dict[Code, Value]:
-    """Give what a setting reads in the parameter sets that may be in use.
+    """Return what a setting reads in the parameter sets that may be in use.
 
     What the drive does not have in a further set it has once, for all of them (EDB2102EN 8.2).
     """
@@ -148,7 +146,7 @@ def settings_in_force(known: Known, code: Code) -> dict[Code, Value]:
 
 
 def rules_of(drive: str, family: Family, verb: Verb) -> VerbRules:
-    """Give the family's rules.
+    """Return the family's rules.
 
     Raises:
         OperationError: `no-verb`: there are none.
@@ -166,7 +164,7 @@ def rules_of(drive: str, family: Family, verb: Verb) -> VerbRules:
 
 
 def control_word(known: Known, rules: VerbRules) -> int:
-    """Give the control word that was read.
+    """Return the control word that was read.
 
     Raises:
         OperationError: `no-control-word`: it was not, or what was read is none.
@@ -188,7 +186,7 @@ def control_word(known: Known, rules: VerbRules) -> int:
 
 
 def holds(known: Known, condition: Condition | None) -> bool:
-    """Say whether a setting is as wanted in the set in use; no condition always holds."""
+    """Return whether a setting is as wanted in the set in use; no condition always holds."""
     if condition is None:
         return True
     values = settings_in_force(known, condition.code).values()
@@ -196,7 +194,7 @@ def holds(known: Known, condition: Condition | None) -> bool:
 
 
 def objections(known: Known, rules: VerbRules, access: Access) -> Iterator[Demand]:
-    """Give the demands for an access that the drive's settings do not meet."""
+    """Return the demands for an access that the drive's settings do not meet."""
     for demand in rules.demands:
         code = demand.condition.code
         value = known.values.get(code)
@@ -217,9 +215,9 @@ def demand_met(known: Known, rules: VerbRules, access: Access) -> None:
 def objected(known: Known, demand: Demand) -> OperationError:
     """Make the refusal of a demand that is not met."""
     code = demand.condition.code
-    told = f"{known.family.spoken(code)} of {known.drive} reads {known.values[code].raw}"
+    reads = f"{known.family.spoken(code)} of {known.drive} reads {known.values[code].raw}"
     return OperationError(
-        f"{told}: with that it does not do what it is told over the line, nothing was sent",
+        f"{reads}: with that it does not do what it is told over the line, nothing was sent",
         kind="setting",
         drive=known.drive,
         code=str(code),

@@ -97,7 +97,7 @@ class Condition:
     digit: Annotated[int, Reads(_read_digit)] = 0
 
     def holds(self, value: Value | None) -> bool:
-        """Say whether a setting that was read is as wanted; one that is not known is not."""
+        """Return whether a setting that was read is as wanted; one that is not known is not."""
         number = value.number if value is not None else None
         if number is None or isinstance(number, str | bytes) or number != int(number):
             return False
@@ -117,7 +117,7 @@ def _check_condition(condition: Condition) -> Condition:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Demand:
-    """A setting without which the drive does not do what it is told over the line.
+    """A setting without which the drive does not follow the line.
 
     Args:
         access: What it is needed for.
@@ -159,7 +159,7 @@ class ResetRule:
 
     Args:
         code: The code written; None where an inhibit and an enable after it do it, whereupon the
-            drive starts anew and does not answer.
+            drive restarts and does not answer.
         value: The value written.
         number: Where the number of the fault is read.
         source: Manual and section.
@@ -293,7 +293,7 @@ class BitsStep:
     always: bool = False
 
     def applied(self, word: int) -> int:
-        """Give the word with the bits changed."""
+        """Return the word with the bits changed."""
         return (word | self.set_mask) & ~self.clear_mask
 
 
@@ -304,7 +304,7 @@ class InhibitStep:
 
 @dataclass(frozen=True, slots=True)
 class RestartStep(BitsStep):
-    """Change bits whereupon the drive starts anew without an answer; wait until it is back."""
+    """Change bits after which the drive restarts without an answer; wait until it is back."""
 
 
 VerbStep = WriteStep | BitsStep | InhibitStep | RestartStep

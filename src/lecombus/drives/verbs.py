@@ -1,13 +1,11 @@
-"""What a verb comes to on one drive: the steps to take, or a refusal with the setting to change.
+"""The steps that a verb takes on one drive, or its refusal with the setting to change.
 
-Strategy: everything here is a function of what is known (`Known`: the family's rules and the values
-just read from the drive). A verb that the drive's settings would leave without effect is refused
-before anything is sent, with the setting and its right value.
+Everything here is a function of what is known (`Known`: the family's rules and the values just read
+from the drive). A verb that the drive's settings would leave without effect is refused before
+anything is sent, with the setting and its right value.
 
-Rules of safety held here: a drive with a fault is not enabled; a fault is reset only on a drive
-that is inhibited, so that no reset starts a motor. Setpoints are in `speeds`.
-
-What must not live here: reading and writing, time, who else may be writing.
+Safety: a drive with a fault is not enabled; a fault is reset only on a drive that is inhibited, so
+that no reset starts a motor. Setpoints are in `speeds`.
 
 Source: EDB2102EN 5, 6.2 to 6.5, 8.2; CMVLC401A 4.2, 7.2, table 9.
 """
@@ -73,7 +71,7 @@ NOT_ENABLED = frozenset(
 
 
 def questions(drive: str, family: Family, verb: Verb) -> tuple[Code, ...]:
-    """Name the codes whose values must be known before a verb is carried out.
+    """Return the codes whose values must be known before a verb is carried out.
 
     Raises:
         OperationError: `no-verb`.
@@ -105,7 +103,7 @@ def _questions(family: Family, rules: VerbRules, verb: Verb) -> Iterator[Code]:
 
 
 def _speed_settings(rules: VerbRules) -> Iterator[Code]:
-    """Give what a speed depends on that may differ between parameter sets."""
+    """Return what a speed depends on that may differ between parameter sets."""
     for rule in rules.setpoints:
         if rule.when is not None:
             yield rule.when.code
@@ -114,7 +112,7 @@ def _speed_settings(rules: VerbRules) -> Iterator[Code]:
 
 
 def further_questions(known: Known) -> tuple[Code, ...]:
-    """Name what of a speed's settings must be known of further parameter sets.
+    """Return what of a speed's settings must be known of further parameter sets.
 
     Args:
         known: The answers to `questions`.
@@ -130,7 +128,7 @@ def further_questions(known: Known) -> tuple[Code, ...]:
 
 
 def enable_steps(known: Known) -> tuple[VerbStep, ...]:
-    """Say how a drive is enabled: quick stop released first, then the inhibit lifted.
+    """Return how a drive is enabled: quick stop released first, then the inhibit lifted.
 
     Returns:
         The steps; none where every word shows that neither inhibit nor quick stop is there. Where
@@ -181,7 +179,7 @@ def enable_objection(known: Known) -> OperationError | None:
 
 
 def enable_shown(known: Known) -> bool:
-    """Say whether the drive's status words show that nothing inhibits it."""
+    """Return whether the drive's status words show that nothing inhibits it."""
     rules = rules_of(known.drive, known.family, Verb.ENABLE)
     return all(
         code in known.values and proof.holds(known.values[code])
@@ -190,7 +188,7 @@ def enable_shown(known: Known) -> bool:
 
 
 def is_enabled(known: Known) -> bool:
-    """Say whether the drive shows that it is enabled: no inhibit, no fault, no quick stop.
+    """Return whether the drive shows that it is enabled: no inhibit, no fault, no quick stop.
 
     Its control word counts only where its settings let the line write it; then it must be known.
     """
@@ -202,7 +200,7 @@ def is_enabled(known: Known) -> bool:
 
 
 def stop_words(family: Family) -> tuple[Code, ...]:
-    """Name the codes whose values can show that a drive is inhibited or in quick stop."""
+    """Return the codes whose values can show that a drive is inhibited or in quick stop."""
     rules = family.verbs
     found = [rules.control] if rules is not None else []
     found += family.words
@@ -212,7 +210,7 @@ def stop_words(family: Family) -> tuple[Code, ...]:
 
 
 def shown_stops(known: Known) -> tuple[tuple[Code, StopAction], ...]:
-    """Name the codes that were read and show a stop, and which.
+    """Return the codes that were read and show a stop, and which.
 
     The control word shows one only where the drive's settings let the line write it.
     """
@@ -242,7 +240,7 @@ def _line_controls(known: Known, rules: VerbRules) -> bool:
 
 
 def status_shows_quick_stop(family: Family) -> bool:
-    """Say whether a status word of the family tells a quick stop, whoever set it."""
+    """Return whether a status word of the family shows a quick stop."""
     return any(
         rule.state is OperatingState.QUICK_STOP
         for word in family.words.values()
@@ -254,7 +252,7 @@ def status_shows_quick_stop(family: Family) -> bool:
 
 
 def has_fault(known: Known) -> bool:
-    """Say whether a status word that was read reports an active fault."""
+    """Return whether a status word that was read reports an active fault."""
     numbers = ((code, known.number(code)) for code in known.family.words)
     return any(
         isinstance(number, int) and known.family.active_fault(code, number)
@@ -263,14 +261,14 @@ def has_fault(known: Known) -> bool:
 
 
 def fault_number(known: Known) -> int | None:
-    """Give the number of the fault, None where it is not known."""
+    """Return the number of the fault, None where it is not known."""
     rules = rules_of(known.drive, known.family, Verb.RESET_FAULT)
     number = known.number(rules.reset.number)
     return int(number) if number else None
 
 
 def reset_steps(known: Known) -> tuple[VerbStep, ...]:
-    """Say how a fault is reset: always on an inhibited drive, so that no motor starts by it.
+    """Return how a fault is reset: always on an inhibited drive, so that no motor starts by it.
 
     Returns:
         The steps; none where no fault is active.
@@ -285,7 +283,7 @@ def reset_steps(known: Known) -> tuple[VerbStep, ...]:
     bits, reset = control_bits(known, rules), rules.reset
     if reset.code is None:
         control_word(known, rules)
-        # The enable that resets it finds a quick stop, whether or not the drive starts anew.
+        # The enable that resets it finds a quick stop, whether or not the drive restarts.
         return (
             InhibitStep(),
             BitsStep(bits.code, set_mask=bits.quick_stop | bits.inhibit),
@@ -305,7 +303,7 @@ def reset_steps(known: Known) -> tuple[VerbStep, ...]:
 
 
 def states(known: Known) -> tuple[OperatingState, ...]:
-    """Name what the drive's words show; a quick stop that no status word shows, by the command."""
+    """Return what the drive's words show; quick stop by the command if no status word shows it."""
     family, rules = known.configured, known.family.verbs
     shown = [
         info.shown_states(number)

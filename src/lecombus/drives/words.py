@@ -1,14 +1,10 @@
-"""Status words: what the bits and fields of C0150 and C0068 are called, and how to take them apart.
+"""Status words: what the bits and fields of C0150 and C0068 are called, and how to decode them.
 
-Strategy: a word is described by data (`WordInfo`, loaded from the family's file) and decoded by
-one short loop. A bit has a name only where the manual gives it one meaning: bits that the drive
-lets its user assign (8200 vector C0417, 93XX without a known signal configuration) are listed as
-free and nothing is read from them. A field of several bits gives a number and, where the manual
-lists it, a text; a number that the manual does not list is shown as a number and nothing is
-concluded from it. What the words say of the drive's state is named by `operating`.
-
-Nothing here decides what a bit means for the operation of a line; in particular nothing derives
-"running" from any of them (EDB2102EN 8.2, CMVLC401A table 9).
+A bit has a name only where the manual gives it one meaning: bits that the drive lets its user
+assign (8200 vector C0417, 93XX without a known signal configuration) are listed as free and not
+decoded. A field of several bits gives a number and, where the manual lists it, a text; a number
+that the manual does not list is shown as a number. The states that words show are in `operating`.
+"Running" is derived from none of them (EDB2102EN 8.2, CMVLC401A table 9).
 """
 
 from __future__ import annotations
@@ -132,15 +128,15 @@ class WordInfo:
         return [*self.described_bits, *self.free]
 
     def flags(self, word: int) -> dict[str, bool]:
-        """Name every described bit and say whether it is set."""
+        """Return every described bit and say whether it is set."""
         return {name: bool(word & mask) for name, mask in self.bits}
 
     def shown_states(self, word: int) -> tuple[OperatingState, ...]:
-        """Name the states that the word shows."""
+        """Return the states that the word shows."""
         return tuple(dict.fromkeys(rule.state for rule in self.states if rule.holds(word)))
 
     @property
-    def told_states(self) -> frozenset[OperatingState]:
+    def possible_states(self) -> frozenset[OperatingState]:
         """The states that the word can show: without one of them it says that this is not so."""
         return frozenset(rule.state for rule in self.states)
 
@@ -149,10 +145,10 @@ class WordInfo:
         return {field.name: field.read(word) for field in self.fields}
 
     def active_fault(self, word: int) -> bool | None:
-        """Say whether the word reports an active fault.
+        """Return whether the word reports an active fault.
 
         Returns:
-            True or False where the manual says so; None where this word says nothing of it, or
+            True or False where the manual defines it; None where this word says nothing of it, or
             shows a number that the manual does not list.
         """
         if self.fault_mask:

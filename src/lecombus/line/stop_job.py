@@ -361,7 +361,7 @@ class StopJob:
             number = value.number
             self._read_word = usable_word(number if isinstance(number, int) else None)
             return self._read_word is not None
-        self._read_inhibit = inhibit_proofs(family)[code].tells(value)
+        self._read_inhibit = inhibit_proofs(family)[code].shown_by(value)
         return self._read_inhibit is not None
 
     def _unreadable(self, step: Step, result: Result, value: Value | None) -> str:

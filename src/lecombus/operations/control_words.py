@@ -138,7 +138,7 @@ class ControlWords:
             known.word = known.last_word = word
 
     def _look_for_inhibit(self, known: _Watched, code: Code, value: Value) -> None:
-        shown = known.proofs[code].tells(value)
+        shown = known.proofs[code].shown_by(value)
         if shown is None:
             return
         if shown:

@@ -23,8 +23,8 @@ from typing import Final
 
 from lecombus.drives.faults.causes import (
     Cause,
+    FailedExchange,
     Happened,
-    Known,
     Support,
     likely_causes,
     rules_for,
@@ -146,12 +146,12 @@ class Refusals:
 
     def _known(
         self, station: Station, code: Code, happened: Happened, value: Value | None
-    ) -> Known:
+    ) -> FailedExchange:
         info = station.family.info(code)
-        known = Known(happened, code, info, value, spoken=station.family.spoken)
+        known = FailedExchange(happened, code, info, value, spoken=station.family.spoken)
         return replace(known, values=self._fresh_values(station, known))
 
-    def _fresh_values(self, station: Station, known: Known) -> dict[Code, Value]:
+    def _fresh_values(self, station: Station, known: FailedExchange) -> dict[Code, Value]:
         """Give the values that rules ask for, as far as they were read just now."""
         values: dict[Code, Value] = {}
         for code in conditions(station, known):
@@ -163,7 +163,7 @@ class Refusals:
                 values[code] = reading.value
         return values
 
-    async def _causes(self, station: Station, known: Known, *, look: bool) -> list[Cause]:
+    async def _causes(self, station: Station, known: FailedExchange, *, look: bool) -> list[Cause]:
         causes = likely_causes(station.family.name, known)
         if causes and causes[0].support >= Support.DESCRIBED:
             return causes
@@ -193,7 +193,7 @@ class Refusals:
     def _stop_waits(self, now_s: float) -> bool:
         return self._requests.worker.schedule.stats(now_s).depth.get(Priority.STOP, 0) > 0
 
-    async def _look(self, station: Station, known: Known) -> list[Cause]:
+    async def _look(self, station: Station, known: FailedExchange) -> list[Cause]:
         """Ask the drive what it says of the exchange; whatever fails leaves what is known."""
         self._looking = True
         started_s = self._clock()
@@ -217,7 +217,7 @@ class Refusals:
             self._paid_at_s = max(self._paid_at_s, started_s) + took_s / LINE_SHARE
         return causes
 
-    def _question(self, station: Station, known: Known, asked: list[Code]) -> Code | None:
+    def _question(self, station: Station, known: FailedExchange, asked: list[Code]) -> Code | None:
         """What is asked next; None: nothing that would help.
 
         The next good telegram clears the error in C0068, so that comes first.
@@ -244,7 +244,9 @@ class Refusals:
         except LecombusError:
             return None
 
-    def _learnt(self, station: Station, known: Known, code: Code, value: Value) -> Known:
+    def _learnt(
+        self, station: Station, known: FailedExchange, code: Code, value: Value
+    ) -> FailedExchange:
         number = value.number
         if isinstance(number, (str, bytes)):
             return known
@@ -256,13 +258,13 @@ class Refusals:
         return replace(known, values={**known.values, code: value})
 
 
-def conditions(station: Station, known: Known) -> list[Code]:
+def conditions(station: Station, known: FailedExchange) -> list[Code]:
     """Name the codes whose value would prove or rule out a cause of this exchange."""
     rules = rules_for(station.family.name, known)
     return list(dict.fromkeys(one.condition.code for one in rules if one.condition is not None))
 
 
-def in_words(causes: list[Cause], known: Known) -> tuple[str, str]:
+def in_words(causes: list[Cause], known: FailedExchange) -> tuple[str, str]:
     """Write causes and remedies as one sentence each."""
     named = causes[:NAMED]
     texts = [

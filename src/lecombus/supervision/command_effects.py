@@ -126,7 +126,7 @@ class CommandEffects:
             return
         turns, word = number != 0, family.words.get(code)
         if word is not None:
-            if not isinstance(number, int) or not word.told_states & AT_ZERO:
+            if not isinstance(number, int) or not word.possible_states & AT_ZERO:
                 return
             turns = AT_ZERO.isdisjoint(word.shown_states(number))
         if self._turns.get(drive) and not turns and status_shows_quick_stop(family):

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from decimal import Decimal
 
 import pytest
 
 from lecombus.drives import FAMILY_NAMES, family
 from lecombus.drives.faults.causes import (
+    FailedExchange,
     Happened,
-    Known,
     Support,
     cause_rules,
     likely_causes,
@@ -23,11 +24,12 @@ VECTOR = family("8200vector")
 SETPOINT, MODE = Code(46), Code(1)
 
 
-def refused(**more: object) -> Known:
-    return Known(Happened.REFUSED, SETPOINT, VECTOR.info(SETPOINT), Value.decimal(20), **more)  # type: ignore[arg-type]
+def refused(**more: object) -> FailedExchange:
+    known = FailedExchange(Happened.REFUSED, SETPOINT, VECTOR.info(SETPOINT), Value.decimal(20))
+    return replace(known, **more)  # type: ignore[arg-type]
 
 
-def names(known: Known, kind: str = "8200vector") -> list[str]:
+def names(known: FailedExchange, kind: str = "8200vector") -> list[str]:
     return [one.rule.name for one in likely_causes(kind, known)]
 
 
@@ -71,17 +73,19 @@ def test_without_anything_said_the_usual_cause_is_named_and_called_no_more_than_
 
 
 def test_what_the_description_knows_needs_no_drive() -> None:
-    known = Known(
+    known = FailedExchange(
         Happened.REFUSED, SETPOINT, VECTOR.info(SETPOINT), Value.decimal(Decimal("999.5"))
     )
     assert names(known) == ["out-of-range"]
     status = Code(150)
-    known = Known(Happened.REFUSED, status, VECTOR.info(status), Value.hexadecimal(0, 4))
+    known = FailedExchange(Happened.REFUSED, status, VECTOR.info(status), Value.hexadecimal(0, 4))
     assert names(known) == ["read-only"]
 
 
 def test_a_family_without_a_description_names_no_cause_of_a_refused_write() -> None:
-    assert names(Known(Happened.REFUSED, SETPOINT, None, Value.decimal(1)), "generic") == []
+    assert (
+        names(FailedExchange(Happened.REFUSED, SETPOINT, None, Value.decimal(1)), "generic") == []
+    )
 
 
 RULE = """\

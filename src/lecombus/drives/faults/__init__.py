@@ -1,7 +1,7 @@
 """Faults of the drives: numbers, keypad texts, meanings, causes and remedies, from data files.
 
-`model` says what a fault is, the `*.yaml` beside it what is known and from which manual section,
-`loading` makes the one of the other when somebody first asks.
+`model` has the classes, the `*.yaml` beside it the data with the manuals' sections. `loading` reads
+a file when the first fault is looked up.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Likely causes of a refusal, by family, from `causes.yaml`, and how well each is supported.
 
-Strategy: a rule says what it needs and what would speak for it. `likely_causes` is given what is
-known (the code's description, values of other codes, what C1962 and C0068 said) and keeps the
-rules that are supported best: proven by a value, said by the drive, or at least usual. Nothing is
-asked here and nothing is sent; `operations.refusals` decides what is worth a look.
+A rule says what it needs and what would support it. `likely_causes` is given what is known (the
+code's description, values of other codes, what C1962 and C0068 reported) and keeps the rules that
+are supported best: proven by a value, reported by the drive, or at least usual. Nothing is sent
+from here.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from .rules import Condition, Families, each_once
 __all__ = [
     "Cause",
     "CauseRule",
+    "FailedExchange",
     "Happened",
-    "Known",
     "Support",
     "cause_rules",
     "likely_causes",
@@ -74,9 +74,9 @@ class Support(IntEnum):
     SAID = 2
     """What C0068 said of the last exchange fits it."""
     NUMBERED = 3
-    """C1962 says so."""
+    """C1962 reports it."""
     DESCRIBED = 4
-    """The manual says so of this code or value."""
+    """The manual says it of this code or value."""
     PROVEN = 5
     """A value of the drive shows it."""
 
@@ -92,8 +92,8 @@ class CauseRule:
         happened: What must have happened.
         when: What must be known of the exchange.
         condition: A value that makes it so.
-        extended: Numbers of C1962 that say so.
-        communication: Errors in C0068 that say so.
+        extended: Numbers of C1962 that report it.
+        communication: Errors in C0068 that report it.
         likely: Worth naming without anything that speaks for it.
         cause: What it is.
         remedy: What to do.
@@ -115,8 +115,8 @@ class CauseRule:
     remedy: BothLanguages
     source: Words
 
-    def fits(self, family: str, known: Known) -> bool:
-        """Say whether it is a rule for this exchange at all."""
+    def fits(self, family: str, known: FailedExchange) -> bool:
+        """Return whether it is a rule for this exchange at all."""
         return (
             family in self.families
             and known.happened in self.happened
@@ -141,7 +141,7 @@ class Cause:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Known:
+class FailedExchange:
     """What is known of an exchange that did not do what was asked.
 
     Args:
@@ -183,13 +183,13 @@ class Known:
 
 
 def is_out_of_range(info: CodeInfo, value: Value | None) -> bool:
-    """Say whether the manual does not allow a value."""
+    """Return whether the manual does not allow a value."""
     number = None if value is None else value.number
     return isinstance(number, (int, Decimal)) and not info.may_be(number)
 
 
-def likely_causes(family: str, known: Known) -> list[Cause]:
-    """Give the causes that are supported best, the best first; empty where none is known."""
+def likely_causes(family: str, known: FailedExchange) -> list[Cause]:
+    """Return the causes that are supported best, the best first; empty where none is known."""
     report = link_report()
     extended = believed_extended(report, known)
     found = [
@@ -203,23 +203,23 @@ def likely_causes(family: str, known: Known) -> list[Cause]:
     return [one for one in best_found if one.rule.codes] or best_found
 
 
-def rules_for(family: str, known: Known) -> list[CauseRule]:
-    """Give the rules for an exchange, whatever speaks for or against them."""
+def rules_for(family: str, known: FailedExchange) -> list[CauseRule]:
+    """Return the rules for an exchange, supported or not."""
     return [rule for rule in cause_rules() if rule.fits(family, known)]
 
 
-def believed_extended(report: LinkReport, known: Known) -> int | None:
-    """Give C1962 unless C0068 shows that it is left from an earlier exchange."""
+def believed_extended(report: LinkReport, known: FailedExchange) -> int | None:
+    """Return C1962 unless C0068 shows that it is left from an earlier exchange."""
     number = known.extended or None
     error = report.communication.get(known.communication or 0)
-    told = report.extended.get(number or 0)
-    if error is not None and told is not None and told.classification not in error.allows:
+    reported = report.extended.get(number or 0)
+    if error is not None and reported is not None and reported.classification not in error.allows:
         return None
     return number
 
 
-def supported(rule: CauseRule, known: Known, extended: int | None) -> Cause | None:
-    """Say how well a rule that fits is supported; None where something speaks against it."""
+def supported(rule: CauseRule, known: FailedExchange, extended: int | None) -> Cause | None:
+    """Return how well a rule that fits is supported; None where something speaks against it."""
     condition = rule.condition
     if condition is not None:
         value = known.values.get(condition.code)
@@ -243,7 +243,7 @@ def supported(rule: CauseRule, known: Known, extended: int | None) -> Cause | No
 
 @cache
 def cause_rules() -> tuple[CauseRule, ...]:
-    """Give all rules, in the order of the file.
+    """Return all rules, in the order of the file.
 
     Raises:
         DescriptionError: The data file is wrong.

@@ -1,9 +1,6 @@
-"""Fault tables from their data files: read when the first fault is looked up, then kept.
+"""Fault tables and link reports from their data files.
 
-Strategy: as for families, the YAML nodes themselves are walked, so that a mistake is shown with
-file, line and column. A number given twice, an entry without a source, a text in one language
-only, a word nobody knows: all are refused. Reading the files takes milliseconds, and a line
-without a fault never needs them; that is why nothing here runs at import.
+They are read when the first fault is looked up: a line without a fault never needs them.
 """
 
 from __future__ import annotations
@@ -49,7 +46,7 @@ N = TypeVar("N", ExtendedFault, CommunicationError)
 
 @cache
 def fault_table(family: str) -> FaultTable | None:
-    """Give the fault table of a family; None for one without, such as `generic`.
+    """Return the fault table of a family; None for one without, such as `generic`.
 
     Raises:
         DescriptionError: A data file is wrong.
@@ -59,7 +56,7 @@ def fault_table(family: str) -> FaultTable | None:
 
 @cache
 def link_report() -> LinkReport:
-    """Give what drives say about the last exchange.
+    """Return what drives say about the last exchange.
 
     Raises:
         DescriptionError: The data file is wrong.
@@ -81,7 +78,7 @@ def _by_family() -> dict[str, FaultTable]:
 
 
 def packaged(file: str) -> str:
-    """Give the text of a data file of this package."""
+    """Return the text of a data file of this package."""
     return (resources.files(__package__) / file).read_text(encoding="utf-8")
 
 

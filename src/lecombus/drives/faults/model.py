@@ -1,10 +1,8 @@
-"""Faults as the rest of the program sees them: what a number in a fault memory means.
+"""What a number in a fault memory means, and what a drive reports about the last exchange.
 
-A `FaultTable` is the list of one or more families; `ExtendedFault` and `CommunicationError` are
-what a drive says about the last exchange (C1962, C0068 bits 4 to 7). All are built by `loading`
-from the data files beside it.
-
-Whether a fault is active is not said here: only the status words say that (`words`).
+A `FaultTable` is the list of one or more families; `ExtendedFault` and `CommunicationError` explain
+C1962 and bits 4 to 7 of C0068. Whether a fault is active is shown by the status words only
+(`words`).
 """
 
 from __future__ import annotations
@@ -53,7 +51,7 @@ class FaultKind(StrEnum):
 
 
 def kind_by_thousands(number: int) -> FaultKind:
-    """Give the kind a number tells: TRIP n, message 1000 + n, warning 2000 + n.
+    """Return the kind of a number: TRIP n, message 1000 + n, warning 2000 + n.
 
     Source: EDB2102EN 8.2 (fault memory P93XX; OU and LU under P82XX).
     """
@@ -62,7 +60,7 @@ def kind_by_thousands(number: int) -> FaultKind:
 
 
 def fits_digit(number: int, digit: int) -> bool:
-    """Say whether a fault number can be the one that C0068 shows the tens digit of.
+    """Return whether a fault number can be the one that C0068 shows the tens digit of.
 
     A digit of 0 says nothing: it stands for a number below 10 too, and for no fault at all. Of a
     number of three digits either the digit itself or all tens may be shown (105: 0, or 10).
@@ -113,7 +111,7 @@ class FaultTable:
         look_up: What to do about a fault of which the manual names no remedy, or does not list.
         source: Manual and section of the fault memory.
         lecom_numbers: The memory holds LECOM fault numbers, whose tens digit C0068 shows. An
-            SMVector's P500 has a list of its own, and its C0068 shows a digit of another scale.
+            SMVector's P500 has another list, and its C0068 shows a digit of another scale.
     """
 
     name: str
@@ -126,11 +124,11 @@ class FaultTable:
     lecom_numbers: bool = True
 
     def fits(self, number: int, digit: int) -> bool:
-        """Say whether a number can be the fault that C0068 shows a digit of (bits 0 to 3)."""
+        """Return whether a number can be the fault that C0068 shows a digit of (bits 0 to 3)."""
         return not self.lecom_numbers or fits_digit(number, digit)
 
     def fault(self, number: int) -> Fault | None:
-        """Give a fault by its number; None for no fault, or a number the manual does not list."""
+        """Return a fault by its number; None for no fault, or a number the manual does not list."""
         found = self.faults.get(number)
         if found is not None or not self.thousands:
             return found

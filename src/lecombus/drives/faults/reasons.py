@@ -1,8 +1,7 @@
 """Reasons why a drive does not turn, from `reasons.yaml`, and which of them hold.
 
-Strategy: a reason is a few states that the words must show and a few values that codes must have.
-What is not known holds nothing up and proves nothing: a reason holds only when all it asks for is
-known to be so. Nothing here reads anything; `operations.why` brings what is known.
+A reason is a few states that the words must show and a few values that codes must have. It holds
+only when all of these are known to be so: what is not known proves nothing.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ class Reason:
         text: What it is.
         remedy: What to do next.
         source: Manual and section.
-        unless: Reasons that say the same more exactly: where one of them holds, this is not told.
+        unless: Reasons that say the same more exactly: where one of them holds, this is left out.
     """
 
     __pydantic_config__ = FILE_TABLE
@@ -74,7 +73,7 @@ class Reason:
         values: Mapping[Code, Value],
         absent: Container[Code] = (),
     ) -> bool:
-        """Say whether everything it asks for is known to be so.
+        """Return whether everything it asks for is known to be so.
 
         Args:
             shown: What the words show.
@@ -99,9 +98,9 @@ def holding(
     values: Mapping[Code, Value],
     absent: Container[Code] = (),
 ) -> list[Reason]:
-    """Give the reasons that hold for a drive, the most important first.
+    """Return the reasons that hold for a drive, the most important first.
 
-    Where one of several reasons for the same state holds, only the first is told.
+    Of several reasons for the same states only the first that holds is returned.
 
     Args:
         family: The drive's family.
@@ -110,20 +109,20 @@ def holding(
         absent: Codes that the drive says it does not have.
     """
     found: list[Reason] = []
-    told: set[frozenset[OperatingState]] = set()
+    explained: set[frozenset[OperatingState]] = set()
     for reason in reasons():
         if family in reason.families and reason.holds(shown, values, absent):
-            if reason.states and reason.states in told:
+            if reason.states and reason.states in explained:
                 continue
             if any(one.name in reason.unless for one in found):
                 continue
-            told.add(reason.states)
+            explained.add(reason.states)
             found.append(reason)
     return found
 
 
 def asked_codes(family: str) -> tuple[Code, ...]:
-    """Name the codes whose values a family's reasons look at."""
+    """Return the codes whose values a family's reasons look at."""
     mine = [one for one in reasons() if family in one.families]
     conditions = [one for reason in mine for one in (*reason.values, *reason.not_values)]
     return tuple(dict.fromkeys(one.code for one in conditions))
@@ -131,7 +130,7 @@ def asked_codes(family: str) -> tuple[Code, ...]:
 
 @cache
 def reasons() -> tuple[Reason, ...]:
-    """Give all reasons, in the order of the file.
+    """Return all reasons, in the order of the file.
 
     Raises:
         DescriptionError: The data file is wrong.

@@ -48,7 +48,7 @@ class ValueCondition:
     numbers: frozenset[int]
 
     def holds(self, value: Value | None) -> bool | None:
-        """Say whether it is so; None where the value is not known or no number."""
+        """Return whether it is so; None where the value is not known or no number."""
         if value is None or isinstance(value.number, (str, bytes)):
             return None
         number = int(value.number)
