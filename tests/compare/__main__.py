@@ -21,7 +21,7 @@ import time
 from collections.abc import Callable
 
 from compare import commands, daemon
-from compare.differences import Meant, differences, read_meant, shown
+from compare.differences import Meant, beginnings, differences, read_meant, shown
 from compare.trees import HOME, Side, side_of
 
 SEEDS = 300
@@ -86,23 +86,16 @@ def compare(
     file.write_text("\n".join(found.rows) + "\n")
     where = f"{len(found.sections)} of {sections} sections"
     print(f"{part}: {len(found.rows)} rows in {where} differ{said}; all of them: {file}")
+    if part == "wire":
+        print(beginnings(before, after, found.sections), flush=True)
+        return False
     print(shown(found), flush=True)
-    if part == "proof":
-        _show_seed(base, now, found.sections[0], asked)
+    if part == "proof":  # only digests so far: the first line that differs is run again
+        seed = found.sections[0].split()[-1]
+        words = ("seed", "--first", seed, "--length", str(asked.length), "--jobs", "1")
+        whole = [inside(side, "proof", *words) for side in (base, now)]
+        print(beginnings(whole[0], whole[1], [f"seed {seed}"]), flush=True)
     return False
-
-
-def _show_seed(base: Side, now: Side, section: str, asked: argparse.Namespace) -> None:
-    """Run the first line that differs again on both sides and show where it begins to."""
-    words = ("seed", "--first", section.split()[-1], "--length", str(asked.length), "--jobs", "1")
-    sides = [inside(side, "proof", *words).splitlines() for side in (base, now)]
-    for number, (one, two) in enumerate(zip(*sides, strict=False)):
-        if one != two:
-            before = [f"      {row}" for row in sides[0][max(1, number - 3) : number]]
-            print("\n".join([f"  {section} begins to differ in row {number}:", *before,
-                             f"    - {one}", f"    + {two}"]), flush=True)  # fmt: skip
-            return
-    print(f"  {section}: one side goes on where the other ends")
 
 
 def main() -> int:

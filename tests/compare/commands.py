@@ -1,10 +1,11 @@
 """Records what commands print, and their exit statuses, for rosters right and wrong.
 
-Nothing of lecombus is imported here: each command is a process of a tree's source.
+Nothing of lecombus is imported here: each command is a process of a tree's source (`warm`).
 """
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import tempfile
@@ -22,8 +23,6 @@ COMMANDS = ("demo", "run", "check", "plan", "simulate", "read", "write", "group"
             "reset-fault", "quick-stop", "inhibit", "stop", "readdress", "rebaud", "wear", "accept",
             "forget-times", "describe", "backup", "diff", "restore", "status", "scan",
             "why")  # fmt: skip
-TIME_S = 60.0
-
 LINES = """\
 
 --version
@@ -166,8 +165,23 @@ def record(side: Side, lines: Iterable[list[str]] | None = None, *, jobs: int | 
         folder = Path(name)
         _write_rosters(folder)
         asked = list(corpus(folder) if lines is None else lines)
-        with ThreadPoolExecutor(jobs or os.cpu_count() or 1) as pool:
-            return "".join(pool.map(lambda words: _section(side, folder, words), asked))
+        count = jobs or os.cpu_count() or 1
+        shares = [asked[number::count] for number in range(count)]
+        with ThreadPoolExecutor(count) as pool:
+            ran = list(pool.map(lambda share: _run(side, folder, share), shares))
+        results = [ran[number % count][number // count] for number in range(len(asked))]
+        return "".join(map(section, asked, results))
+
+
+def _run(side: Side, folder: Path, lines: list[list[str]]) -> list[tuple[int, str, str]]:
+    """Run commands of a side one after the other, in forks of one interpreter."""
+    env = {**side.environment(), "HOME": str(folder), "XDG_RUNTIME_DIR": str(folder)}
+    done = subprocess.run(
+        [side.python, Path(__file__).parent / "warm.py"], cwd=folder, env=env,
+        input=json.dumps(lines), stdout=subprocess.PIPE, text=True, check=True,
+    )  # fmt: skip
+    found: list[tuple[int, str, str]] = json.loads(done.stdout)
+    return found
 
 
 def _write_rosters(folder: Path) -> None:
@@ -180,20 +194,14 @@ def _write_rosters(folder: Path) -> None:
             (folder / kind / f"{name}.yaml").write_bytes(written(edit))
 
 
-def _section(side: Side, folder: Path, words: list[str]) -> str:
+def section(words: list[str], ran: tuple[int, str, str]) -> str:
     """Return the section of one command: exit status, standard output, standard error."""
-    env = {**side.environment(), "HOME": str(folder), "XDG_RUNTIME_DIR": str(folder)}
-    done = subprocess.run(
-        side.command(*words), cwd=folder, env=env, stdin=subprocess.DEVNULL,
-        capture_output=True, timeout=TIME_S, check=False,
-    )  # fmt: skip
-    rows = [f"=== lecombus {' '.join(words)}", f"exit status {done.returncode}"]
-    rows += [f"out: {row}" for row in _rows(done.stdout)]
-    rows += [f"err: {row}" for row in _rows(done.stderr)]
+    rows = [f"=== lecombus {' '.join(words)}", f"exit status {ran[0]}"]
+    rows += [f"out: {row}" for row in _rows(ran[1])]
+    rows += [f"err: {row}" for row in _rows(ran[2])]
     return normal("\n".join([*rows, ""]))
 
 
-def _rows(output: bytes) -> list[str]:
+def _rows(output: str) -> list[str]:
     """Return lines; those of a long document one part a row."""
-    text = output.decode(errors="backslashreplace")
-    return text.replace(', "', ',\n "').split("\n")
+    return output.replace(', "', ',\n "').split("\n")

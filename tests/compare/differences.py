@@ -17,6 +17,8 @@ MEANT = Path(__file__).parent / "meant.yaml"
 SHOWN = 40
 """So many differing rows of a part are printed; the file has all."""
 LONGEST = 300
+ROWS = 4
+"""Rows shown before and behind the place where two runs part."""
 
 
 @dataclass
@@ -60,7 +62,7 @@ def read_meant(path: Path = MEANT) -> list[Meant]:
 
 def differences(part: str, base: str, now: str, meant: list[Meant]) -> Differences:
     """Compare two records of a part."""
-    before, after = _sections(base), _sections(now)
+    before, after = sections(base), sections(now)
     found = Differences()
     for name in list(dict.fromkeys([*before, *after])):
         if before.get(name) == after.get(name):
@@ -78,7 +80,7 @@ def differences(part: str, base: str, now: str, meant: list[Meant]) -> Differenc
     return found
 
 
-def _sections(record: str) -> dict[str, list[str]]:
+def sections(record: str) -> dict[str, list[str]]:
     """Split a record; a name that comes again gets a number."""
     found: dict[str, list[str]] = {}
     rows: list[str] = []
@@ -114,3 +116,21 @@ def shown(found: Differences) -> str:
     if len(found.rows) > SHOWN:
         lines.append(f"  .. and {len(found.rows) - SHOWN} rows more")
     return "\n".join(lines)
+
+
+def beginning(before: list[str], after: list[str]) -> str:
+    """Return where two runs part, with the rows before and behind: all that follows is shifted."""
+    both = zip(before, after, strict=False)
+    shortest = min(len(before), len(after))
+    number = next((n for n, (one, two) in enumerate(both) if one != two), shortest)
+    rows = [f"      {row}" for row in before[max(0, number - ROWS) : number]]
+    rows += [f"    - {row}" for row in before[number : number + ROWS]]
+    rows += [f"    + {row}" for row in after[number : number + ROWS]]
+    return "\n".join([f"  begins to differ in row {number + 1}:", *rows])
+
+
+def beginnings(base: str, now: str, names: list[str]) -> str:
+    """Return where sections of two records part."""
+    before, after = sections(base), sections(now)
+    texts = (f"  {name}\n{beginning(before.get(name, []), after.get(name, []))}" for name in names)
+    return "\n".join(texts)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from compare import commands, daemon
-from compare.differences import Differences, Meant, differences
+from compare.differences import Differences, Meant, beginnings, differences
 from compare.normal import NORMAL, normal
 from compare.requests import corpus, get
 from compare.rosters import RIGHT, WRONG, written
@@ -91,6 +91,20 @@ def test_a_changed_message_is_found(sides: tuple[Side, Side]) -> None:
     assert found.sections == [f"lecombus check -c wrong/{name}.yaml"]
 
 
+def test_a_command_in_a_fork_does_what_it_does_in_a_process_of_its_own(
+    sides: tuple[Side, Side],
+) -> None:
+    lines = [["check", "-c", "wrong/013.yaml"], ["nonsense"], [], ["describe", "generic"]]
+    record = commands.record(sides[0], lines, jobs=1)
+    for words in (["nonsense"], ["describe", "generic"], []):
+        done = subprocess.run(
+            sides[0].command(*words), env=sides[0].environment(), capture_output=True, text=True,
+            stdin=subprocess.DEVNULL, check=False,
+        )  # fmt: skip
+        section = commands.section(words, (done.returncode, done.stdout, done.stderr))
+        assert section in record
+
+
 @pytest.mark.real
 @pytest.mark.timeout(300)
 def test_a_changed_header_is_found(sides: tuple[Side, Side]) -> None:
@@ -110,6 +124,13 @@ def test_a_difference_that_is_meant_passes_and_one_that_is_not_there_is_told() -
 def test_a_section_that_is_gone_or_new_differs() -> None:
     found = differences("http", "=== a\n1\n=== a\n2\n", "=== a\n1\n=== b\n2\n", [])
     assert found.rows == ["a #2\t-(the whole section)", "b\t+(the whole section)"]
+
+
+def test_where_two_runs_part_is_shown() -> None:
+    base, now = ("=== a\n1\n2\n3\n", "=== a\n1\n2\n4\n5\n")
+    assert beginnings(base, now, ["a"]).splitlines() == [
+        "  a", "  begins to differ in row 3:", "      1", "      2", "    - 3", "    + 4", "    + 5"
+    ]  # fmt: skip
 
 
 def test_what_varies_is_replaced_and_nothing_else() -> None:
