@@ -22,6 +22,7 @@ from lecombus.config import line_timing
 from lecombus.config.exchanges import read_times, watched_s
 from lecombus.line.observer import ExchangeReport
 from lecombus.planning import Promises as LinePromises
+from lecombus.protocol.addressing import Code
 from lecombus.protocol.exchange import ResultKind
 from lecombus.protocol.telegrams import ValueAnswer
 from lecombus.schedule import Priority
@@ -77,12 +78,12 @@ class Promises:
         self._asked: list[tuple[float, float]] = []
         self._pause_s = line.roster.line.turnaround_s
         self._slots = {
-            (drive.name, str(entry.code)) for drive in line.roster.drives for entry in drive.cyclic
+            (drive.name, entry.code) for drive in line.roster.drives for entry in drive.cyclic
         }
-        self._gaps: dict[tuple[str, str], float] = {}
+        self._gaps: dict[tuple[str, Code], float] = {}
         if Priority.CYCLIC in self._waits:
             self._promise_gaps(line, plan, self._waits[Priority.CYCLIC][1])
-        self._good: dict[tuple[str, str], float] = {}
+        self._good: dict[tuple[str, Code], float] = {}
         part = HARD_PART if line.adapter_s <= QUICK_ADAPTER_S else 1.0
         self._guards = {
             drive.address: (drive.name, part * time_s)
@@ -99,7 +100,7 @@ class Promises:
             for entry in drive.cyclic:
                 period_s = periods * entry.every_s * plan.load.stretch
                 read_s = read_times(drive, entry.code, timing).usual_s + line.adapter_s
-                self._gaps[drive.name, str(entry.code)] = period_s + late_s + read_s
+                self._gaps[drive.name, entry.code] = period_s + late_s + read_s
 
     def begin(self, now_s: float, *, settled: bool) -> None:
         """Judge from here on; what the daemon itself asks in idle time goes before clients'."""
@@ -127,19 +128,19 @@ class Promises:
             took_s, own_s = report.result.ended_s - report.result.started_s, self._own_s[name]
             self._judge(OWN[name], report.drive, took_s, own_s)
         if isinstance(report.result.answer, ValueAnswer):
-            self._value(report.drive, str(report.step.code), report.result.ended_s)
+            self._value(report.drive, report.step.code, report.result.ended_s)
 
     def _is_slot(self, report: ExchangeReport) -> bool:
         """Whether it is a cyclic read; why a drive refused a write is asked for in that class."""
-        return (report.drive, str(report.step.code)) in self._slots
+        return (report.drive, report.step.code) in self._slots
 
-    def _value(self, drive: str, code: str, at_s: float) -> None:
+    def _value(self, drive: str, code: Code, at_s: float) -> None:
         since_s = self._good.get((drive, code))
         if since_s is not None:
             self._good[drive, code] = at_s
             self._judge_gap(drive, code, since_s, at_s)
 
-    def _judge_gap(self, drive: str, code: str, since_s: float, at_s: float) -> None:
+    def _judge_gap(self, drive: str, code: Code, since_s: float, at_s: float) -> None:
         promised_s = self._gaps[drive, code]
         if at_s - since_s > promised_s:
             promised_s += self._asked_s(since_s)

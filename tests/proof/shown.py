@@ -19,6 +19,7 @@ from itertools import cycle
 
 from lecombus.line.observer import ExchangeReport
 from lecombus.line.station import StepKind
+from lecombus.protocol.addressing import Code
 from lecombus.protocol.telegrams import ValueAnswer
 from lecombus.readings import DriveState, Quality
 from lecombus.schedule import Outcome, Priority
@@ -81,8 +82,8 @@ class Shown:
             for entry in drive.cyclic
         ]
         self._turn = cycle(self._values)
-        self._failed: set[tuple[str, str]] = set()
-        self._given: dict[tuple[str, str], tuple[str, float]] = {}
+        self._failed: set[tuple[str, Code]] = set()
+        self._given: dict[tuple[str, Code], tuple[str, float]] = {}
         self._free: dict[str, tuple[bool, bool]] = {}
         self._enabling: dict[str, int] = {}
         self._powerless: set[str] = set()  # lost their supply and are not known to be back
@@ -149,7 +150,7 @@ class Shown:
         """Keep what a drive gave, as the wire has judged it."""
         if report.step.kind is not StepKind.READ:
             return
-        key, answer = (report.drive, str(report.step.code)), report.result.answer
+        key, answer = (report.drive, report.step.code), report.result.answer
         if isinstance(answer, ValueAnswer):
             self._given[key] = answer.value.raw, report.result.ended_s
             self._failed.discard(key)
@@ -205,18 +206,18 @@ class Shown:
             text = f"{name} is online after a power failure, and its watchdog is"
             self._say(f"{text} {time_s:g} s, action {action}: {wanted_ms} ms is right")
 
-    def _judge_value(self, name: str, code: object, every_s: float) -> None:
-        reading = self._site.store.reading(name, code)  # type: ignore[arg-type]
+    def _judge_value(self, name: str, code: Code, every_s: float) -> None:
+        reading = self._site.store.reading(name, code)
         if reading is None or reading.quality is not Quality.GOOD:
             return
-        given = self._given.get((name, str(code)))
+        given = self._given.get((name, code))
         if given is None:
             return  # it was read before anybody looked
         text, at_s = given
         age_s = self._clock() - at_s
         if self._site.store.state(name) is DriveState.OFFLINE:
             self._say(f"{code} of {name} is shown as good, and the drive is offline")
-        elif (name, str(code)) in self._failed:
+        elif (name, code) in self._failed:
             self._say(f"{code} of {name} is shown as good, and the last attempt failed")
         elif reading.value is None or reading.value.raw != text:
             self._say(f"{code} of {name} is shown as {reading.value}, and the drive gave {text}")

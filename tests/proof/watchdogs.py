@@ -41,7 +41,8 @@ class Watchdogs:
         self._say = say
         guarded = {drive.name for drive in line.roster.drives if watched_s(drive) is not None}
         self._drives = [drive for drive in sim.drives if drive.name in guarded]
-        self._fired = [drive.watchdog_fired for drive in self._drives]
+        self._models = [drive.model for drive in self._drives]
+        self._fired = self._now_fired()
         self._gone: set[str] = set()
         self._silent: set[str] = set()
         self._excused_until_s = 0.0
@@ -49,7 +50,10 @@ class Watchdogs:
 
     def begin(self) -> None:
         """Count from here."""
-        self._fired = [drive.watchdog_fired for drive in self._drives]
+        self._fired = self._now_fired()
+
+    def _now_fired(self) -> list[int]:
+        return [model.watchdog_fired for model in self._models]
 
     def left(self, drive: str) -> None:
         """A drive goes away: its own may act."""
@@ -73,7 +77,7 @@ class Watchdogs:
         Args:
             now_s: When the exchange began, or the line ended.
         """
-        found = [drive.watchdog_fired for drive in self._drives]
+        found = self._now_fired()
         if found == self._fired or not self._judged:
             return
         for drive, before, now in zip(self._drives, self._fired, found, strict=True):

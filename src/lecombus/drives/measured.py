@@ -170,7 +170,7 @@ class _Attempts:
     @property
     def answers(self) -> int:
         """How many of them were answered."""
-        return sum(time_s < math.inf for _, time_s in self._last)
+        return len(self._last) - [time_s for _, time_s in self._last].count(math.inf)
 
     @property
     def is_slow(self) -> bool:
