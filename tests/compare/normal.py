@@ -47,4 +47,6 @@ def _kinds(part: Any) -> Any:
         return {re.sub(r"^C\d{4}.*", "CODE", key): _kinds(one) for key, one in part.items()}
     if isinstance(part, list):
         return sorted({json.dumps(_kinds(one)) for one in part})
+    if isinstance(part, str):
+        return re.sub(r"^C\d{4}.*", "CODE", part)
     return "number" if isinstance(part, int | float) else part
