@@ -61,7 +61,7 @@ MUTANTS: dict[str, Mutant] = {
     # -- watchdogs: what may stand before a feed ------------------------------------------------
     "no slack check": Mutant(
         Feeds,
-        "fits",
+        "_fit",
         "return end_s <= others_s",
         "return True",
         (18, 46),

@@ -119,6 +119,12 @@ def test_there_are_enough_mutants() -> None:
     assert len(MUTANTS) >= 25
 
 
+def test_every_mutant_still_fits_the_program() -> None:
+    for name in MUTANTS:
+        with mutated(name):
+            pass
+
+
 def test_a_mutant_that_no_longer_fits_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     name, mutant = next(iter(MUTANTS.items()))
     gone = dataclasses.replace(mutant, right="what stands there no more")
