@@ -554,6 +554,19 @@ def test_an_old_command_does_not_lead_against_a_fresh_status_word() -> None:
     at("belt", test)
 
 
+@pytest.mark.parametrize("drive", ["vector", "belt"])
+def test_an_old_quick_stop_stays_known_only_where_no_status_word_would_show_it(drive: str) -> None:
+    async def test(plant: Plant) -> None:
+        operations = plant.site.operations
+        await run_motor(plant, drive)
+        old_s = plant.now_s - 60.0
+        plant.site.store.value_read(drive, Code(135), Value.parse("H0008"), old_s)
+        why = await operations.why(drive)
+        assert ("quick-stop-by-line" in names(why)) is (drive == "vector")
+
+    at(drive, test)
+
+
 def test_a_feed_that_came_late_does_not_say_that_the_drive_has_acted() -> None:
     for unseen in (True, False):
         found = lapse_finding(1, unseen=unseen)

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import Final
 
-from lecombus.drives import Family, Verb
+from lecombus.drives import Family, StopAction, Verb
 from lecombus.drives.faults import NO_FAULT
 from lecombus.drives.faults.reasons import Weight, asked_codes, holding
 from lecombus.drives.operating import OperatingState, join_states
@@ -239,20 +239,21 @@ class Why:
         """Give what is known of codes, fresh or not.
 
         What was written since, or could not be read though the drive answers, is not known. Nor is
-        an old command (C0040, C0135) while the first status word is fresh: a keypad may have
-        changed it.
+        an old command (C0040, C0135) whose effect a fresh status word would show: a keypad may have
+        changed it. An old quick stop stays known where no status word of the family shows one.
         """
         silent = self._store.state(drive) is DriveState.OFFLINE
         family = self._store.family(drive)
         first = next((self._store.reading(drive, code) for code in family.words), None)
         fresh = first is not None and first.quality is Quality.GOOD
-        commands = {rule.code for rule in family.stops.values()} if fresh else set()
+        shown = set(family.stops) if status_shows_quick_stop(family) else {StopAction.INHIBIT}
+        commands = {rule.code for action, rule in family.stops.items() if action in shown}
         found = {}
         for code in codes:
             reading = self._store.reading(drive, code)
             if reading is None or reading.value is None or reading.reason == WRITTEN_SINCE:
                 continue
-            if code in commands and reading.quality is not Quality.GOOD:
+            if fresh and code in commands and reading.quality is not Quality.GOOD:
                 continue
             if silent or reading.quality is not Quality.BAD:
                 found[code] = reading
