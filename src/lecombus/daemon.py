@@ -1,8 +1,8 @@
 """The daemon: builds everything of one line and runs it. Start reading here.
 
 Order of things. The roster is loaded before anything is opened. Then two task groups, one inside
-the other: outside the line (worker, keeper), inside the faces (API, signals, service manager). The
-API takes its places before the port is opened: where another daemon has them, its line is not
+the other: outside the line (worker, supervisor), inside the faces (API, signals, service manager).
+The API takes its places before the port is opened: where another daemon has them, its line is not
 disturbed. At the end nothing more is written; `on_shutdown` is said at once in the stop class, for
 a client that is slow must not keep a motor running; then the faces end with the requests under
 way; then the worker ends after its telegram, and the port is closed. An error in any task ends
@@ -37,10 +37,10 @@ from lecombus.drives import StopAction
 from lecombus.errors import LecombusError
 from lecombus.line.loop import run as run_loop
 from lecombus.line.unheard import others_at
+from lecombus.line_runtime import LineRuntime
 from lecombus.operations.reports import GroupReport
 from lecombus.schedule import Outcome
 from lecombus.simulated import opener_for
-from lecombus.site import Site
 from lecombus.state import Keeping
 from lecombus.systemd import Notifier
 
@@ -137,7 +137,7 @@ class Daemon:
         self._looking = False
         self._progress = (-1, -1)
         self._progress_at_s = 0.0
-        self.site: Site | None = None
+        self.runtime: LineRuntime | None = None
 
     async def main(self) -> None:
         """Run until told to end."""
@@ -152,7 +152,7 @@ class Daemon:
     async def _run(self, keeping: Keeping) -> None:
         """Run the line and its faces."""
         clock = anyio.current_time
-        site = self.site = Site(
+        runtime = self.runtime = LineRuntime(
             self._roster, opener_for(self._roster), clock, time.time, state=keeping.state
         )
         self._progress_at_s = clock()
@@ -163,33 +163,33 @@ class Daemon:
         async with anyio.create_task_group() as line:
             async with anyio.create_task_group() as faces:
                 faces.start_soon(self._watch_signals)
-                await self._serve(faces, site)
-                line.start_soon(keeping.run, partial(site.store.note_line, "state"))
-                line.start_soon(site.keeper.run)
-                line.start_soon(site.worker.run)
-                faces.start_soon(self._tick, faces, site)
+                await self._serve(faces, runtime)
+                line.start_soon(keeping.run, partial(runtime.store.note_line, "state"))
+                line.start_soon(runtime.supervisor.run)
+                line.start_soon(runtime.worker.run)
+                faces.start_soon(self._tick, faces, runtime)
                 await self._end.wait()
                 self._notifier.tell("STOPPING=1")
                 logger.info("event=stopping line=%s", self._roster.line.name)
-                site.operations.close()
-                await self._say_goodbye(site)
+                runtime.operations.close()
+                await self._say_goodbye(runtime)
                 faces.cancel_scope.cancel()
-            site.actions.look(at_end=True)
-            site.worker.close()
+            runtime.actions.look(at_end=True)
+            runtime.worker.close()
             line.cancel_scope.cancel()
 
     def end(self) -> None:
         """End the daemon in good order."""
         self._end.set()
 
-    async def _serve(self, faces: anyio.abc.TaskGroup, site: Site) -> None:
+    async def _serve(self, faces: anyio.abc.TaskGroup, runtime: LineRuntime) -> None:
         api = self._roster.api
         app = create_app(
-            site.recorded,
-            site.store,
-            site.metrics,
-            custody=site.recorded_custody,
-            plan_facts=site.plan_facts,
+            runtime.recorded,
+            runtime.store,
+            runtime.metrics,
+            custody=runtime.recorded_maintenance,
+            plan_facts=runtime.plan_facts,
             line_name=self._roster.line.name,
             port=self._roster.line.port,
             baud=self._roster.line.baud,
@@ -214,24 +214,24 @@ class Daemon:
 
     async def _reload(self) -> None:
         """Read the roster again; a wrong one changes nothing."""
-        if self._path is None or self.site is None:
+        if self._path is None or self.runtime is None:
             return
         self._notifier.tell("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
         try:
             roster = await anyio.to_thread.run_sync(load_roster, self._path)
-            changes = self.site.apply(roster)
+            changes = self.runtime.apply(roster)
         except RosterError as exc:
-            self._refuse_reload(self.site, [str(mistake) for mistake in exc.mistakes])
+            self._refuse_reload(self.runtime, [str(mistake) for mistake in exc.mistakes])
         except LecombusError as exc:
-            self._refuse_reload(self.site, [str(exc)])
+            self._refuse_reload(self.runtime, [str(exc)])
         else:
             self._roster = roster
-            self.site.store.note_line(RELOAD, None)
+            self.runtime.store.note_line(RELOAD, None)
             logger.info("event=reloaded drives=%d %s", len(roster.drives), changes)
         finally:
             self._notifier.tell("READY=1")
 
-    def _refuse_reload(self, site: Site, mistakes: list[str]) -> None:
+    def _refuse_reload(self, runtime: LineRuntime, mistakes: list[str]) -> None:
         """Say that the old roster stays, in the log and until a reload is good."""
         for mistake in mistakes:
             logger.error("event=reload-refused mistake=%s", mistake)
@@ -239,16 +239,16 @@ class Daemon:
         if len(mistakes) > 1:
             more = f" (and {len(mistakes) - 1} more: `lecombus check -c {self._path}`)"
         text = f"the last reload was refused, the old roster is used: {mistakes[0]}{more}"
-        site.store.note_line(RELOAD, text)
+        runtime.store.note_line(RELOAD, text)
 
-    async def _tick(self, faces: anyio.abc.TaskGroup, site: Site) -> None:
+    async def _tick(self, faces: anyio.abc.TaskGroup, runtime: LineRuntime) -> None:
         """Once a second: tell the service manager how we are, and the store how the cadence is."""
         while True:
-            site.note_cadence()
-            if not self._looking and site.wants_look_at_port():
+            runtime.note_cadence()
+            if not self._looking and runtime.wants_look_at_port():
                 self._looking = True
-                faces.start_soon(self._look_at_port, site)
-            if not self._ready and site.tried_all():
+                faces.start_soon(self._look_at_port, runtime)
+            if not self._ready and runtime.tried_all():
                 self._ready = True
                 self._notifier.tell("READY=1", f"STATUS=line {self._roster.line.name} is open")
                 logger.info("event=ready line=%s", self._roster.line.name)
@@ -259,11 +259,11 @@ class Daemon:
                 self._notifier.tell("WATCHDOG=1")
             await anyio.sleep(TICK_S if self._ready else TICK_S / 10.0)
 
-    async def _look_at_port(self, site: Site) -> None:
+    async def _look_at_port(self, runtime: LineRuntime) -> None:
         """Look who else has the port open, beside the line."""
         port = self._roster.line.port
         try:
-            site.port_watch.found(
+            runtime.port_watch.found(
                 await anyio.to_thread.run_sync(others_at, port, abandon_on_cancel=True)
             )
         finally:
@@ -271,35 +271,35 @@ class Daemon:
 
     def ready(self) -> tuple[bool, str]:
         """Whether the line is open and every drive has been tried once."""
-        if self.site is None or not self.site.worker.is_open:
-            reason = self.site.store.line().reason if self.site is not None else ""
+        if self.runtime is None or not self.runtime.worker.is_open:
+            reason = self.runtime.store.line().reason if self.runtime is not None else ""
             return False, f"the line is not open: {reason}"
-        if not self.site.tried_all():
+        if not self.runtime.tried_all():
             return False, "not every drive has been tried yet"
         return True, "the line is open and every drive has been tried"
 
     def healthy(self) -> tuple[bool, str]:
         """Whether the line task makes progress; systemd's watchdog hangs on this."""
-        if self.site is None:
+        if self.runtime is None:
             return False, "not started"
         now = anyio.current_time()
-        worker = self.site.worker
+        worker = self.runtime.worker
         progress = (worker.exchanges, worker.rests)
         if progress != self._progress:
             self._progress, self._progress_at_s = progress, now
         still_s = now - self._progress_at_s
-        if still_s > self.site.longest_exchange_s:
+        if still_s > self.runtime.longest_exchange_s:
             return False, f"the line task has made no progress for {still_s:.1f} s"
         return True, f"{worker.exchanges} exchanges so far"
 
-    async def _say_goodbye(self, site: Site) -> None:
+    async def _say_goodbye(self, runtime: LineRuntime) -> None:
         """Do to the drives what the roster wants done at the end."""
-        action = site.stop_action()
-        if action is None or not site.worker.is_open:
+        action = runtime.stop_action()
+        if action is None or not runtime.worker.is_open:
             return
         with anyio.move_on_after(SHUTDOWN_STOP_S) as scope:
             try:
-                report = await site.recorded.stop(action, "all")
+                report = await runtime.recorded.stop(action, "all")
             except LecombusError as exc:
                 logger.error("event=shutdown-stop-failed action=%s reason=%s", action, exc)
             else:

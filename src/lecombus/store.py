@@ -1,6 +1,6 @@
 """What is known about the line, its drives and their values, at any moment.
 
-The line worker writes here (`value_read`, `value_failed`), health and keeper write states and
+The line worker writes here (`value_read`, `value_failed`), health and supervisor write states and
 remarks, and every face reads. Strategy: one mutable cell per drive and code, so that the write
 behind every exchange is two dictionary look-ups and three assignments; quality, age and time of
 day are worked out only when somebody asks, from the state as it is then (`judging`). So a value

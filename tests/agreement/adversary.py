@@ -22,13 +22,13 @@ from agreement.hostile import Drip, HostileLine
 from lecombus.config import line_timing
 from lecombus.drives import StopAction
 from lecombus.line.observer import ExchangeReport, Observer
+from lecombus.line_runtime import LineRuntime
 from lecombus.planning.ahead import Longest, ahead_on
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.exchange import ResultKind
 from lecombus.protocol.values import Value
 from lecombus.schedule import Outcome, Priority, Request
 from lecombus.schedule.cadence import Entry
-from lecombus.site import Site
 
 __all__ = ["Adversary", "Measured"]
 
@@ -89,7 +89,7 @@ class Adversary:
     """
 
     def __init__(
-        self, site: Site, sim: HostileLine, lock: Callable[[Callable[[], None]], None],
+        self, site: LineRuntime, sim: HostileLine, lock: Callable[[Callable[[], None]], None],
         margin_s: float = EARLY_S,
     ) -> None:  # fmt: skip
         self._site = site

@@ -13,11 +13,11 @@ from agreement.hostile import hostile_line
 from lecombus.config import Roster
 from lecombus.config.exchanges import watched_s
 from lecombus.drives import family
+from lecombus.line_runtime import LineRuntime
 from lecombus.planning import make_plan
 from lecombus.readings import DriveState
 from lecombus.schedule.feed import HARD_PART
 from lecombus.simulator.memory import MemoryEnd
-from lecombus.site import Site
 from support.site_host import until
 from support.virtual_loop import VirtualLoop
 
@@ -79,7 +79,7 @@ def agree(roster: Roster, measured: Measured) -> list[Agreed]:
     return found
 
 
-def as_measured(site: Site) -> Roster:
+def as_measured(site: LineRuntime) -> Roster:
     """Give a line's roster with the answer times that it measured, as `plan --from-daemon` does."""
     roster = site.roster
     drives = tuple(
@@ -90,7 +90,7 @@ def as_measured(site: Site) -> Roster:
 
 
 async def attacked(
-    site: Site,
+    site: LineRuntime,
     adversary: Adversary,
     length_s: float,
     *,
@@ -107,7 +107,7 @@ async def attacked(
         crowd: Not by one attack after the other, but by clients of all classes at once.
     """
     async with anyio.create_task_group() as tasks:
-        tasks.start_soon(site.keeper.run)
+        tasks.start_soon(site.supervisor.run)
         tasks.start_soon(site.worker.run)
         await until(lambda: _all_there(site), within_s=START_S)
         await adversary.quiet()
@@ -118,7 +118,7 @@ async def attacked(
     return measured
 
 
-def _all_there(site: Site) -> bool:
+def _all_there(site: LineRuntime) -> bool:
     names = [drive.name for drive in site.roster.drives]
     return all(site.store.drive(name).state is DriveState.ONLINE for name in names)
 
@@ -131,7 +131,7 @@ def attack_in_virtual_time(case: Case, length_s: float = 60.0, *, crowd: bool = 
         sim = hostile_line(roster)
         memory = MemoryEnd(sim, latency_s=0.001)
         clock = asyncio.get_running_loop().time
-        site = Site(roster, memory.open, clock, lambda: WALL_S + clock())
+        site = LineRuntime(roster, memory.open, clock, lambda: WALL_S + clock())
         adversary = Adversary(site, sim, lambda act: act())
         return await attacked(site, adversary, length_s, crowd=crowd)
 

@@ -24,11 +24,11 @@ from lecombus.config import line_timing, load_roster
 from lecombus.daemon import SWITCH_INTERVAL_S, Daemon
 from lecombus.drives import StopAction
 from lecombus.line.loop import run as run_loop
+from lecombus.line_runtime import LineRuntime
 from lecombus.protocol.addressing import Code
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority
-from lecombus.site import Site
-from lecombus.supervision import keeper
+from lecombus.supervision import drive_supervisor
 
 from .children import answer_lines
 
@@ -51,10 +51,10 @@ class Bench:
         self._background = 0
 
     @property
-    def site(self) -> Site:
+    def site(self) -> LineRuntime:
         """The daemon's line."""
-        assert self._daemon.site is not None
-        return self._daemon.site
+        assert self._daemon.runtime is not None
+        return self._daemon.runtime
 
     async def answer(self, question: dict[str, Any]) -> Any:
         """Answer one question."""
@@ -156,15 +156,15 @@ async def learn_nothing(self: object, name: str) -> None:
 async def serve(path: Path, unpaced: bool) -> None:
     """Run daemon and questions side by side."""
     roster = load_roster(path)
-    vars(keeper)["Keeper"]._learn_the_rest = learn_nothing
+    vars(drive_supervisor)["DriveSupervisor"]._learn_the_rest = learn_nothing
     if unpaced:  # a responder answers before a telegram of this baud rate could have left
         timing = dataclasses.replace(line_timing(roster.line), paced=False)
-        vars(lecombus.daemon)["Site"] = partial(Site, timing=timing)
+        vars(lecombus.daemon)["LineRuntime"] = partial(LineRuntime, timing=timing)
     daemon = Daemon(roster, None)
     bench = Bench(daemon)
     async with anyio.create_task_group() as tasks:
         tasks.start_soon(daemon.main)
-        while daemon.site is None:  # noqa: ASYNC110 - the state file is opened in a thread first
+        while daemon.runtime is None:  # noqa: ASYNC110 - the state file is opened in a thread first
             await asyncio.sleep(0.001)
         await answer_lines(bench.answer)
         daemon.end()

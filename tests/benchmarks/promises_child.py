@@ -23,9 +23,9 @@ from agreement.hostile import hostile_line
 from agreement.running import agree, as_measured, attacked
 from lecombus.daemon import SWITCH_INTERVAL_S
 from lecombus.line.loop import run as run_loop
+from lecombus.line_runtime import LineRuntime
 from lecombus.simulated import opener_for
 from lecombus.simulator import PtyEnd
-from lecombus.site import Site
 
 __all__ = ["main"]
 
@@ -44,7 +44,7 @@ async def attack(number: int, link: Path, for_s: float) -> None:
                 act()  # type: ignore[operator]
 
         clock = asyncio.get_running_loop().time
-        site = Site(roster, opener_for(roster), clock, time.time)
+        site = LineRuntime(roster, opener_for(roster), clock, time.time)
         adversary = Adversary(site, sim, tell, MARGIN_S)
         measured = await attacked(site, adversary, for_s, real=True)
     found = {

@@ -100,13 +100,13 @@ def test_a_quick_stop_waits_for_the_books_and_uses_the_word_the_answer_brought()
     async def test(rig: Rig) -> None:
         words: list[int] = []
 
-        class Books(Recorder):
+        class ExchangeRecorder(Recorder):
             def exchange_ended(self, report: ExchangeReport) -> None:
                 value = getattr(report.result.answer, "value", None)
                 if report.step.code == WORD and value is not None:
                     words.append(value.number)
 
-        rig.worker.talk.observer = Books()
+        rig.worker.talk.observer = ExchangeRecorder()
         rig.line["a"].model.control = 0x0204
         rig.read("a", 135)
         await anyio.sleep(0.010)

@@ -21,7 +21,7 @@ from lecombus.operations.actions import (
     Actions,
     Actor,
 )
-from lecombus.operations.recorded import RecordedCustody, RecordedOperations
+from lecombus.operations.recorded import RecordedMaintenance, RecordedOperations
 from lecombus.operations.reports import GroupReport, VerbReport, WriteReport
 from lecombus.protocol.addressing import Code
 from lecombus.schedule import Outcome
@@ -96,7 +96,7 @@ def recorded(actions: Actions, drives: Drives) -> RecordedOperations:
 
 async def everything(actions: Actions, drives: Drives) -> None:
     ops = recorded(actions, drives)
-    custody = RecordedCustody(cast(Any, drives), actions)
+    custody = RecordedMaintenance(cast(Any, drives), actions)
     await ops.write("feeder", FREQUENCY, 20, expires_s=None, verify=False)
     await ops.write_group("line", FREQUENCY, 20, expires_s=None, verify=False)
     await ops.verb("feeder", Verb.RESET_FAULT)

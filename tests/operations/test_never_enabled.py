@@ -163,7 +163,7 @@ def a_parameter(plant: Plant) -> Code:
 
 
 async def audit(plant: Plant) -> None:
-    plant.site.keeper.audit_soon("a")
+    plant.site.supervisor.audit_soon("a")
     await anyio.sleep(3.0)
 
 

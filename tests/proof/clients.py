@@ -12,10 +12,10 @@ import anyio
 from lecombus.config import DriveEntry
 from lecombus.drives import StopAction, Verb
 from lecombus.errors import LecombusError
+from lecombus.line_runtime import LineRuntime
 from lecombus.protocol.addressing import Code
 from lecombus.schedule import Priority
 from lecombus.simulator.line import SimLine
-from lecombus.site import Site
 from proof.invariants import Invariants
 from proof.lines import TROUBLED, RandomLine
 
@@ -45,7 +45,9 @@ class Clients:
         sim: The drives, for taking some away.
     """
 
-    def __init__(self, site: Site, line: RandomLine, invariants: Invariants, sim: SimLine) -> None:
+    def __init__(
+        self, site: LineRuntime, line: RandomLine, invariants: Invariants, sim: SimLine
+    ) -> None:
         self._site = site
         self._line = line
         self._seen = invariants

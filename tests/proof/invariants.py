@@ -21,10 +21,10 @@ from collections import Counter
 from collections.abc import Callable
 
 from lecombus.line.observer import ExchangeReport
+from lecombus.line_runtime import LineRuntime
 from lecombus.planning import make_promises
 from lecombus.simulator.line import SimLine
 from lecombus.simulator.receiver import Heard
-from lecombus.site import Site
 from proof.lines import RandomLine
 from proof.losses import Losses, TolerantLine
 from proof.outcomes import Outcomes
@@ -51,7 +51,7 @@ class Invariants:
         site: What runs it; not begun yet.
     """
 
-    def __init__(self, line: RandomLine, sim: SimLine, site: Site) -> None:
+    def __init__(self, line: RandomLine, sim: SimLine, site: LineRuntime) -> None:
         self.line = line
         self.sim = sim
         self.broken: list[str] = []

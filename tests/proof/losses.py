@@ -14,10 +14,10 @@ from random import Random
 from lecombus.config import Roster, parse_roster
 from lecombus.config.exchanges import watched_s
 from lecombus.config.feeding import feeding_of, least_time_s
+from lecombus.line_runtime import LineRuntime
 from lecombus.schedule import Priority
 from lecombus.simulator.faults import Faults
 from lecombus.simulator.line import SimLine
-from lecombus.site import Site
 from proof.lines import ADDRESSES, FAMILIES, RandomLine
 
 __all__ = ["MOST_TOLERATED", "Losses", "TolerantLine", "tolerant_line"]
@@ -83,7 +83,7 @@ class Losses:
         site: What runs it.
     """
 
-    def __init__(self, line: TolerantLine, sim: SimLine, site: Site) -> None:
+    def __init__(self, line: TolerantLine, sim: SimLine, site: LineRuntime) -> None:
         self._count = line.losses
         self._sim = sim
         self._site = site

@@ -19,6 +19,7 @@ from itertools import cycle
 
 from lecombus.line.observer import ExchangeReport
 from lecombus.line.station import StepKind
+from lecombus.line_runtime import LineRuntime
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.telegrams import ValueAnswer
 from lecombus.readings import DriveState, Quality
@@ -26,7 +27,6 @@ from lecombus.schedule import Outcome, Priority
 from lecombus.simulator.drive import SimDrive
 from lecombus.simulator.line import SimLine
 from lecombus.simulator.model import INHIBIT
-from lecombus.site import Site
 from lecombus.supervision.watchdogs import REMARK
 from proof.lines import RandomLine
 from proof.losses import TolerantLine
@@ -59,7 +59,7 @@ class Shown:
         self,
         line: RandomLine,
         sim: SimLine,
-        site: Site,
+        site: LineRuntime,
         clock: Callable[[], float],
         say: Callable[[str], None],
     ) -> None:

@@ -16,11 +16,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from lecombus.line.observer import ExchangeReport
+from lecombus.line_runtime import LineRuntime
 from lecombus.planning import Promises, make_promises
 from lecombus.planning.silent_stops import PAUSE_S
 from lecombus.protocol.exchange import ResultKind
 from lecombus.schedule import Priority
-from lecombus.site import Site
 from proof.lines import RandomLine
 
 __all__ = ["Stops"]
@@ -48,7 +48,7 @@ class Stops:
     """
 
     def __init__(
-        self, line: RandomLine, plan: Promises, site: Site, say: Callable[[str], None]
+        self, line: RandomLine, plan: Promises, site: LineRuntime, say: Callable[[str], None]
     ) -> None:
         self._line = line
         self._plan = plan

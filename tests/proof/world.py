@@ -1,8 +1,8 @@
-"""One random line in virtual time: the real site over simulated drives, watched at every step.
+"""One random line in virtual time: the real runtime over simulated drives, watched at every step.
 
-Schedule, worker, keeper, books and store are those of the daemon; only the event loop's time jumps
-and the port is in memory. What comes in is handed over in pieces as an adapter does, which also
-makes it fast. `run_line` gives what was seen to break; an empty list is what is wanted.
+Schedule, worker, supervisor, recorder and store are those of the daemon; only the event loop's
+time jumps and the port is in memory. What comes in is handed over in pieces as an adapter does,
+which also makes it fast. `run_line` gives what was seen to break; an empty list is what is wanted.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from dataclasses import dataclass
 import anyio
 
 from lecombus.line.port import Port, PortSettings, Receiver
+from lecombus.line_runtime import LineRuntime
 from lecombus.readings import DriveState
 from lecombus.schedule import Priority
 from lecombus.simulator.line import SimLine
 from lecombus.simulator.memory import MemoryEnd
 from lecombus.simulator.world import build
-from lecombus.site import Site
 from proof.clients import Clients
 from proof.invariants import Invariants
 from proof.lines import RandomLine
@@ -73,7 +73,7 @@ class World:
         self.sim = _simulated(line)
         self._memory = MemoryEnd(self.sim, latency_s=line.adapter_s)
         clock = asyncio.get_running_loop().time
-        self.site = Site(line.roster, self._open, clock, lambda: WALL_S + clock())
+        self.site = LineRuntime(line.roster, self._open, clock, lambda: WALL_S + clock())
         self.invariants = Invariants(line, self.sim, self.site)
         observer = self.site.worker.talk.observer
         self.site.worker.talk.observer = ObserverTap(observer, self.invariants.ended)

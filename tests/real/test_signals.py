@@ -14,7 +14,7 @@ import anyio
 import pytest
 
 from lecombus import daemon as daemon_module
-from lecombus import site
+from lecombus import line_runtime
 from lecombus.config import parse_roster
 from lecombus.line.worker import LineWorker
 from lecombus.simulator import PtyEnd
@@ -230,7 +230,7 @@ def test_pings_stop_when_the_line_task_stalls_though_all_else_goes_on(
         await anyio.sleep_forever()
 
     monkeypatch.setattr(LineWorker, "run", hang)
-    monkeypatch.setattr(site, "STUCK_S", 0.5)
+    monkeypatch.setattr(line_runtime, "STUCK_S", 0.5)
     with short_dir() as folder:
         manager = Manager(folder / "notify")
         monkeypatch.setenv("NOTIFY_SOCKET", str(manager.path))
@@ -248,7 +248,7 @@ async def end_when_unhealthy(stuck: daemon_module.Daemon, manager: Manager) -> N
         tasks.start_soon(stuck.main)
         for _ in range(1000):
             await anyio.sleep(0.01)
-            if stuck.site is not None and not stuck.healthy()[0]:
+            if stuck.runtime is not None and not stuck.healthy()[0]:
                 break
         pings = manager.told.count("WATCHDOG=1")
         assert pings > 0

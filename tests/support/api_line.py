@@ -17,9 +17,9 @@ from lecombus.drives.measured import AnswerRow
 from lecombus.errors import LecombusError
 from lecombus.metrics import Metrics
 from lecombus.operations.address_reads import Heard, HeardKind
-from lecombus.operations.custody import TimesReport
 from lecombus.operations.findings import Finding, MemoryEntry, WhyReport
 from lecombus.operations.identities import IdentityReport
+from lecombus.operations.maintenance import TimesReport
 from lecombus.operations.reports import (
     GroupInfo,
     GroupReport,
@@ -159,7 +159,7 @@ class FakeOperations:
 
 
 class FakeCustody:
-    """Custody that answers from one identity."""
+    """Maintenance that answers from one identity."""
 
     def identity(self, drive: str) -> IdentityReport:
         return IdentityReport(drive, {"C1810": "NEW"}, {"C1810": "OLD"}, {}, "", "swapped")

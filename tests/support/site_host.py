@@ -1,7 +1,7 @@
 """A line on the virtual clock: a bare worker, or a whole site, over simulated drives in memory.
 
 `Rig` is schedule and worker without store, keeper and roster, for looking at telegrams and
-outcomes; `Plant` is a whole `Site` of a roster. Both are entered inside `virtual_loop.run`.
+outcomes; `Plant` is a whole `LineRuntime` of a roster. Both are entered inside `virtual_loop.run`.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from lecombus.line.observer import ExchangeReport
 from lecombus.line.port import Port, PortSettings, Receiver
 from lecombus.line.station import Station
 from lecombus.line.worker import LineWorker, WorkerOptions
+from lecombus.line_runtime import LineRuntime
 from lecombus.operations.request_maker import RequestMaker
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
@@ -30,7 +31,6 @@ from lecombus.simulator.drive import SimDrive
 from lecombus.simulator.line import SimLine
 from lecombus.simulator.memory import MemoryEnd
 from lecombus.simulator.world import build
-from lecombus.site import Site
 from lecombus.state import State
 from support.taps import STRIPPED, WALL_S, ObserverTap, PortTap, ReceiverTap, running
 from support.virtual_loop import run
@@ -310,11 +310,11 @@ class Plant:
         self.end = TappedEnd(self.line)
         self._options = options
         self.reports: list[ExchangeReport] = []
-        self.site: Site
+        self.site: LineRuntime
 
     async def __aenter__(self) -> Plant:
         clock = asyncio.get_running_loop().time
-        self.site = Site(
+        self.site = LineRuntime(
             self.roster,
             self.end.open,
             clock,

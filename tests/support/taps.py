@@ -13,7 +13,7 @@ import anyio
 
 from lecombus.line.observer import ExchangeReport, Observer
 from lecombus.line.port import Port, Receiver
-from lecombus.site import Site
+from lecombus.line_runtime import LineRuntime
 
 __all__ = ["STRIPPED", "WALL_S", "ObserverTap", "PortTap", "ReceiverTap", "running"]
 
@@ -84,10 +84,10 @@ class ReceiverTap:
 
 
 @contextlib.asynccontextmanager
-async def running(site: Site) -> AsyncIterator[None]:
+async def running(site: LineRuntime) -> AsyncIterator[None]:
     """Work a site's line as long as the block lasts."""
     async with anyio.create_task_group() as tasks:
-        tasks.start_soon(site.keeper.run)
+        tasks.start_soon(site.supervisor.run)
         tasks.start_soon(site.worker.run)
         yield
         tasks.cancel_scope.cancel()

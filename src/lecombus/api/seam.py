@@ -13,9 +13,9 @@ from typing import Protocol
 
 from lecombus.drives import StopAction, Verb
 from lecombus.operations.address_reads import Heard
-from lecombus.operations.custody import TimesReport
 from lecombus.operations.findings import WhyReport
 from lecombus.operations.identities import IdentityReport
+from lecombus.operations.maintenance import TimesReport
 from lecombus.operations.reports import (
     GroupInfo,
     GroupReport,

@@ -24,10 +24,10 @@ from lecombus.errors import (
 )
 from lecombus.line.port import PortSettings
 from lecombus.line.station import Station
+from lecombus.line_runtime import options_of
 from lecombus.protocol.addressing import Form
 from lecombus.rebaud import Came, Read, Said, Step, Steps, Subject, Wait
 from lecombus.schedule import Outcome, Priority
-from lecombus.site import options_of
 
 __all__ = ["carry_out", "form_of"]
 

@@ -143,8 +143,8 @@ async def _play(daemon: Daemon, view: View, seconds: float | None) -> None:
     end_at = None if seconds is None else anyio.current_time() + seconds
     enabled: set[str] = set()
     for round_ in itertools.count():
-        if daemon.site is not None:
-            view.show(daemon.site)
+        if daemon.runtime is not None:
+            view.show(daemon.runtime)
             await _move(daemon, view, round_, enabled)
         await anyio.sleep(1.0)
         if end_at is not None and anyio.current_time() >= end_at:
@@ -154,19 +154,19 @@ async def _play(daemon: Daemon, view: View, seconds: float | None) -> None:
 
 async def _move(daemon: Daemon, view: View, round_: int, enabled: set[str]) -> None:
     """Enable each drive once it is online, and change the setpoints every few seconds."""
-    assert daemon.site is not None
+    assert daemon.runtime is not None
     for name, (code, values) in SETPOINTS.items():
-        state = daemon.site.store.drive(name).state.value
+        state = daemon.runtime.store.drive(name).state.value
         if state != "online":
             continue
         try:
             if name not in enabled:
                 enabled.add(name)
-                await daemon.site.operations.write(name, CONTROL_WORD, "H0000")
-                await daemon.site.operations.write(name, INHIBIT, 1)
+                await daemon.runtime.operations.write(name, CONTROL_WORD, "H0000")
+                await daemon.runtime.operations.write(name, INHIBIT, 1)
             elif round_ % CHANGE_EVERY:
                 continue
             value = values[(round_ // CHANGE_EVERY) % len(values)]
-            await daemon.site.operations.write(name, code, Decimal(value), expires_s=5.0)
+            await daemon.runtime.operations.write(name, code, Decimal(value), expires_s=5.0)
         except LecombusError as exc:
             view.say(f"{name}: {exc}")

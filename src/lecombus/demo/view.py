@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from lecombus.config import Roster
+from lecombus.line_runtime import LineRuntime
 from lecombus.protocol.addressing import Code
 from lecombus.readings import Quality, Reading
-from lecombus.site import Site
 
 if TYPE_CHECKING:
     from rich.console import Group
@@ -24,7 +24,7 @@ SHOWN = {"frequency": Code(50), "status word": Code(150)}
 
 
 class View:
-    """Shows a site again and again.
+    """Shows a runtime again and again.
 
     Args:
         out: Where to.
@@ -46,10 +46,10 @@ class View:
         else:
             print(self._headline, file=out, flush=True)
 
-    def show(self, site: Site) -> None:
+    def show(self, runtime: LineRuntime) -> None:
         """Show what is known now."""
-        rows = [row(site, info.name) for info in site.store.drives()]
-        counts = f"{site.worker.exchanges} exchanges, {site.store.line().state.value}"
+        rows = [row(runtime, info.name) for info in runtime.store.drives()]
+        counts = f"{runtime.worker.exchanges} exchanges, {runtime.store.line().state.value}"
         if self._live is not None:
             self._live.update(screen(f"{self._headline}\n{counts}", rows, self._said), refresh=True)
             return
@@ -83,11 +83,11 @@ def headline(roster: Roster, socket: Path) -> str:
     )
 
 
-def row(site: Site, name: str) -> list[str]:
+def row(runtime: LineRuntime, name: str) -> list[str]:
     """The cells of one drive."""
-    info = site.store.drive(name)
-    family = site.store.family(name)
-    readings = [site.store.reading(name, code) for code in SHOWN.values()]
+    info = runtime.store.drive(name)
+    family = runtime.store.family(name)
+    readings = [runtime.store.reading(name, code) for code in SHOWN.values()]
     frequency, word = readings
     return [
         name,
@@ -95,7 +95,7 @@ def row(site: Site, name: str) -> list[str]:
         info.state.value,
         cell(frequency),
         cell(word),
-        ", ".join(named_bits(site, name, word)),
+        ", ".join(named_bits(runtime, name, word)),
     ]
 
 
@@ -107,11 +107,11 @@ def cell(reading: Reading | None) -> str:
     return text if reading.quality is Quality.GOOD else f"({text}, {reading.quality.value})"
 
 
-def named_bits(site: Site, name: str, word: Reading | None) -> list[str]:
+def named_bits(runtime: LineRuntime, name: str, word: Reading | None) -> list[str]:
     """The bits of the status word that are set and have a name."""
     if word is None or word.value is None or not isinstance(word.value.number, int):
         return []
-    bits = site.store.family(name).status_bits(word.code, word.value.number)
+    bits = runtime.store.family(name).status_bits(word.code, word.value.number)
     return [bit.replace("_", " ") for bit, is_set in bits.items() if is_set]
 
 

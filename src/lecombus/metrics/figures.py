@@ -26,7 +26,7 @@ __all__ = ["DriveFigures", "Figures", "LineFigures"]
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """What the schedule and the keeper say about themselves at this moment.
+    """What the schedule and the supervisor say about themselves at this moment.
 
     Args:
         queue_depth: Requests waiting, by class.

@@ -49,7 +49,7 @@ class Metrics:
         store: Where values and states come from.
         version: lecombus' version, for `build_info`.
         clock: A monotonic clock, seconds.
-        figures: Asked once per page for what schedule and keeper say about themselves.
+        figures: Asked once per page for what schedule and supervisor say about themselves.
     """
 
     def __init__(

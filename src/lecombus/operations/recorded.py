@@ -3,7 +3,7 @@
 Every door calls these, and the daemon for what it does itself, so that there is one place where
 nothing is forgotten. What only reads is handed on.
 
-What must not live here: what is done (`verb_operations`, `custody`), how often it is told
+What must not live here: what is done (`verb_operations`, `maintenance`), how often it is told
 (`actions`).
 """
 
@@ -17,9 +17,9 @@ from lecombus.drives import StopAction, Verb
 from lecombus.errors import LecombusError
 from lecombus.operations.actions import Actions
 from lecombus.operations.address_reads import Heard
-from lecombus.operations.custody import Custody, TimesReport
 from lecombus.operations.findings import WhyReport
 from lecombus.operations.identities import IdentityReport
+from lecombus.operations.maintenance import Maintenance, TimesReport
 from lecombus.operations.reports import (
     GroupInfo,
     GroupReport,
@@ -33,7 +33,7 @@ from lecombus.protocol.addressing import Code, Form
 from lecombus.readings import Reading
 from lecombus.schedule import Outcome
 
-__all__ = ["RecordedCustody", "RecordedOperations"]
+__all__ = ["RecordedMaintenance", "RecordedOperations"]
 
 GOOD: Final = (Outcome.DONE, Outcome.VERIFIED)
 
@@ -122,40 +122,40 @@ class RecordedOperations:
         return SECRET if self._is_secret(target, code) else str(value)
 
 
-class RecordedCustody:
-    """Custody, each change of which leaves an event.
+class RecordedMaintenance:
+    """Maintenance, each change of which leaves an event.
 
     Args:
-        custody: What does it.
+        maintenance: What does it.
         actions: Where it is told.
     """
 
-    def __init__(self, custody: Custody, actions: Actions) -> None:
-        self._custody = custody
+    def __init__(self, maintenance: Maintenance, actions: Actions) -> None:
+        self._maintenance = maintenance
         self._actions = actions
 
     def identity(self, drive: str) -> IdentityReport:
         """Return who a drive is."""
-        return self._custody.identity(drive)
+        return self._maintenance.identity(drive)
 
     def wear(self, drive: str) -> WearReport:
         """Return how often a drive's memory was written."""
-        return self._custody.wear(drive)
+        return self._maintenance.wear(drive)
 
     async def readdress(self, drive: str, address: int) -> WriteReport:
         """Give a drive another address and follow it there."""
-        work = self._custody.readdress(drive, address)
+        work = self._maintenance.readdress(drive, address)
         return await recorded(
             self._actions, "readdress-asked", drive, {"value": str(address)}, work
         )
 
     def accept(self, drive: str, shown: Mapping[str, str]) -> IdentityReport:
         """Take the drive that is there for the drive of this name."""
-        return self._at_once("accept", drive, lambda: self._custody.accept(drive, shown))
+        return self._at_once("accept", drive, lambda: self._maintenance.accept(drive, shown))
 
     def forget_times(self, drive: str) -> TimesReport:
         """Forget how long a drive was measured to think."""
-        return self._at_once("forget-times", drive, lambda: self._custody.forget_times(drive))
+        return self._at_once("forget-times", drive, lambda: self._maintenance.forget_times(drive))
 
     def _at_once(self, event: str, drive: str, act: Callable[[], T]) -> T:
         try:

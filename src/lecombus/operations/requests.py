@@ -1,6 +1,6 @@
 """Putting a request into the line and waiting for its end, for everything inside lecombus.
 
-The keeper and the operations that users start both wait here. Cancelling the wait drops the
+The supervisor and the operations that users start both wait here. Cancelling the wait drops the
 result and never a telegram: a request that still waits in the schedule runs or expires as it
 would have, and the worker never knows who was waiting.
 """

@@ -1,11 +1,11 @@
 """What an audit is: the questions a drive is asked before it is called online, and after.
 
 Asked before: is it there at all; does it answer what it is asked; what is its control word, which a
-quick stop needs; is it to be written to (`gates`); what is its own watchdog set to, and does the
-roster want something else (`watchdogs`). Asked after, when the line has time: what nobody need
-wait for.
+quick stop needs; is it to be written to (`write_prechecks`); what is its own watchdog set to, and
+does the roster want something else (`watchdogs`). Asked after, when the line has time: what need
+not be waited for.
 
-When an audit is due, and what is fed meanwhile, is the keeper's.
+When an audit is due, and what is fed meanwhile, is the supervisor's.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from lecombus.line.station import Station
 from lecombus.motion import learnt_setpoint
 from lecombus.operations.requests import Requests, is_of_the_line
 from lecombus.schedule import Priority
-from lecombus.supervision.gates import Gates
 from lecombus.supervision.watchdogs import PATIENCE_S, WatchdogAudit
+from lecombus.supervision.write_prechecks import WritePrechecks
 
 __all__ = ["Audit"]
 
@@ -37,13 +37,15 @@ class Audit:
 
     Args:
         requests: Sends requests and waits for their end.
-        gates: What decides whether a drive may be written to.
+        prechecks: What decides whether a drive may be written to.
         watchdogs: Looks at the drives' watchdogs.
     """
 
-    def __init__(self, requests: Requests, gates: Gates, watchdogs: WatchdogAudit) -> None:
+    def __init__(
+        self, requests: Requests, prechecks: WritePrechecks, watchdogs: WatchdogAudit
+    ) -> None:
         self._requests = requests
-        self._gates = gates
+        self._prechecks = prechecks
         self._watchdogs = watchdogs
 
     def forget(self, name: str) -> None:
@@ -84,12 +86,12 @@ class Audit:
         traits = station.family.watchdog if entry.watchdog is not None else None
         action = None
         async with turn():
-            station = await self._gates.check_addressing(entry, station)
+            station = await self._prechecks.check_addressing(entry, station)
             await self._learn_words(station)
-            known = await self._gates.check_identity(entry, station)
+            known = await self._prechecks.check_identity(entry, station)
             gate = station.family.software
             if gate is not None:
-                await self._gates.check_software(entry, station, gate, known.get(gate.code))
+                await self._prechecks.check_software(entry, station, gate, known.get(gate.code))
             if traits is not None:
                 action = await self._watchdogs.look(entry.name, station, traits)
         if action is not None and traits is not None:

@@ -7,12 +7,12 @@
        │  └── line reopened           └──────── answered ────┘                              │
        └────────────────────────── a probe was answered ────────────────────────────────────┘
 
-A drive is called online only after it has answered *and* been audited (`keeper`); a drive that
-failed twice or more in a row is audited again when it answers, because a short power failure
+A drive is called online only after it has answered *and* been audited (`drive_supervisor`); a drive
+that failed twice or more in a row is audited again when it answers, because a short power failure
 looks like that and the 2102 module forgets its settings in one (EDB2102EN 6.3). An offline drive
 is parked in the schedule and only probed, so that it costs the others little.
 
-What must not live here: reading or writing anything; the schedule and the keeper do that.
+What must not live here: reading or writing anything; the schedule and the supervisor do that.
 """
 
 from __future__ import annotations
@@ -166,7 +166,7 @@ class Health:
             self._wants_audit(name)
 
     def audited(self, name: str) -> None:
-        """The keeper has found the drive in order, or has put it in order."""
+        """The supervisor has found the drive in order, or has put it in order."""
         record = self._records.get(name)
         if record is not None and record.state is not DriveState.OFFLINE:
             record.audit_due = False
@@ -182,7 +182,7 @@ class Health:
                 self._set(name, record, DriveState.STARTING, reason)
 
     def audit_failed(self, name: str, reason: str) -> None:
-        """The keeper could not finish its audit; it will try again."""
+        """The supervisor could not finish its audit; it will try again."""
         record = self._records.get(name)
         if record is not None and record.state is not DriveState.OFFLINE:
             self._set(name, record, record.state, f"not audited: {reason}")

@@ -4,7 +4,8 @@ What a watchdog does is looked at before any drive's is set, because one that is
 feeding, and with less to feed setting them goes faster. Only what differs is written, the action
 last, each proven by reading back; on a drive that nothing may be written to it is only remarked.
 
-What must not live here: when it is done (`keeper`), who may be written to (`gates`).
+What must not live here: when it is done (`drive_supervisor`), who may be written to
+(`write_prechecks`).
 Source: EDB2102EN 6.3 (C1920..C1923), CMVLC401A 7.3.
 """
 

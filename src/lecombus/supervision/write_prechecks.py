@@ -1,4 +1,4 @@
-"""Gates: what is asked of a drive before anything may be written to it.
+"""Pre-checks of writes: what is asked of a drive before anything may be written to it.
 
 In this order, each before the first write of the audit itself:
 
@@ -10,7 +10,7 @@ In this order, each before the first write of the audit itself:
    before it is believed: one damaged character may pass the BCC.
 3. *software*: the manual of the SMVector forbids writing to any software but its own.
 
-Each gate that is shut is a remark (`readings.WRITE_LOCKS`); stops pass all of them.
+Each check that fails is a remark (`readings.WRITE_LOCKS`); stops pass all of them.
 
 What must not live here: what is accepted and recorded, when an audit is due.
 Source: EDB2102EN 8.2 (C0248, C0249), 8.3.1; CMVLC401A preface, 5.3.
@@ -38,7 +38,7 @@ from lecombus.schedule import Priority
 from lecombus.store import Store
 from lecombus.supervision.watchdogs import DOES_NOT_FIT, PATIENCE_S
 
-__all__ = ["Gates"]
+__all__ = ["WritePrechecks"]
 
 logger = logging.getLogger(__name__)
 
@@ -51,7 +51,7 @@ MOVED = "addressing-moved"
 """The remark where extended addressing is used instead: writes go."""
 
 
-class Gates:
+class WritePrechecks:
     """Asks drives what decides whether they may be written to.
 
     Args:

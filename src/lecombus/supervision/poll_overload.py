@@ -13,7 +13,7 @@ from typing import Final
 from lecombus.schedule.cadence import STRETCH_WINDOW_S
 from lecombus.store import Store
 
-__all__ = ["Strain"]
+__all__ = ["PollOverload"]
 
 REMARK: Final = "cadence"
 SAID_FROM: Final = 1.05
@@ -27,7 +27,7 @@ PAUSED_FROM_S: Final = 1.5
 """The figure comes once a second; where it comes so much later, seconds, the daemon did not run."""
 
 
-class Strain:
+class PollOverload:
     """Says when the cyclic reads are more than the line can do.
 
     Args:

@@ -4,29 +4,31 @@ from __future__ import annotations
 
 from lecombus.schedule.cadence import STRETCH_WINDOW_S
 from lecombus.store import Store
-from lecombus.supervision.strain import Strain
+from lecombus.supervision.poll_overload import PollOverload
 
 LONG = round(STRETCH_WINDOW_S) + 5
 
 
-def remarks(strain: Strain, store: Store, seconds: list[float], stretch: float = 2.0) -> list[bool]:
+def remarks(
+    overload: PollOverload, store: Store, seconds: list[float], stretch: float = 2.0
+) -> list[bool]:
     found = []
     for now_s in seconds:
-        strain.note(stretch, now_s, is_open=True)
+        overload.note(stretch, now_s, is_open=True)
         found.append("cadence" in store.line().remarks)
     return found
 
 
 def test_a_line_that_is_stretched_for_long_is_remarked_on() -> None:
     store = Store(lambda: 0.0, lambda: 0.0)
-    assert remarks(Strain(store), store, [float(one) for one in range(LONG)])[-1]
+    assert remarks(PollOverload(store), store, [float(one) for one in range(LONG)])[-1]
 
 
 def test_what_a_pause_of_the_daemon_stretched_is_no_remark() -> None:
     store = Store(lambda: 0.0, lambda: 0.0)
-    strain = Strain(store)
-    strain.note(1.0, 100.0, is_open=True)
+    overload = PollOverload(store)
+    overload.note(1.0, 100.0, is_open=True)
     after = [105.0 + one for one in range(LONG)]
-    found = remarks(strain, store, after)
+    found = remarks(overload, store, after)
     assert not any(found[: round(STRETCH_WINDOW_S)])
     assert found[-1], "what lasts longer than the pause is said"

@@ -1,4 +1,4 @@
-"""One line, put together: schedule, worker, store, health, keeper and operations of a roster.
+"""One line, put together: schedule, worker, store, health, supervisor and operations of a roster.
 
 Nothing here talks to the world: the port's opener is handed in, so the same assembly runs over a
 serial device, over TCP, and in tests over a simulated line on a virtual clock. `apply` takes a
@@ -29,10 +29,10 @@ from lecombus.metrics import Figures, Metrics
 from lecombus.metrics.minutes import LATELY_S
 from lecombus.operations.actions import Actions
 from lecombus.operations.control_words import ControlWords
-from lecombus.operations.custody import Custody
 from lecombus.operations.identities import Identities
+from lecombus.operations.maintenance import Maintenance
 from lecombus.operations.readdress import Readdress
-from lecombus.operations.recorded import RecordedCustody, RecordedOperations
+from lecombus.operations.recorded import RecordedMaintenance, RecordedOperations
 from lecombus.operations.request_maker import RequestMaker
 from lecombus.operations.requests import Requests
 from lecombus.operations.verb_operations import VerbOperations
@@ -44,20 +44,20 @@ from lecombus.schedule import Feed, Priority, Schedule, Settle
 from lecombus.schedule.stats import ScheduleStats
 from lecombus.state import State
 from lecombus.store import Store
-from lecombus.supervision.books import Books
 from lecombus.supervision.command_effects import CommandEffects
 from lecombus.supervision.configurations import Configurations
 from lecombus.supervision.cyclic_reads import CyclicReads
+from lecombus.supervision.drive_supervisor import DriveSupervisor
+from lecombus.supervision.exchange_recorder import ExchangeRecorder
 from lecombus.supervision.fault_watch import FaultWatch
-from lecombus.supervision.gates import Gates
 from lecombus.supervision.health import Health
-from lecombus.supervision.keeper import Keeper
+from lecombus.supervision.poll_overload import PollOverload
 from lecombus.supervision.port_watch import PortWatch
 from lecombus.supervision.second_answers import SecondAnswers
 from lecombus.supervision.slow_drives import SlowDrives
-from lecombus.supervision.strain import Strain
+from lecombus.supervision.write_prechecks import WritePrechecks
 
-__all__ = ["Changes", "Site"]
+__all__ = ["Changes", "LineRuntime"]
 
 STUCK_S = 6.0
 """Longer than any exchange (at 1200 baud about 4 s) and than the pause before a reopening (5 s)."""
@@ -88,7 +88,7 @@ class Changes:
         return " ".join(f"{key}={','.join(names) or 'none'}" for key, names in parts.items())
 
 
-class Site:
+class LineRuntime:
     """Everything that runs one line.
 
     Args:
@@ -125,21 +125,21 @@ class Site:
         self.health = Health(self.schedule, self.store, self._wants_audit, clock)
         self._configurations = self._make_configurations()
         self.identities = self._make_identities(wall)
-        self._books = books = self._make_books(wall)
-        self.worker = self._make_worker(opener, timing, options or options_of(roster), books)
+        self._recorder = recorder = self._make_recorder(wall)
+        self.worker = self._make_worker(opener, timing, options or options_of(roster), recorder)
         self.requests = Requests(self.worker, maker, clock)
         self.readdress = Readdress(
             self.requests, self.store, self.state, self.identities, clock, wall, self._follow
         )
-        self.keeper = self._make_keeper(clock)
+        self.supervisor = self._make_supervisor(clock)
         self.operations = VerbOperations(
             self.requests, self.store, self.words, self.wear, clock,
-            lambda: books.disturbances, self.health.restarted,
+            lambda: recorder.disturbances, self.health.restarted,
         )  # fmt: skip
         self._slow = SlowDrives(self.store, self.schedule.costs_changed)
-        self.custody = self._make_custody()
-        self.actions, self.recorded, self.recorded_custody = self._make_recorded()
-        self._strain = Strain(self.store)
+        self.maintenance = self._make_maintenance()
+        self.actions, self.recorded, self.recorded_maintenance = self._make_recorded()
+        self._overload = PollOverload(self.store)
         self._second_answers = SecondAnswers(self.store)
         self.port_watch = PortWatch(self.store, line)
         self._reads = CyclicReads(self.requests, self.schedule, self.store, self.metrics.minutes)
@@ -149,10 +149,10 @@ class Site:
     def _make_identities(self, wall: Callable[[], float]) -> Identities:
         return Identities(self.state, self.store, wall, self._wants_audit, self.health.doubted)
 
-    def _make_recorded(self) -> tuple[Actions, RecordedOperations, RecordedCustody]:
+    def _make_recorded(self) -> tuple[Actions, RecordedOperations, RecordedMaintenance]:
         actions = Actions(self._clock)
         operations = RecordedOperations(self.operations, actions, self._is_secret)
-        return actions, operations, RecordedCustody(self.custody, actions)
+        return actions, operations, RecordedMaintenance(self.maintenance, actions)
 
     def _is_secret(self, target: str, code: Code) -> bool:
         """Whether a code of a drive, or of one of a group, is a password."""
@@ -163,8 +163,8 @@ class Site:
         )
         return any(info is not None and info.secret for info in infos)
 
-    def _make_custody(self) -> Custody:
-        return Custody(
+    def _make_maintenance(self) -> Maintenance:
+        return Maintenance(
             self.identities, self.wear, self.readdress, self.requests,
             lambda station: self._slow.look([station]),
         )  # fmt: skip
@@ -179,23 +179,31 @@ class Site:
         return Metrics(name, self.store, version=__version__, clock=clock, figures=self._figures)
 
     def _make_worker(
-        self, opener: PortOpener, timing: LineTiming, options: WorkerOptions, books: Books
+        self,
+        opener: PortOpener,
+        timing: LineTiming,
+        options: WorkerOptions,
+        recorder: ExchangeRecorder,
     ) -> LineWorker:
         line = self.roster.line
         settings = PortSettings(line.port, line.baud, line.direction, line.parity, line.name)
-        return LineWorker(settings, opener, self.schedule, timing, options, books)
+        return LineWorker(settings, opener, self.schedule, timing, options, recorder)
 
-    def _make_books(self, wall: Callable[[], float]) -> Books:
+    def _make_recorder(self, wall: Callable[[], float]) -> ExchangeRecorder:
         watch = FaultWatch(self.store, self._read_soon, wall)
         effects = CommandEffects(self.store, self._read_soon, self._read_later, self._clock)
-        return Books(
+        return ExchangeRecorder(
             self.store, self.metrics, self.health, self.words, watch, effects,
             self._configurations, self.identities, self.wear, self._has_drive,
         )  # fmt: skip
 
-    def _make_keeper(self, clock: Callable[[], float]) -> Keeper:
-        gates = Gates(self.requests, self.store, self.identities, self.words, self.readdress)
-        return Keeper(self.requests, self.schedule, self.store, clock, self.health, gates)
+    def _make_supervisor(self, clock: Callable[[], float]) -> DriveSupervisor:
+        prechecks = WritePrechecks(
+            self.requests, self.store, self.identities, self.words, self.readdress
+        )
+        return DriveSupervisor(
+            self.requests, self.schedule, self.store, clock, self.health, prechecks
+        )
 
     def apply(self, roster: Roster) -> Changes:
         """Take a roster's drives and groups; drives that did not change are left alone.
@@ -245,7 +253,7 @@ class Site:
 
     def tried_all(self) -> bool:
         """Whether the line is open and every drive has been tried once since the start."""
-        return self.worker.is_open and self.keeper.tried >= set(self._entries)
+        return self.worker.is_open and self.supervisor.tried >= set(self._entries)
 
     def note_cadence(self) -> None:
         """Say how far the cadence is stretched, and which watchdogs ran out; once a second."""
@@ -256,15 +264,15 @@ class Site:
         addresses = {name: entry.address for name, entry in self._entries.items()}
         self._second_answers.look(self.worker.talk.duplicates.found(now_s), addresses)
         self.health.note_overdue()
-        self.keeper.note_lapses(stats.feeds)
+        self.supervisor.note_lapses(stats.feeds)
         starting = any(self.health.state(name) is DriveState.STARTING for name in self._entries)
         is_open = self.worker.is_open
-        self._strain.note(stats.stretch, now_s, is_open=is_open, starting=starting)
+        self._overload.note(stats.stretch, now_s, is_open=is_open, starting=starting)
 
     def wants_look_at_port(self) -> bool:
         """Whether somebody should look who else has the port open; about once a second."""
         return self.port_watch.note(
-            self._books.failures,
+            self._recorder.failures,
             self._clock(),
             is_open=self.worker.is_open,
             silent=self.health.is_silent,
@@ -311,9 +319,9 @@ class Site:
                     and entry.watchdog.action == "inhibit",
                 )  # fmt: skip
         self._reads.take(entry, self._clock())
-        self.keeper.add_drive(entry)
+        self.supervisor.add_drive(entry)
         if self.worker.is_open:
-            self.keeper.audit_soon(entry.name)
+            self.supervisor.audit_soon(entry.name)
 
     def _change_use(self, entry: DriveEntry) -> None:
         """Read other codes of a drive, or allow other things; it stays the drive it is.
@@ -323,7 +331,7 @@ class Site:
         self._entries[entry.name] = entry
         self.identities.change_entry(entry)
         self.wear.add_drive(entry)
-        self.keeper.change_entry(entry)
+        self.supervisor.change_entry(entry)
         self._reads.take(entry, self._clock())
 
     def _resume_feeding(self, old: DriveEntry | None, new: DriveEntry, left: Feed | None) -> None:
@@ -335,14 +343,14 @@ class Site:
     def _remove_drive(self, name: str, *, kept: bool) -> Feed | None:
         """Take a drive out; `kept`: it comes back at once with other settings."""
         del self._entries[name]
-        self.keeper.remove_drive(name)
+        self.supervisor.remove_drive(name)
         self.health.remove_drive(name)
         now_s, reason = self._clock(), f"{name} was taken out of the roster"
         left = self.schedule.remove_drive(name, now_s, reason)
         self.requests.remove_station(name)
         self.words.forget(name)
         self.identities.remove_drive(name)
-        self._books.forget(name)
+        self._recorder.forget(name)
         self._slow.forget(name)
         self._reads.forget(name)
         if not kept:
@@ -361,7 +369,7 @@ class Site:
 
     def _wants_audit(self, name: str) -> None:
         self.words.forget(name)
-        self.keeper.audit_soon(name)
+        self.supervisor.audit_soon(name)
 
     def _take_family(self, name: str, kind: Family) -> None:
         """Take a drive by another description of its family: its words mean something else."""

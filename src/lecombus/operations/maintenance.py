@@ -19,7 +19,7 @@ from lecombus.operations.requests import Requests
 from lecombus.operations.wear import Wear, WearReport
 from lecombus.readings import Json, seconds
 
-__all__ = ["Custody", "TimesReport"]
+__all__ = ["Maintenance", "TimesReport"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class TimesReport:
         }
 
 
-class Custody:
+class Maintenance:
     """What looking after the drives of one line takes.
 
     Args:

@@ -24,7 +24,7 @@ from lecombus.supervision.configurations import Configurations
 from lecombus.supervision.fault_watch import FaultWatch
 from lecombus.supervision.health import Health
 
-__all__ = ["Books"]
+__all__ = ["ExchangeRecorder"]
 
 _REFUSALS: Mapping[type, str] = {
     UnknownCodeAnswer: NO_SUCH_CODE,
@@ -40,7 +40,7 @@ _OUTCOMES: Mapping[ResultKind, str] = {
 }
 
 
-class Books:
+class ExchangeRecorder:
     """Tells store, meters, health and control words what happened on the line.
 
     Args:

@@ -1,15 +1,15 @@
-"""The keeper: audits every drive's watchdog, arms it where the roster says so, keeps it fed.
+"""The supervisor: audits every drive's watchdog, arms it where the roster says so, keeps it fed.
 
 What its user sees: after the start, and whenever a drive or the line comes back, each drive is
 audited (`audit` says what that is) before it is called online. A 2102 module forgets its
 watchdog's settings with its supply (EDB2102EN 6.3), so this is not a formality.
 
-Feeding itself is the schedule's: the keeper says which drive must be spoken to how often
+Feeding itself is the schedule's: the supervisor says which drive must be spoken to how often
 (`Schedule.set_feeding`), and the schedule finds the telegram, mostly one that was due anyhow. It
 begins with the roster's time at the start, before the audit: after a restart of lecombus the
 drives' watchdogs are already running. A multicast never counts as feeding.
 
-The keeper's task cannot end silently: it lives in the daemon's root task group, and an error in
+The supervisor's task cannot end silently: it lives in the daemon's root task group, and an error in
 it ends the daemon, which the service manager starts again.
 
 What must not live here: telegrams, time-outs, who goes first.
@@ -32,12 +32,12 @@ from lecombus.readings import DriveState
 from lecombus.schedule import Feeding, FeedStats, Schedule
 from lecombus.store import Store
 from lecombus.supervision.audit import Audit
-from lecombus.supervision.gates import Gates
 from lecombus.supervision.health import Health
 from lecombus.supervision.rechecks import Rechecks
 from lecombus.supervision.watchdogs import WatchdogAudit
+from lecombus.supervision.write_prechecks import WritePrechecks
 
-__all__ = ["Keeper"]
+__all__ = ["DriveSupervisor"]
 
 logger = logging.getLogger(__name__)
 
@@ -65,7 +65,7 @@ class _Running:
             self.scope.cancel()
 
 
-class Keeper:
+class DriveSupervisor:
     """Keeps the watchdogs of one line.
 
     Args:
@@ -74,7 +74,7 @@ class Keeper:
         store: Gets the remarks.
         clock: Monotonic time, seconds.
         health: Told when a drive has been audited.
-        gates: What decides whether a drive may be written to.
+        prechecks: What decides whether a drive may be written to.
     """
 
     def __init__(
@@ -84,14 +84,14 @@ class Keeper:
         store: Store,
         clock: Callable[[], float],
         health: Health,
-        gates: Gates,
+        prechecks: WritePrechecks,
     ) -> None:
         self._requests = requests
         self._schedule = schedule
         watchdogs = WatchdogAudit(requests, store, self._feed)
-        self._audits = Audit(requests, gates, watchdogs)
+        self._audits = Audit(requests, prechecks, watchdogs)
         self._rechecks = Rechecks(requests, watchdogs, health, lambda: self._entries)
-        self._gates = gates
+        self._prechecks = prechecks
         self._clock = clock
         self._entries: dict[str, DriveEntry] = {}
         self._auditing: dict[str, _Running] = {}
@@ -178,7 +178,7 @@ class Keeper:
             else:
                 if name not in self._again:
                     self._health.audited(name)
-                    self._gates.passed(name)
+                    self._prechecks.passed(name)
                     await self._learn_the_rest(name)
                 if name not in self._again:
                     return

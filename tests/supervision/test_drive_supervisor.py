@@ -288,9 +288,9 @@ def test_a_drive_that_stays_away_when_a_flapping_line_is_back_is_told(
 def test_an_audit_asked_for_while_the_rest_is_learnt_is_not_forgotten() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()
-        assert "a" in plant.site.keeper._auditing, "the rest is still being learnt"
+        assert "a" in plant.site.supervisor._auditing, "the rest is still being learnt"
         plant.line["a"].power_cycle(plant.now_s, 0.0)
-        plant.site.keeper.audit_soon("a")
+        plant.site.supervisor.audit_soon("a")
         await until(lambda: plant.line["a"].model.watchdog_setting() == (2.0, 2), within_s=30.0)
 
     with_plant(test, roster_of(ONE, watchdog=GUARD))
