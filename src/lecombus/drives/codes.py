@@ -14,8 +14,6 @@ from decimal import Decimal
 from enum import StrEnum
 from typing import Annotated
 
-from pydantic import Field
-
 from lecombus.protocol.values import HIGHEST_VALUE_CHARS, LOWEST_DECIMAL, Format, Value
 
 from .field_types import (
@@ -32,7 +30,7 @@ from .field_types import (
     whole,
 )
 from .texts import Language, Text
-from .yaml_models import FILE_TABLE
+from .yaml_models import FILE_TABLE, NOT_A_KEY
 
 __all__ = ["BY_OWN_MANUAL", "OTHERS", "CodeInfo", "PlainWhen", "Storage", "WriteClass"]
 
@@ -152,7 +150,7 @@ class CodeInfo:
     needs_inhibit: Flag = False
     secret: Flag = False
     array: Flag = False
-    parameter_set: Annotated[int, Field(init=False)] = 1
+    parameter_set: Annotated[int, NOT_A_KEY] = 1
 
     def name_in(self, language: Language) -> str:
         """Return its name in a language."""

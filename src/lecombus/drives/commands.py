@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator
 
 from lecombus.errors import CodeValueError
 
@@ -30,7 +30,7 @@ from .field_types import (
     numbered,
     whole,
 )
-from .yaml_models import FILE_TABLE, KEY, ReadAs, mistake
+from .yaml_models import FILE_TABLE, KEY, NOT_A_KEY, ReadAs, mistake
 
 __all__ = ["ControlBit", "ControlField", "ControlWordInfo"]
 
@@ -62,7 +62,7 @@ class ControlBit:
     name: Words
     off: BothLanguages
     on: BothLanguages
-    bit: Annotated[int, Field(init=False)] = 0
+    bit: Annotated[int, NOT_A_KEY] = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

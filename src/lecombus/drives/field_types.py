@@ -125,12 +125,9 @@ def ends(key: str, what: str) -> tuple[BeforeValidator, FieldInfo, FieldInfo]:
 
 
 def _read_flag(given: object) -> bool:
-    if isinstance(given, Quoted) or given not in FLAGS:
+    if isinstance(given, Quoted) or given not in ("true", "false"):
         raise mistake("true or false is right here")
-    return FLAGS[given]
-
-
-FLAGS: Final[dict[object, bool]] = {"true": True, "false": False}
+    return given == "true"
 
 
 def _read_both(given: object) -> Text:

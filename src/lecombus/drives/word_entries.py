@@ -46,8 +46,8 @@ def _read_configuration(given: object) -> str:
 Configurations = tuple[Annotated[str, Reads(_read_configuration)], ...]
 
 FieldOrName = Annotated[
-    Annotated[Words, Tag("a name")] | Annotated[WordFieldEntry, Tag("a field")],
-    Discriminator(lambda given: "a name" if isinstance(given, str) else "a field"),
+    Annotated[Words, Tag("[name]")] | Annotated[WordFieldEntry, Tag("[field]")],
+    Discriminator(lambda given: "[name]" if isinstance(given, str) else "[field]"),
 ]
 
 Conditions = Annotated[

@@ -9,10 +9,10 @@ validates. Pydantic reports a mistake by its path; the node at that path has the
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cache
-from typing import Any, Final, TypeVar, get_args, get_type_hints
+from typing import Any, Final, NoReturn, TypeVar, get_args, get_type_hints
 
 import yaml
 from pydantic import (
@@ -134,6 +134,14 @@ def mistake(message: str, *below: int | str, code: object = "") -> PydanticCusto
     return PydanticCustomError("mistake", "{message}", found)
 
 
+def _refuse_key(_: object) -> NoReturn:
+    raise PydanticCustomError("unexpected_keyword_argument", "this is no key")
+
+
+NOT_A_KEY: Final = Reads(_refuse_key)
+"""Marks a field that no file gives."""
+
+
 def without_keys(kind: type[T], entry: object) -> T:
     """Return what an entry of a file describes, without the keys that only the file has."""
     given: Any = kind
@@ -192,16 +200,17 @@ class Document:
         Raises:
             DescriptionError: Both give another key than these.
         """
-        own = {key.value: value for key, value in self._root.value}
-        for key, value in other._root.value:
-            if key.value not in own:
+        own = {name: value for name, _, value in self._pairs(self._root)}
+        for name, key, value in self._pairs(other._root):
+            if name not in own:
                 self._root.value.append((key, value))
-            elif key.value not in lists:
-                raise self.error(f"{key.value} is also given by an included file", key.value)
-            elif isinstance(value, yaml.SequenceNode):
-                own[key.value].value += value.value
+            elif name not in lists:
+                raise self.error(f"{name} is also given by an included file", name)
             else:
-                raise self._error_at(LIST_RIGHT, value.start_mark)
+                for one in (own[name], value):
+                    if not isinstance(one, yaml.SequenceNode):
+                        raise self._error_at(LIST_RIGHT, one.start_mark)
+                own[name].value += value.value
         self._done.clear()
 
     def read(self, kind: type[T]) -> T:
@@ -248,7 +257,7 @@ class Document:
             where=f"{mark.line + 1}:{mark.column + 1}" if mark else "",
             drive_type=self._family,
             code=code,
-            path=".".join(str(one) for one in path if one != KEY),
+            path=".".join(one for one in map(str, path) if not one.startswith("[")),
             value=value,
         )
 
@@ -287,13 +296,20 @@ class Document:
             table = self._done[id(node)]
             return table
         table = self._done[id(node)] = {}
-        for key, value in node.value:
+        for name, _, value in self._pairs(node):
+            table[name] = self._plain(value)
+        return table
+
+    def _pairs(self, table: Any) -> Iterator[tuple[str, yaml.Node, Any]]:
+        """Return the texts of a table's keys with the nodes of keys and values."""
+        seen: set[str] = set()
+        for key, value in table.value:
             if not isinstance(key, yaml.ScalarNode):
                 raise self._error_at(TEXT_RIGHT, key.start_mark)
-            if key.value in table:
+            if key.value in seen:
                 raise self._error_at(f"{key.value} stands here twice", key.start_mark)
-            table[key.value] = self._plain(value)
-        return table
+            seen.add(key.value)
+            yield key.value, key, value
 
     def _refuse_deep(self, text: str) -> None:
         """Refuse a text that nests deeper than any such file: the composer recurses, in C too."""
@@ -345,8 +361,8 @@ def _path(error: ErrorDetails) -> Path:
 def _message(error: ErrorDetails, kind: type) -> str:
     """Say in plain words what is wrong and what would be right."""
     *above, last = error["loc"]
-    if error["type"] == "missing":
-        return f"{last} is missing"
+    if error["type"] == "missing":  # also one of a pair, whose key is then missing
+        return f"{above[-1] if isinstance(last, int) else last} is missing"
     if error["type"] == "unexpected_keyword_argument":
         return f"{last} is not known here; {', '.join(sorted(_keys(kind, above)))} are"
     if error["type"] == "enum":
@@ -363,16 +379,17 @@ def _keys(kind: Any, path: list[int | str]) -> dict[str, Any]:
             marks = getattr(hint, "__metadata__", ())
             aliases = [one.validation_alias for one in marks if isinstance(one, FieldInfo)]
             alias = aliases[0] if aliases else name
-            known[str(alias.path[0] if isinstance(alias, AliasPath) else alias)] = hint
+            if NOT_A_KEY not in marks:
+                known[str(alias.path[0] if isinstance(alias, AliasPath) else alias)] = hint
         kind = _table_in(known.get(str(step))) or kind
     return known
 
 
 def _table_in(kind: Any) -> Any:
     """Return the dataclass that a type's tables are read into; None where it has none."""
-    for mark in getattr(kind, "__metadata__", ()):
-        if isinstance(mark, ReadAs):
-            return _table_in(mark.form)
     if is_dataclass(kind):
         return kind
-    return next((found for one in get_args(kind) if (found := _table_in(one))), None)
+    marks = getattr(kind, "__metadata__", ())
+    forms = [mark.form for mark in marks if isinstance(mark, ReadAs)]
+    inner = forms or (get_args(kind)[:1] if marks else get_args(kind))
+    return next((found for one in inner if (found := _table_in(one))), None)

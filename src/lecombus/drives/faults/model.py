@@ -18,7 +18,7 @@ from lecombus.protocol.addressing import Code
 
 from ..field_types import BothLanguages, Source, Words, whole
 from ..texts import NOTHING, Text
-from ..yaml_models import FILE_TABLE
+from ..yaml_models import FILE_TABLE, NOT_A_KEY
 
 __all__ = [
     "NO_FAULT",
@@ -161,7 +161,7 @@ class ExtendedFault:
     classification: Annotated[Words, Field(alias="class")]
     meaning: BothLanguages
     source: Source
-    class_text: Annotated[Text, Field(init=False)] = NOTHING
+    class_text: Annotated[Text, NOT_A_KEY] = NOTHING
 
 
 @dataclass(frozen=True, slots=True)
