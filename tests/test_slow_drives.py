@@ -10,8 +10,8 @@ import pytest
 
 from lecombus.api.exact import encode
 from lecombus.errors import OperationError
-from lecombus.planning import make_plan
 from lecombus.planning.facts import roster_of as running
+from lecombus.planning.plan import make_plan
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.exchange import ResultKind
 from lecombus.readings import DriveState

@@ -164,6 +164,8 @@ class Daemon:
             async with anyio.create_task_group() as faces:
                 faces.start_soon(self._watch_signals)
                 await self._serve(faces, runtime)
+                gc.freeze()  # what lives by now lives to the end
+                gc.enable()
                 line.start_soon(keeping.run, partial(runtime.store.note_line, "state"))
                 line.start_soon(runtime.supervisor.run)
                 line.start_soon(runtime.worker.run)

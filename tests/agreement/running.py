@@ -14,7 +14,7 @@ from lecombus.config import Roster
 from lecombus.config.exchanges import watched_s
 from lecombus.drives import family
 from lecombus.line_runtime import LineRuntime
-from lecombus.planning import make_plan
+from lecombus.planning.plan import make_plan
 from lecombus.readings import DriveState
 from lecombus.schedule.feed import HARD_PART
 from lecombus.simulator.memory import MemoryEnd

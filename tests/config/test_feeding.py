@@ -12,7 +12,7 @@ from lecombus.config.feeding import feeding_of, least_time_s
 from lecombus.config.suspicions import find_warnings
 from lecombus.config.unheld import find_unheld
 from lecombus.durations import parse_duration
-from lecombus.planning import make_plan
+from lecombus.planning.plan import make_plan
 
 from .rosters import parsed, said
 

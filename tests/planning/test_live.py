@@ -14,9 +14,9 @@ from lecombus.api.exact import encode
 from lecombus.config import parse_roster
 from lecombus.drives import StopAction
 from lecombus.metrics.minutes import Minutes
-from lecombus.planning import make_plan
 from lecombus.planning.facts import facts_of, roster_of
 from lecombus.planning.live import LOAD_ROOM, LivePlan, compare
+from lecombus.planning.plan import make_plan
 from lecombus.protocol.addressing import Code
 from lecombus.readings import DriveState
 from lecombus.schedule import Priority

@@ -11,8 +11,8 @@ import pytest
 
 from lecombus.config import RosterError, line_timing, parse_roster
 from lecombus.config.feeding import feeding_of
-from lecombus.planning import make_plan
 from lecombus.planning.picture import picture
+from lecombus.planning.plan import make_plan
 from lecombus.planning.preview import preview
 from lecombus.planning.watchdogs import AWAY_ATTEMPTS
 from lecombus.schedule.shares import LISTEN_EVERY_S, LISTEN_S

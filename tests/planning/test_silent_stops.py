@@ -12,7 +12,8 @@ from lecombus.drives import StopAction, family
 from lecombus.line import stop_job
 from lecombus.line.station import Station
 from lecombus.operations.request_maker import RequestMaker, ignore_end
-from lecombus.planning import make_plan, silent_stops
+from lecombus.planning import silent_stops
+from lecombus.planning.plan import make_plan
 from lecombus.schedule.feed import Feed, Feeding
 from lecombus.schedule.feeds import Feeds
 

@@ -11,8 +11,8 @@ from lecombus.config import Roster, line_timing
 from lecombus.config.exchanges import Times, feed_times, read_times, watched_s
 from lecombus.config.feeding import faults_of
 from lecombus.drives.measured import SlowAnswers
-from lecombus.planning import make_plan
 from lecombus.planning.ahead import NO_EXCHANGE
+from lecombus.planning.plan import make_plan
 from lecombus.planning.waits import LATENESS_S
 from lecombus.protocol.addressing import Code
 from lecombus.schedule import Cyclic, Feeding, Outcome, Priority, Request, Schedule

@@ -22,7 +22,7 @@ from collections.abc import Callable
 
 from lecombus.line.observer import ExchangeReport
 from lecombus.line_runtime import LineRuntime
-from lecombus.planning import make_promises
+from lecombus.planning.plan import make_promises
 from lecombus.simulator.line import SimLine
 from lecombus.simulator.receiver import Heard
 from proof.lines import RandomLine

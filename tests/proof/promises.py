@@ -21,7 +21,7 @@ from collections.abc import Callable
 from lecombus.config import line_timing
 from lecombus.config.exchanges import read_times, watched_s
 from lecombus.line.observer import ExchangeReport
-from lecombus.planning import Promises as LinePromises
+from lecombus.planning.plan import Promises as LinePromises
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.exchange import ResultKind
 from lecombus.protocol.telegrams import ValueAnswer

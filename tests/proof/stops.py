@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 from lecombus.line.observer import ExchangeReport
 from lecombus.line_runtime import LineRuntime
-from lecombus.planning import Promises, make_promises
+from lecombus.planning.plan import Promises, make_promises
 from lecombus.planning.silent_stops import PAUSE_S
 from lecombus.protocol.exchange import ResultKind
 from lecombus.schedule import Priority

@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Callable
 
 from lecombus.line.observer import ExchangeReport
-from lecombus.planning import Promises
+from lecombus.planning.plan import Promises
 from lecombus.protocol.exchange import ResultKind
 from lecombus.schedule import Priority
 from proof.lines import RandomLine

@@ -17,8 +17,8 @@ from lecombus.cli.screen import counted, show_table
 from lecombus.config import Roster, line_timing, load_roster
 from lecombus.config.unheld import find_unheld, written_up
 from lecombus.durations import format_duration
-from lecombus.planning import Plan, make_plan
 from lecombus.planning.picture import picture
+from lecombus.planning.plan import Plan, make_plan
 from lecombus.planning.preview import Preview, preview
 from lecombus.schedule.shares import LISTEN_EVERY_S, LISTEN_S
 

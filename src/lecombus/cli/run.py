@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from pathlib import Path
 
 import click
@@ -36,6 +37,10 @@ def command(roster: Path, log_level: str, log_format: str) -> int:
     roster again, or says what is wrong with it and keeps the old one.
     """
     set_up_logging(log_level, log_format)
-    from lecombus.daemon import run
+    gc.disable()  # next to nothing that is made at the start is garbage; the daemon enables it
+    try:
+        from lecombus.daemon import run
 
-    return run(roster, log_format=log_format)
+        return run(roster, log_format=log_format)
+    finally:
+        gc.enable()

@@ -6,7 +6,3 @@ line could do). `preview` runs the real schedule over the roster, in no time, fo
 
 Pure: no clock, no line. The numbers come from the one cost model that schedule and time-outs use.
 """
-
-from lecombus.planning.plan import Plan, Promises, make_plan, make_promises
-
-__all__ = ["Plan", "Promises", "make_plan", "make_promises"]
