@@ -150,7 +150,7 @@ BAD = [
         "actions: {none: 0, inhibit: 1}",
         "actions: {none: 0, explode: 1}",
         "explode: 1",
-        "explode is no action",
+        "explode is not known here; none",
     ),
     ("low_ms: 50", "low_ms: 65535", "{time_code: C0923", "low_ms is not below high_ms"),
     ("{7: inhibited}", "{7: inhibited, 6: inhibited}", "{7: inhibited", "two bits have one name"),

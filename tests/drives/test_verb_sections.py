@@ -79,7 +79,7 @@ def test_a_good_table_says_what_it_says() -> None:
         ("proofs: [{code: C0150", "proofs: [{code: C0151", "C0151", "C0151 is not desc"),
         ("reset: {code: C0043, value: 0,", "reset: {code: C0043,", "{code: C0043", "belong"),
         ("number: C0161", "number: C0162", "C0162", "C0162 is not described"),
-        ("unit: Hz", "unit: rpm", "rpm", "Hz and % are right here"),
+        ("unit: Hz", "unit: rpm", "rpm", "rpm is not known here; Hz, % are"),
         ("range: [0, 480]", "range: [480, 0]", "[480", "range is the least and the"),
         ("range: [0, 480]", "range: [0]", "[0]", "range is the least and the"),
         ("step: 0.1", "step: 0", "0", "step is over 0"),

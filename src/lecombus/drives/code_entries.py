@@ -144,8 +144,6 @@ def _wrong_limits(entry: _Entry, given: Any) -> Iterator[Mistake]:
             if entry.hex_digits and (end % 1 or not carried[0] <= end <= carried[1]):
                 right = f"a whole number from 0 to {carried[1]} is right here"
                 yield f"{end}: {right}", "range", number
-        if limits[0] >= limits[1]:
-            yield "the range runs from {} to {}: the lower end comes first".format(*limits), "range"
     if step is not None and limits is None:
         yield "a step is counted from the range's lower end: give the range too", "step"
     if step is not None and limits and (step <= 0 or (limits[1] - limits[0]) % step):

@@ -47,7 +47,7 @@ OTHERS = {
 """Stands after a selection of which the manual names some values only."""
 
 
-RANGE, LOW, HIGH = ends("range", "a range is [lowest, highest]")
+RANGE, LOW, HIGH = ends("range", "a range is [lowest, highest]: the lower end comes first")
 SelectionNumber = Annotated[int, whole(int(LOWEST_DECIMAL), 0xFFFF_FFFF)]
 BitNumber = Annotated[int, whole(0, 15)]
 

@@ -16,8 +16,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated
 
-from pydantic import AfterValidator
-
 from lecombus.errors import CodeValueError
 
 from .field_types import (
@@ -26,13 +24,13 @@ from .field_types import (
     Source,
     WordCode,
     Words,
-    ends,
     numbered,
     whole,
 )
-from .yaml_models import FILE_TABLE, KEY, NOT_A_KEY, ReadAs, mistake
+from .words import BITS, BitField
+from .yaml_models import FILE_TABLE, KEY, NOT_A_KEY, ReadAs, by_key, mistake
 
-__all__ = ["ControlBit", "ControlField", "ControlWordInfo"]
+__all__ = ["ControlBit", "ControlWordInfo"]
 
 QUICK_STOP = "quick_stop"
 INHIBIT = "controller_inhibit"
@@ -43,7 +41,6 @@ JOG = "jog"
 
 
 Bit = Annotated[int, whole(0, 15)]
-BITS, LOW, HIGH = ends("bits", "bits is the lowest and the highest bit: [8, 11]")
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -65,41 +62,14 @@ class ControlBit:
     bit: Annotated[int, NOT_A_KEY] = 0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ControlField:
-    """A number inside a control word.
-
-    Args:
-        name: Its name, such as `jog`.
-        low: Its lowest bit.
-        high: Its highest bit.
-        texts: What each number means.
-    """
-
-    __pydantic_config__ = FILE_TABLE
-
-    name: Words
-    low: Annotated[Bit, LOW]
-    high: Annotated[Bit, HIGH]
-    texts: Annotated[Mapping[Annotated[int, whole(0, WORD_MAX)], BothLanguages], numbered]
-
-    @property
-    def mask(self) -> int:
-        """Its bits."""
-        return ((1 << self.high - self.low + 1) - 1) << self.low
-
-
-def _check_field(field: ControlField) -> ControlField:
-    if field.low > field.high:
-        raise mistake(
-            f"{field.high}: a whole number from {field.low} to 15 is right here", "bits", 1
-        )
-    highest = field.mask >> field.low
-    for number in field.texts:
-        if number > highest:
-            right = f"a whole number from 0 to {highest} is right here"
-            raise mistake(f"{number}: {right}", "texts", str(number), KEY)
-    return field
+def _fields_by_name(fields: tuple[BitField, ...]) -> dict[str, BitField]:
+    for place, one in enumerate(fields):
+        highest = one.mask >> one.low
+        for number in one.texts:
+            if number > highest:
+                right = f"a whole number from 0 to {highest} is right here"
+                raise mistake(f"{number}: {right}", place, "texts", str(number), KEY)
+    return by_key(fields, lambda one: one.name)
 
 
 def _bits_by_name(bits: Mapping[int, ControlBit]) -> dict[str, ControlBit]:
@@ -111,19 +81,8 @@ def _bits_by_name(bits: Mapping[int, ControlBit]) -> dict[str, ControlBit]:
     return found
 
 
-def _fields_by_name(fields: tuple[ControlField, ...]) -> dict[str, ControlField]:
-    found: dict[str, ControlField] = {}
-    for number, one in enumerate(fields):
-        if one.name in found:
-            raise mistake(f"{one.name} stands here twice", number)
-        found[one.name] = one
-    return found
-
-
 BITS_BY_NAME = ReadAs(Annotated[dict[Bit, ControlBit], numbered], _bits_by_name)
-FIELDS_BY_NAME = ReadAs(
-    tuple[Annotated[ControlField, BITS, AfterValidator(_check_field)], ...], _fields_by_name
-)
+FIELDS_BY_NAME = ReadAs(tuple[Annotated[BitField, BITS], ...], _fields_by_name)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -143,7 +102,7 @@ class ControlWordInfo:
 
     code: WordCode
     bits: Annotated[Mapping[str, ControlBit], BITS_BY_NAME]
-    fields: Annotated[Mapping[str, ControlField], FIELDS_BY_NAME] = field(default_factory=dict)
+    fields: Annotated[Mapping[str, BitField], FIELDS_BY_NAME] = field(default_factory=dict)
     free: tuple[Bit, ...] = ()
     reserved: tuple[Bit, ...] = ()
     source: Source
@@ -190,7 +149,7 @@ class ControlWordInfo:
         fields = {name: (word & field.mask) >> field.low for name, field in self.fields.items()}
         return bits | fields
 
-    def _with_field(self, field: ControlField, word: int, number: int) -> int:
+    def _with_field(self, field: BitField, word: int, number: int) -> int:
         if number not in field.texts:
             known = ", ".join(f"{key} ({text})" for key, text in field.texts.items())
             raise CodeValueError(

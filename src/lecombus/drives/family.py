@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -34,7 +34,7 @@ from .restoring import RestoreRule
 from .stops import StopAction, StopRule
 from .verb_rules import VerbRules
 from .words import FieldReading, WordInfo
-from .yaml_models import FILE_TABLE, Reads, mistake
+from .yaml_models import FILE_TABLE, ReadAs
 
 __all__ = [
     "AnswerTime",
@@ -53,13 +53,7 @@ LIMIT_FACTOR = 1.2
 
 
 ModeNumber = Annotated[int, whole(0, 255)]
-ROSTER_ACTIONS = ("none", "inhibit", "quick-stop", "trip")
-
-
-def _read_action(given: object) -> str:
-    if given not in ROSTER_ACTIONS:
-        raise mistake(f"{given} is no action; {', '.join(ROSTER_ACTIONS)} are")
-    return str(given)
+RosterAction = Literal["none", "inhibit", "quick-stop", "trip"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,7 +99,7 @@ class WatchdogTraits:
 
     time_code: WritableCode
     action_code: WritableCode
-    actions: Mapping[Annotated[str, Reads(_read_action)], WordNumber]
+    actions: Mapping[Annotated[str, ReadAs(RosterAction, str)], WordNumber]
     low_s: Annotated[float, milliseconds(0), Field(alias="low_ms")]
     high_s: Annotated[float, milliseconds(), Field(alias="high_ms")]
     volatile: Flag

@@ -6,10 +6,11 @@ the grammar of a file's table and the object that the program works with.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from decimal import Decimal
 from typing import Annotated, Any, Final
 
-from pydantic import AliasPath, BeforeValidator, Field
+from pydantic import AliasPath, BeforeValidator, Field, WrapValidator
 from pydantic.fields import FieldInfo
 
 from lecombus.errors import CodeValueError
@@ -103,25 +104,29 @@ def milliseconds(low: int = 1, high: int = LONGEST_MS) -> Reads:
     return Reads(lambda given: whole_number(given, low, high) / 1000)
 
 
-def ends(key: str, what: str) -> tuple[BeforeValidator, FieldInfo, FieldInfo]:
-    """Return what reads a pair such as `bits: [8, 11]` into two fields.
+def ends(key: str, what: str, *, equal: bool = False) -> tuple[WrapValidator, FieldInfo, FieldInfo]:
+    """Return what reads a pair such as `bits: [8, 11]` into the fields `low` and `high`.
 
     Args:
         key: The pair's key.
         what: What is right, for errors.
+        equal: Both ends may be the same.
 
     Returns:
-        The mark of the table, of the field of the first and of the field of the second number.
+        The mark of the table, of `low` and of `high`.
     """
 
-    def check(given: Any) -> Any:
+    def check(given: Any, read: Callable[[Any], Any]) -> Any:
         pair = given.get(key) if isinstance(given, dict) else None
         if pair is not None and (not isinstance(pair, list) or len(pair) != 2):
             raise mistake(what, key)
-        return given
+        found = read(given)
+        if pair is not None and (found.low > found.high or (found.low == found.high and not equal)):
+            raise mistake(what, key)
+        return found
 
-    first, second = (Field(validation_alias=AliasPath(key, number)) for number in (0, 1))
-    return BeforeValidator(check), first, second
+    low, high = (Field(validation_alias=AliasPath(key, number)) for number in (0, 1))
+    return WrapValidator(check), low, high
 
 
 def _read_flag(given: object) -> bool:

@@ -39,7 +39,16 @@ from .stops import STOPS, StopAction, StopRule
 from .verb_rules import VerbRules, check_control
 from .word_entries import CONTROL_WORDS, STATUS_WORDS
 from .words import WordFieldEntry, WordInfo
-from .yaml_models import FILE_TABLE, LIST_RIGHT, Document, ReadAs, mistake, reading_of, without_keys
+from .yaml_models import (
+    FILE_TABLE,
+    LIST_RIGHT,
+    Document,
+    ReadAs,
+    by_key,
+    mistake,
+    reading_of,
+    without_keys,
+)
 
 __all__ = ["FAMILY_NAMES", "family", "load_family"]
 
@@ -119,12 +128,8 @@ class _StatusEntry:
 
 
 def _status(entries: tuple[_StatusEntry, ...]) -> tuple[tuple[Code, float], ...]:
-    found: dict[Code, float] = {}
-    for place, entry in enumerate(entries):
-        if entry.code in found:
-            raise mistake(f"{entry.code} is read cyclically twice", place, code=entry.code)
-        found[entry.code] = entry.period_s
-    return tuple(found.items())
+    found = by_key(entries, lambda entry: entry.code, "{} is read cyclically twice")
+    return tuple((code, entry.period_s) for code, entry in found.items())
 
 
 def _check_default(codes: tuple[Code, ...], info: ValidationInfo) -> frozenset[Code]:

@@ -28,7 +28,7 @@ from lecombus.protocol.values import Value
 
 from .commands import INHIBIT
 from .field_types import WORD_MAX, DescribedCode, Source, WordNumber, WordValue, WritableCode, whole
-from .yaml_models import FILE_TABLE, ReadAs, mistake, without_keys
+from .yaml_models import FILE_TABLE, ReadAs, by_key, mistake, without_keys
 
 if TYPE_CHECKING:
     from .family import Family
@@ -102,12 +102,8 @@ class _Proof(StopProof):
 
 
 def _by_code(entries: tuple[_Proof, ...]) -> dict[Code, StopProof]:
-    proofs: dict[Code, StopProof] = {}
-    for number, one in enumerate(entries):
-        if one.code in proofs:
-            raise mistake(f"{one.code} stands here twice", number)
-        proofs[one.code] = StopProof(one.mask, one.equals)
-    return proofs
+    proofs = by_key(entries, lambda one: one.code)
+    return {code: StopProof(one.mask, one.equals) for code, one in proofs.items()}
 
 
 Proofs = Annotated[Mapping[Code, StopProof], ReadAs(tuple[_Proof, ...], _by_code)]
@@ -143,14 +139,11 @@ class _Entry(StopRule):
 
 
 def _by_action(entries: tuple[_Entry, ...]) -> dict[StopAction, StopRule]:
-    stops: dict[StopAction, StopRule] = {}
     for place, entry in enumerate(entries):
         if (entry.value is None) == (not entry.set_mask):
             raise mistake("either value or set is right here", place)
-        if entry.action in stops:
-            raise mistake(f"{entry.action} is given twice", place)
-        stops[entry.action] = without_keys(StopRule, entry)
-    return stops
+    stops = by_key(entries, lambda entry: entry.action)
+    return {action: without_keys(StopRule, entry) for action, entry in stops.items()}
 
 
 STOPS = ReadAs(tuple[_Entry, ...], _by_action)

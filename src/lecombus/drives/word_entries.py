@@ -127,7 +127,7 @@ def _control_words(
         for configuration in entry.configuration:
             every = known[configuration][entry.code].every_bit
             for bit in sorted(CONTROL_BITS | set(every)):
-                if every.count(bit) != 1:
+                if every.count(bit) != 1 or bit not in CONTROL_BITS:
                     none = "no meaning: named, field, free, reserved?"
                     times = "two meanings" if bit in every else none
                     raise mistake(f"bit {bit} has {times}", place, code=entry.code)

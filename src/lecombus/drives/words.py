@@ -23,6 +23,7 @@ from .texts import NOTHING, Text
 from .yaml_models import FILE_TABLE, Document, mistake
 
 __all__ = [
+    "BitField",
     "FieldReading",
     "WordField",
     "WordFieldEntry",
@@ -35,7 +36,7 @@ BIT_NAMES: Final = "bit-names.yaml"
 
 Bit = Annotated[int, whole(0, 31)]
 Number = Annotated[int, whole(0, 0xFFFF_FFFF)]
-BITS, LOW, HIGH = ends("bits", "bits is the lowest and the highest bit: [8, 11]")
+BITS, LOW, HIGH = ends("bits", "bits is the lowest and the highest bit: [8, 11]", equal=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,15 +53,14 @@ class FieldReading:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WordField:
-    """A number inside a status word.
+class BitField:
+    """A number inside a word.
 
     Args:
-        name: The field's name, such as `controller_status`.
+        name: The field's name, such as `controller_status` or `jog`.
         low: Its lowest bit, 0..31.
         high: Its highest bit, `low`..31.
         texts: What the manual says each number means.
-        fault: The numbers that mean an active fault; empty where the field says nothing of it.
     """
 
     __pydantic_config__ = FILE_TABLE
@@ -69,12 +69,22 @@ class WordField:
     low: Annotated[Bit, LOW]
     high: Annotated[Bit, HIGH]
     texts: Annotated[Mapping[Number, BothLanguages], numbered] = field(default_factory=dict)
-    fault: frozenset[Number] = frozenset()
 
     @property
     def mask(self) -> int:
         """Its bits."""
         return ((1 << self.high - self.low + 1) - 1) << self.low
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WordField(BitField):
+    """A number inside a status word.
+
+    Args:
+        fault: The numbers that mean an active fault; empty where the field says nothing of it.
+    """
+
+    fault: frozenset[Number] = frozenset()
 
     def read(self, word: int) -> FieldReading:
         """Take this field out of a word."""
@@ -83,10 +93,6 @@ class WordField:
 
 
 def _check_field(field: WordField) -> WordField:
-    if field.low > field.high:
-        raise mistake(
-            f"{field.high}: a whole number from {field.low} to 31 is right here", "bits", 1
-        )
     if not field.fault <= field.texts.keys():
         raise mistake("every number under fault needs a text")
     return field

@@ -9,7 +9,7 @@ validates. Pydantic reports a mistake by its path; the node at that path has the
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cache
 from typing import Any, Final, NoReturn, TypeVar, get_args, get_type_hints
@@ -47,6 +47,8 @@ KEY: Final = "[key]"
 FILE_TABLE: Final = ConfigDict(extra="forbid")
 """`__pydantic_config__` of a dataclass that a table of a file is read into."""
 
+E = TypeVar("E")
+K = TypeVar("K")
 T = TypeVar("T")
 Path = tuple[int | str, ...]
 
@@ -140,6 +142,24 @@ def _refuse_key(_: object) -> NoReturn:
 
 NOT_A_KEY: Final = Reads(_refuse_key)
 """Marks a field that no file gives."""
+
+
+def by_key(
+    entries: Iterable[E], key: Callable[[E], K], again: str = "{} stands here twice"
+) -> dict[K, E]:
+    """Return entries by a key that none of them shares.
+
+    Args:
+        entries: The entries, in the order of their list.
+        key: Returns the key of one.
+        again: What is wrong where two have one key.
+    """
+    found: dict[K, E] = {}
+    for place, entry in enumerate(entries):
+        if key(entry) in found:
+            raise mistake(again.format(key(entry)), place, code=key(entry))
+        found[key(entry)] = entry
+    return found
 
 
 def without_keys(kind: type[T], entry: object) -> T:
@@ -365,7 +385,7 @@ def _message(error: ErrorDetails, kind: type) -> str:
         return f"{above[-1] if isinstance(last, int) else last} is missing"
     if error["type"] == "unexpected_keyword_argument":
         return f"{last} is not known here; {', '.join(sorted(_keys(kind, above)))} are"
-    if error["type"] == "enum":
+    if error["type"] in ("enum", "literal_error"):
         expected = error["ctx"]["expected"].replace(" or ", ", ").replace("'", "")
         return f"{error['input']} is not known here; {expected} are"
     return MESSAGES.get(error["type"], error["msg"])

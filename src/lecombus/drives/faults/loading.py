@@ -5,7 +5,7 @@ They are read when the first fault is looked up: a line without a fault never ne
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
@@ -15,7 +15,7 @@ from lecombus.errors import DescriptionError
 
 from ..field_types import BothLanguages, CodeNumber, Flag, Source, Words, whole
 from ..texts import NOTHING
-from ..yaml_models import FILE_TABLE, Document
+from ..yaml_models import FILE_TABLE, Document, ReadAs, by_key
 from .model import (
     CommunicationError,
     ExtendedFault,
@@ -159,14 +159,20 @@ def _faults(document: Document, file: _FaultsFile) -> dict[int, Fault]:
     return dict(sorted(faults.items()))
 
 
+def _by_number(entries: tuple[N, ...]) -> dict[int, N]:
+    return by_key(entries, lambda entry: entry.number)
+
+
 @dataclass(frozen=True)
 class _LinkReportFile:
     __pydantic_config__ = FILE_TABLE
 
     manual: Words
     classes: dict[Words, BothLanguages]
-    extended: tuple[ExtendedFault, ...]
-    communication: tuple[CommunicationError, ...]
+    extended: Annotated[Mapping[int, ExtendedFault], ReadAs(tuple[ExtendedFault, ...], _by_number)]
+    communication: Annotated[
+        Mapping[int, CommunicationError], ReadAs(tuple[CommunicationError, ...], _by_number)
+    ]
 
 
 def load_link_report(read_file: ReadFile) -> LinkReport:
@@ -178,24 +184,16 @@ def load_link_report(read_file: ReadFile) -> LinkReport:
     document = open_document("extended", read_file)
     file = document.read(_LinkReportFile)
 
-    extended = _by_number(document, "extended", file.extended)
-    for place, fault in enumerate(file.extended):
+    for place, fault in enumerate(file.extended.values()):
         _check_class(document, fault.classification, file, "extended", place, "class")
-        text = file.classes[fault.classification]
-        extended[fault.number] = replace(fault, class_text=text)
     for place, given in enumerate(document.data["communication"]):
         for item, name in enumerate(given["allows"]):
             _check_class(document, name, file, "communication", place, "allows", item)
-    return LinkReport(extended, _by_number(document, "communication", file.communication))
-
-
-def _by_number(document: Document, key: str, entries: tuple[N, ...]) -> dict[int, N]:
-    found: dict[int, N] = {}
-    for place, entry in enumerate(entries):
-        if entry.number in found:
-            raise document.error(f"{entry.number} stands here twice", key, place, "number")
-        found[entry.number] = entry
-    return found
+    extended = {
+        number: replace(fault, class_text=file.classes[fault.classification])
+        for number, fault in file.extended.items()
+    }
+    return LinkReport(extended, file.communication)
 
 
 def _check_class(document: Document, name: str, file: _LinkReportFile, *path: int | str) -> None:

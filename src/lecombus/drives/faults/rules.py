@@ -15,7 +15,7 @@ from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 
 from ..field_types import WORD_MAX, CodeNumber, WordNumber, Words, whole_number
-from ..yaml_models import FILE_TABLE, ReadAs, Reads, mistake
+from ..yaml_models import FILE_TABLE, ReadAs, Reads, by_key, mistake
 
 __all__ = ["Condition", "Families", "ValueCondition", "each_once"]
 
@@ -105,11 +105,7 @@ Condition = Annotated[ValueCondition, ReadAs(_ConditionEntry, _ConditionEntry.co
 
 
 def _refuse_twice(rules: tuple[N, ...]) -> tuple[N, ...]:
-    names = [rule.name for rule in rules]
-    for number, name in enumerate(names):
-        if name in names[:number]:
-            raise mistake(f"{name} stands here twice", number)
-    return rules
+    return tuple(by_key(rules, lambda rule: rule.name).values())
 
 
 each_once: Final = AfterValidator(_refuse_twice)
