@@ -64,7 +64,7 @@ MUTANTS: dict[str, Mutant] = {
         "_fit",
         "return end_s <= others_s",
         "return True",
-        (18, 46),
+        (50, 134),
         quick=True,
     ),
     "an exchange that is begun is reckoned to take no time": Mutant(

@@ -52,6 +52,14 @@ class _ReadCost(NamedTuple):
     told: tuple[float, float] | None
 
 
+class _FeedCost(NamedTuple):
+    """Cost and longest time of a feed, as measured and as told, seconds; see `_ReadCost`."""
+
+    slow: SlowAnswers
+    measured: tuple[float, float]
+    told: tuple[float, float]
+
+
 def ignore_end(outcome: Outcome, reason: str) -> None:
     """The end of a request nobody waits for: what it brought stands in the store."""
 
@@ -70,6 +78,7 @@ class RequestMaker:
     retries: int
     count: Callable[[Priority, Outcome], None]
     _costs: dict[tuple[Station, Code], _ReadCost] = field(default_factory=dict, init=False)
+    _feed_costs: dict[Station, _FeedCost] = field(default_factory=dict, init=False)
     _unheeded: dict[Priority, Settle] = field(default_factory=dict, init=False)
 
     def _counted(self, priority: Priority, settle: Settle) -> Settle:
@@ -123,9 +132,18 @@ class RequestMaker:
         """
         code = station.family.feed_code
         request = self.read(station, code, Priority.WATCHDOG, retries=0, instead=instead)
-        request.cost_s, request.worst_s = self._dearest(station, code, station.answer_s(code))
+        kept, slow = self._feed_costs.get(station), station.measured.slow
+        if kept is None or kept.slow is not slow:
+            if len(self._feed_costs) >= MAX_KEPT:
+                self._feed_costs.clear()
+            kept = self._feed_costs[station] = _FeedCost(
+                slow,
+                self._dearest(station, code, station.answer_s(code)),
+                self._dearest(station, code, station.answer_time_s),
+            )
+        request.cost_s, request.worst_s = kept.measured
         if request.told is not None:
-            request.told = self._dearest(station, code, station.answer_time_s)
+            request.told = kept.told
         return request
 
     def _dearest(self, station: Station, code: Code, answer_s: float | None) -> tuple[float, float]:

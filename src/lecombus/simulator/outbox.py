@@ -124,13 +124,13 @@ class Outbox:
         speech = run.speech
         if speech is None or (speech.cut_at_s is None and speech.garbled_from_s is None):
             return run.data[begin:end]
-        return b"".join(self._spoilt(run, speech, place) for place in range(begin, end))
-
-    def _spoilt(self, run: _Run, speech: Speech, place: int) -> bytes:
-        wire_s = run.at_s(place) - speech.held_up_s
-        if speech.cut_at_s is not None and wire_s > speech.cut_at_s:
-            return b""
-        byte = run.data[place : place + 1]
-        if speech.garbled_from_s is not None and wire_s > speech.garbled_from_s:
-            return self._spoiler.garbled(byte)
-        return byte
+        heard = b""
+        for place in range(begin, end):
+            wire_s = run.at_s(place) - speech.held_up_s
+            if speech.cut_at_s is not None and wire_s > speech.cut_at_s:
+                break
+            byte = run.data[place : place + 1]
+            if speech.garbled_from_s is not None and wire_s > speech.garbled_from_s:
+                byte = self._spoiler.garbled(byte)
+            heard += byte
+        return heard
