@@ -28,14 +28,15 @@ from lecombus.line.worker import LineWorker, WorkerOptions
 from lecombus.metrics import Figures, Metrics
 from lecombus.metrics.minutes import LATELY_S
 from lecombus.operations.actions import Actions
+from lecombus.operations.context import OperationContext
 from lecombus.operations.control_words import ControlWords
+from lecombus.operations.facade import Operations
 from lecombus.operations.identities import Identities
 from lecombus.operations.maintenance import Maintenance
 from lecombus.operations.readdress import Readdress
 from lecombus.operations.recorded import RecordedMaintenance, RecordedOperations
 from lecombus.operations.request_maker import RequestMaker
 from lecombus.operations.requests import Requests
-from lecombus.operations.verb_operations import VerbOperations
 from lecombus.operations.wear import Wear
 from lecombus.planning.facts import answers_of, facts_of
 from lecombus.protocol.addressing import Code
@@ -132,10 +133,10 @@ class LineRuntime:
             self.requests, self.store, self.state, self.identities, clock, wall, self._follow
         )
         self.supervisor = self._make_supervisor(clock)
-        self.operations = VerbOperations(
-            self.requests, self.store, self.words, self.wear, clock,
-            lambda: recorder.disturbances, self.health.restarted,
-        )  # fmt: skip
+        context = OperationContext(
+            self.requests, self.store, self.words, self.wear, clock, lambda: recorder.disturbances
+        )
+        self.operations = Operations(context, self.health.restarted)
         self._slow = SlowDrives(self.store, self.schedule.costs_changed)
         self.maintenance = self._make_maintenance()
         self.actions, self.recorded, self.recorded_maintenance = self._make_recorded()

@@ -10,6 +10,7 @@ import pytest
 
 from lecombus.errors import ExchangeError
 from lecombus.line.station import StepKind
+from lecombus.operations.writes import Writes
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 from lecombus.readings import DriveState
@@ -79,7 +80,7 @@ def test_writes_to_many_820x_take_wire_time_and_not_their_processing_time() -> N
 def test_no_other_order_of_a_group_s_proven_writes_ends_sooner_than_the_one_it_takes() -> None:
     async def test(plant: Plant) -> None:
         await answer_early(plant, ["a", "b", "d"])
-        operations = plant.site.operations
+        writes = Writes(plant.site.operations.context)
         stations = [plant.site.requests.station(name) for name, _, _ in MIXED]
 
         async def take_s(order: Sequence[int], value: int) -> float:
@@ -87,7 +88,7 @@ def test_no_other_order_of_a_group_s_proven_writes_ends_sooner_than_the_one_it_t
             began_s = plant.now_s
             wire = Value.parse(str(value))
             endings = [
-                operations.submit_write(stations[index], SETPOINT, wire, None, verify=True)
+                writes.submit_write(stations[index], SETPOINT, wire, None, verify=True)
                 for index in order
             ]
             outcomes = {(await ending.wait())[0] for ending in endings}
@@ -97,7 +98,7 @@ def test_no_other_order_of_a_group_s_proven_writes_ends_sooner_than_the_one_it_t
         all_s = [await take_s(order, 5 + at) for at, order in enumerate(permutations(range(4)))]
         await asyncio.sleep(1.0)
         began_s = plant.now_s
-        report = await operations.write_group("mixed", SETPOINT, 40, verify=True)
+        report = await plant.site.operations.write_group("mixed", SETPOINT, 40, verify=True)
         took = plant.now_s - began_s
         assert [one.drive for one in report.members] == ["c", "b", "d", "a"]
         assert {one.outcome for one in report.members} == {Outcome.VERIFIED}

@@ -4,7 +4,7 @@ Here stands what is true of every write whoever asks for it: which codes the ros
 that a drive which is offline, not yet audited or locked is not written to, and how a user's value
 becomes the wire's. Stops are asked none of this.
 
-What must not live here: sending anything, what came of a write (`endings`).
+What must not live here: sending anything.
 """
 
 from __future__ import annotations

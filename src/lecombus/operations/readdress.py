@@ -38,7 +38,7 @@ from lecombus.drives.restoring import saving_rule
 from lecombus.drives.standstill import Standstill, ask_standstill
 from lecombus.errors import ExchangeError, NoReplyError, OperationError
 from lecombus.line.station import Station
-from lecombus.operations.endings import stopped_first
+from lecombus.operations.failure_kinds import stopped_first
 from lecombus.operations.identities import Identities
 from lecombus.operations.reports import WriteReport
 from lecombus.operations.requests import Requests

@@ -1,36 +1,27 @@
-"""The operations that a door is given: the same, with a log event for whatever moves a drive.
+"""The operations as the API and the daemon call them: with a log event for each change.
 
-Every door calls these, and the daemon for what it does itself, so that there is one place where
-nothing is forgotten. What only reads is handed on.
-
-What must not live here: what is done (`verb_operations`, `maintenance`), how often it is told
-(`actions`).
+What only reads is handed on. `actions` limits how often an event is logged.
 """
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Mapping
 from decimal import Decimal
 from typing import Any, Final, TypeVar
 
 from lecombus.drives import StopAction, Verb
 from lecombus.errors import LecombusError
 from lecombus.operations.actions import Actions
-from lecombus.operations.address_reads import Heard
-from lecombus.operations.findings import WhyReport
+from lecombus.operations.facade import Operations
 from lecombus.operations.identities import IdentityReport
 from lecombus.operations.maintenance import Maintenance, TimesReport
 from lecombus.operations.reports import (
-    GroupInfo,
     GroupReport,
-    RestoreRights,
     VerbReport,
     WriteReport,
 )
-from lecombus.operations.verb_operations import VerbOperations
 from lecombus.operations.wear import WearReport
-from lecombus.protocol.addressing import Code, Form
-from lecombus.readings import Reading
+from lecombus.protocol.addressing import Code
 from lecombus.schedule import Outcome
 
 __all__ = ["RecordedMaintenance", "RecordedOperations"]
@@ -54,37 +45,18 @@ class RecordedOperations:
 
     def __init__(
         self,
-        operations: VerbOperations,
+        operations: Operations,
         actions: Actions,
         is_secret: Callable[[str, Code], bool],
     ) -> None:
         self._operations = operations
         self._actions = actions
         self._is_secret = is_secret
-
-    async def read(self, drive: str, code: Code, **how: Any) -> Reading:
-        """Read a code now."""
-        return await self._operations.read(drive, code, **how)
-
-    async def read_address(
-        self, address: int, code: Code, *, form: Form, family_name: str, patient: bool
-    ) -> Heard:
-        """Read a code at an address that the roster does not have, once."""
-        return await self._operations.read_address(
-            address, code, form=form, family_name=family_name, patient=patient
-        )
-
-    def restore_rights(self, drive: str) -> RestoreRights:
-        """Say whether a backup may be restored into a drive."""
-        return self._operations.restore_rights(drive)
-
-    async def why(self, drive: str, *, fresh: bool = False) -> WhyReport:
-        """Say why a drive does not turn."""
-        return await self._operations.why(drive, fresh=fresh)
-
-    def groups(self) -> Sequence[GroupInfo]:
-        """Return the groups of the roster."""
-        return self._operations.groups()
+        self.read: Final = operations.read
+        self.read_address: Final = operations.read_address
+        self.restore_rights: Final = operations.restore_rights
+        self.why: Final = operations.why
+        self.groups: Final = operations.groups
 
     async def write(
         self, drive: str, code: Code, value: Decimal | int | str, **how: Any

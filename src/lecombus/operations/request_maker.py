@@ -9,7 +9,7 @@ another one or its measured times are.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
@@ -35,7 +35,7 @@ from lecombus.protocol.values import Value
 from lecombus.schedule import Outcome, Priority, Request, Settle
 from lecombus.schedule.fan_out import Part
 
-__all__ = ["RequestMaker", "ignore_end"]
+__all__ = ["RequestMaker", "ignore_end", "shared_form"]
 
 
 MAX_KEPT: Final = 8192
@@ -393,6 +393,16 @@ def form_of(station: Station, code: Code) -> Form:
         remedy="standard addressing carries C0000 to C6229 without subcodes; write "
         "`addressing: both` for this drive if it knows extended addressing",
     )
+
+
+def shared_form(stations: Sequence[Station], code: Code) -> Form | None:
+    """The form of one telegram to several drives: the first that all of them know.
+
+    A drive whose code bank is set is addressed in extended addressing only: a multicast in the
+    other would write another code of it.
+    """
+    known = (form for form in stations[0].forms if code.knows(form))
+    return next((form for form in known if all(form in one.forms for one in stations)), None)
 
 
 def thinks_s(station: Station, code: Code) -> float:

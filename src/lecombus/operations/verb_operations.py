@@ -1,17 +1,13 @@
 """Verbs: what a person wants of one drive, carried out step by step and proven.
 
-Strategy: read what the verb depends on (a few settings, the words), let `drives` say the steps or
-refuse, take them one by one in the control class, and look at the drive's status words until they
-show it, for a bounded time. `inhibit` and `quick-stop` are stops and nothing else: they wait for
-nothing and are refused to no drive.
+Read what the verb depends on (a few settings, the words), let `drives.verbs` give the steps or
+refuse, take them one by one in the control class, then read the drive's status words for a bounded
+time until they show the effect. `inhibit` and `quick-stop` are stops: they wait for nothing and are
+refused to no drive.
 
-Rules held here:
-
-* An enable that the drive does not show, or that cannot be seen, is taken back: else the motor
-  would start by itself when somebody closes a terminal later.
-* A reset is over when the drive shows that it is inhibited, whoever lifted the inhibit meanwhile.
-
-What must not live here: what the steps are (`drives.verbs`), how one is taken (`step_operations`).
+* An enable that the drive does not show, or that cannot be read, is taken back: otherwise the motor
+  would start when a terminal is closed later.
+* A reset ends with the drive inhibited, also when another client lifted the inhibit before its end.
 """
 
 from __future__ import annotations
@@ -37,10 +33,10 @@ from lecombus.drives.verbs import (
     stop_words,
 )
 from lecombus.errors import OperationError
+from lecombus.operations.context import OperationContext
 from lecombus.operations.reports import VerbReport, WriteReport
 from lecombus.operations.requests import refuse_for_gone_client
-from lecombus.operations.step_operations import TROUBLE, StepOperations, words_of
-from lecombus.operations.stop_operations import STOP_REMEDY
+from lecombus.operations.stop_requests import STOP_REMEDY, Stops
 from lecombus.operations.verb_reports import (
     GOOD,
     Run,
@@ -54,15 +50,21 @@ from lecombus.operations.verb_reports import (
     told,
     without_fault,
 )
+from lecombus.operations.verb_steps import TROUBLE, VerbSteps, words_of
 from lecombus.schedule import Outcome
 
-__all__ = ["VerbOperations"]
+__all__ = ["Verbs"]
 
 STOPS = {Verb.INHIBIT: StopAction.INHIBIT, Verb.QUICK_STOP: StopAction.QUICK_STOP}
 
 
-class VerbOperations(StepOperations):
-    """Adds to the operations on one drive and on several what a person says to one."""
+class Verbs:
+    """Carries out what a person wants of one drive."""
+
+    def __init__(self, context: OperationContext, stops: Stops, steps: VerbSteps) -> None:
+        self._context = context
+        self._stops = stops
+        self._steps = steps
 
     async def verb(
         self,
@@ -74,7 +76,7 @@ class VerbOperations(StepOperations):
         expires_s: float | None = None,
         verify: bool = False,
     ) -> VerbReport:
-        """Have a drive do something and say what came of it.
+        """Have a drive do something and return how it ended.
 
         Args:
             drive: The drive's name.
@@ -90,36 +92,36 @@ class VerbOperations(StepOperations):
             LineError: There is no line.
             QueueFullError: Too many requests wait.
         """
-        station = self._station(drive)
+        station = self._context.station(drive)
         if verb in STOPS:
             return await self._stop_verb(drive, verb)
         rules_of(drive, station.family, verb)
         refuse_for_gone_client(drive)
-        self._permissions.check_ready(drive)
-        expires_at_s = None if expires_s is None else self._clock() + expires_s
-        run = Run(station, verb, self._stops_said[drive], expires_at_s, verify)
-        if self._requests.stopped_since_asked(drive):
+        self._context.permissions.check_ready(drive)
+        expires_at_s = None if expires_s is None else self._context.clock() + expires_s
+        run = Run(station, verb, self._context.stops[drive], expires_at_s, verify)
+        if self._context.requests.stopped_since_asked(drive):
             return told(run, superseded(run))
         # A setpoint may follow another that is under way.
-        with contextlib.nullcontext() if verb is Verb.SET_SPEED else self._alone(drive, verb):
+        with contextlib.nullcontext() if verb is Verb.SET_SPEED else self._steps.alone(drive, verb):
             try:
                 report = await self._whole(run, value, unit)
             except OperationError as exc:
                 if verb is Verb.ENABLE:
-                    self._why.enable_refused(drive, exc)
+                    self._context.why.enable_refused(drive, exc)
                 raise
             if verb is Verb.ENABLE:
-                self._why.enable_ended(report, taken_back=run.taken_back)
+                self._context.why.enable_ended(report, taken_back=run.taken_back)
             return report
 
     async def _whole(self, run: Run, value: Decimal | None, unit: str) -> VerbReport:
-        """Carry out a verb to its end, also where something goes wrong half way."""
+        """Carry out a verb to its end; an enable that fails half way is taken back."""
         name, verb = run.station.name, run.verb
         try:
             if verb is Verb.SET_SPEED:
                 assert value is not None
                 return await self._set_speed(run, value, unit)
-            known = await self._learn(run.station, questions(name, run.station.family, verb))
+            known = await self._steps.learn(run.station, questions(name, run.station.family, verb))
             if verb is Verb.ENABLE:
                 return await self._enable(run, known)
             return await self._reset_fault(run, known)
@@ -127,7 +129,7 @@ class VerbOperations(StepOperations):
             if not run.written:
                 raise
             report = cut_off(run, exc)
-            if verb is Verb.ENABLE and not self._stopped_meanwhile(run):
+            if verb is Verb.ENABLE and not self._steps.stopped_meanwhile(run):
                 with contextlib.suppress(*TROUBLE):
                     return await self._take_back(run, report)
             return told(run, report)
@@ -135,11 +137,11 @@ class VerbOperations(StepOperations):
     # ---- the verbs --------------------------------------------------------------------------
 
     async def _stop_verb(self, drive: str, verb: Verb) -> VerbReport:
-        """Stop one drive; it may have become an inhibit, which its code tells."""
-        report = (await self.stop(STOPS[verb], drive)).members[0]
+        """Stop one drive; the code of its report shows whether it became an inhibit."""
+        report = (await self._stops.stop(STOPS[verb], drive)).members[0]
         shown: tuple[OperatingState, ...] = ()
         if report.outcome is Outcome.VERIFIED:
-            rules = self._requests.station(drive).family.stops
+            rules = self._context.requests.station(drive).family.stops
             inhibited = report.code == rules[StopAction.INHIBIT].code
             shown = (OperatingState.INHIBITED if inhibited else OperatingState.QUICK_STOP,)
         return VerbReport(
@@ -149,12 +151,12 @@ class VerbOperations(StepOperations):
 
     async def _set_speed(self, run: Run, value: Decimal, unit: str) -> VerbReport:
         station = run.station
-        known = await self._learn(station, questions(station.name, station.family, run.verb))
-        further = await self._learn(station, further_questions(known))
+        known = await self._steps.learn(station, questions(station.name, station.family, run.verb))
+        further = await self._steps.learn(station, further_questions(known))
         known = replace(known, values={**known.values, **further.values})
         step = speed_step(known, value, unit)
-        report = await self._take(run, step)
-        shown = await self._states(station) if report.outcome in GOOD else ()
+        report = await self._steps.take(run, step)
+        shown = await self._steps.states(station) if report.outcome in GOOD else ()
         return told(run, report, states=shown, reading=report.reading if run.verify else None)
 
     async def _enable(self, run: Run, known: Known) -> VerbReport:
@@ -167,13 +169,13 @@ class VerbOperations(StepOperations):
                 text, remedy = f"{text}, and not by the line: {objection}", objection.remedy
             report = replace(enabled(known), reason=text, remedy=remedy)
             return told(run, report, states=states(known))
-        failed = await self._carry_out(run, steps)
+        failed = await self._steps.carry_out(run, steps)
         if failed is not None and not run.written:
             return told(run, failed)
-        # Whatever became of the last step: what was written may have enabled it already.
-        known = await self._watch(run, known, is_enabled, stop_words(run.station.family))
-        if self._stopped_meanwhile(run):
-            return told(run, superseded(run), states=await self._states(run.station))
+        # Also after a failed step: what was written may have enabled the drive already.
+        known = await self._steps.watch(run, known, is_enabled, stop_words(run.station.family))
+        if self._steps.stopped_meanwhile(run):
+            return told(run, superseded(run), states=await self._steps.states(run.station))
         if is_enabled(known):
             return told(run, enabled(known), states=states(known))
         return await self._take_back(run, failed or not_shown(known))
@@ -185,39 +187,43 @@ class VerbOperations(StepOperations):
         quick stop held it before, it is put into that again.
         """
         name = run.station.name
-        entry = self._entries.get(name)  # a reload may have taken it out of the roster
+        entry = self._context.entries.get(name)  # a reload may have taken it out of the roster
         may_drop = entry is not None and entry.stop_fallback == "none"
         holds = may_drop and not run.was_inhibited
         action = StopAction.QUICK_STOP if holds else StopAction.INHIBIT
-        undone = (await self.stop(action, name)).members[0]
+        undone = (await self._stops.stop(action, name)).members[0]
         run.taken_back = undone.outcome is Outcome.VERIFIED
         again = "put into quick stop again" if holds else "inhibited again"
         remedy = f"{report.remedy}; it was {again}, so that it does not start by itself"
         if not run.taken_back:
             remedy = f"the enable could not be taken back ({undone.reason}): {STOP_REMEDY}"
-        shown = await self._states(run.station)
+        shown = await self._steps.states(run.station)
         return told(run, replace(report, remedy=remedy), states=shown)
 
     async def _reset_fault(self, run: Run, known: Known) -> VerbReport:
         steps = reset_steps(known)
         if not steps:
             report = without_fault(known, "no fault is active: nothing was sent")
-            return told(run, report, states=await self._states(run.station))
+            return told(run, report, states=await self._steps.states(run.station))
         name = fault_text(known)
-        failed = await self._carry_out(run, steps)
+        failed = await self._steps.carry_out(run, steps)
         if failed is not None and not may_have_happened(failed):
             return told(run, failed)
-        known = await self._watch(run, known, lambda now: not has_fault(now), words_of(run.station))
+        known = await self._steps.watch(
+            run, known, lambda now: not has_fault(now), words_of(run.station)
+        )
         if has_fault(known):
             return told(
-                run, still_there(known, fault_text(known)), states=await self._states(run.station)
+                run,
+                still_there(known, fault_text(known)),
+                states=await self._steps.states(run.station),
             )
-        if enable_shown(known) and not self._stopped_meanwhile(run):
-            # Somebody lifted the inhibit meanwhile, at the keypad or by a plain write.
-            again = await self._inhibit(run)
+        if enable_shown(known) and not self._steps.stopped_meanwhile(run):
+            # The inhibit was lifted at the keypad or by a plain write.
+            again = await self._steps.inhibit(run)
             if again.outcome not in GOOD:
-                return told(run, again, states=await self._states(run.station))
+                return told(run, again, states=await self._steps.states(run.station))
         reason = (
             f"{name} was reset; the drive is inhibited: `lecombus enable {known.drive}` lets it run"
         )
-        return told(run, without_fault(known, reason), states=await self._states(run.station))
+        return told(run, without_fault(known, reason), states=await self._steps.states(run.station))

@@ -2,7 +2,7 @@
 
 82XX drives store a parameter at every write, SMVectors too; a 93XX wears when it saves. Memory of
 this kind takes some hundred thousand writes. So a stored parameter is written only when it reads
-otherwise (`drive_operations`), and no oftener than the roster allows: a token bucket for each drive
+otherwise (`writes`), and no oftener than the roster allows: a token bucket for each drive
 and code. Setpoints and control words are not stored and not limited.
 
 Every write that may have reached the memory counts, also one whose answer was lost and those of the

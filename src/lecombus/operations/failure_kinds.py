@@ -1,7 +1,4 @@
-"""What became of a write that was not done: the stable word for it, and what to do then.
-
-What must not live here: likely causes in the drive (`refusals`).
-"""
+"""Why a write was not done: the stable word of the API for it, and what to do then."""
 
 from __future__ import annotations
 
@@ -27,11 +24,11 @@ REMEDIES: Final[Mapping[str, str]] = {
 }
 STOPPED_REMEDY: Final = "ask for it again if it is still wanted: a stop ends all that waits"
 CUT_REMEDY = "the port is being reopened; read the code then to see what it holds"
-"""Where it may have happened, asking again blindly is not the thing to do."""
+"""The write may have happened, so repeating it without a look is no remedy."""
 
 
 def stopped_first(drive: str, code: Code) -> WriteReport:
-    """What is told of a write that was not in the line yet when its drive was stopped."""
+    """The report of a write that was not sent yet when its drive was stopped."""
     return WriteReport(
         drive, code, Outcome.SUPERSEDED, f"{STOPPED}: nothing was sent", kind="superseded",
         remedy=STOPPED_REMEDY,
@@ -39,7 +36,7 @@ def stopped_first(drive: str, code: Code) -> WriteReport:
 
 
 def kind_of(ending: Ending, outcome: Outcome, reason: str) -> str:
-    """Give the stable word for why a write was not done."""
+    """Return the stable word for why a write was not done."""
     if outcome in (Outcome.EXPIRED, Outcome.SUPERSEDED):
         return outcome.value
     if reason == CLIENT_GONE:

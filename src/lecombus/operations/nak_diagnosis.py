@@ -1,4 +1,4 @@
-"""Why a drive refused: the likely cause, after one bounded look at what the drive says of it.
+"""Why a drive refused: the likely cause, after one bounded look at the drive's error codes.
 
 A NAK says nothing but no. The causes that the manuals give are data (`drives.faults.causes`);
 here stands what is asked to choose between them. What the description tells (read only, out of
@@ -46,7 +46,7 @@ from lecombus.readings import Quality
 from lecombus.schedule import Outcome, Priority
 from lecombus.store import Store
 
-__all__ = ["Refusals"]
+__all__ = ["NakDiagnosis"]
 
 LOOK_S: Final = 1.0
 """A look is given up after this, whatever it has found."""
@@ -77,7 +77,7 @@ HAPPENED: Final = {"nak": Happened.REFUSED, "not-in-effect": Happened.IGNORED}
 Key = tuple[str, Code, str, Happened]
 
 
-class Refusals:
+class NakDiagnosis:
     """Finds out why drives refuse.
 
     Args:

@@ -1,17 +1,10 @@
-"""The steps that verbs are made of, taken one by one, and looking at what a drive shows.
+"""The steps of verbs, taken one by one, and reading what a drive shows.
 
-Rules held here:
-
-* The control word is taken when it is written, from what was last read or written on this line;
-  while a write that moves it is under way it is read again. What another client wrote is not
-  undone.
-* A stop that is said while a verb is under way ends the verb before its next write; so does a plain
-  write that means the same.
-* Nothing more is written behind an inhibit once somebody else has written the control word.
+* The control word is built just before it is written, from its last value on this line; while a
+  write that changes it is under way it is read again. Bits that another client wrote stay.
+* A stop, or a plain write that means one, ends a verb before its next write.
+* After its inhibit a verb writes nothing more once another client has written the control word.
 * One enable or reset of a drive at a time; a second one is refused, not queued.
-
-What must not live here: which steps a verb takes (`drives.verbs`), what is said of its end
-(`verb_operations`).
 """
 
 from __future__ import annotations
@@ -42,10 +35,9 @@ from lecombus.errors import (
     UnknownCodeError,
 )
 from lecombus.line.station import Station
-from lecombus.operations.control_words import ControlWords
-from lecombus.operations.group_operations import GroupOperations
+from lecombus.operations.context import OperationContext
 from lecombus.operations.reports import WriteReport
-from lecombus.operations.requests import Requests
+from lecombus.operations.stop_requests import Stops
 from lecombus.operations.verb_reports import (
     GOOD,
     Run,
@@ -53,67 +45,68 @@ from lecombus.operations.verb_reports import (
     may_have_happened,
     superseded,
 )
-from lecombus.operations.wear import Wear
+from lecombus.operations.writes import Writes
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority
-from lecombus.store import Store
 
-__all__ = ["TROUBLE", "StepOperations", "words_of"]
+__all__ = ["TROUBLE", "VerbSteps", "words_of"]
 
 EFFECT_WITHIN_S = 2.0
-"""What a drive is given to show that it is enabled or that its fault is gone, seconds."""
+"""How long a drive may take to show that it is enabled or that its fault is gone, seconds."""
 
 LOOK_AGAIN_S = 0.1
-"""Between two looks at a status word, seconds."""
+"""Between two reads of a status word, seconds."""
 
 BACK_WITHIN_S = 45.0
-"""What a drive that starts anew is given until it is audited: a module's own codes take 0.5 s each,
-and other drives' audits may come first (EDB2102EN 6.3). Less than a client waits for an answer."""
+"""How long a drive that restarts may take until it is audited: a module's own codes take 0.5 s
+each, and other audits may come first (EDB2102EN 6.3). Less than a client waits for an answer."""
 
 WORD_TRIES = 5
-"""How often a control word is read again that others keep writing."""
+"""How often a control word is read again that other clients keep writing."""
 
 TROUBLE = (ExchangeError, LineError, OperationError, ScheduleError)
 
 
-class StepOperations(GroupOperations):
-    """Adds to the operations on one drive and on several the steps of a verb.
+class VerbSteps:
+    """Takes the steps of verbs, and reads what a drive shows.
 
     Args:
-        restarted: Told of a drive that was made to start anew; it is then audited.
-        Others as for `Operations`.
+        context: What all operations share.
+        writes: Writes codes.
+        stops: Stops drives.
+        restarted: Called with a drive that was made to restart; it is then audited.
     """
 
     def __init__(
         self,
-        requests: Requests,
-        store: Store,
-        words: ControlWords,
-        wear: Wear,
-        clock: Callable[[], float],
-        disturbances: Callable[[], int],
+        context: OperationContext,
+        writes: Writes,
+        stops: Stops,
         restarted: Callable[[str], None],
     ) -> None:
-        super().__init__(requests, store, words, wear, clock, disturbances)
+        self._context = context
+        self._writes = writes
+        self._stops = stops
         self._restarted = restarted
         self._busy: dict[str, Verb] = {}
 
-    async def _carry_out(self, run: Run, steps: Sequence[VerbStep]) -> WriteReport | None:
-        """Take steps one after the other; give the report of the one that was not done."""
+    async def carry_out(self, run: Run, steps: Sequence[VerbStep]) -> WriteReport | None:
+        """Take steps one after the other; return the report of the one that was not done."""
         for step in steps:
-            report = await self._take(run, step)
+            report = await self.take(run, step)
             if report.outcome not in GOOD:
                 return report
         return None
 
-    async def _take(self, run: Run, step: VerbStep) -> WriteReport:
-        if self._stopped_meanwhile(run):
+    async def take(self, run: Run, step: VerbStep) -> WriteReport:
+        """Take one step, unless a stop or another client's write has ended the verb."""
+        if self.stopped_meanwhile(run):
             return superseded(run)
         if isinstance(step, InhibitStep):
-            return await self._inhibit(run)
-        if self._lifted_meanwhile(run):
+            return await self.inhibit(run)
+        if self.lifted_meanwhile(run):
             return lifted(run)
         if isinstance(step, WriteStep):
             return await self._write(run, step.code, step.value.raw)
@@ -122,26 +115,26 @@ class StepOperations(GroupOperations):
             return await self._back_again(run, step)
         return report
 
-    async def _inhibit(self, run: Run) -> WriteReport:
+    async def inhibit(self, run: Run) -> WriteReport:
         """Inhibit the drive as part of a verb; without proof the verb goes no further."""
         name = run.station.name
         run.stops += 1
-        run.lifts = self._lifts_said[name]
-        report = (await self.stop(StopAction.INHIBIT, name)).members[0]
+        run.lifts = self._context.lifts[name]
+        report = (await self._stops.stop(StopAction.INHIBIT, name)).members[0]
         if report.outcome is Outcome.VERIFIED:
             return report
         reason = f"{name} could not be inhibited: {report.reason}"
         return replace(report, outcome=Outcome.REFUSED, kind="not-in-effect", reason=reason)
 
     async def _change_bits(self, run: Run, step: BitsStep) -> WriteReport:
-        """Write the control word as it is now with bits changed; nothing where they are so."""
+        """Write the control word with bits changed; nothing where they are set so already."""
         name = run.station.name
         for _ in range(WORD_TRIES):
-            missing = self._words.missing(name)
+            missing = self._context.words.missing(name)
             if missing is None:
                 break
-            await self._requests.read(run.station, missing, Priority.INTERACTIVE)
-        word = self._words.get(name)
+            await self._context.requests.read(run.station, missing, Priority.INTERACTIVE)
+        word = self._context.words.get(name)
         if word is None:
             raise OperationError(
                 f"the control word {step.code} of {name} cannot be read, or others keep writing "
@@ -151,37 +144,37 @@ class StepOperations(GroupOperations):
             )  # fmt: skip
         if step.applied(word) == word and not step.always:
             return WriteReport(name, step.code, Outcome.DONE)
-        # Nothing is waited for between the look at the word and its place in the queue.
-        if self._stopped_meanwhile(run):
+        # No await between reading the word and submitting its write.
+        if self.stopped_meanwhile(run):
             return superseded(run)
-        if self._lifted_meanwhile(run):
+        if self.lifted_meanwhile(run):
             return lifted(run)
         return await self._write(run, step.code, Value.hexadecimal(step.applied(word), 4).raw)
 
     async def _write(self, run: Run, code: Code, raw: str) -> WriteReport:
         name = run.station.name
-        wire = self._permissions.permitted(name, run.station, code, raw)
-        ending = self.submit_write(
+        wire = self._context.permissions.permitted(name, run.station, code, raw)
+        ending = self._writes.submit_write(
             run.station, code, wire, run.expires_at_s, verify=run.verify,
             goes_on=bool(run.written) or run.lifts is not None,
         )  # fmt: skip
-        report = self.report(name, code, ending, *await ending.wait())
+        report = self._writes.report(name, code, ending, *await ending.wait())
         if ending.was_sent and report.kind != "nak":
             run.written.append((code, wire.raw))
-        return await self._refusals.explain(report, run.station, wire)
+        return await self._context.diagnosis.explain(report, run.station, wire)
 
     async def _back_again(self, run: Run, step: RestartStep) -> WriteReport:
-        """Wait for a drive that starts anew until it has been audited.
+        """Wait for a drive that restarts until it has been audited.
 
         Its answer is never given, so a missing one says nothing (EDB2102EN 6.4).
         """
         name = run.station.name
         self._restarted(name)
         with anyio.move_on_after(BACK_WITHIN_S):
-            while self._store.state(name) is not DriveState.ONLINE:  # noqa: ASYNC110
+            while self._context.store.state(name) is not DriveState.ONLINE:  # noqa: ASYNC110
                 await anyio.sleep(LOOK_AGAIN_S)
             return WriteReport(name, step.code, Outcome.DONE)
-        state = self._store.drive(name)
+        state = self._context.store.drive(name)
         return WriteReport(
             name, step.code, Outcome.UNKNOWN,
             f"{name} was made to restart and is {state.state.value} since: {state.reason}",
@@ -189,44 +182,48 @@ class StepOperations(GroupOperations):
             remedy="look at the drive and its wires; its quick stop was set before it restarted",
         )  # fmt: skip
 
-    # ---- looking ----------------------------------------------------------------------------
+    # ---- reading ----------------------------------------------------------------------------
 
-    async def _learn(self, station: Station, codes: Sequence[Code]) -> Known:
-        """Read codes now; one that the drive does not have is left out."""
+    async def learn(self, station: Station, codes: Sequence[Code]) -> Known:
+        """Read codes now; a code that the drive does not have is left out."""
         values: dict[Code, Value] = {}
         for code in codes:
             with contextlib.suppress(UnknownCodeError):
-                values[code] = await self._requests.read(station, code, Priority.INTERACTIVE)
+                values[code] = await self._context.requests.read(
+                    station, code, Priority.INTERACTIVE
+                )
         return Known(station.name, station.family, values)
 
-    async def _watch(
+    async def watch(
         self, run: Run, before: Known, shown: Callable[[Known], bool], codes: Sequence[Code]
     ) -> Known:
-        """Look at codes until they show something, or for as long as they may take."""
-        until_s = self._clock() + EFFECT_WITHIN_S
+        """Read codes until they show something, or until its time is over."""
+        until_s = self._context.clock() + EFFECT_WITHIN_S
         while True:
-            seen = await self._learn(run.station, codes)
+            seen = await self.learn(run.station, codes)
             known = Known(before.drive, before.family, {**before.values, **seen.values})
-            if shown(known) or self._clock() >= until_s or self._stopped_meanwhile(run):
+            if shown(known) or self._context.clock() >= until_s or self.stopped_meanwhile(run):
                 return known
             await anyio.sleep(LOOK_AGAIN_S)
 
-    async def _states(self, station: Station) -> tuple[OperatingState, ...]:
-        """Name what the drive shows now; nothing where it cannot be read."""
+    async def states(self, station: Station) -> tuple[OperatingState, ...]:
+        """Return what the drive shows now; nothing where it cannot be read."""
         family = station.family
         codes = (*filter(None, (family.configured_by,)), *words_of(station), *family.words)
         with contextlib.suppress(*TROUBLE):
-            return states(await self._learn(station, tuple(dict.fromkeys(codes))))
+            return states(await self.learn(station, tuple(dict.fromkeys(codes))))
         return ()
 
-    def _stopped_meanwhile(self, run: Run) -> bool:
-        return self._stops_said[run.station.name] != run.stops
+    def stopped_meanwhile(self, run: Run) -> bool:
+        """Whether the drive was stopped since the verb began."""
+        return self._context.stops[run.station.name] != run.stops
 
-    def _lifted_meanwhile(self, run: Run) -> bool:
-        return run.lifts is not None and self._lifts_said[run.station.name] != run.lifts
+    def lifted_meanwhile(self, run: Run) -> bool:
+        """Whether another client may have lifted the inhibit of the verb."""
+        return run.lifts is not None and self._context.lifts[run.station.name] != run.lifts
 
     @contextlib.contextmanager
-    def _alone(self, drive: str, verb: Verb) -> Iterator[None]:
+    def alone(self, drive: str, verb: Verb) -> Iterator[None]:
         """Let one verb at a time change a drive.
 
         Raises:

@@ -4,8 +4,6 @@ A group's write goes out as one multicast when its members are exactly the roste
 decade or all of them (`config` decides that once, `check` shows it), the roster says that no other
 drive hears it (`multicast: yes`) or it is a stop, and every member wants the same telegram;
 otherwise one telegram after another. A multicast has no answer, so its members are read back.
-
-What must not live here: HTTP, telegrams, waiting lists, the stop (`stop_operations`).
 """
 
 from __future__ import annotations
@@ -14,7 +12,6 @@ import asyncio
 from collections.abc import Mapping, Sequence
 from decimal import Decimal
 
-from lecombus.config import GroupEntry
 from lecombus.drives import WriteClass
 from lecombus.drives.stops import asks_to_stop, stops_every_drive
 from lecombus.errors import (
@@ -25,11 +22,10 @@ from lecombus.errors import (
     OperationError,
     QueueFullError,
     ScheduleError,
-    meant,
 )
 from lecombus.line.station import Station
-from lecombus.operations.endings import REMEDIES, kind_of, stopped_first
-from lecombus.operations.multicasts import shared_form
+from lecombus.operations.context import OperationContext
+from lecombus.operations.failure_kinds import REMEDIES, kind_of, stopped_first
 from lecombus.operations.reports import (
     GroupInfo,
     GroupReport,
@@ -37,25 +33,30 @@ from lecombus.operations.reports import (
     WriteReport,
     group_report,
 )
+from lecombus.operations.request_maker import shared_form
 from lecombus.operations.requests import Ending, client_check, refuse_for_gone_client
-from lecombus.operations.stop_operations import StopOperations
 from lecombus.operations.wear import wears
+from lecombus.operations.writes import Writes
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 from lecombus.schedule import Outcome, Priority
 from lecombus.schedule.fan_out import least_order
 
-__all__ = ["GroupOperations"]
+__all__ = ["GroupWrites"]
 
 
-class GroupOperations(StopOperations):
-    """Adds writes to groups to the operations on one drive, and the stop."""
+class GroupWrites:
+    """Writes codes of all drives of a group."""
+
+    def __init__(self, context: OperationContext, writes: Writes) -> None:
+        self._context = context
+        self._writes = writes
 
     def groups(self) -> Sequence[GroupInfo]:
-        """The groups of the roster and how each is spoken to."""
+        """Return the groups of the roster and how each is addressed."""
         return [
             GroupInfo(name, tuple(entry.members), entry.multicast_address, entry.multicast)
-            for name, entry in self._groups.items()
+            for name, entry in self._context.groups.items()
         ]
 
     async def write_group(
@@ -76,20 +77,20 @@ class GroupOperations(StopOperations):
             code: What to write; the roster must allow it for every member.
             value: As for `write`.
             expires_s: Not begun after this long, seconds.
-            verify: Read back every member; None: yes for a multicast, which nobody acknowledges.
+            verify: Read back every member; None: yes for a multicast, which is not acknowledged.
 
         Raises:
             OperationError: No such group, or one member may not be written.
             LineError: There is no line; nothing was sent.
             QueueFullError: Too many requests wait; nothing was sent to any member.
         """
-        expires_at_s = None if expires_s is None else self._clock() + expires_s
+        expires_at_s = None if expires_s is None else self._context.clock() + expires_s
         stations, wires = self._permitted_all(group, code, value)
         if not all(asks_to_stop(one.family, code, wire)
                    for one, wire in zip(stations, wires, strict=True)):  # fmt: skip
             refuse_for_gone_client(group)
         there: Sequence[WriteReport | None] = [None] * len(stations)
-        marks = {one.name: self.stop_mark(one.name) for one in stations}
+        marks = {one.name: self._context.stop_mark(one.name) for one in stations}
         if any(wears(one.family, code) for one in stations):
             there = await self._already_there(
                 stations, code, wires, verify=bool(verify), within_s=expires_s
@@ -97,7 +98,9 @@ class GroupOperations(StopOperations):
             known = [one for one in there if one is not None]
             if len(known) == len(stations):
                 return group_report(group, "one-by-one", known)
-            stations, wires = self._permitted_all(group, code, value)  # what became of them
+            stations, wires = self._permitted_all(
+                group, code, value
+            )  # they may have changed during the read
         there = self._unless_stopped(stations, code, there, marks)
         address, form = self._address(group, stations, code, wires), shared_form(stations, code)
         if any(one is not None and one.outcome is Outcome.SUPERSEDED for one in there):
@@ -107,12 +110,12 @@ class GroupOperations(StopOperations):
                 stations, code, wires, there, expires_at_s, verify=bool(verify)
             )
             each = [
-                self.report(one.name, code, wait, *await wait.wait())
+                self._writes.report(one.name, code, wait, *await wait.wait())
                 if isinstance(wait, Ending)
                 else wait
                 for one, wait in zip(stations, waits, strict=True)
             ]
-            each = await self._refusals.explain_all(each, stations, wires)
+            each = await self._context.diagnosis.explain_all(each, stations, wires)
             return group_report(group, "one-by-one", each)
         to = Station(group, address, stations[0].family, (form,))
         reports = await self._write_shared(to, stations, code, wires[0], expires_at_s, verify)
@@ -129,7 +132,8 @@ class GroupOperations(StopOperations):
         stopped = {
             name
             for name, mark in marks.items()
-            if self._is_outdated(name, mark) or self._requests.stopped_since_asked(name)
+            if self._context.is_outdated(name, mark)
+            or self._context.requests.stopped_since_asked(name)
         }
         return [
             stopped_first(one.name, code) if one.name in stopped else known
@@ -141,9 +145,9 @@ class GroupOperations(StopOperations):
     ) -> int | None:
         """Give the address of one telegram for all, None where each is written to.
 
-        A drive that the roster does not have hears it too: what is no stop could start it.
+        A drive that the roster does not name receives it too: only a stop cannot start it.
         """
-        entry = self._group(group)
+        entry = self._context.group(group)
         stop = all(
             stops_every_drive(one.family, code, wire)
             for one, wire in zip(stations, wires, strict=True)
@@ -154,10 +158,10 @@ class GroupOperations(StopOperations):
         self, group: str, code: Code, value: Decimal | int | str
     ) -> tuple[tuple[Station, ...], list[Value]]:
         """Give a group's members, and for each the wire's value that may be written to it now."""
-        members = self._group(group).members
-        stations = tuple(self._requests.station(name) for name in members)
+        members = self._context.group(group).members
+        stations = tuple(self._context.requests.station(name) for name in members)
         return stations, [
-            self._permissions.permitted(one.name, one, code, value) for one in stations
+            self._context.permissions.permitted(one.name, one, code, value) for one in stations
         ]
 
     async def _already_there(
@@ -172,13 +176,13 @@ class GroupOperations(StopOperations):
         """Read a stored parameter of every member; see that the others may be written."""
         there = await asyncio.gather(
             *(
-                self.already_there(one, code, wire, verify=verify, within_s=within_s)
+                self._writes.already_there(one, code, wire, verify=verify, within_s=within_s)
                 for one, wire in zip(stations, wires, strict=True)
             )
         )
         for one, known in zip(stations, there, strict=True):
             if known is None:
-                self._wear.check(one.name, code)
+                self._context.wear.check(one.name, code)
         return there
 
     async def _write_shared(
@@ -192,14 +196,16 @@ class GroupOperations(StopOperations):
     ) -> Sequence[WriteReport]:
         """Write a code of all members by one telegram, and read it back from each."""
         for one in stations:
-            self._wear.check(one.name, code)
+            self._context.wear.check(one.name, code)
         for one in stations:
-            self._wear.take(one.name, code)
-            self.note_stop(one, code, wire)
+            self._context.wear.take(one.name, code)
+            self._context.note_write(one, code, wire)
         outcome, reason, kind = await self._multicast(to, stations, code, wire, expires_at_s)
         if outcome is Outcome.DONE and verify is not False:
             proofs = await asyncio.gather(*(self._proof(one, code, wire) for one in stations))
-            return await self._refusals.explain_all(proofs, stations, [wire] * len(stations))
+            return await self._context.diagnosis.explain_all(
+                proofs, stations, [wire] * len(stations)
+            )
         told = Outcome.UNKNOWN if outcome is Outcome.DONE else outcome
         remedy = REMEDIES.get(kind, "")
         return [
@@ -216,10 +222,10 @@ class GroupOperations(StopOperations):
         *,
         verify: bool,
     ) -> list[Ending | WriteReport]:
-        """Put a write for every member into the line that does not hold the value already.
+        """Submit a write for every member that does not hold the value already.
 
-        Where the queue is full half way, the members left over are told so: the others' writes
-        are in the line already and will have their outcome.
+        When the queue becomes full, the remaining members are refused; the writes submitted before
+        go on to their outcomes.
         """
         waits: dict[int, Ending | WriteReport] = {}
         for index in self._order(stations, code, wires, proven=verify):
@@ -228,9 +234,11 @@ class GroupOperations(StopOperations):
                 waits[index] = known
                 continue
             try:
-                self._wear.take(one.name, code)
-                self.note_stop(one, code, wire)
-                waits[index] = self.submit_write(one, code, wire, expires_at_s, verify=verify)
+                self._context.wear.take(one.name, code)
+                self._context.note_write(one, code, wire)
+                waits[index] = self._writes.submit_write(
+                    one, code, wire, expires_at_s, verify=verify
+                )
             except QueueFullError as exc:
                 if not waits:
                     raise
@@ -244,17 +252,16 @@ class GroupOperations(StopOperations):
     ) -> list[int]:
         """Give the order in which members are written to.
 
-        As in the roster, unless members are read back: then so that all are proven soonest.
-        Those that may not answer come last: behind an acknowledgement that did not come no write
-        may go out for a while.
+        The roster's order, or with read-back the order in which all are proven soonest. Members
+        that may not answer come last: after a missing acknowledgement no write follows for a while.
         """
         order = list(range(len(stations)))
         if proven:
-            part_of = self._requests.maker.part_of_write
+            part_of = self._context.requests.maker.part_of_write
             order = least_order(
                 [part_of(one, code, wire) for one, wire in zip(stations, wires, strict=True)]
             )
-        return sorted(order, key=lambda index: self.silence_of(stations[index]))
+        return sorted(order, key=lambda index: self._context.silence_of(stations[index]))
 
     async def _multicast(
         self,
@@ -268,15 +275,15 @@ class GroupOperations(StopOperations):
         infos = [one.family.info(code) for one in stations]
         motion = any(info is not None and info.motion for info in infos)
         ending = Ending()
-        request = self._requests.maker.multicast(
+        request = self._context.requests.maker.multicast(
             group, stations, code, wire, Priority.CONTROL if motion else Priority.INTERACTIVE,
-            settle=self._words.guard([one.name for one in stations], code, ending.settle),
+            settle=self._context.words.guard([one.name for one in stations], code, ending.settle),
             expires_at_s=expires_at_s,
         )  # fmt: skip
         ending.request = request
         request.is_gone = client_check(stations[0], code, wire)
         try:
-            self._requests.worker.submit(request)
+            self._context.requests.worker.submit(request)
         except LecombusError as exc:
             request.end(Outcome.REFUSED, str(exc))
             raise
@@ -287,7 +294,9 @@ class GroupOperations(StopOperations):
     async def _proof(self, station: Station, code: Code, wire: Value) -> WriteReport:
         """Read a member back after a multicast."""
         try:
-            found, doubt = await self._requests.read_back(station, code, wire, Priority.INTERACTIVE)
+            found, doubt = await self._context.requests.read_back(
+                station, code, wire, Priority.INTERACTIVE
+            )
         except (ExchangeError, LineError, OperationError, ScheduleError) as exc:
             text = f"it went out as a multicast and could not be read back: {exc}"
             lost = isinstance(exc, CutReplyError | LineError)
@@ -297,7 +306,7 @@ class GroupOperations(StopOperations):
             if doubt:
                 text = f"it went out as a multicast; {doubt}"
                 return WriteReport(station.name, code, Outcome.UNKNOWN, text, kind="no-answer")
-            reading = self._store.reading(station.name, code)
+            reading = self._context.store.reading(station.name, code)
             proof = Proof(code, found.raw, "value")
             return WriteReport(station.name, code, Outcome.VERIFIED, reading=reading, proof=proof)
         # An edge or a step may have happened and still read as before.
@@ -305,13 +314,3 @@ class GroupOperations(StopOperations):
         outcome = Outcome.REFUSED if plain else Outcome.UNKNOWN
         text = f"it went out as a multicast, but {code} reads {found.raw}"
         return WriteReport(station.name, code, outcome, text, kind="not-in-effect")
-
-    def _group(self, group: str) -> GroupEntry:
-        entry = self._groups.get(group)
-        if entry is None:
-            raise OperationError(
-                f"there is no group {group!r}",
-                kind="no-such-group",
-                remedy=meant(group, self._groups, "the groups"),
-            )
-        return entry

@@ -1,0 +1,159 @@
+"""What the operations of one line share: its drives, what is known of them, and the stop marks."""
+
+from __future__ import annotations
+
+import secrets
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+
+from lecombus.config import DriveEntry, GroupEntry
+from lecombus.drives.stops import asks_to_stop
+from lecombus.errors import OperationError, meant
+from lecombus.line.station import Station
+from lecombus.operations.control_words import ControlWords
+from lecombus.operations.nak_diagnosis import NakDiagnosis
+from lecombus.operations.permissions import Permissions
+from lecombus.operations.requests import Requests
+from lecombus.operations.wear import Wear
+from lecombus.operations.why import Why
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+from lecombus.readings import DriveState
+from lecombus.store import Store
+
+__all__ = ["OperationContext"]
+
+
+class OperationContext:
+    """What reads, writes, stops, groups and verbs of one line share.
+
+    Args:
+        requests: Sends requests.
+        store: The last values and states of the drives.
+        words: The drives' control words as last seen.
+        wear: Counts and limits writes to the drives' EEPROMs.
+        clock: Monotonic time, seconds.
+        disturbances: How often the line has carried something that was no answer.
+
+    Attributes:
+        entries: The roster's drives by name.
+        groups: The roster's groups by name.
+        permissions: Whether a write may be made.
+        diagnosis: Why a drive refused.
+        why: Why a drive does not turn.
+        stops: How often each drive was to stop, by a stop or by a plain write.
+        lifts: How many plain writes of each drive may have lifted its inhibit.
+    """
+
+    def __init__(
+        self,
+        requests: Requests,
+        store: Store,
+        words: ControlWords,
+        wear: Wear,
+        clock: Callable[[], float],
+        disturbances: Callable[[], int] = lambda: 0,
+    ) -> None:
+        self.requests = requests
+        self.store = store
+        self.words = words
+        self.wear = wear
+        self.clock = clock
+        self.disturbances = disturbances
+        self.entries: dict[str, DriveEntry] = {}
+        self.groups: Mapping[str, GroupEntry] = {}
+        self.stops: Counter[str] = Counter()
+        self.lifts: Counter[str] = Counter()
+        self.permissions = Permissions(requests, store)
+        self.diagnosis = NakDiagnosis(requests, store, clock)
+        self.why = Why(requests, store, clock, lambda drive: self.stops[drive])
+        self._run = secrets.token_hex(4)
+
+    def set_roster(self, entries: Sequence[DriveEntry], groups: Mapping[str, GroupEntry]) -> None:
+        """Take the roster's drives and groups, at the start and at every reload."""
+        now = {entry.name: (entry.address, entry.family) for entry in entries}
+        self.why.forget(
+            name for name, entry in self.entries.items()
+            if now.get(name) != (entry.address, entry.family)
+        )  # fmt: skip
+        self.entries = {entry.name: entry for entry in entries}
+        self.groups = dict(groups)
+        self.permissions.entries = self.entries
+
+    def station(self, drive: str) -> Station:
+        """Look a drive up.
+
+        Raises:
+            OperationError: `no-such-drive`; where the name is a group's, it says so.
+        """
+        group = self.groups.get(drive)
+        if group is not None and drive not in self.entries:
+            members = ", ".join(group.members)
+            raise OperationError(
+                f"{drive} is a group: this takes one drive",
+                kind="no-such-drive",
+                drive=drive,
+                remedy=f"name one of its drives ({members}); a group is taken by `group`, `stop`, "
+                "`quick-stop` and `inhibit`",
+            )
+        return self.requests.station(drive)
+
+    def group(self, name: str) -> GroupEntry:
+        """Look a group up.
+
+        Raises:
+            OperationError: `no-such-group`.
+        """
+        entry = self.groups.get(name)
+        if entry is None:
+            raise OperationError(
+                f"there is no group {name!r}",
+                kind="no-such-group",
+                remedy=meant(name, self.groups, "the groups"),
+            )
+        return entry
+
+    def members(self, target: str) -> tuple[str, ...]:
+        """Return the drives of a target: one drive, or those of a group.
+
+        Raises:
+            OperationError: `no-such-drive`.
+        """
+        if target in self.entries:
+            return (target,)
+        if target in self.groups:
+            return tuple(self.groups[target].members)
+        raise OperationError(
+            f"there is no drive and no group {target!r}",
+            kind="no-such-drive",
+            drive=target,
+            remedy=meant(target, (*self.entries, *self.groups), "they"),
+        )
+
+    def silence_of(self, station: Station) -> int:
+        """Return how little a drive answers: 0 online, 1 not known yet, 2 offline."""
+        state = self.store.state(station.name)
+        return 2 if state is DriveState.OFFLINE else int(state is not DriveState.ONLINE)
+
+    def note_write(self, station: Station, code: Code, wire: Value) -> None:
+        """Count a plain write that means to stop a drive, or may lift its inhibit.
+
+        A verb under way must not undo the one, and a reset must not go on behind the other.
+        """
+        if asks_to_stop(station.family, code, wire):
+            self.stops[station.name] += 1
+        elif self.words.moves(station.name, code):
+            self.lifts[station.name] += 1
+
+    def note_stop(self, drive: str) -> None:
+        """Count a stop of a drive; writes and verbs under way end behind it."""
+        self.stops[drive] += 1
+        self.requests.note_stop(drive)
+
+    def stop_mark(self, drive: str) -> str:
+        """Return a mark of this run that the next stop of the drive outdates."""
+        return f"{self._run}-{self.requests.stops_said[drive]}"
+
+    def is_outdated(self, drive: str, mark: str) -> bool:
+        """Whether a stop came after a mark; a mark of another run of lecombus says nothing."""
+        return mark.startswith(f"{self._run}-") and mark != self.stop_mark(drive)

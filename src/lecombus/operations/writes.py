@@ -1,0 +1,214 @@
+"""Writes to one drive: from the value that a user gives to the outcome and its reason."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from decimal import Decimal
+
+from lecombus.drives import (
+    WriteClass,
+)
+from lecombus.drives.stops import asks_to_stop
+from lecombus.errors import (
+    ExchangeError,
+    LecombusError,
+    OperationError,
+)
+from lecombus.line.jobs import WriteJob
+from lecombus.line.station import Station
+from lecombus.operations.context import OperationContext
+from lecombus.operations.failure_kinds import (
+    CUT_REMEDY,
+    REMEDIES,
+    STOPPED_REMEDY,
+    kind_of,
+    stopped_first,
+)
+from lecombus.operations.reads import READ_WITHIN_S
+from lecombus.operations.reports import Proof, RestoreRights, WriteReport
+from lecombus.operations.requests import (
+    Ending,
+    client_check,
+    refuse_for_gone_client,
+)
+from lecombus.operations.wear import wears
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+from lecombus.schedule import Outcome, Priority
+from lecombus.schedule.request import STOPPED
+
+__all__ = ["Writes"]
+
+
+class Writes:
+    """Writes codes of one drive at a time."""
+
+    def __init__(self, context: OperationContext) -> None:
+        self._context = context
+
+    async def write(
+        self,
+        drive: str,
+        code: Code,
+        value: Decimal | int | str,
+        *,
+        expires_s: float | None = None,
+        verify: bool = False,
+        urgency: Priority | None = None,
+        restoring: bool = False,
+        unless_stopped_since: str | None = None,
+    ) -> WriteReport:
+        """Write a code and return how it ended.
+
+        Args:
+            drive: The drive's name.
+            code: What to write; the roster must allow it.
+            value: A number, or text such as `35.4`, `H0008` or `0x0008`.
+            expires_s: Not begun after this long, seconds.
+            verify: Read back afterwards.
+            urgency: The class to run in; None: by what is written. What moves a drive keeps its
+                own.
+            restoring: It belongs to the restore of a backup: other codes may be written then.
+            unless_stopped_since: A `stop_mark` of the drive: a later stop ends the write.
+
+        Raises:
+            OperationError: It may not be written, or the value is not one for this code.
+            LineError: There is no line; nothing was sent.
+            QueueFullError: Too many requests wait; nothing was sent.
+        """
+        station = self._context.station(drive)
+        wire = self._context.permissions.permitted(drive, station, code, value, restoring=restoring)
+        if not asks_to_stop(station.family, code, wire):
+            refuse_for_gone_client(drive)
+        expires_at_s = None if expires_s is None else self._context.clock() + expires_s
+        mark = self._context.stop_mark(drive)
+        outdated = self._context.requests.stopped_since_asked(drive)
+        if unless_stopped_since is not None:
+            outdated |= self._context.is_outdated(drive, unless_stopped_since)
+        if outdated:
+            return stopped_first(drive, code)
+        if wears(station.family, code):
+            there = await self.already_there(
+                station, code, wire, verify=verify, within_s=expires_s, urgency=urgency
+            )
+            if there is not None:
+                return there
+            # The drive may have been stopped, changed or removed during the read.
+            if self._context.is_outdated(drive, mark):
+                return stopped_first(drive, code)
+            station = self._context.requests.station(drive)
+            wire = self._context.permissions.permitted(
+                drive, station, code, value, restoring=restoring
+            )
+            self._context.wear.take(drive, code)
+        self._context.note_write(station, code, wire)
+        ending = self.submit_write(
+            station, code, wire, expires_at_s, verify=verify, urgency=urgency
+        )
+        report = self.report(drive, code, ending, *await ending.wait())
+        return await self._context.diagnosis.explain(report, station, wire)
+
+    async def already_there(
+        self,
+        station: Station,
+        code: Code,
+        wire: Value,
+        *,
+        verify: bool,
+        within_s: float | None,
+        urgency: Priority | None = None,
+    ) -> WriteReport | None:
+        """Read a stored parameter first: an equal value need not be written to its EEPROM.
+
+        Returns:
+            How the write ended without being sent; None: it must be.
+        """
+        info = station.family.info(code)
+        if not wears(station.family, code) or info is None or info.motion or not info.readable:
+            return None
+        if station.family.write_class(code, wire) is not WriteClass.PLAIN:
+            return None
+        try:
+            found, doubt = await self._context.requests.read_back(
+                station,
+                code,
+                wire,
+                urgency or Priority.INTERACTIVE,
+                timeout_s=READ_WITHIN_S if within_s is None else within_s,
+            )
+        except (ExchangeError, OperationError):
+            return None  # the write itself will fail with the reason
+        if doubt or not found.means_same(wire):
+            return None  # what may be another drive's value is written
+        outcome = Outcome.VERIFIED if verify else Outcome.DONE
+        reading = self._context.store.reading(station.name, code)
+        reason = "already there, not written"
+        proof = Proof(code, found.raw, "value") if verify else None
+        return WriteReport(station.name, code, outcome, reason, reading=reading, proof=proof)
+
+    def submit_write(
+        self,
+        station: Station,
+        code: Code,
+        wire: Value,
+        expires_at_s: float | None,
+        *,
+        verify: bool,
+        urgency: Priority | None = None,
+        goes_on: bool = False,
+    ) -> Ending:
+        """Submit a permitted write; the caller waits for its end.
+
+        Args:
+            station: The drive.
+            code: What to write.
+            wire: The value, as it is sent.
+            expires_at_s: Not begun after this time.
+            verify: Read back afterwards.
+            urgency: The class to run in; None: by what is written.
+            goes_on: It belongs to an operation that has sent something already: it is sent also
+                when its client has gone.
+        """
+        ending = Ending()
+        # From here on a stop must not use the stored control word: this write may change it.
+        settle = self._context.words.guard((station.name,), code, ending.settle)
+        ending.request = request = self._context.requests.maker.write(
+            station, code, wire, settle=settle, verify=verify, expires_at_s=expires_at_s,
+            urgency=urgency, duplicates=self._context.requests.worker.talk.duplicates,
+        )  # fmt: skip
+        request.is_gone = None if goes_on else client_check(station, code, wire)
+        try:
+            self._context.requests.worker.submit(request)
+        except LecombusError as exc:
+            request.end(Outcome.REFUSED, str(exc))
+            raise
+        return ending
+
+    def restore_rights(self, drive: str) -> RestoreRights:
+        """Return whether a backup may be restored into a drive.
+
+        Raises:
+            OperationError: `no-such-drive`.
+        """
+        return replace(
+            self._context.permissions.restore_rights(drive), stops=self._context.stop_mark(drive)
+        )
+
+    def report(
+        self, drive: str, code: Code, ending: Ending, outcome: Outcome, reason: str
+    ) -> WriteReport:
+        """Make the report of a write or a stop that has ended."""
+        good = outcome in (Outcome.DONE, Outcome.VERIFIED)
+        kind = "" if good else kind_of(ending, outcome, reason)
+        remedy = REMEDIES.get(kind, "")
+        if outcome is Outcome.UNKNOWN and kind == "line-lost":
+            remedy = CUT_REMEDY
+        elif reason == STOPPED:
+            remedy = STOPPED_REMEDY
+        reading = self._context.store.reading(drive, code)
+        job, proof = ending.request.work if ending.request is not None else None, None
+        if outcome is Outcome.VERIFIED and isinstance(job, WriteJob) and job.proof is not None:
+            proof = Proof(job.code, job.proof.raw, "value")
+        return WriteReport(
+            drive, code, outcome, reason, kind=kind, remedy=remedy, reading=reading, proof=proof
+        )
