@@ -81,6 +81,9 @@ class Drives:
     async def verb(self, drive: str, verb: Verb, **how: Any) -> VerbReport:
         return VerbReport(drive, verb, self._end(), written=((FREQUENCY, "35"),))
 
+    # What only reads is handed on and leaves no event.
+    read = read_address = restore_rights = why = groups = verb
+
     async def readdress(self, drive: str, address: int) -> WriteReport:
         return await self.write(drive, Code(9), address)
 
