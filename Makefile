@@ -6,11 +6,12 @@
 # make compare  proves that nothing differs from a commit: make compare BASE=fab6b02
 # make bench   the figures of docs, ours and the peers' in one run
 # make wheel   dist/lecombus-*.whl, built offline from the lock
+# make openapi the description of the HTTP interface, from the routes and the answer models
 # make lock    requirements/*.txt anew from *.in (make lock ARGS=--upgrade for newer versions)
 
 ARGS ?=
 
-.PHONY: demo test test-long proof compare check bench wheel lock format clean
+.PHONY: demo test test-long proof compare check bench openapi wheel lock format clean
 
 demo:
 	@scripts/venv runtime
@@ -42,6 +43,10 @@ compare:
 bench:
 	@scripts/venv bench
 	@PYTHONPATH=src:tests .venv/bin/python -m benchmarks.run $(ARGS)
+
+openapi:
+	@scripts/venv dev
+	@PYTHONPATH=src:tests .venv/bin/python -m openapi.document
 
 wheel:
 	@scripts/venv runtime

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from lecombus.api.documents import CodeDocument
 from lecombus.descriptions import code_document, family_document
 from lecombus.drives import FAMILY_NAMES, family
 from lecombus.protocol.addressing import Code
+from openapi.answer_models import CodeDocument
 
 
 @pytest.mark.parametrize("name", FAMILY_NAMES)

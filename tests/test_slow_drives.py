@@ -8,7 +8,7 @@ import logging
 import anyio
 import pytest
 
-from lecombus.api.exact import encode
+from lecombus.api.decimal_json import encode
 from lecombus.errors import OperationError
 from lecombus.planning.facts import roster_of as running
 from lecombus.planning.plan import make_plan

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 
-import httpx
+import httpx2
 import pytest
 
 from support.api_line import Line, make_line
@@ -16,9 +16,9 @@ def line() -> Line:
 
 
 @pytest.fixture
-async def client(line: Line) -> AsyncIterator[httpx.AsyncClient]:
-    transport = httpx.ASGITransport(app=line.app, raise_app_exceptions=False)
-    async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as made:
+async def client(line: Line) -> AsyncIterator[httpx2.AsyncClient]:
+    transport = httpx2.ASGITransport(app=line.app, raise_app_exceptions=False)
+    async with httpx2.AsyncClient(transport=transport, base_url="http://localhost") as made:
         yield made
 
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import httpx
+import httpx2
 import pytest
 
 from api.test_server import over_tcp, over_unix, serving
-from lecombus.api.documents import HeardDocument
 from lecombus.errors import OperationError
 from lecombus.operations.address_reads import Heard, HeardKind
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value
+from openapi.answer_models import HeardDocument
 from support.api_line import Line
 
 pytestmark = pytest.mark.anyio
@@ -20,7 +20,9 @@ pytestmark = pytest.mark.anyio
 PATH = "/v1/line/addresses/23/codes"
 
 
-async def test_an_address_is_asked_as_the_query_says(client: httpx.AsyncClient, line: Line) -> None:
+async def test_an_address_is_asked_as_the_query_says(
+    client: httpx2.AsyncClient, line: Line
+) -> None:
     line.ops.heard = Heard(HeardKind.VALUE, Value.parse("35.40"), disturbances=3)
     query = {"addressing": "extended", "family": "820x", "patient": "true"}
     answer = await client.get(f"{PATH}/C0039/2", params=query)
@@ -31,7 +33,7 @@ async def test_an_address_is_asked_as_the_query_says(client: httpx.AsyncClient, 
     assert '"value": 35.40,' in answer.text
 
 
-async def test_silence_is_an_answer_and_no_error(client: httpx.AsyncClient, line: Line) -> None:
+async def test_silence_is_an_answer_and_no_error(client: httpx2.AsyncClient, line: Line) -> None:
     answer = await client.get(f"{PATH}/C0248")
     assert line.ops.asked == [("read_address", 23, Code(248), Form.STANDARD, "generic", False)]
     assert (answer.status_code, answer.json()["heard"]) == (200, "silence")
@@ -39,7 +41,7 @@ async def test_silence_is_an_answer_and_no_error(client: httpx.AsyncClient, line
 
 
 async def test_bytes_that_were_no_answer_are_given_as_hex(
-    client: httpx.AsyncClient, line: Line
+    client: httpx2.AsyncClient, line: Line
 ) -> None:
     line.ops.heard = Heard(HeardKind.GARBLED, received=b"\x02\xff")
     assert (await client.get(f"{PATH}/C0248")).json()["received"] == "02ff"
@@ -56,14 +58,14 @@ async def test_bytes_that_were_no_answer_are_given_as_hex(
     ],
 )
 async def test_what_cannot_be_asked_is_a_problem(
-    client: httpx.AsyncClient, line: Line, path: str, status: int, kind: str
+    client: httpx2.AsyncClient, line: Line, path: str, status: int, kind: str
 ) -> None:
     answer = await client.get(path)
     assert (answer.status_code, answer.json()["type"]) == (status, f"urn:lecombus:problem:{kind}")
     assert line.ops.asked == []
 
 
-async def test_an_address_of_the_roster_is_refused(client: httpx.AsyncClient, line: Line) -> None:
+async def test_an_address_of_the_roster_is_refused(client: httpx2.AsyncClient, line: Line) -> None:
     line.ops.error = OperationError("it is feeder", kind="in-roster", drive="feeder")
     answer = await client.get(f"{PATH}/C0009")
     assert (answer.status_code, answer.json()["drive"]) == (409, "feeder")

@@ -16,8 +16,8 @@ import anyio
 import pytest
 
 from lecombus.api import serve
-from lecombus.api.bounds import CHUNKED_LIMIT, HEAD_LIMIT, HEADERS_LIMIT, TARGET_BYTES
 from lecombus.api.connection import PENDING_LIMIT, Connection
+from lecombus.api.limits import CHUNKED_LIMIT, HEAD_LIMIT, HEADERS_LIMIT, TARGET_BYTES
 from lecombus.operations.reports import WriteReport
 from lecombus.protocol.addressing import Code
 from lecombus.schedule import Outcome

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import httpx
+import httpx2
 import pytest
 
-from lecombus.api.documents import (
+from lecombus.errors import OperationError
+from openapi.answer_models import (
     ForgottenTimesDocument,
     IdentityDocument,
     OutcomeDocument,
     WearDocument,
 )
-from lecombus.errors import OperationError
 from support.api_line import Line
 
 pytestmark = pytest.mark.anyio
 
 
 async def test_identity_and_wear_are_the_documents_they_are_described_as(
-    client: httpx.AsyncClient,
+    client: httpx2.AsyncClient,
 ) -> None:
     answer = await client.get("/v1/drives/feeder/identity")
     assert IdentityDocument.model_validate_json(answer.content).found == {"C1810": "NEW"}
@@ -26,7 +26,7 @@ async def test_identity_and_wear_are_the_documents_they_are_described_as(
     assert WearDocument.model_validate_json(answer.content).codes[0].writes == 7
 
 
-async def test_accept_takes_the_identity_that_was_shown(client: httpx.AsyncClient) -> None:
+async def test_accept_takes_the_identity_that_was_shown(client: httpx2.AsyncClient) -> None:
     path = "/v1/drives/feeder/accept"
     answer = await client.post(path, json={"identity": {"C1810": "NEW"}})
     assert answer.status_code == 200
@@ -40,7 +40,7 @@ async def test_accept_takes_the_identity_that_was_shown(client: httpx.AsyncClien
         assert "identity" in answer.json()["detail"]
 
 
-async def test_measured_answer_times_are_forgotten_and_shown(client: httpx.AsyncClient) -> None:
+async def test_measured_answer_times_are_forgotten_and_shown(client: httpx2.AsyncClient) -> None:
     path = "/v1/drives/feeder/forget-times"
     for body in (b"", b"{}"):
         answer = await client.post(path, content=body)
@@ -51,7 +51,7 @@ async def test_measured_answer_times_are_forgotten_and_shown(client: httpx.Async
     assert (await client.get(path)).status_code == 405
 
 
-async def test_an_address_is_a_whole_number(client: httpx.AsyncClient) -> None:
+async def test_an_address_is_a_whole_number(client: httpx2.AsyncClient) -> None:
     path = "/v1/drives/feeder/address"
     answer = await client.post(path, json={"address": 35})
     assert OutcomeDocument.model_validate_json(answer.content).outcome == "verified"
@@ -62,7 +62,7 @@ async def test_an_address_is_a_whole_number(client: httpx.AsyncClient) -> None:
 
 
 async def test_a_write_that_comes_too_soon_says_when_it_may_come(
-    client: httpx.AsyncClient, line: Line
+    client: httpx2.AsyncClient, line: Line
 ) -> None:
     line.ops.error = OperationError(
         "too soon", kind="too-many-writes", drive="feeder", retry_after_s=90.2

@@ -8,13 +8,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import httpx
+import httpx2
 import pytest
 from openapi_schema_validator import OAS31Validator
 from openapi_spec_validator import validate
 
 from lecombus.api.idempotency import KEY_CHARS
-from lecombus.api.openapi import text_of
+from openapi.document import FILE, OPERATIONS, document_of, endpoints_of
 from support.api_line import Line
 
 pytestmark = pytest.mark.anyio
@@ -24,8 +24,24 @@ API_DOC = (Path(__file__).parents[2] / "docs" / "api.md").read_text()
 
 @pytest.fixture
 def document(line: Line) -> dict[str, Any]:
-    made: dict[str, Any] = json.loads(text_of(line.app))
-    return made
+    return document_of(line.app)
+
+
+def test_the_file_is_what_make_openapi_writes(document: dict[str, Any]) -> None:
+    assert json.loads(FILE.read_text()) == document
+
+
+async def test_the_file_is_served_with_the_version(client: httpx2.AsyncClient) -> None:
+    answer = await client.get("/openapi.json")
+    assert answer.headers["content-type"] == "application/json"
+    assert answer.json() == json.loads(FILE.read_text()) | {
+        "info": {"title": "lecombus", "version": "0"}
+    }
+
+
+def test_every_route_is_described(line: Line) -> None:
+    stops = {("post", f"/v1/drives/{{drive}}/verbs/{verb}") for verb in ("inhibit", "quick-stop")}
+    assert {place for place, _ in endpoints_of(line.app)} == set(OPERATIONS) | stops
 
 
 def operations(document: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -56,7 +72,7 @@ def test_the_document_is_valid_and_whatever_it_refers_to_is_in_it(
 
 
 async def test_every_query_parameter_that_is_described_is_taken(
-    document: dict[str, Any], client: httpx.AsyncClient
+    document: dict[str, Any], client: httpx2.AsyncClient
 ) -> None:
     values = {"fresh": "true", "priority": "background", "addressing": "standard"}
     values |= {"family": "generic", "patient": "true", "lang": "de"}

@@ -5,19 +5,9 @@ from __future__ import annotations
 import json
 from decimal import Decimal
 
-import httpx
+import httpx2
 import pytest
 
-from lecombus.api.documents import (
-    DescribedDocument,
-    DriveDocument,
-    DrivesDocument,
-    GroupsDocument,
-    LineDocument,
-    ReadingDocument,
-    RestoreDocument,
-    WhyDocument,
-)
 from lecombus.drives import family
 from lecombus.errors import (
     CutReplyError,
@@ -35,13 +25,23 @@ from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 from lecombus.schedule.request import Priority
 from lecombus.store import DriveState
+from openapi.answer_models import (
+    DescribedDocument,
+    DriveDocument,
+    DrivesDocument,
+    GroupsDocument,
+    LineDocument,
+    ReadingDocument,
+    RestoreDocument,
+    WhyDocument,
+)
 from support.api_line import FREQUENCY, STATUS, Line
 
 pytestmark = pytest.mark.anyio
 
 
 async def test_a_stored_value_is_given_exactly_as_the_drive_said_it(
-    client: httpx.AsyncClient,
+    client: httpx2.AsyncClient,
 ) -> None:
     answer = await client.get("/v1/drives/feeder/codes/C0046")
     assert answer.status_code == 200
@@ -52,30 +52,30 @@ async def test_a_stored_value_is_given_exactly_as_the_drive_said_it(
 
 
 @pytest.mark.parametrize("written", ["C0046", "C46", "46", "c0046"])
-async def test_codes_may_be_written_as_people_do(client: httpx.AsyncClient, written: str) -> None:
+async def test_codes_may_be_written_as_people_do(client: httpx2.AsyncClient, written: str) -> None:
     answer = await client.get(f"/v1/drives/feeder/codes/{written}")
     assert answer.json()["code"] == "C0046"
 
 
-async def test_subcodes_stand_after_a_slash(client: httpx.AsyncClient, line: Line) -> None:
+async def test_subcodes_stand_after_a_slash(client: httpx2.AsyncClient, line: Line) -> None:
     line.store.value_read("feeder", Code(39, 1), Value.parse("7"), 0.0)
     answer = await client.get("/v1/drives/feeder/codes/C0039/1")
     assert (answer.json()["subcode"], answer.json()["raw"]) == (1, "7")
 
 
-async def test_a_value_never_read_is_bad_and_not_an_error(client: httpx.AsyncClient) -> None:
+async def test_a_value_never_read_is_bad_and_not_an_error(client: httpx2.AsyncClient) -> None:
     found = ReadingDocument.model_validate((await client.get("/v1/drives/belt/codes/46")).json())
     assert (found.value, found.quality, found.reason) == (None, "bad", "not read yet")
 
 
-async def test_fresh_reads_now(client: httpx.AsyncClient, line: Line) -> None:
+async def test_fresh_reads_now(client: httpx2.AsyncClient, line: Line) -> None:
     answer = await client.get("/v1/drives/feeder/codes/C0050?fresh=true")
     assert '"value": 50.10,' in answer.text
     assert line.ops.asked == [("read", "feeder", Code(50))]
 
 
 async def test_long_work_reads_in_the_background_and_waits_longer_for_its_turn(
-    client: httpx.AsyncClient, line: Line
+    client: httpx2.AsyncClient, line: Line
 ) -> None:
     told = []
     for query in ("fresh=true", "fresh=true&priority=interactive", "priority=background&fresh=1"):
@@ -86,20 +86,20 @@ async def test_long_work_reads_in_the_background_and_waits_longer_for_its_turn(
 
 
 async def test_a_priority_that_clients_may_not_have_is_refused(
-    client: httpx.AsyncClient, line: Line
+    client: httpx2.AsyncClient, line: Line
 ) -> None:
     answer = await client.get("/v1/drives/feeder/codes/C0050?fresh=true&priority=stop")
     assert (answer.status_code, line.ops.asked) == (422, [])
     assert "'interactive' or 'background'" in answer.json()["detail"]
 
 
-async def test_a_stored_read_never_asks_the_line(client: httpx.AsyncClient, line: Line) -> None:
+async def test_a_stored_read_never_asks_the_line(client: httpx2.AsyncClient, line: Line) -> None:
     for path in ("/v1/drives/feeder/codes/C0046", "/v1/drives", "/v1/line", "/metrics"):
         assert (await client.get(path)).status_code == 200
     assert line.ops.asked == []
 
 
-async def test_a_misspelt_query_key_is_refused_with_the_nearest(client: httpx.AsyncClient) -> None:
+async def test_a_misspelt_query_key_is_refused_with_the_nearest(client: httpx2.AsyncClient) -> None:
     answer = await client.get("/v1/drives/feeder/codes/C0046?fersh=true")
     assert answer.status_code == 422
     assert answer.json()["detail"] == "there is no query parameter fersh"
@@ -108,7 +108,7 @@ async def test_a_misspelt_query_key_is_refused_with_the_nearest(client: httpx.As
 
 @pytest.mark.parametrize("query", ["fresh=true&fresh=false", "fresh=perhaps", "x=1"])
 async def test_queries_that_mean_nothing_are_refused(
-    client: httpx.AsyncClient, line: Line, query: str
+    client: httpx2.AsyncClient, line: Line, query: str
 ) -> None:
     answer = await client.get(f"/v1/drives/feeder/codes/C0046?{query}")
     assert (answer.status_code, line.ops.asked) == (422, [])
@@ -116,11 +116,11 @@ async def test_queries_that_mean_nothing_are_refused(
 
 
 @pytest.mark.parametrize("path", ["/v1/line", "/v1/drives", "/v1/drives/feeder", "/v1/groups"])
-async def test_lists_take_no_query(client: httpx.AsyncClient, path: str) -> None:
+async def test_lists_take_no_query(client: httpx2.AsyncClient, path: str) -> None:
     assert (await client.get(f"{path}?fresh=true")).status_code == 422
 
 
-async def test_the_line_says_how_its_drives_are(client: httpx.AsyncClient, line: Line) -> None:
+async def test_the_line_says_how_its_drives_are(client: httpx2.AsyncClient, line: Line) -> None:
     line.store.drive_state("belt", DriveState.OFFLINE, "no answer")
     line.store.note_line("echo", "the adapter echoes")
     found = LineDocument.model_validate((await client.get("/v1/line")).json())
@@ -131,7 +131,7 @@ async def test_the_line_says_how_its_drives_are(client: httpx.AsyncClient, line:
 
 
 async def test_drives_come_with_every_value_and_its_quality(
-    client: httpx.AsyncClient, line: Line
+    client: httpx2.AsyncClient, line: Line
 ) -> None:
     line.store.note("feeder", "watchdog", "C1923 differs")
     found = DrivesDocument.model_validate((await client.get("/v1/drives")).json())
@@ -143,7 +143,7 @@ async def test_drives_come_with_every_value_and_its_quality(
 
 
 async def test_one_drive_is_the_same_document_as_in_the_list(
-    client: httpx.AsyncClient, line: Line
+    client: httpx2.AsyncClient, line: Line
 ) -> None:
     for number in range(1000, 1040):
         line.store.value_read("feeder", Code(number), Value.parse("1"), 0.0)
@@ -154,13 +154,13 @@ async def test_one_drive_is_the_same_document_as_in_the_list(
     assert found.values[-1].value == 0x900
 
 
-async def test_whether_a_drive_may_be_restored_can_be_asked(client: httpx.AsyncClient) -> None:
+async def test_whether_a_drive_may_be_restored_can_be_asked(client: httpx2.AsyncClient) -> None:
     found = RestoreDocument.model_validate((await client.get("/v1/drives/feeder/restore")).json())
     assert (found.drive, found.permitted, found.owned) == ("feeder", True, ["C1922", "C1923"])
     assert (await client.get("/v1/drives/fee/restore")).status_code == 404
 
 
-async def test_groups_say_how_they_are_spoken_to(client: httpx.AsyncClient) -> None:
+async def test_groups_say_how_they_are_spoken_to(client: httpx2.AsyncClient) -> None:
     found = GroupsDocument.model_validate((await client.get("/v1/groups")).json())
     assert [(one.group, one.how, one.multicast_address) for one in found.groups] == [
         ("conveyors", "one-by-one", None),
@@ -168,7 +168,7 @@ async def test_groups_say_how_they_are_spoken_to(client: httpx.AsyncClient) -> N
     ]
 
 
-async def test_an_unknown_drive_is_404_with_the_nearest_name(client: httpx.AsyncClient) -> None:
+async def test_an_unknown_drive_is_404_with_the_nearest_name(client: httpx2.AsyncClient) -> None:
     for path in ("/v1/drives/feedr", "/v1/drives/feedr/codes/C0046"):
         answer = await client.get(path)
         assert answer.status_code == 404
@@ -178,7 +178,7 @@ async def test_an_unknown_drive_is_404_with_the_nearest_name(client: httpx.Async
 
 
 @pytest.mark.parametrize("code", ["X1", "C99999", "C0039/300", "C0039/x"])
-async def test_a_path_that_names_no_code_is_404(client: httpx.AsyncClient, code: str) -> None:
+async def test_a_path_that_names_no_code_is_404(client: httpx2.AsyncClient, code: str) -> None:
     answer = await client.get(f"/v1/drives/feeder/codes/{code}")
     assert answer.status_code == 404
     assert answer.json()["type"] == "urn:lecombus:problem:no-such-code"
@@ -203,7 +203,7 @@ async def test_a_path_that_names_no_code_is_404(client: httpx.AsyncClient, code:
     ],
 )
 async def test_each_failure_of_a_fresh_read_has_its_status(
-    client: httpx.AsyncClient, line: Line, error: LecombusError, status: int, kind: str
+    client: httpx2.AsyncClient, line: Line, error: LecombusError, status: int, kind: str
 ) -> None:
     line.ops.error = error
     answer = await client.get("/v1/drives/feeder/codes/C0050?fresh=true")
@@ -214,14 +214,14 @@ async def test_each_failure_of_a_fresh_read_has_its_status(
     assert problem["title"]
 
 
-async def test_a_full_queue_says_when_to_ask_again(client: httpx.AsyncClient, line: Line) -> None:
+async def test_a_full_queue_says_when_to_ask_again(client: httpx2.AsyncClient, line: Line) -> None:
     line.ops.error = QueueFullError(priority="interactive", depth=9, limit=9)
     answer = await client.get("/v1/drives/feeder/codes/C0050?fresh=true")
     assert answer.headers["retry-after"] == "1"
 
 
 async def test_a_mistake_in_lecombus_is_a_problem_document_too(
-    client: httpx.AsyncClient, line: Line
+    client: httpx2.AsyncClient, line: Line
 ) -> None:
     line.ops.error = ZeroDivisionError("oops")
     answer = await client.get("/v1/drives/feeder/codes/C0050?fresh=true")
@@ -229,7 +229,7 @@ async def test_a_mistake_in_lecombus_is_a_problem_document_too(
     assert answer.json()["type"] == "urn:lecombus:problem:internal"
 
 
-async def test_unknown_paths_and_methods_are_problems(client: httpx.AsyncClient) -> None:
+async def test_unknown_paths_and_methods_are_problems(client: httpx2.AsyncClient) -> None:
     for path in ("/", "/v1", "/v1/drives/", "/docs", "/redoc"):
         answer = await client.get(path)
         assert (answer.status_code, answer.json()["status"]) == (404, 404)
@@ -240,7 +240,7 @@ async def test_unknown_paths_and_methods_are_problems(client: httpx.AsyncClient)
 
 
 async def test_health_and_readiness_follow_the_daemon(
-    client: httpx.AsyncClient, line: Line
+    client: httpx2.AsyncClient, line: Line
 ) -> None:
     assert (await client.get("/healthz")).json()["status"] == "ok"
     assert (await client.get("/readyz")).json()["detail"] == "31 of 31 drives tried"
@@ -251,7 +251,7 @@ async def test_health_and_readiness_follow_the_daemon(
     assert (await client.get("/healthz")).status_code == 503
 
 
-async def test_metrics_come_in_the_format_the_scraper_likes(client: httpx.AsyncClient) -> None:
+async def test_metrics_come_in_the_format_the_scraper_likes(client: httpx2.AsyncClient) -> None:
     text = await client.get("/metrics")
     assert text.headers["content-type"].startswith("text/plain; version=0.0.4")
     assert "lecombus_drive_up{" in text.text
@@ -262,7 +262,7 @@ async def test_metrics_come_in_the_format_the_scraper_likes(client: httpx.AsyncC
 
 
 async def test_openapi_describes_every_path_and_refers_to_nothing_missing(
-    client: httpx.AsyncClient,
+    client: httpx2.AsyncClient,
 ) -> None:
     text = (await client.get("/openapi.json")).text
     document = json.loads(text, parse_float=Decimal)
@@ -308,7 +308,7 @@ async def test_openapi_describes_every_path_and_refers_to_nothing_missing(
     assert len(ids) == len(set(ids))
 
 
-async def test_the_described_codes_of_a_drive(client: httpx.AsyncClient) -> None:
+async def test_the_described_codes_of_a_drive(client: httpx2.AsyncClient) -> None:
     answer = await client.get("/v1/drives/feeder/described")
     assert answer.status_code == 200
     found = DescribedDocument.model_validate_json(answer.text)
@@ -318,7 +318,7 @@ async def test_the_described_codes_of_a_drive(client: httpx.AsyncClient) -> None
     assert (await client.get("/v1/drives/feeder/described?x=1")).status_code == 422
 
 
-async def test_a_reading_says_what_its_value_means(client: httpx.AsyncClient, line: Line) -> None:
+async def test_a_reading_says_what_its_value_means(client: httpx2.AsyncClient, line: Line) -> None:
     line.store.value_read("feeder", Code(1922), Value.decimal(2), line.now_s)
     found = (await client.get("/v1/drives/feeder/codes/C1922")).json()
     assert (found["value"], found["text"]) == (2, "quick stop")
@@ -327,7 +327,7 @@ async def test_a_reading_says_what_its_value_means(client: httpx.AsyncClient, li
 
 
 async def test_why_a_drive_does_not_turn_is_told_in_the_language_asked_for(
-    client: httpx.AsyncClient, line: Line
+    client: httpx2.AsyncClient, line: Line
 ) -> None:
     found = WhyDocument.model_validate((await client.get("/v1/drives/feeder/why")).json())
     assert (found.answer, found.findings[0].remedy) == ("the controller is inhibited", None)

@@ -10,7 +10,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 import anyio
-import httpx
+import httpx2
 import pytest
 
 from lecombus.api import Served, serve
@@ -38,14 +38,14 @@ async def serving(
         tasks.cancel_scope.cancel()
 
 
-def over_unix(path: Path) -> httpx.AsyncClient:
-    transport = httpx.AsyncHTTPTransport(uds=str(path))
-    return httpx.AsyncClient(transport=transport, base_url="http://lecombus")
+def over_unix(path: Path) -> httpx2.AsyncClient:
+    transport = httpx2.AsyncHTTPTransport(uds=str(path))
+    return httpx2.AsyncClient(transport=transport, base_url="http://lecombus")
 
 
-def over_tcp(served: Served) -> httpx.AsyncClient:
+def over_tcp(served: Served) -> httpx2.AsyncClient:
     assert served.http is not None
-    return httpx.AsyncClient(base_url=f"http://127.0.0.1:{served.http[1]}", trust_env=False)
+    return httpx2.AsyncClient(base_url=f"http://127.0.0.1:{served.http[1]}", trust_env=False)
 
 
 async def test_the_unix_socket_takes_reads_and_writes(line: Line, tmp_path: Path) -> None:
@@ -203,7 +203,7 @@ async def test_a_client_that_goes_away_cuts_nothing(line: Line, tmp_path: Path) 
 
 async def test_closing_lets_a_request_under_way_end(line: Line, tmp_path: Path) -> None:
     line.ops.gate = gate = anyio.Event()
-    answers: list[httpx.Response] = []
+    answers: list[httpx2.Response] = []
     path = tmp_path / "s"
 
     async def ask() -> None:

@@ -6,15 +6,15 @@ from decimal import Decimal
 from typing import Any
 
 import anyio
-import httpx
+import httpx2
 import pytest
 
-from lecombus.api.crowd import Crowd
-from lecombus.api.documents import VerbDocument
+from lecombus.api.limits import RequestLimiter
 from lecombus.drives import Verb
 from lecombus.errors import OperationError
 from lecombus.operations.reports import WriteReport
 from lecombus.schedule.request import Outcome
+from openapi.answer_models import VerbDocument
 from support.api_line import Line
 
 pytestmark = pytest.mark.anyio
@@ -22,11 +22,11 @@ pytestmark = pytest.mark.anyio
 PATH = "/v1/drives/feeder/verbs/"
 
 
-async def say(client: httpx.AsyncClient, verb: str, content: str = "", **headers: str) -> Any:
+async def say(client: httpx2.AsyncClient, verb: str, content: str = "", **headers: str) -> Any:
     return await client.post(PATH + verb, content=content, headers=headers)
 
 
-async def test_a_speed_is_passed_on_exactly(client: httpx.AsyncClient, line: Line) -> None:
+async def test_a_speed_is_passed_on_exactly(client: httpx2.AsyncClient, line: Line) -> None:
     body = '{"value": 35.40, "unit": "hz", "expires": "2s", "verify": true}'
     answer = await say(client, "set-speed", body)
     assert answer.status_code == 200
@@ -38,7 +38,7 @@ async def test_a_speed_is_passed_on_exactly(client: httpx.AsyncClient, line: Lin
 @pytest.mark.parametrize("verb", ["enable", "reset-fault"])
 @pytest.mark.parametrize("body", ["", "{}", '{"expires": 1}'])
 async def test_the_others_need_no_body(
-    client: httpx.AsyncClient, line: Line, verb: str, body: str
+    client: httpx2.AsyncClient, line: Line, verb: str, body: str
 ) -> None:
     answer = await say(client, verb, body)
     document = answer.json()
@@ -50,7 +50,7 @@ async def test_the_others_need_no_body(
 @pytest.mark.parametrize("verb", ["inhibit", "quick-stop"])
 @pytest.mark.parametrize("body", ["", "{}", '{"value": 1}', "nonsense"])
 async def test_a_stop_is_refused_for_no_body(
-    client: httpx.AsyncClient, line: Line, verb: str, body: str
+    client: httpx2.AsyncClient, line: Line, verb: str, body: str
 ) -> None:
     assert (await say(client, verb, body)).status_code == 200
     assert line.ops.asked == [("verb", "feeder", Verb(verb), None, "", None, False)]
@@ -59,7 +59,7 @@ async def test_a_stop_is_refused_for_no_body(
 @pytest.mark.parametrize("verb", ["inhibit", "quick-stop"])
 @pytest.mark.parametrize("outcome", [Outcome.DONE, Outcome.UNKNOWN])
 async def test_a_stop_is_refused_for_no_query_and_no_key(
-    client: httpx.AsyncClient, line: Line, verb: str, outcome: Outcome
+    client: httpx2.AsyncClient, line: Line, verb: str, outcome: Outcome
 ) -> None:
     line.ops.report = lambda drive, code: WriteReport(drive, code, outcome)
     answer = await say(client, f"{verb}?now=1", **{"Idempotency-Key": "x" * 256})
@@ -84,7 +84,7 @@ async def test_a_stop_is_refused_for_no_query_and_no_key(
     ],
 )
 async def test_a_body_that_is_not_understood_says_what_is_right(
-    client: httpx.AsyncClient, line: Line, verb: str, body: str, says: str
+    client: httpx2.AsyncClient, line: Line, verb: str, body: str, says: str
 ) -> None:
     answer = await say(client, verb, body)
     assert (answer.status_code, line.ops.asked) == (422, [])
@@ -92,7 +92,7 @@ async def test_a_body_that_is_not_understood_says_what_is_right(
     assert answer.json()["remedy"].startswith("send {")
 
 
-async def test_a_word_that_is_no_verb_is_no_path(client: httpx.AsyncClient) -> None:
+async def test_a_word_that_is_no_verb_is_no_path(client: httpx2.AsyncClient) -> None:
     answer = await say(client, "fly")
     assert (answer.status_code, answer.json()["detail"]) == (404, "there is no verb fly")
     assert "reset-fault" in answer.json()["remedy"]
@@ -101,7 +101,7 @@ async def test_a_word_that_is_no_verb_is_no_path(client: httpx.AsyncClient) -> N
 
 
 async def test_a_verb_that_was_not_done_is_a_problem_with_what_was_written(
-    client: httpx.AsyncClient, line: Line
+    client: httpx2.AsyncClient, line: Line
 ) -> None:
     line.ops.report = lambda drive, code: WriteReport(
         drive, code, Outcome.REFUSED, "it does not show it", "a terminal", "not-in-effect", "look"
@@ -119,7 +119,7 @@ async def test_a_verb_that_was_not_done_is_a_problem_with_what_was_written(
     [("no-verb", 409), ("setting", 409), ("fault-active", 409), ("busy", 409), ("bad-value", 422)],
 )
 async def test_a_refusal_keeps_its_kind_and_remedy(
-    client: httpx.AsyncClient, line: Line, kind: str, status: int
+    client: httpx2.AsyncClient, line: Line, kind: str, status: int
 ) -> None:
     line.ops.error = OperationError("no", kind=kind, drive="feeder", remedy="set C0001 = 3")
     answer = await say(client, "enable")
@@ -128,7 +128,7 @@ async def test_a_refusal_keeps_its_kind_and_remedy(
 
 
 async def test_a_verb_is_done_once_per_key_and_a_stop_each_time(
-    client: httpx.AsyncClient, line: Line
+    client: httpx2.AsyncClient, line: Line
 ) -> None:
     key = {"Idempotency-Key": "a"}
     first, again = [await say(client, "enable", **key) for _ in range(2)]
@@ -141,8 +141,10 @@ async def test_a_verb_is_done_once_per_key_and_a_stop_each_time(
 
 async def test_a_stop_is_let_in_where_too_many_wait(line: Line) -> None:
     line.ops.gate = anyio.Event()
-    transport = httpx.ASGITransport(app=Crowd(line.app, limit=1), raise_app_exceptions=False)
-    async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
+    transport = httpx2.ASGITransport(
+        app=RequestLimiter(line.app, limit=1), raise_app_exceptions=False
+    )
+    async with httpx2.AsyncClient(transport=transport, base_url="http://localhost") as client:
         with anyio.fail_after(10):
             async with anyio.create_task_group() as tasks:
                 tasks.start_soon(say, client, "enable")

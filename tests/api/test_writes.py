@@ -5,18 +5,19 @@ from __future__ import annotations
 from decimal import Decimal
 
 import anyio
-import httpx
+import httpx2
 import pytest
+from starlette.requests import Request
 from starlette.responses import Response
 
-from lecombus.api.bounds import BODY_LIMIT
-from lecombus.api.documents import GroupOutcomeDocument, OutcomeDocument
 from lecombus.api.idempotency import KEEP_S, KEY_LIMIT, Idempotency
+from lecombus.api.limits import BODY_LIMIT
 from lecombus.api.problems import ProblemError
 from lecombus.drives import StopAction
 from lecombus.errors import CodeValueError, OperationError, QueueFullError
 from lecombus.operations.reports import WriteReport
 from lecombus.schedule.request import Outcome, Priority
+from openapi.answer_models import GroupOutcomeDocument, OutcomeDocument
 from support.api_line import FREQUENCY, Line
 
 pytestmark = pytest.mark.anyio
@@ -25,8 +26,8 @@ SETPOINT = "/v1/drives/feeder/codes/C0046"
 
 
 async def put(
-    client: httpx.AsyncClient, text: str | bytes, path: str = SETPOINT, key: str | None = None
-) -> httpx.Response:
+    client: httpx2.AsyncClient, text: str | bytes, path: str = SETPOINT, key: str | None = None
+) -> httpx2.Response:
     headers = {"Content-Type": "application/json"}
     if key is not None:
         headers["Idempotency-Key"] = key
@@ -46,7 +47,7 @@ async def put(
     ],
 )
 async def test_a_value_arrives_exactly_as_it_was_written(
-    client: httpx.AsyncClient, line: Line, written: str, given: object
+    client: httpx2.AsyncClient, line: Line, written: str, given: object
 ) -> None:
     answer = await put(client, f'{{"value": {written}}}')
     assert answer.status_code == 200
@@ -61,13 +62,13 @@ async def test_a_value_arrives_exactly_as_it_was_written(
     [('"2s"', 2.0), ('"500ms"', 0.5), ('"1.5 s"', 1.5), ("2", 2.0), ("0.25", 0.25), ("null", None)],
 )
 async def test_expiry_is_a_duration_or_seconds(
-    client: httpx.AsyncClient, line: Line, written: str, expires_s: float | None
+    client: httpx2.AsyncClient, line: Line, written: str, expires_s: float | None
 ) -> None:
     await put(client, f'{{"value": 1, "expires": {written}, "verify": true}}')
     assert line.ops.asked == [("write", "feeder", FREQUENCY, 1, expires_s, True)]
 
 
-async def test_a_write_may_say_that_it_has_time(client: httpx.AsyncClient, line: Line) -> None:
+async def test_a_write_may_say_that_it_has_time(client: httpx2.AsyncClient, line: Line) -> None:
     for said, urgency in (("", None), (', "priority": "background"', Priority.BACKGROUND)):
         assert (await put(client, f'{{"value": 1{said}}}')).status_code == 200
         assert line.ops.written_as == (urgency, False)
@@ -114,7 +115,7 @@ async def test_a_write_may_say_that_it_has_time(client: httpx.AsyncClient, line:
     ],
 )
 async def test_a_wrong_body_is_refused_and_nothing_is_sent(
-    client: httpx.AsyncClient, line: Line, body: str | bytes, says: str
+    client: httpx2.AsyncClient, line: Line, body: str | bytes, says: str
 ) -> None:
     answer = await put(client, body)
     assert answer.status_code == 422
@@ -123,13 +124,13 @@ async def test_a_wrong_body_is_refused_and_nothing_is_sent(
     assert line.ops.asked == []
 
 
-async def test_all_mistakes_are_told_at_once(client: httpx.AsyncClient) -> None:
+async def test_all_mistakes_are_told_at_once(client: httpx2.AsyncClient) -> None:
     answer = await put(client, '{"valeu": 1, "verify": 3}')
     for part in ("key value is missing", "no key valeu", "verify takes"):
         assert part in answer.json()["detail"]
 
 
-async def test_what_is_said_of_a_wrong_request_is_bounded(client: httpx.AsyncClient) -> None:
+async def test_what_is_said_of_a_wrong_request_is_bounded(client: httpx2.AsyncClient) -> None:
     many = ", ".join(f'"{"k" * 500}{number}": 1' for number in range(14))
     long = "x" * 3000
     for answer in (
@@ -146,18 +147,18 @@ async def test_what_is_said_of_a_wrong_request_is_bounded(client: httpx.AsyncCli
         assert "..." in answer.json()["detail"]
 
 
-async def test_a_body_too_big_is_refused(client: httpx.AsyncClient, line: Line) -> None:
+async def test_a_body_too_big_is_refused(client: httpx2.AsyncClient, line: Line) -> None:
     answer = await put(client, '{"value": "' + "x" * BODY_LIMIT + '"}')
     assert (answer.status_code, line.ops.asked) == (413, [])
 
 
-async def test_a_query_on_a_write_is_refused(client: httpx.AsyncClient, line: Line) -> None:
+async def test_a_query_on_a_write_is_refused(client: httpx2.AsyncClient, line: Line) -> None:
     answer = await put(client, '{"value": 1}', f"{SETPOINT}?verify=true")
     assert (answer.status_code, line.ops.asked) == (422, [])
 
 
 async def test_a_verified_write_shows_what_was_read_back(
-    client: httpx.AsyncClient, line: Line
+    client: httpx2.AsyncClient, line: Line
 ) -> None:
     reading = line.store.reading("feeder", FREQUENCY)
     line.ops.report = lambda drive, code: WriteReport(
@@ -185,7 +186,7 @@ async def test_a_verified_write_shows_what_was_read_back(
     ],
 )
 async def test_each_outcome_has_its_status_and_names_cause_and_remedy(
-    client: httpx.AsyncClient, line: Line, outcome: Outcome, kind: str, status: int
+    client: httpx2.AsyncClient, line: Line, outcome: Outcome, kind: str, status: int
 ) -> None:
     line.ops.report = lambda drive, code: WriteReport(
         drive, code, outcome, "it said no", "C0001 is not 3", kind, "write C0001 = 3"
@@ -207,7 +208,7 @@ async def test_each_outcome_has_its_status_and_names_cause_and_remedy(
     ],
 )
 async def test_a_write_that_is_not_taken_says_why(
-    client: httpx.AsyncClient, line: Line, error: Exception, status: int
+    client: httpx2.AsyncClient, line: Line, error: Exception, status: int
 ) -> None:
     line.ops.error = error
     for path in (SETPOINT, "/v1/groups/conveyors/codes/C0046/2"):
@@ -216,7 +217,7 @@ async def test_a_write_that_is_not_taken_says_why(
 
 
 async def test_a_group_write_has_an_outcome_per_member(
-    client: httpx.AsyncClient, line: Line
+    client: httpx2.AsyncClient, line: Line
 ) -> None:
     answer = await put(client, '{"value": 1}', "/v1/groups/conveyors/codes/C0040/0")
     found = GroupOutcomeDocument.model_validate(answer.json())
@@ -228,7 +229,7 @@ async def test_a_group_write_has_an_outcome_per_member(
 
 
 async def test_a_group_that_was_not_reached_whole_is_a_problem_with_its_members(
-    client: httpx.AsyncClient, line: Line
+    client: httpx2.AsyncClient, line: Line
 ) -> None:
     line.ops.report = lambda drive, code: (
         WriteReport(drive, code, Outcome.UNKNOWN, "no answer")
@@ -243,7 +244,7 @@ async def test_a_group_that_was_not_reached_whole_is_a_problem_with_its_members(
 
 
 async def test_a_member_that_was_sent_nothing_names_no_code(
-    client: httpx.AsyncClient, line: Line
+    client: httpx2.AsyncClient, line: Line
 ) -> None:
     line.ops.report = lambda drive, code: WriteReport(
         drive, None, Outcome.REFUSED, "no inhibit is known", kind="no-stop"
@@ -254,7 +255,7 @@ async def test_a_member_that_was_sent_nothing_names_no_code(
     assert {(one.code, one.subcode, one.outcome) for one in members} == {(None, None, "refused")}
 
 
-async def test_stop_names_action_and_target(client: httpx.AsyncClient, line: Line) -> None:
+async def test_stop_names_action_and_target(client: httpx2.AsyncClient, line: Line) -> None:
     body = {"action": "quick-stop", "target": "all"}
     answer = await client.post("/v1/stop", json=body)
     GroupOutcomeDocument.model_validate(answer.json())
@@ -272,7 +273,7 @@ async def test_stop_names_action_and_target(client: httpx.AsyncClient, line: Lin
     ],
 )
 async def test_a_stop_that_is_not_understood_says_what_is_right(
-    client: httpx.AsyncClient, line: Line, body: str, says: str
+    client: httpx2.AsyncClient, line: Line, body: str, says: str
 ) -> None:
     answer = await client.post("/v1/stop", content=body)
     assert (answer.status_code, line.ops.asked) == (422, [])
@@ -280,7 +281,7 @@ async def test_a_stop_that_is_not_understood_says_what_is_right(
 
 
 async def test_a_repeat_with_the_same_key_writes_once(
-    client: httpx.AsyncClient, line: Line
+    client: httpx2.AsyncClient, line: Line
 ) -> None:
     first = await put(client, '{"value": 1}', key="a")
     line.ops.report = lambda drive, code: WriteReport(drive, code, Outcome.REFUSED)
@@ -291,10 +292,10 @@ async def test_a_repeat_with_the_same_key_writes_once(
 
 
 async def test_a_repeat_while_the_first_is_under_way_waits_for_it(
-    client: httpx.AsyncClient, line: Line
+    client: httpx2.AsyncClient, line: Line
 ) -> None:
     line.ops.gate = anyio.Event()
-    answers: list[httpx.Response] = []
+    answers: list[httpx2.Response] = []
 
     async def ask() -> None:
         answers.append(await put(client, '{"value": 1}', key="a"))
@@ -310,24 +311,24 @@ async def test_a_repeat_while_the_first_is_under_way_waits_for_it(
     assert len(line.ops.asked) == 1
 
 
-async def stop(client: httpx.AsyncClient, target: str = "all", key: str = "a") -> httpx.Response:
+async def stop(client: httpx2.AsyncClient, target: str = "all", key: str = "a") -> httpx2.Response:
     headers = {"Idempotency-Key": key}
     body = {"action": "inhibit", "target": target}
     return await client.post("/v1/stop", json=body, headers=headers)
 
 
 async def test_a_stop_repeated_later_with_the_same_key_is_a_new_stop(
-    client: httpx.AsyncClient, line: Line
+    client: httpx2.AsyncClient, line: Line
 ) -> None:
     assert [(await stop(client)).status_code for _ in range(2)] == [200, 200]
     assert len(line.ops.asked) == 2
 
 
 async def test_a_stop_repeated_while_it_is_under_way_shares_its_result(
-    client: httpx.AsyncClient, line: Line
+    client: httpx2.AsyncClient, line: Line
 ) -> None:
     line.ops.gate = anyio.Event()
-    answers: list[httpx.Response] = []
+    answers: list[httpx2.Response] = []
 
     async def ask(target: str = "all") -> None:
         answers.append(await stop(client, target))
@@ -343,11 +344,11 @@ async def test_a_stop_repeated_while_it_is_under_way_shares_its_result(
 
 
 async def test_a_stop_whose_like_failed_stops_by_itself(
-    client: httpx.AsyncClient, line: Line
+    client: httpx2.AsyncClient, line: Line
 ) -> None:
     line.ops.gate = anyio.Event()
     line.ops.error = QueueFullError(priority="stop", depth=1, limit=1)
-    answers: list[httpx.Response] = []
+    answers: list[httpx2.Response] = []
 
     async def ask() -> None:
         answers.append(await stop(client))
@@ -362,7 +363,7 @@ async def test_a_stop_whose_like_failed_stops_by_itself(
     assert len(line.ops.asked) == 2
 
 
-async def test_no_stop_is_refused_for_its_key(client: httpx.AsyncClient, line: Line) -> None:
+async def test_no_stop_is_refused_for_its_key(client: httpx2.AsyncClient, line: Line) -> None:
     line.ops.gate = anyio.Event()
     with anyio.fail_after(15):
         async with anyio.create_task_group() as tasks:
@@ -375,7 +376,7 @@ async def test_no_stop_is_refused_for_its_key(client: httpx.AsyncClient, line: L
 
 
 async def test_a_key_used_for_another_request_is_refused(
-    client: httpx.AsyncClient, line: Line
+    client: httpx2.AsyncClient, line: Line
 ) -> None:
     await put(client, '{"value": 1}', key="a")
     for path, body in ((SETPOINT, '{"value": 2}'), ("/v1/drives/belt/codes/46", '{"value": 1}')):
@@ -388,7 +389,7 @@ async def test_a_key_used_for_another_request_is_refused(
 
 
 async def test_a_key_of_a_request_that_was_never_sent_may_be_tried_again(
-    client: httpx.AsyncClient, line: Line
+    client: httpx2.AsyncClient, line: Line
 ) -> None:
     line.ops.error = QueueFullError(priority="control", depth=1, limit=1)
     assert (await put(client, '{"value": 1}', key="a")).status_code == 503
@@ -396,23 +397,29 @@ async def test_a_key_of_a_request_that_was_never_sent_may_be_tried_again(
     assert (await put(client, '{"value": 1}', key="a")).status_code == 200
 
 
-async def test_an_unknown_outcome_is_remembered(client: httpx.AsyncClient, line: Line) -> None:
+async def test_an_unknown_outcome_is_remembered(client: httpx2.AsyncClient, line: Line) -> None:
     line.ops.report = lambda drive, code: WriteReport(drive, code, Outcome.UNKNOWN)
     assert (await put(client, '{"value": 1}', key="a")).status_code == 504
     assert (await put(client, '{"value": 1}', key="a")).status_code == 504
     assert len(line.ops.asked) == 1
 
 
-async def test_a_key_is_forgotten_after_its_time(client: httpx.AsyncClient, line: Line) -> None:
+async def test_a_key_is_forgotten_after_its_time(client: httpx2.AsyncClient, line: Line) -> None:
     await put(client, '{"value": 1}', key="a")
     line.now_s += KEEP_S + 1
     assert (await put(client, '{"value": 2}', key="a")).status_code == 200
 
 
 @pytest.mark.parametrize("key", ["", "x" * 256])
-async def test_malformed_keys_are_refused(client: httpx.AsyncClient, line: Line, key: str) -> None:
+async def test_malformed_keys_are_refused(client: httpx2.AsyncClient, line: Line, key: str) -> None:
     assert (await put(client, '{"value": 1}', key=key)).status_code == 422
     assert line.ops.asked == []
+
+
+def keyed(key: str) -> Request:
+    headers = [(b"idempotency-key", key.encode())]
+    scope = {"type": "http", "method": "PUT", "path": "/", "query_string": b"", "headers": headers}
+    return Request(scope)
 
 
 async def test_keys_take_bounded_memory() -> None:
@@ -422,7 +429,7 @@ async def test_keys_take_bounded_memory() -> None:
         return Response("x")
 
     for number in range(KEY_LIMIT + 50):
-        await keys.run(str(number), b"", act)
+        await keys.run(keyed(str(number)), b"", act)
     assert len(keys) == KEY_LIMIT
 
 
@@ -434,9 +441,9 @@ async def test_old_keys_make_room_for_new_ones() -> None:
         return Response("x")
 
     for number in range(100):
-        await keys.run(str(number), b"", act)
+        await keys.run(keyed(str(number)), b"", act)
     now_s = KEEP_S + 1
-    await keys.run("new", b"", act)
+    await keys.run(keyed("new"), b"", act)
     assert len(keys) == 1
 
 
@@ -451,13 +458,13 @@ async def test_more_keys_under_way_than_fit_are_refused() -> None:
     with anyio.fail_after(15):
         async with anyio.create_task_group() as tasks:
             for number in range(KEY_LIMIT):
-                tasks.start_soon(keys.run, str(number), b"", act)
+                tasks.start_soon(keys.run, keyed(str(number)), b"", act)
             await anyio.wait_all_tasks_blocked()
             with pytest.raises(ProblemError):
-                await keys.run("one too many", b"", act)
+                await keys.run(keyed("one too many"), b"", act)
             gate.set()
 
 
-async def test_codes_in_group_paths_are_checked_too(client: httpx.AsyncClient) -> None:
+async def test_codes_in_group_paths_are_checked_too(client: httpx2.AsyncClient) -> None:
     answer = await put(client, '{"value": 1}', "/v1/groups/conveyors/codes/C0040/999")
     assert (answer.status_code, answer.json()["code"]) == (404, "C0040/999")

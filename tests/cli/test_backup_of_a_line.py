@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator
 from decimal import Decimal
 
 import anyio
-import httpx
+import httpx2
 import pytest
 from anyio.abc import TaskGroup
 
@@ -52,8 +52,8 @@ async def behind_http(plant: Plant, name: str = "a") -> AsyncIterator[HttpDrive]
         line_name="t", ready=lambda: (True, ""), healthy=lambda: (True, ""),
         clock=anyio.current_time,
     )  # fmt: skip
-    transport = httpx.ASGITransport(app)
-    async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
+    transport = httpx2.ASGITransport(app)
+    async with httpx2.AsyncClient(transport=transport, base_url="http://localhost") as client:
         yield HttpDrive(client, "here", name, clock=anyio.current_time)
 
 

@@ -308,7 +308,7 @@ def test_the_command_is_started_with_the_python_beside_it_and_its_own_name(launc
 
 
 def test_asking_for_help_imports_nothing_heavy() -> None:
-    heavy = ("fastapi", "uvicorn", "pydantic", "rich", "httpx", "serial")
+    heavy = ("starlette", "uvicorn", "pydantic", "rich", "httpx2", "serial")
     script = (
         "import sys; from lecombus.cli import main; main(['--help']); "
         f"print([name for name in {heavy} if name in sys.modules])"
@@ -322,7 +322,7 @@ def test_asking_for_help_imports_nothing_heavy() -> None:
 def test_a_stop_does_not_wait_for_the_server_s_libraries() -> None:
     script = (
         "import sys; import lecombus.cli.stop; "
-        "print([name for name in ('fastapi', 'uvicorn', 'serial') if name in sys.modules])"
+        "print([name for name in ('starlette', 'uvicorn', 'serial') if name in sys.modules])"
     )
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, timeout=15, check=True
@@ -332,7 +332,7 @@ def test_a_stop_does_not_wait_for_the_server_s_libraries() -> None:
 
 @pytest.mark.parametrize("command", ["stop", "status", "read", "write", "group"])
 def test_a_command_for_the_daemon_imports_nothing_heavy(command: str) -> None:
-    heavy = "{'pydantic', 'rich', 'yaml', 'fastapi', 'anyio', 'serial', 'lecombus.config'}"
+    heavy = "{'pydantic', 'rich', 'yaml', 'starlette', 'anyio', 'serial', 'lecombus.config'}"
     program = (
         f"import sys, lecombus.cli.entry, lecombus.cli.{command}; "
         f"print(sorted({heavy} & set(sys.modules)), None in sys.modules.values())"

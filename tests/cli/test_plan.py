@@ -11,7 +11,7 @@ import pytest
 
 from cli.conftest import Run
 from cli.daemon_stub import DaemonStub
-from lecombus.api.exact import encode
+from lecombus.api.decimal_json import encode
 from lecombus.cli import main
 from lecombus.config import load_roster
 from lecombus.drives.measured import AnswerRow, SlowAnswers

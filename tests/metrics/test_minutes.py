@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from lecombus.api.exact import encode
+from lecombus.api.decimal_json import encode
 from lecombus.metrics.minutes import MARKS_S, SLOTS, WINDOW_S, Highest, Minutes
 from lecombus.protocol.addressing import Code
 from lecombus.schedule.request import Priority

@@ -10,7 +10,7 @@ from typing import Any
 import anyio
 import pytest
 
-from lecombus.api.exact import encode
+from lecombus.api.decimal_json import encode
 from lecombus.config import parse_roster
 from lecombus.drives import StopAction
 from lecombus.metrics.minutes import Minutes

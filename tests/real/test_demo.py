@@ -10,7 +10,7 @@ import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
-import httpx
+import httpx2
 import pytest
 
 from support.daemon_host import command, environment, free_port, lecombus, started, until
@@ -38,7 +38,7 @@ def values_shown(text: str) -> set[str]:
 def test_the_demo_shows_live_values_of_five_families_and_ends_at_ctrl_c(tmp_path: Path) -> None:
     log, port = tmp_path / "log", free_port()
     url = f"http://127.0.0.1:{port}"
-    with demo(log, port) as process, httpx.Client(base_url=url, trust_env=False) as client:
+    with demo(log, port) as process, httpx2.Client(base_url=url, trust_env=False) as client:
         until(lambda: values_shown(log.read_text()) == DRIVES, "all shown", within_s=30.0)
         families = {one["family"] for one in client.get("/v1/drives").json()["drives"]}
         assert len(families) == 5
@@ -55,7 +55,7 @@ def test_the_demo_shows_live_values_of_five_families_and_ends_at_ctrl_c(tmp_path
     assert not Path(said[2]).exists()
 
 
-def running_drives(client: httpx.Client) -> bool:
+def running_drives(client: httpx2.Client) -> bool:
     drives = client.get("/v1/drives").json()["drives"]
     speeds = [one["value"] for drive in drives for one in drive["values"] if one["code"] == "C0050"]
     return any(speed for speed in speeds)

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import httpx
+import httpx2
 import pytest
 
 from support.daemon_host import (
@@ -124,7 +124,7 @@ def http_url(daemon: Daemon) -> str:
 
 @pytest.mark.parametrize("accept", ["text/plain", OPENMETRICS])
 def test_promtool_takes_the_page_of_a_running_daemon(daemon: Daemon, accept: str) -> None:
-    page = httpx.get(f"{http_url(daemon)}/metrics", headers={"Accept": accept}, trust_env=False)
+    page = httpx2.get(f"{http_url(daemon)}/metrics", headers={"Accept": accept}, trust_env=False)
     assert page.headers["content-type"].startswith(accept.partition(";")[0])
     if accept == OPENMETRICS:
         assert page.text.endswith("\n# EOF\n")
@@ -150,7 +150,7 @@ def test_prometheus_sees_which_drives_are_up(daemon: Daemon, tmp_path: Path) -> 
         f"--storage.tsdb.path={tmp_path / 'data'}",
         f"--web.listen-address=127.0.0.1:{port}",
     ]
-    api = httpx.Client(base_url=f"http://127.0.0.1:{port}/api/v1", trust_env=False)
+    api = httpx2.Client(base_url=f"http://127.0.0.1:{port}/api/v1", trust_env=False)
 
     def ask(query: str) -> list[dict[str, Any]]:
         answer = api.get("/query", params={"query": query})

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 
 import anyio
-from fastapi import FastAPI
+from starlette.applications import Starlette
 
 from lecombus.api import create_app
 from lecombus.drives import OperatingState, StopAction, Text, Verb, family
@@ -184,7 +184,7 @@ class Line:
 
     store: Store
     ops: FakeOperations
-    app: FastAPI
+    app: Starlette
     now_s: float = 0.0
     ready: tuple[bool, str] = (True, "31 of 31 drives tried")
     healthy: tuple[bool, str] = (True, "")

@@ -24,7 +24,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-import httpx
+import httpx2
 import pytest
 
 from lecombus.simulator import PtyEnd, SimLine, build
@@ -66,13 +66,13 @@ def until(condition: Callable[[], T], what: str, *, within_s: float = 15.0) -> T
     """Look until a condition holds, and give what it gave.
 
     Args:
-        condition: Looked at again and again; what httpx raises meanwhile counts as no.
+        condition: Looked at again and again; what httpx2 raises meanwhile counts as no.
         what: Said when it never holds.
         within_s: How long to look, seconds.
     """
     end_s = time.monotonic() + within_s
     while True:
-        with contextlib.suppress(httpx.TransportError):
+        with contextlib.suppress(httpx2.TransportError):
             found = condition()
             if found:
                 return found
@@ -205,7 +205,7 @@ class Daemon:
 
     process: subprocess.Popen[bytes]
     folder: Path
-    client: httpx.Client
+    client: httpx2.Client
     socket: Path = field(init=False)
     roster: Path = field(init=False)
 
@@ -274,10 +274,10 @@ def running(roster: str, folder: Path, *, env: dict[str, str] | None = None) -> 
     """
     (folder / "roster.yaml").write_text(roster)
     words = command("run", "-c", folder / "roster.yaml")
-    transport = httpx.HTTPTransport(uds=str(folder / "api.sock"))
+    transport = httpx2.HTTPTransport(uds=str(folder / "api.sock"))
     with (
         started(words, folder / "log", env=environment(**(env or {}))) as process,
-        httpx.Client(transport=transport, base_url="http://lecombus", timeout=12.0) as client,
+        httpx2.Client(transport=transport, base_url="http://lecombus", timeout=12.0) as client,
     ):
         daemon = Daemon(process, folder, client)
 
@@ -290,7 +290,7 @@ def running(roster: str, folder: Path, *, env: dict[str, str] | None = None) -> 
 
 
 def listens(path: Path) -> bool:
-    """Whether somebody takes connections; httpx leaks a socket when it finds out by itself."""
+    """Whether somebody takes connections; httpx2 leaks a socket when it finds out by itself."""
     with socket.socket(socket.AF_UNIX) as probe:
         return probe.connect_ex(str(path)) == 0
 

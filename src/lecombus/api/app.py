@@ -1,38 +1,37 @@
-"""The HTTP application: put together from the modules that add its paths.
+"""The HTTP application: all routes, stops first, and what an error becomes.
 
-Strategy: FastAPI routes requests and describes them (`openapi`); answers are plain responses
-written straight from the store, so that no request holds up the loop for long. Whatever fails
-becomes a problem document in one place (`mistakes`). A client that goes away cuts nothing: its
-request runs to its end. Here stand only the paths for supervisors.
+Strategy: Starlette finds the route. Answers are plain responses, so that no request holds the event
+loop for long. Every error becomes a problem document here. A request runs to its end also when its
+client goes away. Of the routes themselves only those for supervisors and `/openapi.json` stand
+here.
 
-What must not live here: sockets (`server`), checks of bodies (`bodies`), any other path.
+What must not live here: sockets (`server`), checks of requests (`request_checks`).
 """
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 
-from fastapi import FastAPI
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import Response
+from starlette.routing import Match, Route
 
-from lecombus.api.addresses import add_addresses
-from lecombus.api.answers import described, status_response
-from lecombus.api.custody import add_custody
-from lecombus.api.description import add_description_of_drives
-from lecombus.api.diagnosis import add_diagnosis
-from lecombus.api.documents import StatusDocument
+from lecombus.api.answers import JSON_TYPE, status_response
+from lecombus.api.decimal_json import short
 from lecombus.api.idempotency import Idempotency
-from lecombus.api.known import add_drive_list, add_known, add_reads
-from lecombus.api.mistakes import answer_errors_with_problems
-from lecombus.api.openapi import add_description
-from lecombus.api.planned import add_plan
-from lecombus.api.seam import CustodyPort, OperationsPort
-from lecombus.api.stopping import add_stop
-from lecombus.api.stops import PlainStops
-from lecombus.api.verbs import add_verbs
-from lecombus.api.writing import add_group_writes, add_writes
+from lecombus.api.operations_protocol import CustodyProtocol, OperationsProtocol
+from lecombus.api.problems import Problem, problem_of
+from lecombus.api.read_routes import ReadRoutes
+from lecombus.api.stop_routes import StopPaths, StopRoutes
+from lecombus.api.write_routes import WriteRoutes
+from lecombus.errors import LecombusError
 from lecombus.metrics import OPENMETRICS_TYPE, TEXT_TYPE, Metrics, wants_openmetrics
 from lecombus.readings import Json
 from lecombus.store import Store
@@ -44,11 +43,11 @@ Check = Callable[[], tuple[bool, str]]
 
 
 def create_app(
-    ops: OperationsPort,
+    ops: OperationsProtocol,
     store: Store,
     metrics: Metrics,
     *,
-    custody: CustodyPort,
+    custody: CustodyProtocol,
     plan_facts: Callable[[], dict[str, Json]],
     line_name: str,
     ready: Check,
@@ -57,14 +56,14 @@ def create_app(
     baud: int = 9600,
     version: str = "",
     clock: Callable[[], float] = time.monotonic,
-) -> FastAPI:
+) -> Starlette:
     """Return the application of one line.
 
     Args:
         ops: What is done on the line.
         store: What is known.
         metrics: The metrics page.
-        custody: What looking after drives takes besides reading and writing.
+        custody: Identities, counts of writes, addresses and measured times of drives.
         plan_facts: What a plan is made from, and what the last minutes showed.
         line_name: The line's name.
         ready: Whether the line is open and every drive was tried once.
@@ -74,54 +73,119 @@ def create_app(
         version: lecombus' version, for the OpenAPI document.
         clock: A monotonic clock for idempotency keys, seconds.
     """
-    app = FastAPI(
-        title="lecombus",
-        version=version or "0",
-        openapi_url=None,
-        docs_url=None,
-        redoc_url=None,
-        redirect_slashes=False,
+    facts: dict[str, Json] = {"line": line_name, "port": port, "baud": baud}
+    app = Starlette(
+        routes=[
+            *StopRoutes(ops).routes(),
+            *ReadRoutes(ops, custody, store, facts, plan_facts, clock).routes(),
+            *WriteRoutes(ops, custody, Idempotency(clock)).routes(),
+            *ServiceRoutes(metrics, ready, healthy, version or "0").routes(),
+        ],
+        middleware=[Middleware(StopPaths)],
+        exception_handlers={
+            LecombusError: known_error,
+            HTTPException: not_routed,
+            Exception: unexpected_error,
+        },
     )
-    answer_errors_with_problems(app)
-    add_known(app, store, {"line": line_name, "port": port, "baud": baud}, ops)
-    add_drive_list(app, store, clock)
-    keys = Idempotency(clock)
-    add_description_of_drives(app, store)
-    add_reads(app, ops, store)
-    add_addresses(app, ops)
-    add_writes(app, ops, keys)
-    add_group_writes(app, ops, keys)
-    add_stop(app, ops)
-    add_verbs(app, ops, keys)
-    add_custody(app, custody, keys)
-    add_diagnosis(app, ops)
-    add_plan(app, plan_facts)
-    add_service(app, metrics, ready, healthy)
-    add_description(app)
-    app.add_middleware(PlainStops, ops=ops)
+    app.router.redirect_slashes = False
     return app
 
 
-def add_service(app: FastAPI, metrics: Metrics, ready: Check, healthy: Check) -> None:
-    """Add what supervisors ask: metrics, health, readiness."""
+class ServiceRoutes:
+    """The routes for supervisors and programs: metrics, health, readiness, `/openapi.json`.
 
-    # Whoever only looks whether they are there, as some supervisors do, is spared the body.
-    @app.head("/metrics", include_in_schema=False)
-    @app.get("/metrics", include_in_schema=False)
-    async def page(request: Request) -> Response:
-        """The metrics page, in the format the scraper likes."""
+    Args:
+        metrics: The metrics page.
+        ready: Whether the line is open and every drive was tried once.
+        healthy: Whether the line task makes progress.
+        version: lecombus' version.
+    """
+
+    def __init__(self, metrics: Metrics, ready: Check, healthy: Check, version: str) -> None:
+        self._metrics = metrics
+        self._ready = ready
+        self._healthy = healthy
+        # Read before the line runs: it takes some milliseconds, in which no telegram is sent.
+        self._openapi = openapi_text(version)
+
+    def routes(self) -> list[Route]:
+        """Return the routes."""
+        return [
+            Route("/metrics", self.page),
+            Route("/healthz", self.healthz),
+            Route("/readyz", self.readyz),
+            Route("/openapi.json", self.openapi),
+        ]
+
+    async def page(self, request: Request) -> Response:
+        """The metrics page, in the format that the scraper asks for."""
         openmetrics = wants_openmetrics(request.headers.get("accept", ""))
-        text = await metrics.fresh_page(openmetrics=openmetrics)
+        text = await self._metrics.fresh_page(openmetrics=openmetrics)
         return Response(text, media_type=OPENMETRICS_TYPE if openmetrics else TEXT_TYPE)
 
-    @app.head("/healthz", include_in_schema=False)
-    @app.get("/healthz", **described(StatusDocument, 503))
-    async def healthz() -> Response:
+    async def healthz(self, request: Request) -> Response:
         """Whether the daemon works: 503 when the line task makes no progress."""
-        return status_response("unhealthy", healthy())
+        return status_response("unhealthy", self._healthy())
 
-    @app.head("/readyz", include_in_schema=False)
-    @app.get("/readyz", **described(StatusDocument, 503))
-    async def readyz() -> Response:
+    async def readyz(self, request: Request) -> Response:
         """Whether the line is open and every drive was tried once."""
-        return status_response("not-ready", ready())
+        return status_response("not-ready", self._ready())
+
+    async def openapi(self, request: Request) -> Response:
+        """The description of this interface."""
+        return Response(self._openapi, media_type=JSON_TYPE)
+
+
+def openapi_text(version: str) -> bytes:
+    """Return the OpenAPI document: the carried file (`make openapi`) with the version put in."""
+    document = json.loads(Path(__file__).with_name("openapi.json").read_bytes())
+    document["info"]["version"] = version
+    return json.dumps(document).encode()
+
+
+async def known_error(request: Request, exc: Exception) -> Response:
+    """Answer with the problem of an error that lecombus raises on purpose."""
+    assert isinstance(exc, LecombusError)
+    place = request.path_params
+    code = "/".join(place[part] for part in ("code", "subcode") if place.get(part))
+    problem = problem_of(exc, drive=short(place.get("drive", "")), code=short(code))
+    detail = problem.detail
+    for sent in place.values():  # messages quote what was asked for, however long it is
+        detail = detail.replace(str(sent), short(str(sent)))
+    return replace(problem, detail=detail).shortened().response()
+
+
+async def not_routed(request: Request, exc: Exception) -> Response:
+    """Answer a request for a path or with a method that does not exist."""
+    assert isinstance(exc, HTTPException)
+    path = short(request.url.path)
+    if exc.status_code == 405:
+        allowed = ", ".join(allowed_methods(request))
+        return Problem(
+            "wrong-method",
+            f"{short(request.method)} is not possible on {path}",
+            remedy=f"{allowed} {'are' if ', ' in allowed else 'is'} possible there",
+            headers={"Allow": allowed},
+        ).response()
+    return Problem(
+        "no-such-path", f"there is nothing at {path}", remedy="paths stand in /openapi.json"
+    ).response()
+
+
+async def unexpected_error(request: Request, exc: Exception) -> Response:
+    """Answer an error that is a mistake in lecombus; it is raised again for the log."""
+    return Problem(
+        "internal",
+        f"{type(exc).__name__} while answering {short(request.url.path)}",
+        remedy="this is a mistake in lecombus: please report it with the daemon's log",
+    ).response()
+
+
+def allowed_methods(request: Request) -> list[str]:
+    """Return the methods that the path of a request has."""
+    found: set[str] = set()
+    for route in request.app.routes:
+        if isinstance(route, Route) and route.matches(request.scope)[0] is not Match.NONE:
+            found |= route.methods or set()
+    return sorted(found)

@@ -1,6 +1,6 @@
-"""What the bodies of requests may say: strict models, and what would be right for each key.
+"""What the bodies and queries of requests may say: models, and what would be right for each key.
 
-What must not live here: how a body comes in and is refused (`checking`), what is done with it.
+What must not live here: how a body is read and refused (`request_checks`), what is done with it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Annotated, ClassVar, Final
 
 from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema, field_validator
 
-from lecombus.drives import StopAction
+from lecombus.drives import Language, StopAction
 from lecombus.durations import LONGEST_EXPIRY_S
 from lecombus.schedule.request import Priority
 
@@ -22,12 +22,17 @@ __all__ = [
     "TARGET_LIMIT",
     "AcceptBody",
     "AddressBody",
+    "AddressQuery",
     "Body",
     "DriveWriteBody",
+    "NoKeysBody",
+    "Query",
     "SpeedBody",
     "StopBody",
     "Urgency",
+    "ValueQuery",
     "VerbBody",
+    "WhyQuery",
     "WriteBody",
 ]
 
@@ -246,6 +251,34 @@ class AddressBody(Body):
     """Where a drive shall be found from now on."""
 
     address: Annotated[int, Field(description=RIGHT["address"])]
+
+
+class Query(BaseModel):
+    """The common rules of queries: texts are converted; `read_query` refuses unknown names."""
+
+    model_config = ConfigDict(frozen=True)
+
+
+class ValueQuery(Query):
+    """How a code is read."""
+
+    fresh: Annotated[bool, Field(description="Read it now")] = False
+    priority: Annotated[Urgency, Field(description=RIGHT["priority"])] = Urgency.INTERACTIVE
+
+
+class AddressQuery(Query):
+    """How a code is read at an address that the roster does not have."""
+
+    addressing: Annotated[str, Field(description="standard or extended")] = "standard"
+    family: Annotated[str, Field(description="By whose answer times to wait")] = "generic"
+    patient: Annotated[bool, Field(description="Wait longer than any family needs")] = False
+
+
+class WhyQuery(Query):
+    """How it is found out why a drive does not turn."""
+
+    fresh: Annotated[bool, Field(description="Read the few codes that matter first")] = False
+    lang: Annotated[Language, Field(description="en or de")] = Language.EN
 
 
 def seconds_of(value: int | Decimal | str) -> Decimal:

@@ -1,22 +1,23 @@
-"""One HTTP connection, as robust as uvicorn's needs to be here.
+"""One HTTP connection: uvicorn's httptools connection with limits and orderly ends.
 
-Strategy: uvicorn's httptools connection with what it leaves open closed (httptools is measurably
-faster than h11 and gives a whole request in one call, see ADR 10):
+Strategy: httptools is measurably faster than h11 and gives a whole request in one call (ADR 10).
+uvicorn's connection is extended where it sets no limit or does not answer. That takes private names
+of uvicorn, so its version is bound and `tests/api/test_uvicorn.py` checks each name:
 
-* a request ends at its bounds (`bounds`), before anything of it is decoded;
+* a request ends at its limits (`limits`), before anything of it is decoded;
 * in one turn of the loop `SLICE` bytes of a connection are parsed; what is beyond is kept unread,
   nothing more is read, and it goes on in its turn;
 * at most `pending_limit` requests of one connection are pending. What came beyond is kept unread
   in the same way until there is room; nothing of it is lost;
-* what came whole is answered, whatever follows it: rubbish (then `bad-http`, as a problem document,
+* what came whole is answered, also before rubbish (then `bad-http`, as a problem document,
   and the end), the end of what the client sends, or an offer to speak another protocol, which is
   ignored (after a CONNECT the connection ends);
 * the host of an absolute request target counts instead of the `Host` header (RFC 9112, 3.2.2).
 
 Bytes are given to the parser in pieces so small that the requests in them cannot exceed the limit.
 
-What must not live here: who may come in (`doors`), how many (`crowd`), in whose turn (`turns`),
-what is different over TCP (`tcp`).
+What must not live here: who may do what (`access`), how many connections there may be (`limits`),
+what is different over TCP (`tcp_connection`).
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ import httptools
 from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
-from lecombus.api.bounds import (
+from lecombus.api.access import ACTOR_KEY
+from lecombus.api.limits import (
     BODY_LIMIT,
     BODY_TOO_BIG,
     CHUNKED_LIMIT,
@@ -47,12 +49,12 @@ from lecombus.api.bounds import (
     TARGET_TOO_LONG,
     TOO_MANY_HEADERS,
     TOO_MANY_PARAMETERS,
+    ConnectionPlaces,
+    is_stop,
+    is_stop_verb,
 )
-from lecombus.api.crowd import Places
-from lecombus.api.doors import ACTOR_KEY
 from lecombus.api.problems import Problem
-from lecombus.api.stops import is_stop, is_stop_verb
-from lecombus.api.turns import Turns
+from lecombus.api.start_queue import StartQueue
 from lecombus.operations.actions import Actor
 from lecombus.operations.requests import CAME_S, IS_GONE
 
@@ -91,8 +93,8 @@ class PatientFlow(FlowControl):
 class Connection(HttpToolsProtocol):
     """A connection over the Unix socket, which holds one of a bounded number of places."""
 
-    places: Places
-    turns: Turns
+    places: ConnectionPlaces
+    starts: StartQueue
     flow: PatientFlow
     may_write = True
     pending_limit = PENDING_LIMIT
@@ -115,7 +117,7 @@ class Connection(HttpToolsProtocol):
         self.places.take(self)
 
     def _actor(self) -> Actor:
-        """Return who is at the other end: what the kernel says, not what the client does."""
+        """Return the client as the kernel knows it, not as it describes itself."""
         peer = self.transport.get_extra_info("socket")
         try:
             said = peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, CREDENTIALS.size)
@@ -204,8 +206,8 @@ class Connection(HttpToolsProtocol):
         self._end_if_answered()
 
     def _queue(self, begin: Callable[[], None]) -> None:
-        """Have something done in its turn."""
-        self.turns.take(begin)
+        """Do something in its turn."""
+        self.starts.take(begin)
 
     def _feed(self, piece: bytes) -> None:
         self._size += len(piece)
@@ -224,7 +226,7 @@ class Connection(HttpToolsProtocol):
             self._give_up(HEAD_TOO_LONG)
 
     def _end_body(self) -> None:
-        """Read no more of a body without end: nobody waits for it, or it is refused."""
+        """Read no more of a body without end: it was answered already, or it is refused."""
         cycle: Any = self.cycle
         if cycle.response_complete:
             self.transport.close()
@@ -302,7 +304,7 @@ class Connection(HttpToolsProtocol):
         super().on_headers_complete()
 
     def _check_bounds(self, query: bytes) -> None:
-        """Refuse what is too much, before it is decoded; a stop is looked at by the application."""
+        """Refuse what is too much before it is decoded; the application checks a stop."""
         if query.count(b"&") >= PARAMETERS_LIMIT:
             self._refuse(TOO_MANY_PARAMETERS)
         for name, value in self.headers:
@@ -325,7 +327,7 @@ class Connection(HttpToolsProtocol):
     # ---- turns and ends ---------------------------------------------------------------------
 
     def _start_asgi_task(self, cycle: Any, app: Any) -> None:
-        """Have a request answered in its turn; a stop at once."""
+        """Answer a request in its turn; a stop without waiting."""
         self._running = cycle
         came_s = asyncio.get_running_loop().time()
         is_gone = partial(is_closed, self.transport.get_extra_info("socket"))
@@ -341,7 +343,7 @@ class Connection(HttpToolsProtocol):
         if is_stop(cycle.scope["path"]):
             start()
         else:
-            self.turns.take(start)
+            self.starts.take(start)
 
     def shutdown(self) -> None:
         """End after the requests under way; called by the server."""

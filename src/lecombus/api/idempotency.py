@@ -1,10 +1,10 @@
-"""Repeats made safe: `Idempotency-Key` gives a repeated request the result of the first.
+"""Repeats made safe: with the same `Idempotency-Key` a request gets the result of the first.
 
 Strategy: the first request with a key runs; others with the same key and the same content wait
 for its end if need be and are given the same response; the same key with other content is
-refused. Only requests that were carried out are remembered, whatever their outcome: when nothing
+refused. Only requests that were carried out are remembered, with any outcome: when nothing
 was sent at all (queue full, line lost, not understood, the client gone), the same key may be tried
-again; who waited for such a first request with the same key is the next first.
+again; a request that waited for such a first one takes its place.
 
 Stops are different (`SharedStops`): a repeat shares the first one's result only while that is under
 way. Afterwards the drive may have been started again, so a repeat is a new stop and is sent; and
@@ -22,9 +22,10 @@ from hashlib import sha256
 from typing import Final
 
 import anyio
+from starlette.requests import Request
 from starlette.responses import Response
 
-from lecombus.api.exact import short
+from lecombus.api.decimal_json import short
 from lecombus.api.problems import STATUS_BY_KIND, Problem, ProblemError
 
 __all__ = [
@@ -33,8 +34,8 @@ __all__ = [
     "KEY_LIMIT",
     "Idempotency",
     "SharedStops",
-    "fingerprint",
     "key_mistake",
+    "key_of",
 ]
 
 KEY_LIMIT: Final = 1000
@@ -69,21 +70,24 @@ class Idempotency:
         return len(self._entries)
 
     async def run(
-        self, key: str | None, content: bytes, act: Callable[[], Awaitable[Response]]
+        self, request: Request, body: bytes, act: Callable[[], Awaitable[Response]]
     ) -> Response:
-        """Do something once per key.
+        """Carry out a request once per key; without a key each time.
 
         Args:
-            key: The client's key; None does it without remembering.
-            content: What the request is (`fingerprint`).
-            act: Does it; what it raises is not remembered.
+            request: The request.
+            body: Its body.
+            act: Carries it out; an error that it raises is not remembered.
 
         Raises:
-            ProblemError: The key was used for something else, is malformed, or too many are in use.
+            ProblemError: The key was used for another request, is malformed, or too many are in
+                use.
         """
+        key = key_of(request)
         if key is None:
             return await act()
         check_key(key)
+        content = content_of(request, body)
         while (entry := self._entries.get(key)) is not None and self._is_current(entry):
             if entry.content != content:
                 raise reused(key)
@@ -135,18 +139,21 @@ class SharedStops:
         self._under_way: dict[tuple[str, bytes], Entry] = {}
 
     async def run(
-        self, key: str | None, content: bytes, act: Callable[[], Awaitable[Response]]
+        self, request: Request, body: bytes, act: Callable[[], Awaitable[Response]]
     ) -> Response:
         """Stop, or share the result of the same stop with the same key while it is under way.
 
+        Without a key, or with one that cannot be kept, it stops.
+
         Args:
-            key: The client's key; None, or one that cannot be kept, stops without looking at
-                others.
-            content: What the request is (`fingerprint`).
-            act: Stops; when it raises, whoever waited for its result stops by itself.
+            request: The request.
+            body: Its body, as far as it counts.
+            act: Stops; when it raises, each request that waited for its result stops by itself.
         """
+        key = key_of(request)
         if key is None or key_mistake(key):
             return await act()
+        content = content_of(request, body)
         while (entry := self._under_way.get((key, content))) is not None:
             await entry.ended.wait()
             if entry.response is not None:
@@ -160,10 +167,16 @@ class SharedStops:
             entry.ended.set()
 
 
-def fingerprint(*parts: bytes) -> bytes:
-    """Return what tells one request's content from another's."""
+def key_of(request: Request) -> str | None:
+    """Return a request's `Idempotency-Key`."""
+    return request.headers.get("idempotency-key")
+
+
+def content_of(request: Request, body: bytes) -> bytes:
+    """Return a digest that differs between different requests with the same key."""
+    scope = request.scope
     digest = sha256()
-    for part in parts:
+    for part in (scope["method"].encode(), scope["path"].encode(), scope["query_string"], body):
         digest.update(len(part).to_bytes(8, "big"))
         digest.update(part)
     return digest.digest()

@@ -1,6 +1,6 @@
 """Problem documents (RFC 9457): what every refusal and failure looks like over HTTP.
 
-Strategy: whatever goes wrong becomes one `Problem`, made in one of two ways: `problem_of` from an
+Strategy: every failure becomes one `Problem`, made in one of two ways: `problem_of` from an
 error of lecombus' tree, `report_problem` from a write that ended in anything but `done` or
 `verified`. The status follows from the problem's kind by one table, and the OpenAPI document
 shows the same table.
@@ -36,7 +36,7 @@ from typing import Final
 
 from starlette.responses import Response
 
-from lecombus.api.exact import encode, short
+from lecombus.api.decimal_json import encode, short
 from lecombus.errors import (
     CodeValueError,
     CutReplyError,
@@ -181,7 +181,7 @@ class Problem:
         }
 
     def shortened(self) -> Problem:
-        """Return the same with its names cut short, for they may be whatever a client sent."""
+        """Return the same with its names cut short, for a client may send names of any length."""
         return replace(self, drive=short(self.drive), code=short(self.code))
 
     def response(self) -> Response:

@@ -2,9 +2,9 @@
 
 Strategy: both are uvicorn servers inside the caller's task, without signal handlers and access
 log. The sockets are made here, because their rules matter more than uvicorn's defaults: the Unix
-socket is 0660 from its first moment, a stale file is removed only if nobody listens on it, and it
-goes at the end; TCP binds to loopback only. What is let through to the application is decided by
-`doors` and `crowd`, what a connection may do by `connection`.
+socket is 0660 from its first moment, a stale file is removed only if no process listens on it, and
+it is removed at the end; TCP binds to loopback only. `access` and `limits` decide what is let
+through to the application, `connection` what a connection may do.
 
 What must not live here: paths and answers.
 """
@@ -26,20 +26,19 @@ import uvicorn
 from anyio.abc import TaskStatus
 from starlette.types import ASGIApp
 
+from lecombus.api.access import HeadAsGet, ReadOnlyAccess, WithActor, is_loopback
 from lecombus.api.connection import Connection
-from lecombus.api.crowd import (
+from lecombus.api.limits import (
     ACCEPT_AT_ONCE,
     TCP_LIMIT,
     TCP_WAITING_LIMIT,
-    Crowd,
-    Paced,
-    Places,
+    ConnectionPlaces,
+    PacedLineRequests,
+    RequestLimiter,
     connection_limit,
 )
-from lecombus.api.doors import HeadIsGet, Named, ReadOnlyDoor, is_loopback
-from lecombus.api.share import Share, TimedApp
-from lecombus.api.tcp import TcpConnection
-from lecombus.api.turns import Turns
+from lecombus.api.start_queue import CpuShare, StartQueue, TimedApp
+from lecombus.api.tcp_connection import TcpConnection
 from lecombus.errors import OperationError
 
 __all__ = ["Served", "serve"]
@@ -95,14 +94,14 @@ async def serve(
         app: The application.
         socket_path: The Unix socket to make.
         http: Loopback host and port for reads; port 0 takes a free one.
-        task_status: Told where it listens once it does.
+        task_status: Gets where it listens, once it does.
 
     Raises:
         OperationError: `cannot-listen` or `socket-in-use`.
     """
     with ExitStack() as resources:
         unix = resources.enter_context(unix_socket(socket_path))
-        places, bound = Places(connection_limit()), None
+        places, bound = ConnectionPlaces(connection_limit()), None
         listeners = [(Listener(unix_configuration(app, places)), unix)]
         if http is not None:
             tcp = resources.enter_context(tcp_socket(*http))
@@ -124,7 +123,7 @@ async def run_shielded(listener: Listener, its_socket: socket.socket) -> None:
     """Run one server to its own end: cancelling it half-way would cut requests."""
     with anyio.CancelScope(shield=True):
         await listener.serve([its_socket])
-    assert listener.should_exit, "a server ended that nobody asked to: the API would be gone"
+    assert listener.should_exit, "a server ended without being asked to: the API would be gone"
 
 
 async def close_when_cancelled(listeners: list[Listener]) -> None:
@@ -136,27 +135,27 @@ async def close_when_cancelled(listeners: list[Listener]) -> None:
             listener.should_exit = True
 
 
-def unix_configuration(app: ASGIApp, places: Places) -> uvicorn.Config:
+def unix_configuration(app: ASGIApp, places: ConnectionPlaces) -> uvicorn.Config:
     """Return how the Unix socket is served."""
-    kind = type("Placed", (Connection,), {"places": places, "turns": Turns()})
-    return configuration(Named(HeadIsGet(Crowd(app))), kind, ACCEPT_AT_ONCE)
+    kind = type("PlacedConnection", (Connection,), {"places": places, "starts": StartQueue()})
+    return configuration(WithActor(HeadAsGet(RequestLimiter(app))), kind, ACCEPT_AT_ONCE)
 
 
-def tcp_configuration(app: ASGIApp, host: str, places: Places) -> uvicorn.Config:
+def tcp_configuration(app: ASGIApp, host: str, places: ConnectionPlaces) -> uvicorn.Config:
     """Return how TCP is served: all of it in one share of the loop's time."""
-    share = Share()
-    kind = type("PlacedTcp", (TcpConnection,), {"places": places, "share": share})
-    let_in = Crowd(Paced(Named(app)), TCP_LIMIT, TCP_WAITING_LIMIT)
-    door = ReadOnlyDoor(HeadIsGet(let_in), host)
-    return configuration(TimedApp(door, share), kind, 1)
+    share = CpuShare()
+    kind = type("PlacedTcpConnection", (TcpConnection,), {"places": places, "share": share})
+    limited = RequestLimiter(PacedLineRequests(WithActor(app)), TCP_LIMIT, TCP_WAITING_LIMIT)
+    access = ReadOnlyAccess(HeadAsGet(limited), host)
+    return configuration(TimedApp(access, share), kind, 1)
 
 
 def configuration(app: ASGIApp, kind: type[Connection], accept_at_once: int) -> uvicorn.Config:
-    """Return what uvicorn is told; everything that could surprise is switched off."""
+    """Return uvicorn's configuration; what lecombus does itself or does not offer is off."""
     return uvicorn.Config(
         app,
         log_config=None,
-        log_level="error",  # a warning per request not understood: anybody could fill the log
+        log_level="error",  # a warning for each bad request: any client could fill the log
         access_log=False,
         lifespan="off",
         ws="none",
@@ -181,7 +180,7 @@ def unix_socket(path: Path) -> Iterator[socket.socket]:
     before = os.umask(0o777 & ~SOCKET_MODE)
     try:
         listening.bind(str(path))
-        listening.listen(BACKLOG)  # at once: a socket nobody listens on looks stale
+        listening.listen(BACKLOG)  # here: a socket that no process listens on looks stale
     except OSError as exc:
         listening.close()
         remedy = f"make {path.parent}, writable for this user, or name another by `api.socket`"
@@ -200,7 +199,7 @@ def remove_stale(path: Path) -> None:
     """Remove what a dead process left behind.
 
     Raises:
-        OperationError: Somebody listens there, or it is not a socket.
+        OperationError: Another process listens there, or it is not a socket.
     """
     try:
         mode = path.lstat().st_mode
@@ -214,7 +213,7 @@ def remove_stale(path: Path) -> None:
             kind="cannot-listen",
             remedy="remove it, or give the API another socket in the roster",
         )
-    if somebody_listens(path):
+    if has_listener(path):
         raise OperationError(
             f"another lecombus serves {path}",
             kind="socket-in-use",
@@ -223,10 +222,10 @@ def remove_stale(path: Path) -> None:
     path.unlink(missing_ok=True)
 
 
-def somebody_listens(path: Path) -> bool:
-    """Tell whether a connection to a socket is taken."""
+def has_listener(path: Path) -> bool:
+    """Return whether a process listens on a socket."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-        probe.setblocking(False)  # a full backlog answers EAGAIN: somebody listens
+        probe.setblocking(False)  # a full backlog answers EAGAIN: it has a listener
         return probe.connect_ex(str(path)) not in (errno.ECONNREFUSED, errno.ENOENT)
 
 

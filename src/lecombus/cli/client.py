@@ -18,9 +18,10 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
+import httpx2
+
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.reports import kind_of
-from lecombus.cli.slim_httpx import httpx
 from lecombus.readings import Json
 
 __all__ = [
@@ -42,7 +43,7 @@ LOCAL = "http://localhost"
 """What a request over a socket calls the machine."""
 
 CONNECT_WITHIN_S = 10.0
-TIMEOUT = httpx.Timeout(CONNECT_WITHIN_S, read=60.0)
+TIMEOUT = httpx2.Timeout(CONNECT_WITHIN_S, read=60.0)
 """Seconds; a write to a silent drive or a group read back member by member takes its time."""
 
 STATUS_OF_KIND: Mapping[str, Exit] = {
@@ -83,7 +84,7 @@ class Daemon:
         where: How it was found, for messages.
     """
 
-    def __init__(self, client: httpx.Client, where: str) -> None:
+    def __init__(self, client: httpx2.Client, where: str) -> None:
         self._client = client
         self.where = where
 
@@ -125,7 +126,7 @@ class Daemon:
             response = self._client.request(
                 method, path, params=params, content=content, headers=headers
             )
-        except httpx.HTTPError as exc:
+        except httpx2.HTTPError as exc:
             raise unreachable(exc, self.where) from exc
         return answer_of(response, self.where)
 
@@ -144,8 +145,8 @@ def connect(socket: str | None, url: str | None) -> Iterator[Daemon]:
     path, base = find_daemon(socket, url)
     if path:
         _knock(path)
-    transport = httpx.HTTPTransport(uds=path) if path else None
-    client = httpx.Client(
+    transport = httpx2.HTTPTransport(uds=path) if path else None
+    client = httpx2.Client(
         base_url=base or LOCAL, transport=transport, timeout=TIMEOUT, trust_env=False
     )
     with client:
@@ -155,7 +156,7 @@ def connect(socket: str | None, url: str | None) -> Iterator[Daemon]:
 @asynccontextmanager
 async def connect_async(
     socket: str | None, url: str | None
-) -> AsyncIterator[tuple[httpx.AsyncClient, str]]:
+) -> AsyncIterator[tuple[httpx2.AsyncClient, str]]:
     """Connect for work that asks several things at once.
 
     Args:
@@ -171,15 +172,15 @@ async def connect_async(
     path, base = find_daemon(socket, url)
     if path:
         _knock(path)
-    transport = httpx.AsyncHTTPTransport(uds=path) if path else None
-    client = httpx.AsyncClient(
+    transport = httpx2.AsyncHTTPTransport(uds=path) if path else None
+    client = httpx2.AsyncClient(
         base_url=base or LOCAL, transport=transport, timeout=TIMEOUT, trust_env=False
     )
     async with client:
         yield client, path or base
 
 
-def answer_of(response: httpx.Response, where: str) -> Answer:
+def answer_of(response: httpx2.Response, where: str) -> Answer:
     """Read an answer; a write's outcome is one, whatever its status.
 
     Raises:
@@ -194,7 +195,7 @@ def answer_of(response: httpx.Response, where: str) -> Answer:
 def _knock(path: str) -> None:
     """Connect to a Unix socket once for the system's own word on why that fails.
 
-    httpx hides it behind its own errors, and its transport leaves the failed socket open.
+    httpx2 hides it behind its own errors, and its transport leaves the failed socket open.
     """
     with system_socket.socket(system_socket.AF_UNIX, system_socket.SOCK_STREAM) as knocking:
         knocking.settimeout(CONNECT_WITHIN_S)
@@ -225,9 +226,9 @@ def find_daemon(socket: str | None, url: str | None) -> tuple[str, str]:
 
 def _checked_url(url: str) -> str:
     try:
-        parsed = httpx.URL(url)
-    except httpx.InvalidURL:
-        parsed = httpx.URL()
+        parsed = httpx2.URL(url)
+    except httpx2.InvalidURL:
+        parsed = httpx2.URL()
     if parsed.scheme in ("http", "https") and parsed.host:
         return url
     raise CommandError(
@@ -256,12 +257,12 @@ def _forbidden(where: str) -> CommandError:
     return CommandError(Exit.FORBIDDEN, Problem(f"{where} may not be opened", remedy))
 
 
-def unreachable(exc: httpx.HTTPError, where: str) -> CommandError:
+def unreachable(exc: httpx2.HTTPError, where: str) -> CommandError:
     """Say why a daemon could not be spoken with."""
-    if isinstance(exc, httpx.TimeoutException):
+    if isinstance(exc, httpx2.TimeoutException):
         problem = f"the daemon at {where} does not answer in time"
         return CommandError(Exit.UNREACHABLE, Problem(problem, "look at its log"))
-    if isinstance(exc, httpx.ReadError | httpx.RemoteProtocolError | httpx.WriteError):
+    if isinstance(exc, httpx2.ReadError | httpx2.RemoteProtocolError | httpx2.WriteError):
         problem = f"the daemon at {where} ended before it answered"
         remedy = "what was asked may have happened; look at its log, then ask again"
         return CommandError(Exit.UNREACHABLE, Problem(problem, remedy))
@@ -274,7 +275,7 @@ def _nobody_at(where: str) -> CommandError:
     return CommandError(Exit.UNREACHABLE, Problem(problem, remedy))
 
 
-def _read_json(response: httpx.Response, where: str) -> Any:
+def _read_json(response: httpx2.Response, where: str) -> Any:
     try:
         return json.loads(response.text, parse_float=Decimal)
     except ValueError as exc:
@@ -302,7 +303,7 @@ def _refused(http_status: int, data: Any) -> CommandError:
 def body_text(document: Mapping[str, Json]) -> str:
     """Write a flat document with its decimals exactly as they were given.
 
-    The API's own encoder would do, but its room imports FastAPI, 0.4 s before `stop` says a word.
+    `api.decimal_json` would do, but its room imports the HTTP server, 0.2 s before `stop` is sent.
     """
     members = (
         f"{json.dumps(key)}: "

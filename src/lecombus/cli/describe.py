@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import click
 
-from lecombus.api.exact import encode
+from lecombus.api.decimal_json import encode
 from lecombus.cli.arguments import CODE, json_option
 from lecombus.cli.describe_words import Say, words_in
 from lecombus.cli.exits import CommandError, Exit, Problem

@@ -6,7 +6,7 @@ import time
 
 import anyio.to_thread
 
-from lecombus.api.exact import encode
+from lecombus.api.decimal_json import encode
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.own_line import own_line
 from lecombus.cli.reports import Document

@@ -17,12 +17,12 @@ from typing import Any, Final
 from urllib.parse import quote
 
 import anyio
+import httpx2
 
 from lecombus.backups import Answer, Written
 from lecombus.cli.client import answer_of, body_text, unreachable
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.reports import kind_of
-from lecombus.cli.slim_httpx import httpx
 from lecombus.errors import CodeValueError
 from lecombus.protocol import Code, Value
 from lecombus.readings import Json
@@ -87,7 +87,7 @@ class HttpDrive:
 
     def __init__(
         self,
-        client: httpx.AsyncClient,
+        client: httpx2.AsyncClient,
         where: str,
         drive: str,
         clock: Callable[[], float] = time.monotonic,
@@ -228,7 +228,7 @@ class HttpDrive:
             response = await self._client.request(
                 method, path, params=params, content=content, headers=headers
             )
-        except httpx.HTTPError as exc:
+        except httpx2.HTTPError as exc:
             raise unreachable(exc, self._where) from exc
         data = answer_of(response, self._where).data
         if not isinstance(data, dict):

@@ -1,0 +1,160 @@
+"""Who may do what: reads only over TCP, and for whom a request is carried out.
+
+`ReadOnlyAccess` stands before the TCP server: until there is access control it lets only reads
+through, and refuses hosts that are not this machine, so that no web page can reach the drives
+through a browser (DNS rebinding). What a browser sends for a page of another origin is refused too,
+by its `Origin` and `Sec-Fetch-Site`: such a page could not read the answer, but could send request
+after request. A request without a host, with two, or with one that is none, is not well made
+(RFC 9112, 3.2). After a refusal the connection ends. Over the Unix socket the host is not checked:
+a stop counts more. `HeadAsGet` and `WithActor` stand before both.
+
+What must not live here: sockets (`server`), how many requests there may be (`limits`).
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+from dataclasses import replace
+from typing import Final
+
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from lecombus.api.decimal_json import short
+from lecombus.api.limits import is_stop
+from lecombus.api.problems import Problem
+from lecombus.api.read_routes import ADDRESSES_PATH
+from lecombus.operations.actions import ACTOR, Actor
+
+__all__ = ["ACTOR_KEY", "HeadAsGet", "ReadOnlyAccess", "WithActor", "is_loopback"]
+
+HOST: Final = re.compile(r"(?:\[([0-9a-f:.]+)\]|([^\[\]:]+))(?::[0-9]{0,5})?")
+
+RIGHT_HOST: Final = "ask for localhost or 127.0.0.1"
+
+OWN_SITES: Final = (b"none", b"same-origin")
+"""What `Sec-Fetch-Site` says where a person typed the address, or a page of this server asks."""
+
+ACTOR_KEY: Final = "actor"
+"""The state of a request under which its connection puts its client."""
+
+CLOSE: Final = {"Connection": "close"}
+
+
+class WithActor:
+    """Sets for whom a request is carried out, so that the log of a write names the client.
+
+    Args:
+        app: The application behind.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on."""
+        actor = scope.get("state", {}).get(ACTOR_KEY)
+        if isinstance(actor, Actor):
+            ACTOR.set(actor)
+            if actor.pid and scope["method"] not in ("GET", "HEAD") and not is_stop(scope["path"]):
+                actor.find_process()  # it may be gone afterwards; a stop does not wait for this
+        await self._app(scope, receive, send)
+
+
+class HeadAsGet:
+    """Lets the application answer HEAD as it answers GET; the connection leaves the body out.
+
+    Args:
+        app: The application behind.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on."""
+        if scope["type"] == "http" and scope["method"] == "HEAD":
+            scope = {**scope, "method": "GET"}
+        await self._app(scope, receive, send)
+
+
+class ReadOnlyAccess:
+    """Lets reads through that name this machine as their host.
+
+    Args:
+        app: The application behind.
+        host: The host the server is bound to, allowed besides the names of loopback.
+    """
+
+    def __init__(self, app: ASGIApp, host: str) -> None:
+        self._app = app
+        self._host = host.strip("[]").lower()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, or answer with what is wrong with it."""
+        problem = self._objection(scope) if scope["type"] == "http" else None
+        if problem is None:
+            await self._app(scope, receive, send)
+        else:
+            await replace(problem, headers=CLOSE).response()(scope, receive, send)
+
+    def _objection(self, scope: Scope) -> Problem | None:
+        hosts = [value.decode("latin-1") for name, value in scope["headers"] if name == b"host"]
+        name = host_name(hosts[0].strip().lower()) if len(hosts) == 1 else ""
+        if not name:
+            return Problem(
+                "bad-host",
+                f"the request names {short(', '.join(hosts)) or 'no host'}, where one host belongs",
+                remedy=RIGHT_HOST,
+            )
+        if not self._is_here(name):
+            return Problem(
+                "foreign-host", f"host {short(hosts[0])} is not this machine", remedy=RIGHT_HOST
+            )
+        if is_cross_site(scope, hosts[0]):
+            return Problem(
+                "cross-site",
+                "a web page of another origin asks",
+                remedy="open the address itself, or ask from a program",
+            )
+        if scope["method"] not in ("GET", "HEAD"):
+            return Problem(
+                "read-only",
+                f"{short(scope['method'])} is not answered over TCP",
+                remedy="use the Unix socket: only who may open it may write and stop",
+            )
+        if scope["path"].startswith(ADDRESSES_PATH):
+            return Problem(
+                "not-permitted",
+                "addresses of unknown drives are not asked over TCP",
+                remedy="use the Unix socket",
+            )
+        return None
+
+    def _is_here(self, name: str) -> bool:
+        return name in ("localhost", self._host) or is_loopback(name)
+
+
+def is_cross_site(scope: Scope, host: str) -> bool:
+    """Return whether a browser asks for a page that is not of this server."""
+    origin = f"http://{host.strip()}".lower()
+    for name, value in scope["headers"]:
+        if name == b"origin" and value.decode("latin-1").strip().lower() != origin:
+            return True
+        if name == b"sec-fetch-site" and value.strip().lower() not in OWN_SITES:
+            return True
+    return False
+
+
+def host_name(host: str) -> str:
+    """Return the host of a `Host` header without its port; empty if it is not one host."""
+    match = HOST.fullmatch(host)
+    return "" if match is None else match[1] or match[2]
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether a text is an address of this machine only."""
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False

@@ -1,0 +1,242 @@
+"""The routes that read: what is known of line, drives and groups, and reads of the line itself.
+
+Strategy: answers are written straight from the store, and long ones give way to other tasks
+between values, so that no request holds the event loop for long. The line is asked only by
+`?fresh=true` and for addresses that the roster does not have.
+
+What must not live here: what is written to drives (`write_routes`), how an answer looks
+(`answers`).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import AsyncIterator, Callable, Mapping
+from typing import Final
+
+import anyio.lowlevel
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
+
+from lecombus.api.answers import group_json, json_response, text_response
+from lecombus.api.bodies import AddressQuery, ValueQuery, WhyQuery
+from lecombus.api.decimal_json import encode
+from lecombus.api.operations_protocol import CustodyProtocol, OperationsProtocol
+from lecombus.api.page_cache import PageCache
+from lecombus.api.problems import Problem, ProblemError
+from lecombus.api.request_checks import code_of, read_query, refuse_query
+from lecombus.descriptions import code_document, family_document
+from lecombus.protocol.addressing import Form
+from lecombus.readings import DriveInfo, Json, json_value
+from lecombus.store import Store
+
+__all__ = ["ADDRESSES_PATH", "ReadRoutes"]
+
+ADDRESSES_PATH: Final = "/v1/line/addresses"
+
+VALUES_AT_ONCE: Final = 16
+"""Values written before other tasks run: about a tenth of a millisecond."""
+
+CODES_AT_ONCE: Final = 8
+"""Described codes written before other tasks run: about a third of a millisecond."""
+
+
+class ReadRoutes:
+    """The routes that read.
+
+    Args:
+        ops: What reads from the line.
+        custody: What knows identities and counts writes.
+        store: What is known.
+        facts: The line's name, port and baud rate.
+        plan_facts: What a plan is made from, and what the last minutes showed.
+        clock: A monotonic clock, seconds.
+    """
+
+    def __init__(
+        self,
+        ops: OperationsProtocol,
+        custody: CustodyProtocol,
+        store: Store,
+        facts: Mapping[str, Json],
+        plan_facts: Callable[[], dict[str, Json]],
+        clock: Callable[[], float],
+    ) -> None:
+        self._ops = ops
+        self._custody = custody
+        self._store = store
+        self._facts = facts
+        self._plan_facts = plan_facts
+        self._every_drive = PageCache(self._drives_text, lambda: store.changes, clock)
+
+    def routes(self) -> list[Route]:
+        """Return the routes."""
+        drive = "/v1/drives/{drive}"
+        address = f"{ADDRESSES_PATH}/{{address}}"
+        return [
+            Route("/v1/line", self.line),
+            Route(drive, self.one_drive),
+            Route(f"{drive}/restore", self.restore),
+            Route("/v1/groups", self.groups),
+            Route("/v1/drives", self.drives),
+            Route(f"{drive}/described", self.described_codes),
+            Route(f"{drive}/codes/{{code}}/{{subcode}}", self.read_code),
+            Route(f"{drive}/codes/{{code}}", self.read_code),
+            Route(f"{address}/codes/{{code}}/{{subcode}}", self.read_address),
+            Route(f"{address}/codes/{{code}}", self.read_address),
+            Route(f"{drive}/identity", self.identity),
+            Route(f"{drive}/wear", self.wear),
+            Route(f"{drive}/why", self.why),
+            Route("/v1/plan", self.plan),
+        ]
+
+    async def line(self, request: Request) -> Response:
+        """The line: its state, and how many drives are in which state."""
+        refuse_query(request)
+        states = Counter(info.state.value for info in self._store.drives())
+        line = self._store.line().as_json()
+        return json_response({**self._facts, **line, "drives": {**states}})
+
+    async def one_drive(self, request: Request) -> Response:
+        """One drive with its state and every value known, with age and quality."""
+        refuse_query(request)
+        info = self._store.drive(request.path_params["drive"])
+        return text_response(await self._drive_text(info))
+
+    async def restore(self, request: Request) -> Response:
+        """Whether a backup may be restored into a drive, and what it leaves alone there."""
+        refuse_query(request)
+        return json_response(self._ops.restore_rights(request.path_params["drive"]).as_json())
+
+    async def groups(self, request: Request) -> Response:
+        """Every group, its members and whether it is spoken to by multicast."""
+        refuse_query(request)
+        return json_response({"groups": [group_json(one) for one in self._ops.groups()]})
+
+    async def drives(self, request: Request) -> Response:
+        """Every drive with its state and every value known, with age and quality.
+
+        Values and ages may be 0.1 s behind; states, failures and writes never are.
+        """
+        refuse_query(request)
+        return text_response(await self._every_drive.get())
+
+    async def described_codes(self, request: Request) -> Response:
+        """What is known of a drive's codes: names, ranges, selections, where they are stored."""
+        refuse_query(request)
+        drive = request.path_params["drive"]
+        family = self._store.family(drive)
+        texts = []
+        for number, info in enumerate(family.described()):
+            if number % CODES_AT_ONCE == 0:
+                await anyio.lowlevel.checkpoint()
+            texts.append(encode(code_document(family, info)))
+        head = encode({"drive": drive, **family_document(family)})
+        return text_response(head[:-1] + ', "codes": [' + ", ".join(texts) + "]}")
+
+    async def read_code(self, request: Request) -> Response:
+        """A value from the store, or read now."""
+        query = read_query(request, ValueQuery)
+        drive, code = request.path_params["drive"], code_of(request)
+        if query.fresh:
+            urgency = query.priority
+            read = await self._ops.read(
+                drive, code, priority=urgency.priority, timeout_s=urgency.timeout_s
+            )
+            return json_response(read.as_json())
+        reading = self._store.reading(drive, code) or self._store.unread(drive, code)
+        return json_response(reading.as_json())
+
+    async def read_address(self, request: Request) -> Response:
+        """What answers at an address that the roster does not have; Unix socket only."""
+        query = read_query(request, AddressQuery)
+        code, number = code_of(request), number_of(request.path_params["address"])
+        heard = await self._ops.read_address(
+            number,
+            code,
+            form=form_of(query.addressing),
+            family_name=query.family,
+            patient=query.patient,
+        )
+        value = heard.value
+        return json_response(
+            {
+                "address": number,
+                "code": f"C{code.number:04d}",
+                "subcode": code.subcode,
+                "heard": heard.kind.value,
+                "value": None if value is None else json_value(value),
+                "raw": None if value is None else value.raw,
+                "format": None if value is None else value.format.value,
+                "received": heard.received.hex() or None,
+                "disturbances": heard.disturbances,
+            }
+        )
+
+    async def identity(self, request: Request) -> Response:
+        """Who a drive is by its own word, by the record, and by the roster."""
+        refuse_query(request)
+        return json_response(self._custody.identity(request.path_params["drive"]).as_json())
+
+    async def wear(self, request: Request) -> Response:
+        """How often the codes that wear a drive's memory were written, for ever."""
+        refuse_query(request)
+        return json_response(self._custody.wear(request.path_params["drive"]).as_json())
+
+    async def why(self, request: Request) -> Response:
+        """Why a drive does not turn: what is known to keep it from that, and what to do next."""
+        query = read_query(request, WhyQuery)
+        report = await self._ops.why(request.path_params["drive"], fresh=query.fresh)
+        return json_response(report.as_json(query.lang))
+
+    async def plan(self, request: Request) -> Response:
+        """What a plan is made from, and what the last five minutes showed; sends nothing."""
+        refuse_query(request)
+        return json_response(self._plan_facts())
+
+    async def _drives_text(self) -> bytes:
+        texts = [await self._drive_text(info) for info in self._store.drives()]
+        return ('{"drives": [' + ", ".join(texts) + "]}").encode()
+
+    async def _drive_text(self, info: DriveInfo) -> str:
+        """Return a drive with its values as JSON text, giving way to other tasks in between."""
+        texts = [text async for text in self._value_texts(info.name)]
+        head, motion = encode(info.as_json()), encode(self._store.motion(info.name).as_json())
+        return f'{head[:-1]}, "motion": {motion}, "values": [{", ".join(texts)}]}}'
+
+    async def _value_texts(self, drive: str) -> AsyncIterator[str]:
+        for number, code in enumerate(self._store.codes(drive)):
+            if number % VALUES_AT_ONCE == 0:
+                await anyio.lowlevel.checkpoint()
+            reading = self._store.reading(drive, code)
+            if reading is not None:
+                yield encode(reading.as_json())
+
+
+def number_of(address: str) -> int:
+    """Return the address that a path names.
+
+    Raises:
+        ProblemError: It names none.
+    """
+    if not (address.isascii() and address.isdecimal() and len(address) <= 2):
+        raise ProblemError(
+            Problem("no-such-address", f"{address!r} is no address", remedy="it is 1 to 99")
+        )
+    return int(address)
+
+
+def form_of(addressing: str) -> Form:
+    """Return the addressing form that a query names.
+
+    Raises:
+        ProblemError: It names none.
+    """
+    try:
+        return Form(addressing)
+    except ValueError as exc:
+        known = "standard or extended"
+        raise ProblemError(
+            Problem("bad-request", f"addressing takes {known}", remedy=f"give {known}")
+        ) from exc

@@ -1,0 +1,105 @@
+"""Stops over HTTP: `POST /v1/stop`, and the verbs `inhibit` and `quick-stop`.
+
+Strategy: these are the first routes of the application, so a stop passes no other. It is refused
+only for what cannot be guessed: no way to stop, no target, a body that is no JSON object. The rest
+is ignored, and the answer lists it in `ignored`: a query, unknown keys of the body, an
+`Idempotency-Key` that cannot be kept. A person who misspelt a key reads so after the drives have
+stopped. The body of a verb is not read at all.
+
+What must not live here: what a stop is (`operations`), what a body may say (`bodies`).
+"""
+
+from __future__ import annotations
+
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from lecombus.api.answers import group_response, verb_response
+from lecombus.api.decimal_json import short
+from lecombus.api.idempotency import SharedStops, key_mistake, key_of
+from lecombus.api.limits import STOP_PATH, is_stop
+from lecombus.api.operations_protocol import OperationsProtocol
+from lecombus.api.request_checks import read_stop
+from lecombus.drives import Verb
+
+__all__ = ["StopPaths", "StopRoutes"]
+
+
+class StopPaths:
+    """Removes extra slashes around the path of a stop; the router would not find it.
+
+    Args:
+        app: The application behind.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on."""
+        path = scope["path"] if scope["type"] == "http" else ""
+        if is_stop(path) and path != (plain := f"/{path.strip('/')}"):
+            scope = {**scope, "path": plain}
+        await self._app(scope, receive, send)
+
+
+class StopRoutes:
+    """The routes of stops.
+
+    Args:
+        ops: What stops.
+    """
+
+    def __init__(self, ops: OperationsProtocol) -> None:
+        self._ops = ops
+        self._shared = SharedStops()
+
+    def routes(self) -> list[Route]:
+        """Return the routes; they go before all others."""
+        verbs = [
+            Route(f"/v1/drives/{{drive}}/verbs/{verb}", endpoint, methods=["POST"])
+            for verb, endpoint in ((Verb.INHIBIT, self.inhibit), (Verb.QUICK_STOP, self.quick_stop))
+        ]
+        return [Route(STOP_PATH, self.stop, methods=["POST"]), *verbs]
+
+    async def stop(self, request: Request) -> Response:
+        """Stop a drive, a group or all, before everything else on the line.
+
+        A repeat with the same key shares the result only while the first is under way; after that
+        it stops again. What is superfluous in the request is ignored and told in `ignored`.
+        """
+        body, raw, superfluous = await read_stop(request)
+        ignored = (*ignored_of(request), *superfluous)
+
+        async def act() -> Response:
+            return group_response(await self._ops.stop(body.action, body.target), ignored)
+
+        return await self._shared.run(request, raw, act)
+
+    async def inhibit(self, request: Request) -> Response:
+        """Inhibit a drive; its motor coasts."""
+        return await self._verb(request, Verb.INHIBIT)
+
+    async def quick_stop(self, request: Request) -> Response:
+        """Stop a drive along its ramp."""
+        return await self._verb(request, Verb.QUICK_STOP)
+
+    async def _verb(self, request: Request, verb: Verb) -> Response:
+        drive, ignored = request.path_params["drive"], ignored_of(request)
+
+        async def act() -> Response:
+            return verb_response(await self._ops.verb(drive, verb), ignored)
+
+        return await self._shared.run(request, b"", act)
+
+
+def ignored_of(request: Request) -> tuple[str, ...]:
+    """Return what is ignored of a stop besides its body: its query, and a wrong key."""
+    query, key = request.scope["query_string"].decode("latin-1"), key_of(request)
+    said = (
+        f"a stop takes no query: {short(query)}" if query else "",
+        "" if key is None else key_mistake(key),
+    )
+    return tuple(one for one in said if one)

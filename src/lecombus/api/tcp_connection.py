@@ -1,0 +1,215 @@
+"""A connection over TCP, which any program of any user on this machine may open.
+
+It differs from one over the Unix socket in five things:
+
+* it is served in a share of the loop's time (`CpuShare`): slices and requests are begun there,
+  and nothing is read while a slice waits to be parsed;
+* it reads through one small buffer for all: otherwise each read would be given a quarter of a
+  megabyte, and many of them took 100 MB;
+* few requests may be pending, and there are few places (`limits`);
+* a client that keeps the daemon waiting is cut: one that does not complete a request, or does not
+  take its answer, for `PATIENCE_S`;
+* it is closed in two steps (`LingeringTransport`), so that a client that still sends reads why.
+
+What must not live here: who may do what (`access`).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable
+from typing import Any, Final
+
+from lecombus.api.connection import Connection
+from lecombus.api.start_queue import CpuShare
+from lecombus.operations.actions import Actor
+
+__all__ = ["PATIENCE_S", "TCP_PENDING_LIMIT", "LingeringTransport", "TcpConnection"]
+
+TCP_PENDING_LIMIT: Final = 2
+
+READ_BYTES: Final = 16 * 1024
+
+PATIENCE_S: Final = 10.0
+"""How long a client may keep the daemon waiting; it is cut after once to twice that."""
+
+LINGER_S: Final = 1.0
+"""How long a client that was answered for the last time may go on sending."""
+
+DROPPED_LIMIT: Final = 64 * 1024
+"""Bytes that it may send in that time."""
+
+OPENING_S: Final = 0.0002
+"""Processor time that taking a connection and ending it costs, about."""
+
+
+class LingeringTransport(asyncio.Transport):
+    """A transport that is closed in two steps: first it says that it will send no more.
+
+    Closing a socket with bytes unread makes the kernel reset the connection, and the client may
+    lose an answer that it has not read yet.
+
+    Args:
+        inner: The loop's transport.
+    """
+
+    def __init__(self, inner: asyncio.Transport) -> None:
+        super().__init__()
+        self._inner = inner
+        self._end: asyncio.TimerHandle | None = None
+        self._is_read = False
+
+    def get_extra_info(self, name: str, default: Any = None) -> Any:
+        """Return what the loop's transport knows."""
+        return self._inner.get_extra_info(name, default)
+
+    def is_closing(self) -> bool:
+        """Whether it was closed, or is lingering."""
+        return self._end is not None or self._inner.is_closing()
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        """Send bytes, unless it was closed."""
+        if self._end is None:
+            self._inner.write(data)
+
+    def get_write_buffer_size(self) -> int:
+        """Return how many bytes the kernel did not take yet."""
+        return self._inner.get_write_buffer_size()
+
+    def pause_reading(self) -> None:
+        """Read no more."""
+        self._inner.pause_reading()
+
+    def resume_reading(self) -> None:
+        """Read on."""
+        self._inner.resume_reading()
+
+    def close(self) -> None:
+        """Send what is left, say that it was the last, and close soon after."""
+        if self._is_read or self.is_closing():
+            self._inner.close()
+            return
+        self._end = asyncio.get_running_loop().call_later(LINGER_S, self._inner.abort)
+        self._inner.resume_reading()
+        with contextlib.suppress(OSError):  # it was reset, which the loop will find out
+            self._inner.write_eof()
+
+    def abort(self) -> None:
+        """Close without sending what is left."""
+        self._inner.abort()
+
+    def read_all(self) -> None:
+        """The client sends no more: there is nothing to linger for."""
+        self._is_read = True
+
+    def ended(self) -> None:
+        """The loop's transport is closed."""
+        if self._end is not None:
+            self._end.cancel()
+
+
+class TcpConnection(Connection, asyncio.BufferedProtocol):
+    """A connection over TCP."""
+
+    share: CpuShare
+    buffer = memoryview(bytearray(READ_BYTES))
+    """What the loop reads into; all of it is taken out after each read."""
+    transport: LingeringTransport
+    may_write = False
+    pending_limit = TCP_PENDING_LIMIT
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Take the connection; called by the loop."""
+        self.share.spend(OPENING_S)
+        self._dropped = 0
+        self._progress = self._progress_seen = 0
+        super().connection_made(LingeringTransport(transport))
+        self._looking = self.loop.call_later(PATIENCE_S, self._look)
+
+    def _actor(self) -> Actor:
+        """Return the client."""
+        return Actor("tcp", client="" if self.client is None else ":".join(map(str, self.client)))
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Give the place back; called by the loop."""
+        self.share.forget(self)
+        self._looking.cancel()
+        self.transport.ended()
+        super().connection_lost(exc)
+
+    def get_buffer(self, sizehint: int) -> memoryview:
+        """Return where bytes are read to; called by the loop."""
+        return self.buffer
+
+    def buffer_updated(self, nbytes: int) -> None:
+        """Take the bytes that were read; called by the loop."""
+        self.data_received(bytes(self.buffer[:nbytes]))
+
+    def data_received(self, data: bytes) -> None:
+        """Keep bytes until their turn; called by the loop."""
+        if self.transport.is_closing():
+            self._dropped += len(data)
+            if self._dropped > DROPPED_LIMIT:
+                self.transport.abort()
+            return
+        self._unset_keepalive_if_required()
+        if self._end is None:
+            self._unread += data
+            self.flow.is_held = True
+            self.flow.pause_reading()
+            if self._room > 0:
+                self._parse_later()
+
+    def eof_received(self) -> bool:  # type: ignore[override]
+        """The client sends no more; called by the loop."""
+        self.transport.read_all()
+        return not self.transport.is_closing() and super().eof_received()
+
+    def on_message_complete(self) -> None:
+        """A request came whole."""
+        self._progress += 1
+        super().on_message_complete()
+
+    def on_response_complete(self) -> None:
+        """Go on with the next request, or end; called when an answer was handed over."""
+        self._progress += 1
+        super().on_response_complete()
+
+    def _queue(self, begin: Callable[[], None]) -> None:
+        self.share.take(self, begin)
+
+    def _start_asgi_task(self, cycle: Any, app: Any) -> None:
+        self._running = cycle
+
+        def start() -> None:
+            if not self.transport.is_closing():
+                super(Connection, self)._start_asgi_task(cycle, app)
+
+        self.share.take(self, start)
+
+    def shutdown(self) -> None:
+        """End after the requests under way; called by the server."""
+        super().shutdown()
+        if self._is_answered:
+            self.transport.abort()
+
+    def _look(self) -> None:
+        """Cut the client if it kept us waiting since the last look."""
+        if self._waits_for_client and self._progress == self._progress_seen:
+            self.transport.abort()
+            return
+        self._progress_seen = self._progress
+        self._looking = self.loop.call_later(PATIENCE_S, self._look)
+
+    @property
+    def _waits_for_client(self) -> bool:
+        """Whether the client is to send the rest of a request, or to take an answer."""
+        if self.flow.write_paused:
+            return True
+        if self._is_queued:
+            return False
+        running = self._running
+        if running is None or not self._is_answered:
+            return running is None or running.more_body
+        return self._is_begun

@@ -1,0 +1,194 @@
+"""The routes that write: codes of a drive or a group, verbs that are no stop, address, acceptance.
+
+Each request is carried out once per `Idempotency-Key` (`idempotency`).
+
+What must not live here: stops (`stop_routes`), what a write or a verb means (`operations`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from decimal import Decimal
+from typing import Final
+
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
+
+from lecombus.api.answers import group_response, json_response, verb_response, write_response
+from lecombus.api.bodies import (
+    AcceptBody,
+    AddressBody,
+    DriveWriteBody,
+    NoKeysBody,
+    SpeedBody,
+    VerbBody,
+    WriteBody,
+)
+from lecombus.api.decimal_json import short
+from lecombus.api.idempotency import Idempotency
+from lecombus.api.operations_protocol import CustodyProtocol, OperationsProtocol
+from lecombus.api.problems import Problem, ProblemError
+from lecombus.api.request_checks import code_of, read_body, refuse_query
+from lecombus.drives import Verb
+from lecombus.operations.requests import refuse_for_gone_client
+
+__all__ = ["WriteRoutes"]
+
+BODIES: Final[Mapping[Verb, type[VerbBody]]] = {
+    Verb.ENABLE: VerbBody,
+    Verb.SET_SPEED: SpeedBody,
+    Verb.RESET_FAULT: VerbBody,
+}
+"""What a verb takes; the others are stops."""
+
+
+class WriteRoutes:
+    """The routes that write.
+
+    Args:
+        ops: What writes to drives.
+        custody: What gives a drive another address or another identity.
+        keys: The idempotency keys used.
+    """
+
+    def __init__(
+        self, ops: OperationsProtocol, custody: CustodyProtocol, keys: Idempotency
+    ) -> None:
+        self._ops = ops
+        self._custody = custody
+        self._keys = keys
+
+    def routes(self) -> list[Route]:
+        """Return the routes."""
+        drive = "/v1/drives/{drive}"
+        code, subcode = "/codes/{code}", "/codes/{code}/{subcode}"
+        return [
+            Route(f"{drive}{subcode}", self.write_code, methods=["PUT"]),
+            Route(f"{drive}{code}", self.write_code, methods=["PUT"]),
+            Route(f"/v1/groups/{{group}}{subcode}", self.write_group, methods=["PUT"]),
+            Route(f"/v1/groups/{{group}}{code}", self.write_group, methods=["PUT"]),
+            Route(f"{drive}/verbs/{{verb}}", self.do, methods=["POST"]),
+            Route(f"{drive}/address", self.address, methods=["POST"]),
+            Route(f"{drive}/accept", self.accept, methods=["POST"]),
+            Route(f"{drive}/forget-times", self.forget_times, methods=["POST"]),
+        ]
+
+    async def write_code(self, request: Request) -> Response:
+        """A write; answers when its outcome is known."""
+        refuse_query(request)
+        drive, code = request.path_params["drive"], code_of(request)
+        body, raw = await read_body(request, DriveWriteBody)
+
+        async def act() -> Response:
+            report = await self._ops.write(
+                drive,
+                code,
+                body.value,
+                expires_s=body.expires_s,
+                verify=bool(body.verify),
+                urgency=None if body.priority is None else body.priority.priority,
+                restoring=bool(body.restore),
+                unless_stopped_since=body.stops,
+            )
+            return write_response(report)
+
+        return await self._keys.run(request, raw, act)
+
+    async def write_group(self, request: Request) -> Response:
+        """A write to every member of a group, with an outcome per member."""
+        refuse_query(request)
+        group, code = request.path_params["group"], code_of(request)
+        body, raw = await read_body(request, WriteBody)
+
+        async def act() -> Response:
+            report = await self._ops.write_group(
+                group, code, body.value, expires_s=body.expires_s, verify=body.verify
+            )
+            return group_response(report)
+
+        return await self._keys.run(request, raw, act)
+
+    async def do(self, request: Request) -> Response:
+        """Have a drive do something: enable, inhibit, quick-stop, set-speed or reset-fault.
+
+        Only set-speed needs a body: `{"value": 35.4, "unit": "Hz"}`.
+        """
+        drive, verb = request.path_params["drive"], verb_of(request.path_params["verb"])
+        refuse_query(request)
+        body, raw = await read_body(request, BODIES[verb], may_be_empty=True)
+
+        async def act() -> Response:
+            if not isinstance(body, SpeedBody):
+                return verb_response(await self._ops.verb(drive, verb, expires_s=body.expires_s))
+            unit = body.unit.strip()
+            report = await self._ops.verb(
+                drive,
+                verb,
+                value=Decimal(body.value),
+                unit="Hz" if unit.lower() == "hz" else unit,
+                expires_s=body.expires_s,
+                verify=bool(body.verify),
+            )
+            return verb_response(report)
+
+        return await self._keys.run(request, raw, act)
+
+    async def address(self, request: Request) -> Response:
+        """Give a drive another address, find it there, and follow it; answers when that is known.
+
+        The roster must allow it, the drive must stand, and nothing may answer at the new address.
+        """
+        refuse_query(request)
+        drive = request.path_params["drive"]
+        body, raw = await read_body(request, AddressBody)
+
+        async def act() -> Response:
+            refuse_for_gone_client(drive)
+            return write_response(await self._custody.readdress(drive, body.address))
+
+        return await self._keys.run(request, raw, act)
+
+    async def accept(self, request: Request) -> Response:
+        """Take the drive that is there for the drive of this name; it may be written to then.
+
+        The body repeats its identity as `GET ../identity` gives it under `found`.
+        """
+        refuse_query(request)
+        drive = request.path_params["drive"]
+        body, raw = await read_body(request, AcceptBody)
+
+        async def act() -> Response:
+            refuse_for_gone_client(drive)
+            return json_response(self._custody.accept(drive, body.identity).as_json())
+
+        return await self._keys.run(request, raw, act)
+
+    async def forget_times(self, request: Request) -> Response:
+        """Forget how long a drive was measured to think; manual and roster count from then on.
+
+        What it takes is measured all the time, so a drive that is slow is soon learnt again.
+        """
+        refuse_query(request)
+        drive = request.path_params["drive"]
+        _, raw = await read_body(request, NoKeysBody, may_be_empty=True)
+
+        async def act() -> Response:
+            return json_response(self._custody.forget_times(drive).as_json())
+
+        return await self._keys.run(request, raw, act)
+
+
+def verb_of(word: str) -> Verb:
+    """Return the verb that a path names.
+
+    Raises:
+        ProblemError: It names none.
+    """
+    try:
+        return Verb(word)
+    except ValueError:
+        remedy = f"they are {', '.join(Verb)}"
+        raise ProblemError(
+            Problem("no-such-path", f"there is no verb {short(word)}", remedy=remedy)
+        ) from None

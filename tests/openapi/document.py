@@ -1,0 +1,258 @@
+"""The OpenAPI document, made from the routes, the answer models and the models of bodies.
+
+`make openapi` writes it into src/lecombus/api/openapi.json, which the daemon serves; a test checks
+that the file is up to date. The text of an operation is the docstring of its route; its parameters,
+body and answers stand here in `OPERATIONS`, in the order of the document.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import textwrap
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, cast
+
+from pydantic import BaseModel
+from pydantic.json_schema import models_json_schema
+from starlette.applications import Starlette
+from starlette.routing import Route
+
+import lecombus.api
+from lecombus.api import bodies
+from lecombus.api.idempotency import KEY_CHARS
+from lecombus.api.problems import PROBLEM_TYPE, STATUS_BY_KIND
+from openapi import answer_models
+from openapi.answer_models import ProblemDocument
+from support.api_line import make_line
+
+__all__ = ["FILE", "OPERATIONS", "UNDESCRIBED", "document_of", "main"]
+
+FILE: Final = Path(lecombus.api.__file__).with_name("openapi.json")
+
+REF: Final = "#/components/schemas/{model}"
+JSON_TYPE: Final = "application/json"
+
+REFUSALS: Final = (403, 404, 409, 413, 422, 502, 503, 504)
+"""The statuses of a write or a stop besides 200."""
+
+UNDESCRIBED: Final = frozenset(("/metrics", "/openapi.json"))
+"""Paths for programs that know them."""
+
+KEY: Final = {
+    "name": "Idempotency-Key",
+    "in": "header",
+    "required": False,
+    "schema": {
+        "anyOf": [{"type": "string"}, {"type": "null"}],
+        "description": "Makes a repeat safe; a new one per request",
+        # Bounds for readers of the document only: a stop is not refused for its key.
+        "minLength": 1,
+        "maxLength": KEY_CHARS,
+        "title": "Idempotency-Key",
+    },
+    "description": "Makes a repeat safe; a new one per request",
+}
+
+
+@dataclass(frozen=True)
+class Operation:
+    """What a route takes and answers.
+
+    Args:
+        answer: What a 200 carries.
+        problems: The other statuses.
+        query: Its query parameters.
+        body: What it takes.
+        body_required: Whether it needs one.
+    """
+
+    answer: type[BaseModel]
+    problems: tuple[int, ...]
+    query: type[bodies.Query] | None = None
+    body: type[bodies.Body] | None = None
+    body_required: bool = True
+
+
+DRIVE: Final = "/v1/drives/{drive}"
+AT_ADDRESS: Final = "/v1/line/addresses/{address}"
+GROUP: Final = "/v1/groups/{group}"
+CODE: Final = "/codes/{code}"
+SUBCODE: Final = "/codes/{code}/{subcode}"
+
+READ_CODE: Final = Operation(
+    answer_models.ReadingDocument, (404, 409, 422, 502, 503, 504), bodies.ValueQuery
+)
+READ_ADDRESS: Final = Operation(
+    answer_models.HeardDocument, (403, 404, 409, 422, 503), bodies.AddressQuery
+)
+
+
+def writing(answer: type[BaseModel], body: type[bodies.Body]) -> Operation:
+    """Return an operation that writes."""
+    return Operation(answer, REFUSALS, body=body)
+
+
+WRITE_CODE: Final = writing(answer_models.OutcomeDocument, bodies.DriveWriteBody)
+WRITE_GROUP: Final = writing(answer_models.GroupOutcomeDocument, bodies.WriteBody)
+
+OPERATIONS: Final[Mapping[tuple[str, str], Operation]] = {
+    ("get", "/v1/line"): Operation(answer_models.LineDocument, (422,)),
+    ("get", DRIVE): Operation(answer_models.DriveDocument, (404, 422)),
+    ("get", f"{DRIVE}/restore"): Operation(answer_models.RestoreDocument, (404, 422)),
+    ("get", "/v1/groups"): Operation(answer_models.GroupsDocument, (422,)),
+    ("get", "/v1/drives"): Operation(answer_models.DrivesDocument, (422,)),
+    ("get", f"{DRIVE}/described"): Operation(answer_models.DescribedDocument, (404, 422)),
+    ("get", DRIVE + SUBCODE): READ_CODE,
+    ("put", DRIVE + SUBCODE): WRITE_CODE,
+    ("get", DRIVE + CODE): READ_CODE,
+    ("put", DRIVE + CODE): WRITE_CODE,
+    ("get", AT_ADDRESS + SUBCODE): READ_ADDRESS,
+    ("get", AT_ADDRESS + CODE): READ_ADDRESS,
+    ("put", GROUP + SUBCODE): WRITE_GROUP,
+    ("put", GROUP + CODE): WRITE_GROUP,
+    ("post", "/v1/stop"): writing(answer_models.GroupOutcomeDocument, bodies.StopBody),
+    ("post", f"{DRIVE}/verbs/{{verb}}"): Operation(
+        answer_models.VerbDocument, REFUSALS, body=bodies.SpeedBody, body_required=False
+    ),
+    ("get", f"{DRIVE}/identity"): Operation(answer_models.IdentityDocument, (404, 422)),
+    ("get", f"{DRIVE}/wear"): Operation(answer_models.WearDocument, (404, 422)),
+    ("post", f"{DRIVE}/address"): writing(answer_models.OutcomeDocument, bodies.AddressBody),
+    ("post", f"{DRIVE}/accept"): writing(answer_models.IdentityDocument, bodies.AcceptBody),
+    ("post", f"{DRIVE}/forget-times"): writing(
+        answer_models.ForgottenTimesDocument, bodies.NoKeysBody
+    ),
+    ("get", f"{DRIVE}/why"): Operation(answer_models.WhyDocument, (404, 422), bodies.WhyQuery),
+    ("get", "/v1/plan"): Operation(answer_models.PlanDocument, (422,)),
+    ("get", "/healthz"): Operation(answer_models.StatusDocument, (503,)),
+    ("get", "/readyz"): Operation(answer_models.StatusDocument, (503,)),
+}
+
+
+def main() -> None:
+    """Write the file, unless it says the same already."""
+    document = document_of(make_line().app)
+    if json.loads(FILE.read_text()) != document:
+        FILE.write_text(json.dumps(document, indent=1) + "\n")
+
+
+def document_of(app: Starlette) -> dict[str, Any]:
+    """Return the document of an application; its version is put in when it is served."""
+    endpoints = dict(endpoints_of(app))
+    models = [one.answer for one in OPERATIONS.values()]
+    models += [one.query for one in OPERATIONS.values() if one.query is not None]
+    _, found = models_json_schema(
+        [(model, "validation") for model in dict.fromkeys(models)], ref_template=REF
+    )
+    queries = {one.query.__name__ for one in OPERATIONS.values() if one.query is not None}
+    schemas = {name: found["$defs"][name] for name in sorted(found["$defs"].keys() - queries)}
+    schemas[ProblemDocument.__name__] = ProblemDocument.model_json_schema()
+    paths: dict[str, dict[str, Any]] = {}
+    for (method, path), operation in OPERATIONS.items():
+        described = described_operation(endpoints[method, path], method, path, operation)
+        paths.setdefault(path, {})[method] = described
+    made = {
+        "openapi": "3.1.0",
+        "info": {"title": "lecombus", "version": "0"},
+        "paths": paths,
+        "components": {"schemas": schemas},
+    }
+    return cast(dict[str, Any], without_null_defaults(made))
+
+
+def without_null_defaults(part: Any) -> Any:
+    """Return a part of the document without defaults of null, which say nothing."""
+    if isinstance(part, list):
+        return [without_null_defaults(one) for one in part]
+    if not isinstance(part, dict):
+        return part
+    kept = {key: one for key, one in part.items() if not (key == "default" and one is None)}
+    return {key: without_null_defaults(one) for key, one in kept.items()}
+
+
+def endpoints_of(app: Starlette) -> Iterator[tuple[tuple[str, str], Any]]:
+    """Yield the function behind each method and path that the document may describe."""
+    for route in app.routes:
+        assert isinstance(route, Route)
+        for method in route.methods or ():
+            if method != "HEAD" and route.path not in UNDESCRIBED:
+                yield (method.lower(), route.path), route.endpoint
+
+
+def described_operation(
+    endpoint: Any, method: str, path: str, operation: Operation
+) -> dict[str, Any]:
+    """Return what the document says of one operation."""
+    parameters = [path_parameter(name) for name in re.findall(r"{(\w+)}", path)]
+    if operation.query is not None:
+        parameters += query_parameters(operation.query)
+    if operation.body is not None:
+        parameters.append(KEY)
+    name: str = endpoint.__name__
+    summary, _, rest = endpoint.__doc__.partition("\n")
+    found: dict[str, Any] = {
+        "summary": name.replace("_", " ").title(),
+        "description": f"{summary}\n{textwrap.dedent(rest)}".strip(),
+        "operationId": re.sub(r"\W", "_", f"{name}{path}_{method}"),
+    }
+    if parameters:
+        found["parameters"] = parameters
+    answer = {"schema": reference(operation.answer)}
+    found["responses"] = {
+        "200": {"description": "Successful Response", "content": {JSON_TYPE: answer}},
+        **{str(status): problem_response(titles(status)) for status in operation.problems},
+        "default": problem_response(
+            "What any path may be refused with: 400, 405, 414, 421, 429, 431, 503"
+        ),
+    }
+    if operation.body is not None:
+        schema = operation.body.model_json_schema(ref_template=REF)
+        schema.pop("$defs", None)  # what it refers to is a component of a query already
+        content = {JSON_TYPE: {"schema": schema}}
+        found["requestBody"] = {"required": operation.body_required, "content": content}
+    return found
+
+
+def path_parameter(name: str) -> dict[str, Any]:
+    """Return a part of a path."""
+    schema = {"type": "string", "title": name.title()}
+    return {"name": name, "in": "path", "required": True, "schema": schema}
+
+
+def query_parameters(model: type[bodies.Query]) -> Iterator[dict[str, Any]]:
+    """Yield the parameters of a query."""
+    for name, schema in model.model_json_schema(ref_template=REF)["properties"].items():
+        text = schema["description"]
+        yield {
+            "name": name,
+            "in": "query",
+            "required": False,
+            "schema": schema,
+            "description": text,
+        }
+
+
+def reference(model: type[BaseModel]) -> dict[str, str]:
+    """Return a reference to a model's schema."""
+    return {"$ref": REF.format(model=model.__name__)}
+
+
+def titles(status: int) -> str:
+    """Return the problems of a status."""
+    return ", ".join(
+        f"{title} ({kind})"
+        for kind, (its_status, title) in STATUS_BY_KIND.items()
+        if its_status == status
+    )
+
+
+def problem_response(text: str) -> dict[str, Any]:
+    """Return a response with a problem document."""
+    content = {PROBLEM_TYPE: {"schema": reference(ProblemDocument)}}
+    return {"description": text, "content": content}
+
+
+if __name__ == "__main__":
+    main()
