@@ -7,7 +7,7 @@ import time
 import pytest
 
 from lecombus.drives import FAMILY_NAMES, WriteClass, family
-from lecombus.drives.loading import _packaged, load_family
+from lecombus.drives.family_files import _packaged, load_family
 from lecombus.errors import ConfigError
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Format, Value

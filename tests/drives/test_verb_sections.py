@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from lecombus.drives import FAMILY_NAMES, family
-from lecombus.drives.loading import load_family
+from lecombus.drives.family_files import load_family
 from lecombus.drives.verb_rules import Access, VerbRules
 from lecombus.errors import DescriptionError
 from lecombus.protocol.addressing import Code

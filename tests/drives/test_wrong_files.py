@@ -14,10 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lecombus.drives import FAMILY_NAMES, Family
+from lecombus.drives.family_files import load_family
 from lecombus.drives.faults import load_link_report, load_table
 from lecombus.drives.faults.causes import load_causes
 from lecombus.drives.faults.reasons import load_reasons
-from lecombus.drives.loading import load_family
 from lecombus.errors import DescriptionError
 from lecombus.protocol.addressing import Code
 

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from lecombus.drives import FAMILY_NAMES, family
 from lecombus.drives.field_types import Words, read_words, whole
-from lecombus.drives.yaml_models import FILE_TABLE, KEY, Document, Reads, mistake
+from lecombus.drives.yaml_models import FILE_TABLE, KEY, Reads, YamlFile, mistake
 from lecombus.errors import CodeValueError
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
@@ -74,7 +74,7 @@ def read_backup(text: str, file: str) -> Backup:
     Raises:
         ConfigError: It is no backup, or something in it cannot be.
     """
-    document = Document(text, file, untrusted=True)
+    document = YamlFile(text, file, untrusted=True)
     if FORMAT_KEY not in document.data:
         raise document.error(
             f"this is no backup: it does not begin with {FORMAT_KEY}: {FORMAT_VERSION}"
@@ -114,7 +114,7 @@ def read_backup(text: str, file: str) -> Backup:
     return Backup(head, family(head.family), dict(sorted(entries.items())), name=file)
 
 
-def _entry(document: Document, section: str, key: str, value: Value | str) -> Entry:
+def _entry(document: YamlFile, section: str, key: str, value: Value | str) -> Entry:
     place = document.place(section, key, KEY)
     try:
         code = Code.parse(key)

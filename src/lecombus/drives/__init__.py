@@ -1,9 +1,9 @@
 """Families of drives from data files, and what follows from them.
 
 `family` and `codes` are the models, `families/*.yaml` the data with the sections of the manuals,
-`loading` reads them (`yaml_models` and `field_types` serve all data files). `words` decodes status
-words, `commands` control words, `faults` explains fault numbers, `stops` and `verbs` make the
-writes that stop, enable, set and reset a drive, `encoding` makes a value of what a user gives,
+`family_files` reads them (`yaml_models` and `field_types` serve all data files). `words` decodes
+status words, `commands` control words, `faults` explains fault numbers, `stops` and `verbs` make
+the writes that stop, enable, set and reset a drive, `encoding` makes a value of what a user gives,
 `costs` says how long an exchange takes.
 
 What must not live here: input and output but for the packaged data files, clocks, the line, values
@@ -22,10 +22,10 @@ from .family import (
     SoftwareGate,
     WatchdogTraits,
 )
+from .family_files import FAMILY_NAMES, family, load_family
 from .faults import Fault, FaultKind
-from .loading import FAMILY_NAMES, family, load_family
 from .operating import OperatingState, believed_states, join_states
-from .restoring import (
+from .restore_rules import (
     RestoreWord,
     is_last,
     must_be_same,

@@ -24,7 +24,7 @@ from lecombus.protocol.values import (
 
 from .codes import RANGE, CodeInfo, Storage
 from .field_types import Flag, read_number, whole, whole_number
-from .yaml_models import KEY, ReadAs, mistake, reading_of, without_keys
+from .yaml_models import KEY, ReadAs, context_of, mistake, without_keys
 
 __all__ = ["ALL_CODES"]
 
@@ -63,7 +63,7 @@ def _all_codes(entries: tuple[_Entry, ...], info: ValidationInfo) -> dict[Code, 
                     message = f"{spread.code} is described twice: as {' and as '.join(names)}"
                     raise mistake(message, place, code=spread.code)
     codes = dict(sorted(found.items()))
-    reading_of(info).codes = codes
+    context_of(info).codes = codes
     return codes
 
 

@@ -1,9 +1,9 @@
 """A family of drives: answer times, watchdog, codes, words, and the questions about them.
 
-`loading` makes a `Family` of the data files in `families/`. Everything is resolved then, so that a
-question on the path of every exchange is a dictionary access. A code without a description is no
-error: it may be read, its write is not repeated after a lost answer, and its format follows from
-the value given.
+`family_files` makes a `Family` of the data files in `families/`. Everything is resolved then, so
+that a question on the path of every exchange is a dictionary access. A code without a description
+is no error: it may be read, its write is not repeated after a lost answer, and its format follows
+from the value given.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from .field_types import (
     milliseconds,
     whole,
 )
-from .restoring import RestoreRule
+from .restore_rules import RestoreRule
 from .stops import StopAction, StopRule
 from .verb_rules import VerbRules
 from .words import FieldReading, WordInfo

@@ -18,7 +18,7 @@ from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import HIGHEST_DECIMAL, LOWEST_DECIMAL, Value
 
 from .texts import Text
-from .yaml_models import KEY, LIST_RIGHT, TEXT_RIGHT, Quoted, Reading, Reads, mistake
+from .yaml_models import KEY, LIST_RIGHT, TEXT_RIGHT, FileContext, Quoted, Reads, mistake
 
 __all__ = [
     "WORD_MAX",
@@ -143,35 +143,35 @@ def _read_both(given: object) -> Text:
     return Text(read_words(given[0], 0), read_words(given[1], 1))
 
 
-def _read_source(given: object, reading: Reading) -> str:
-    return f"{reading.manual} {read_words(given)}".strip()
+def _read_source(given: object, context: FileContext) -> str:
+    return f"{context.manual} {read_words(given)}".strip()
 
 
-def _read_described(given: object, reading: Reading) -> Code:
+def _read_described(given: object, context: FileContext) -> Code:
     """Read a code that must be described; while no code is known, nothing is checked."""
     code = read_code(given)
-    if reading.codes and code not in reading.codes:
+    if context.codes and code not in context.codes:
         raise mistake(f"{code} is not described", code=code)
     return code
 
 
-def _read_word_code(given: object, reading: Reading) -> Code:
+def _read_word_code(given: object, context: FileContext) -> Code:
     code = read_code(given)
-    if code not in reading.codes or reading.codes[code].hex_digits is None:
+    if code not in context.codes or context.codes[code].hex_digits is None:
         raise mistake(f"{code} is not described as a word (VH)", code=code)
     return code
 
 
-def _read_writable(given: object, reading: Reading) -> Code:
-    code = _read_described(given, reading)
-    if reading.codes and not reading.codes[code].writable:
+def _read_writable(given: object, context: FileContext) -> Code:
+    code = _read_described(given, context)
+    if context.codes and not context.codes[code].writable:
         raise mistake(f"{code} cannot be written", code=code)
     return code
 
 
-def _read_shown(given: object, reading: Reading) -> Code:
-    code = _read_described(given, reading)
-    info = reading.codes.get(code)
+def _read_shown(given: object, context: FileContext) -> Code:
+    code = _read_described(given, context)
+    info = context.codes.get(code)
     if info is not None and (info.secret or not info.readable):
         why = "is secret" if info.secret else "cannot be read"
         raise mistake(f"{code} {why}, so it is not read unasked", code=code)

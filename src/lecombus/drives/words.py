@@ -20,7 +20,7 @@ from pydantic import AfterValidator
 from .field_types import BothLanguages, Words, ends, numbered, whole
 from .operating import OperatingState, StateRule
 from .texts import NOTHING, Text
-from .yaml_models import FILE_TABLE, Document, mistake
+from .yaml_models import FILE_TABLE, YamlFile, mistake
 
 __all__ = [
     "BitField",
@@ -213,4 +213,4 @@ def load_bit_names(text: str) -> dict[str, str]:
     Raises:
         DescriptionError: It says something that cannot be.
     """
-    return Document(text, f"families/{BIT_NAMES}").read(_BitNamesFile).names
+    return YamlFile(text, f"families/{BIT_NAMES}").read(_BitNamesFile).names

@@ -34,7 +34,7 @@ from pydantic_core.core_schema import (
 
 from lecombus.errors import DescriptionError
 
-__all__ = ["FILE_TABLE", "Document", "Quoted", "ReadAs", "Reading", "Reads", "mistake"]
+__all__ = ["FILE_TABLE", "FileContext", "Quoted", "ReadAs", "Reads", "YamlFile", "mistake"]
 
 LOADER: type = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
@@ -60,7 +60,7 @@ class Quoted(str):
 
 
 @dataclass(slots=True)
-class Reading:
+class FileContext:
     """What is known while a document is read, for the validators of its fields.
 
     Args:
@@ -76,11 +76,11 @@ class Reading:
         return getattr(self.codes.get(code), "write_class", None)
 
 
-def reading_of(info: ValidationInfo) -> Reading:
+def context_of(info: ValidationInfo) -> FileContext:
     """Return what is known while a document is read."""
-    reading: Any = info.context
-    assert isinstance(reading, Reading)
-    return reading
+    context: Any = info.context
+    assert isinstance(context, FileContext)
+    return context
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Reads:
     """Marks a field that a function reads; pydantic's own `PlainValidator` takes twice as long.
 
     Args:
-        read: Makes the value of the plain data; it is given the `Reading` too if `informed`.
+        read: Makes the value of the plain data; it is given the `FileContext` too if `informed`.
     """
 
     read: Callable[..., object]
@@ -168,7 +168,7 @@ def without_keys(kind: type[T], entry: object) -> T:
     return kind(**{one.name: getattr(entry, one.name) for one in fields(given) if one.init})
 
 
-class Document:
+class YamlFile:
     """A YAML file, or a file with those it includes.
 
     Args:
@@ -210,7 +210,7 @@ class Document:
         items = node.value if isinstance(node, yaml.SequenceNode) else ()
         return [one.value for one in items if isinstance(one, yaml.ScalarNode)]
 
-    def include(self, other: Document, lists: Collection[str]) -> None:
+    def include(self, other: YamlFile, lists: Collection[str]) -> None:
         """Add the keys of another document.
 
         Args:
@@ -243,9 +243,9 @@ class Document:
             DescriptionError: Something in it is wrong; of several mistakes the first.
         """
         model: Any = kind
-        reading = Reading(str(self.data.get("manual", "")))
+        context = FileContext(str(self.data.get("manual", "")))
         try:
-            found: T = _validator(model).validate_python(self.data, context=reading)
+            found: T = _validator(model).validate_python(self.data, context=context)
         except ValidationError as exc:
             mistakes = [(_path(one), one) for one in exc.errors(include_url=False)]
         else:

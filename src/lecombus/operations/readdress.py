@@ -34,7 +34,7 @@ import anyio
 from lecombus.config import DriveEntry
 from lecombus.drives import address_code
 from lecombus.drives.identity import text_of
-from lecombus.drives.restoring import saving_rule
+from lecombus.drives.restore_rules import saving_rule
 from lecombus.drives.standstill import Standstill, ask_standstill
 from lecombus.errors import ExchangeError, NoReplyError, OperationError
 from lecombus.line.station import Station

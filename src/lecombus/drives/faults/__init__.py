@@ -1,13 +1,13 @@
 """Faults of the drives: numbers, keypad texts, meanings, causes and remedies, from data files.
 
-`model` has the classes, the `*.yaml` beside it the data with the manuals' sections. `loading` reads
-a file when the first fault is looked up.
+`fault_tables` has the classes, the `*.yaml` beside it the data with the manuals' sections.
+`fault_files` reads a file when the first fault is looked up.
 """
 
 from __future__ import annotations
 
-from .loading import TABLES, fault_table, link_report, load_link_report, load_table
-from .model import (
+from .fault_files import TABLES, fault_table, link_report, load_link_report, load_table
+from .fault_tables import (
     NO_FAULT,
     CommunicationError,
     ExtendedFault,

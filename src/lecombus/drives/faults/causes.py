@@ -23,8 +23,8 @@ from lecombus.protocol.values import Value
 from ..codes import CodeInfo, Storage
 from ..field_types import BothLanguages, CodeNumber, Flag, Words, whole
 from ..yaml_models import FILE_TABLE
-from .loading import ReadFile, link_report, open_document, packaged
-from .model import LinkReport
+from .fault_files import ReadFile, link_report, open_document, packaged
+from .fault_tables import LinkReport
 from .rules import Condition, Families, each_once
 
 __all__ = [

@@ -18,7 +18,7 @@ from lecombus.protocol.values import Value
 from ..field_types import BothLanguages, Words
 from ..operating import OperatingState
 from ..yaml_models import FILE_TABLE
-from .loading import ReadFile, open_document, packaged
+from .fault_files import ReadFile, open_document, packaged
 from .rules import Condition, Families, each_once
 
 __all__ = ["Reason", "Weight", "asked_codes", "holding", "load_reasons", "reasons"]

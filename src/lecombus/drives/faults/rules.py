@@ -20,7 +20,7 @@ from ..yaml_models import FILE_TABLE, ReadAs, Reads, by_key, mistake
 __all__ = ["Condition", "Families", "ValueCondition", "each_once"]
 
 
-class Named(Protocol):
+class _Named(Protocol):
     """A rule, as far as its file is concerned."""
 
     @property
@@ -28,7 +28,7 @@ class Named(Protocol):
         """A stable word for it."""
 
 
-N = TypeVar("N", bound=Named)
+N = TypeVar("N", bound=_Named)
 
 TESTS: Final = ("not_in", "in", "below", "last_digit_not", "clear", "set")
 

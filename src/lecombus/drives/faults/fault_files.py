@@ -15,8 +15,8 @@ from lecombus.errors import DescriptionError
 
 from ..field_types import BothLanguages, CodeNumber, Flag, Source, Words, whole
 from ..texts import NOTHING
-from ..yaml_models import FILE_TABLE, Document, ReadAs, by_key
-from .model import (
+from ..yaml_models import FILE_TABLE, ReadAs, YamlFile, by_key
+from .fault_tables import (
     CommunicationError,
     ExtendedFault,
     Fault,
@@ -138,7 +138,7 @@ def load_table(name: str, read_file: ReadFile) -> FaultTable:
     )
 
 
-def _faults(document: Document, file: _FaultsFile) -> dict[int, Fault]:
+def _faults(document: YamlFile, file: _FaultsFile) -> dict[int, Fault]:
     faults: dict[int, Fault] = {}
     for place, entry in enumerate(file.faults):
         if not entry.numbers:
@@ -196,13 +196,13 @@ def load_link_report(read_file: ReadFile) -> LinkReport:
     return LinkReport(extended, file.communication)
 
 
-def _check_class(document: Document, name: str, file: _LinkReportFile, *path: int | str) -> None:
+def _check_class(document: YamlFile, name: str, file: _LinkReportFile, *path: int | str) -> None:
     if name not in file.classes:
         known = ", ".join(file.classes)
         raise document.error(f"{name} is not known here; {known} are", *path)
 
 
-def open_document(name: str, read_file: ReadFile) -> Document:
+def open_document(name: str, read_file: ReadFile) -> YamlFile:
     """Open a data file by its name without `.yaml`.
 
     Raises:
@@ -213,4 +213,4 @@ def open_document(name: str, read_file: ReadFile) -> Document:
         text = read_file(file)
     except (OSError, KeyError) as exc:
         raise DescriptionError("there is no such data file", file=f"faults/{file}") from exc
-    return Document(text, f"faults/{file}", family=name)
+    return YamlFile(text, f"faults/{file}", family=name)

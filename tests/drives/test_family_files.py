@@ -7,7 +7,7 @@ from decimal import Decimal
 import pytest
 
 from lecombus.drives import Family, Language, Storage
-from lecombus.drives.loading import load_family
+from lecombus.drives.family_files import load_family
 from lecombus.errors import DescriptionError
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value

@@ -15,7 +15,7 @@ from lecombus.drives import (
     restore_rule,
     saving_rule,
 )
-from lecombus.drives.loading import load_family
+from lecombus.drives.family_files import load_family
 from lecombus.errors import DescriptionError
 from lecombus.protocol.addressing import Code
 

@@ -23,7 +23,7 @@ from lecombus.protocol.addressing import Code
 
 from .codes import CodeInfo, Storage, WriteClass
 from .field_types import DescribedCode, Source, WordNumber, Words
-from .yaml_models import FILE_TABLE, ReadAs, mistake, reading_of
+from .yaml_models import FILE_TABLE, ReadAs, context_of, mistake
 
 if TYPE_CHECKING:
     from .family import Family
@@ -82,7 +82,7 @@ def _check_rules(rules: tuple[RestoreRule, ...], info: ValidationInfo) -> tuple[
         if (rule.value is not None) != (rule.word is RestoreWord.SAVE):
             raise mistake("value belongs to the rule save, and only there", place)
         for code in rule.codes:
-            described: CodeInfo | None = reading_of(info).codes.get(code)
+            described: CodeInfo | None = context_of(info).codes.get(code)
             if described is not None and described.parameter_set != 1:
                 raise mistake(f"a rule for {code} is written for parameter set 1", place, code=code)
             saves = described is not None and described.write_class is WriteClass.SAVE

@@ -34,7 +34,7 @@ from .field_types import (
     milliseconds,
     whole,
 )
-from .restoring import RESTORE, RestoreRule
+from .restore_rules import RESTORE, RestoreRule
 from .stops import STOPS, StopAction, StopRule
 from .verb_rules import VerbRules, check_control
 from .word_entries import CONTROL_WORDS, STATUS_WORDS
@@ -42,11 +42,11 @@ from .words import WordFieldEntry, WordInfo
 from .yaml_models import (
     FILE_TABLE,
     LIST_RIGHT,
-    Document,
     ReadAs,
+    YamlFile,
     by_key,
+    context_of,
     mistake,
-    reading_of,
     without_keys,
 )
 
@@ -135,7 +135,7 @@ def _status(entries: tuple[_StatusEntry, ...]) -> tuple[tuple[Code, float], ...]
 def _check_default(codes: tuple[Code, ...], info: ValidationInfo) -> frozenset[Code]:
     """Refuse codes that a roster must name to have them written."""
     for place, code in enumerate(codes):
-        write_class = reading_of(info).write_class(code)
+        write_class = context_of(info).write_class(code)
         if write_class in NEVER_BY_DEFAULT:
             message = f"{code} ({write_class}) is never writable by default"
             raise mistake(message, place, code=code)
@@ -143,7 +143,7 @@ def _check_default(codes: tuple[Code, ...], info: ValidationInfo) -> frozenset[C
 
 
 def _check_saves(code: Code, info: ValidationInfo) -> Code:
-    write_class = reading_of(info).write_class(code)
+    write_class = context_of(info).write_class(code)
     if write_class is not WriteClass.SAVE:
         raise mistake(f"{code} does not save: its write_class is {write_class}")
     return code
@@ -233,7 +233,7 @@ def load_family(name: str, read_file: ReadFile) -> Family:
         DescriptionError: A file is missing, or says something that cannot be.
     """
     try:
-        document = Document(read_file(f"{name}.yaml"), f"families/{name}.yaml", family=name)
+        document = YamlFile(read_file(f"{name}.yaml"), f"families/{name}.yaml", family=name)
     except (OSError, KeyError) as exc:
         raise DescriptionError("there is no such data file", file=f"{name}.yaml") from exc
     for number, included in enumerate(document.texts("include")):
@@ -243,7 +243,7 @@ def load_family(name: str, read_file: ReadFile) -> Family:
         except (OSError, KeyError) as exc:
             error = document.error(f"there is no data file {file}", "include", number)
             raise error from exc
-        document.include(Document(text, f"families/{file}", family=name), LISTS)
+        document.include(YamlFile(text, f"families/{file}", family=name), LISTS)
     read = document.read(FamilyFile)
     if read.name != name:
         message = f"the file is named {name}.yaml: family must be {name}"
