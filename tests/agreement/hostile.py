@@ -9,11 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from lecombus.config import Roster, line_timing
-from lecombus.drives import family
 from lecombus.simulator import SimLine
-from lecombus.simulator.drive import Overrides, SimDrive
+from lecombus.simulator.drive import SimDrive
 from lecombus.simulator.faults import Faults
 from lecombus.simulator.receiver import Heard
+from support.drives import presets
 
 __all__ = ["Drip", "HostileLine", "hostile_line"]
 
@@ -91,13 +91,8 @@ class HostileLine(SimLine):
 def hostile_line(roster: Roster) -> HostileLine:
     """Put a roster's drives on a line, their watchdogs set as it wants them."""
     adapter_s = line_timing(roster.line).adapter_latency_s
-    drives = []
-    for entry in roster.drives:
-        presets: dict[int | tuple[int, int], str] = {}
-        traits = family(entry.family).watchdog
-        if entry.watchdog is not None and traits is not None:
-            presets[traits.time_code.number] = str(round(entry.watchdog.time_s * 1000))
-            presets[traits.action_code.number] = str(traits.actions[entry.watchdog.action])
-        values: Overrides = presets
-        drives.append(SimDrive(entry.address, entry.family, entry.name, values, log_size=1))
+    drives = [
+        SimDrive(entry.address, entry.family, entry.name, presets(entry), log_size=1)
+        for entry in roster.drives
+    ]
     return HostileLine(drives, roster.line.baud, adapter_s)

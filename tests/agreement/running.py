@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from dataclasses import dataclass
 
 import anyio
@@ -17,13 +16,12 @@ from lecombus.line_runtime import LineRuntime
 from lecombus.planning.plan import make_plan
 from lecombus.readings import DriveState
 from lecombus.schedule.feed import HARD_PART
-from lecombus.simulator.memory import MemoryEnd
-from support.site_host import until
-from support.virtual_loop import VirtualLoop
+from support.site_host import Plant, until
+from support.taps import running
+from support.virtual_loop import run
 
 __all__ = ["Agreed", "agree", "as_measured", "attack_in_virtual_time", "attacked"]
 
-WALL_S = 1_795_000_000.0
 START_S = 900.0
 NEVER = (0.0, 0.0)
 
@@ -106,9 +104,7 @@ async def attacked(
         real: On the real clock: how late this machine is is looked at too.
         crowd: Not by one attack after the other, but by clients of all classes at once.
     """
-    async with anyio.create_task_group() as tasks:
-        tasks.start_soon(site.supervisor.run)
-        tasks.start_soon(site.worker.run)
+    async with running(site), anyio.create_task_group() as tasks:
         await until(lambda: _all_there(site), within_s=START_S)
         await adversary.quiet()
         if real:
@@ -129,11 +125,8 @@ def attack_in_virtual_time(case: Case, length_s: float = 60.0, *, crowd: bool = 
 
     async def main() -> Measured:
         sim = hostile_line(roster)
-        memory = MemoryEnd(sim, latency_s=0.001)
-        clock = asyncio.get_running_loop().time
-        site = LineRuntime(roster, memory.open, clock, lambda: WALL_S + clock())
-        adversary = Adversary(site, sim, lambda act: act())
-        return await attacked(site, adversary, length_s, crowd=crowd)
+        plant = Plant(roster, line=sim, latency_s=0.001)
+        adversary = Adversary(plant.site, sim, lambda act: act())
+        return await attacked(plant.site, adversary, length_s, crowd=crowd)
 
-    with asyncio.Runner(loop_factory=lambda: VirtualLoop(1e6)) as runner:
-        return runner.run(main())
+    return run(main())

@@ -14,17 +14,14 @@ from dataclasses import dataclass
 
 import anyio
 
-from lecombus.line.port import Port, PortSettings, Receiver
-from lecombus.line_runtime import LineRuntime
-from lecombus.readings import DriveState
 from lecombus.schedule import Priority
 from lecombus.simulator.line import SimLine
-from lecombus.simulator.memory import MemoryEnd
 from lecombus.simulator.world import build
 from proof.clients import Clients
 from proof.invariants import Invariants
 from proof.lines import RandomLine
-from support.taps import WALL_S, ObserverTap, PortTap, ReceiverTap, running
+from support.drives import presets
+from support.site_host import Plant
 from support.virtual_loop import Paused, VirtualLoop
 
 START_S = 600.0
@@ -70,21 +67,14 @@ class World:
 
     def __init__(self, line: RandomLine) -> None:
         self.line = line
-        self.sim = _simulated(line)
-        self._memory = MemoryEnd(self.sim, latency_s=line.adapter_s)
-        clock = asyncio.get_running_loop().time
-        self.site = LineRuntime(line.roster, self._open, clock, lambda: WALL_S + clock())
+        self.plant = Plant(line.roster, line=_simulated(line), latency_s=line.adapter_s)
+        self.site, self.sim = self.plant.site, self.plant.line
         self.invariants = Invariants(line, self.sim, self.site)
-        observer = self.site.worker.talk.observer
-        self.site.worker.talk.observer = ObserverTap(observer, self.invariants.ended)
-
-    async def _open(self, settings: PortSettings, receiver: Receiver) -> Port:
-        tap = ReceiverTap(receiver, self.invariants.heard)
-        return PortTap(await self._memory.open(settings, tap), self.invariants.said)
+        self.plant.watched_by(self.invariants)
 
     async def run(self) -> None:
         """Wait until the drives are there, then let clients and trouble loose on them."""
-        async with running(self.site):
+        async with self.plant:
             await self._settle()
             self.invariants.begin(settled=self._is_settled())
             self._let_pause()
@@ -115,8 +105,7 @@ class World:
 
     def _is_settled(self) -> bool:
         """Whether all drives are there and what the daemon wants to know of them is known."""
-        names = [drive.name for drive in self.line.roster.drives]
-        if not all(self.site.store.state(name) is DriveState.ONLINE for name in names):
+        if not self.plant.is_online:
             return False
         waiting = self.site.schedule.stats(asyncio.get_running_loop().time()).depth
         return not waiting[Priority.BACKGROUND]
@@ -124,19 +113,10 @@ class World:
 
 def _simulated(line: RandomLine) -> SimLine:
     """Make the drives, with the watchdogs set as the roster wants them."""
-    actions = {"none": 0, "inhibit": 1, "quick-stop": 2}
-    overrides: dict[str, dict[int | tuple[int, int], str]] = {}
-    for drive in line.roster.drives:
-        if drive.watchdog is not None:
-            codes = (1425, 1426) if drive.family == "smvector" else (1923, 1922)
-            action = actions[drive.watchdog.action]
-            overrides[drive.name] = {
-                codes[0]: str(round(drive.watchdog.time_s * 1000)),
-                codes[1]: str(action),
-            }
+    overrides = {drive.name: presets(drive) for drive in line.roster.drives}
     for drive in line.roster.drives:
         if drive.name in line.early and drive.family != "smvector":
-            overrides.setdefault(drive.name, {})[1921] = "1"
+            overrides[drive.name][1921] = "1"
     sim = build(
         [(drive.name, drive.address, drive.family) for drive in line.roster.drives],
         baud=line.roster.line.baud, faults=line.faults, seed=line.seed, spread=0.5,

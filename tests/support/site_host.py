@@ -2,6 +2,7 @@
 
 `Rig` is schedule and worker without store, keeper and roster, for looking at telegrams and
 outcomes; `Plant` is a whole `LineRuntime` of a roster. Both are entered inside `virtual_loop.run`.
+What passes is noted; a `Watch` given in place of the notes gets it instead, as in the proof.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import contextlib
 from collections.abc import Awaitable, Callable, Coroutine, Iterable
 from dataclasses import dataclass, field, replace
 from types import TracebackType
-from typing import Any
+from typing import Any, Protocol
 
 import anyio
 
@@ -42,6 +43,7 @@ __all__ = [
     "Rig",
     "TappedEnd",
     "Telegram",
+    "Watch",
     "plainly",
     "roster_of",
     "until",
@@ -103,13 +105,27 @@ def _telegram(data: bytes) -> Telegram:
     return Telegram(asyncio.get_running_loop().time(), data.translate(STRIPPED))
 
 
+class Watch(Protocol):
+    """Sees what passes on a line, before the line's own parts do."""
+
+    def said(self, data: bytes) -> None:
+        """Called with bytes that go to the port, parity bits included."""
+
+    def heard(self, data: bytes) -> None:
+        """Called with bytes that come from the port, parity bits included."""
+
+    def ended(self, report: ExchangeReport) -> None:
+        """Called at the end of an exchange."""
+
+
 class TappedEnd:
-    """A `MemoryEnd` whose telegrams are noted.
+    """A `MemoryEnd` whose telegrams are noted, or shown to a `Watch`.
 
     Attributes:
         sent: Telegrams, oldest first.
         heard: Bytes that came from the port.
-        tries: When somebody tried to open it.
+        tries: When the port was opened, or an opening was tried.
+        watch: Gets what passes; None: it is noted here.
     """
 
     def __init__(self, line: SimLine, *, latency_s: float = 0.0) -> None:
@@ -117,12 +133,20 @@ class TappedEnd:
         self.sent: list[Telegram] = []
         self.heard: list[Telegram] = []
         self.tries: list[float] = []
+        self.watch: Watch | None = None
 
     async def open(self, settings: PortSettings, receiver: Receiver) -> Port:
         self.tries.append(asyncio.get_running_loop().time())
-        tap = ReceiverTap(receiver, lambda data: self.heard.append(_telegram(data)))
-        port = await self.memory.open(settings, tap)
-        return PortTap(port, lambda data: self.sent.append(_telegram(data)))
+        watch = self.watch
+        self._tap = ReceiverTap(receiver, self._note_heard if watch is None else watch.heard)
+        port = await self.memory.open(settings, self._tap)
+        return PortTap(port, self._note_sent if watch is None else watch.said)
+
+    def _note_sent(self, data: bytes) -> None:
+        self.sent.append(_telegram(data))
+
+    def _note_heard(self, data: bytes) -> None:
+        self.heard.append(_telegram(data))
 
     def unplug(self) -> None:
         self.memory.unplug()
@@ -133,8 +157,7 @@ class TappedEnd:
     def say(self, data: bytes) -> None:
         """Let bytes come from the adapter just now, whatever the line does."""
         assert self.memory.port is not None
-        with_parity = bytes(byte | (byte.bit_count() & 1) << 7 for byte in data)
-        self.memory.port._receiver.received(with_parity)
+        self._tap.received(bytes(byte | (byte.bit_count() & 1) << 7 for byte in data))
 
 
 class Rig:
@@ -178,6 +201,7 @@ class Rig:
             self.stations[name] = Station(name, address, described, described.forms)
             self.schedule.add_drive(name)
         self.seen = Recorder()
+        self._opens = opener is None
         self.worker = LineWorker(
             replace(PORT, baud=baud), opener or self.end.open,  # type: ignore[arg-type]
             self.schedule, self.timing, self.options, self.seen,
@@ -187,7 +211,7 @@ class Rig:
         self._stack = contextlib.AsyncExitStack()
         self.tasks = await self._stack.enter_async_context(anyio.create_task_group())
         self.tasks.start_soon(self.worker.run)
-        if self.worker._connection._opener == self.end.open:
+        if self._opens:
             await until(lambda: self.worker.is_open)
             await anyio.sleep(0.06)
         return self
@@ -283,9 +307,12 @@ class Plant:
         also: Drives on the line that the roster does not name.
         state: What was kept from before.
         word_as_written: C0135 of its drives reads what was last written to it.
+        line: Simulated drives instead of those of the roster.
+        latency_s: What the adapter adds, seconds; bytes then come in pieces.
 
     Attributes:
-        reports: Every exchange so far.
+        site: What works the line.
+        reports: Every exchange so far, unless there is a watch.
     """
 
     def __init__(
@@ -299,32 +326,31 @@ class Plant:
         spread: float = 0.0,
         state: State | None = None,
         word_as_written: bool = False,
+        line: SimLine | None = None,
+        latency_s: float = 0.0,
     ) -> None:
-        self._state = state
         self.roster = parse_roster(roster, "r.yaml") if isinstance(roster, str) else roster
-        self.line = build(
+        self.line = line or build(
             [*((one.name, one.address, one.family) for one in self.roster.drives), *also],
             baud=self.roster.line.baud, faults=faults, seed=seed, spread=spread,
             word_as_written=word_as_written,
         )  # fmt: skip
-        self.end = TappedEnd(self.line)
-        self._options = options
+        self.end = TappedEnd(self.line, latency_s=latency_s)
         self.reports: list[ExchangeReport] = []
-        self.site: LineRuntime
-
-    async def __aenter__(self) -> Plant:
         clock = asyncio.get_running_loop().time
         self.site = LineRuntime(
-            self.roster,
-            self.end.open,
-            clock,
-            lambda: WALL_S + clock(),
-            options=self._options,
-            state=self._state,
-        )
-        self.site.worker.talk.observer = ObserverTap(
-            self.site.worker.talk.observer, self.reports.append
-        )
+            self.roster, self.end.open, clock, lambda: WALL_S + clock(),
+            options=options, state=state,
+        )  # fmt: skip
+
+    def watched_by(self, watch: Watch) -> None:
+        """Show a watch all that passes, in place of noting it; before the line is entered."""
+        self.end.watch = watch
+
+    async def __aenter__(self) -> Plant:
+        talk, watch = self.site.worker.talk, self.end.watch
+        ended = self.reports.append if watch is None else watch.ended
+        talk.observer = ObserverTap(talk.observer, ended)
         self._running = running(self.site)
         await self._running.__aenter__()
         return self
@@ -340,6 +366,11 @@ class Plant:
     @property
     def now_s(self) -> float:
         return asyncio.get_running_loop().time()
+
+    @property
+    def is_online(self) -> bool:
+        """Whether all drives of the roster are."""
+        return all(self.state(drive.name) is DriveState.ONLINE for drive in self.roster.drives)
 
     def trip(self, drive: str, number: int, *, stays: bool = False) -> None:
         """Let a fault occur by its LECOM number; one whose cause stays cannot be reset yet."""
