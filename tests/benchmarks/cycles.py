@@ -20,10 +20,10 @@ from statistics import median
 
 from lecombus.drives import LineTiming, family, read_cost
 from lecombus.protocol.addressing import Code, Form
+from support.children import MASTER_CORE, OTHER_CORE, Child, child
+from support.paced_line import ADDRESSES, FAMILY
 
-from .children import MASTER_CORE, Child, child
 from .machine import free_port
-from .paced_line import ADDRESSES, FAMILY
 from .rosters import write_roster
 from .table import Row, ratios, spread
 
@@ -48,9 +48,9 @@ def one_case(folder: Path, baud: int, turnaround_ms: int, rounds: int) -> Row:
     ours: list[float] = []
     raw: list[float] = []
     with (
-        child("paced_line", link, str(baud), "31") as line,
-        child("daemon_child", roster, core=MASTER_CORE) as daemon,
-        child("raw_loop", link, str(turnaround_ms), core=MASTER_CORE) as loop,
+        child("support.paced_line", link, "--baud", str(baud), core=OTHER_CORE) as line,
+        child("benchmarks.daemon_child", roster, core=MASTER_CORE) as daemon,
+        child("benchmarks.raw_loop", link, str(turnaround_ms), core=MASTER_CORE) as loop,
         scraped(port),
     ):
         daemon.ask("online")

@@ -29,8 +29,7 @@ from lecombus.protocol.addressing import Code
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority
 from lecombus.supervision import drive_supervisor
-
-from .children import answer_lines
+from support.children import answer_lines
 
 __all__ = ["main"]
 

@@ -11,10 +11,11 @@ import contextlib
 import time
 from pathlib import Path
 
-from .children import MASTER_CORE, Child, child
+from support.children import MASTER_CORE, OTHER_CORE, Child, child
+from support.paced_line import ADDRESSES
+
 from .machine import free_port
 from .naive import KINDS
-from .paced_line import ADDRESSES
 from .rosters import write_roster
 from .table import Row, ratios, spread
 
@@ -37,10 +38,12 @@ def measure(folder: Path, rounds: int) -> list[Row]:
     link, port = folder / "line-absent", free_port()
     roster = write_roster(folder, link, baud=BAUD, turnaround_ms=0, http=port)
     with contextlib.ExitStack() as stack:
-        line = stack.enter_context(child("paced_line", link, str(BAUD), "31"))
-        daemon = stack.enter_context(child("daemon_child", roster, core=MASTER_CORE))
+        line = stack.enter_context(
+            child("support.paced_line", link, "--baud", str(BAUD), core=OTHER_CORE)
+        )
+        daemon = stack.enter_context(child("benchmarks.daemon_child", roster, core=MASTER_CORE))
         naive = {
-            kind: stack.enter_context(child("naive", link, kind, core=MASTER_CORE))
+            kind: stack.enter_context(child("benchmarks.naive", link, kind, core=MASTER_CORE))
             for kind in KINDS
         }
         daemon.ask("online")

@@ -16,7 +16,8 @@ import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 
-from .children import MASTER_CORE, Child, child
+from support.children import MASTER_CORE, OTHER_CORE, Child, child
+
 from .machine import free_port
 from .rosters import DRIVES, write_roster
 from .table import Row, ratios, spread
@@ -39,16 +40,22 @@ SELDOM_MS = 62
 def measure(folder: Path, rounds: int) -> list[Row]:
     """Measure all contenders."""
     with contextlib.ExitStack() as stack:
-        responder = stack.enter_context(child("responder", folder, *KINDS, "daemon", "seldom"))
+        responder = stack.enter_context(
+            child("benchmarks.responder", folder, *KINDS, "daemon", "seldom", core=OTHER_CORE)
+        )
         responder.ask("go")
         masters = {
-            kind: stack.enter_context(child("masters", kind, folder / kind, core=MASTER_CORE))
+            kind: stack.enter_context(
+                child("benchmarks.masters", kind, folder / kind, core=MASTER_CORE)
+            )
             for kind in KINDS
         }
         busy = unpaced_roster(folder, "daemon", EVERY_MS, CODES)
         seldom = unpaced_roster(folder, "seldom", SELDOM_MS, ("C0150",))
         daemons = {
-            name: stack.enter_context(child("daemon_child", roster, "unpaced", core=MASTER_CORE))
+            name: stack.enter_context(
+                child("benchmarks.daemon_child", roster, "unpaced", core=MASTER_CORE)
+            )
             for name, roster in (("daemon", busy), ("seldom", seldom))
         }
         for daemon in daemons.values():

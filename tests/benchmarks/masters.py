@@ -34,8 +34,7 @@ from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.controls import with_parity
 from lecombus.protocol.telegrams import read_telegram
 from lecombus.schedule import Cyclic, Outcome, Priority, Request, Schedule
-
-from .children import answer_lines
+from support.children import answer_lines
 
 __all__ = ["main"]
 

@@ -20,9 +20,8 @@ import serial_asyncio
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.controls import with_parity
 from lecombus.protocol.telegrams import read_telegram
-
-from .children import answer_lines
-from .paced_line import ADDRESSES
+from support.children import answer_lines
+from support.paced_line import ADDRESSES
 
 __all__ = ["KINDS", "main"]
 

@@ -17,8 +17,8 @@ from typing import Any
 
 from agreement.cases import CASES, Case
 from agreement.running import Agreed
+from support.children import CORES, child
 
-from .children import CORES, child
 from .table import Row
 
 __all__ = ["measure"]
@@ -38,7 +38,12 @@ def measure(folder: Path, rounds: int) -> list[Row]:
         with contextlib.ExitStack() as stack:
             children = [
                 stack.enter_context(
-                    child("promises_child", str(number), folder / f"line-{number}", core=core)
+                    child(
+                        "benchmarks.promises_child",
+                        str(number),
+                        folder / f"line-{number}",
+                        core=core,
+                    )
                 )
                 for number, core in zip(numbers, CORES, strict=False)
             ]

@@ -16,8 +16,7 @@ import time
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.controls import with_parity
 from lecombus.protocol.telegrams import read_telegram
-
-from .paced_line import ADDRESSES
+from support.paced_line import ADDRESSES
 
 __all__ = ["main"]
 

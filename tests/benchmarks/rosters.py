@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from .paced_line import drives
+from support.paced_line import drives
 
 __all__ = ["DRIVES", "write_roster"]
 

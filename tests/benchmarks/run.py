@@ -15,7 +15,8 @@ from collections.abc import Callable
 from datetime import date
 from pathlib import Path
 
-from .children import OTHER_CORE, ROOT, pin
+from support.children import OTHER_CORE, ROOT, pin
+
 from .cycles import measure as cycles
 from .efficiency import measure as efficiency
 from .exchanges import measure as exchanges

@@ -14,7 +14,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from .children import MASTER_CORE, Child, child, die_with_parent, environment
+from support.children import MASTER_CORE, OTHER_CORE, Child, child, die_with_parent, environment
+
 from .cycles import scraped
 from .machine import free_port
 from .rosters import write_roster
@@ -30,7 +31,7 @@ def measure(folder: Path, rounds: int) -> list[Row]:
     """Measure starts, then one long run."""
     link, port = folder / "line", free_port()
     roster = write_roster(folder, link, baud=19200, turnaround_ms=2, http=port)
-    with child("paced_line", link, "19200", "31") as line:
+    with child("support.paced_line", link, "--baud", "19200", core=OTHER_CORE) as line:
         starts_s = [one_start(line, roster) for _ in range(rounds)]
         with running(roster) as daemon:
             first_telegram(line)

@@ -17,10 +17,11 @@ import socket
 import time
 from pathlib import Path
 
-from .children import MASTER_CORE, Child, child
+from support.children import MASTER_CORE, OTHER_CORE, Child, child
+from support.paced_line import drives
+
 from .cycles import scraped
 from .machine import free_port
-from .paced_line import drives
 from .rosters import write_roster
 from .table import Row, percentile
 
@@ -41,16 +42,16 @@ def measure(folder: Path, rounds: int) -> list[Row]:
     outside: list[float] = []
     chance = random.Random(1)
     with (
-        child("paced_line", link, "19200", "31") as line,
-        child("raw_loop", link, "0", core=MASTER_CORE) as loop,
+        child("support.paced_line", link, "--baud", "19200", core=OTHER_CORE) as line,
+        child("benchmarks.raw_loop", link, "0", core=MASTER_CORE) as loop,
     ):
         line.ask("mark")  # it is there
         loop.ask("run", for_s=6.0)
         gaps_ms = [1000.0 * gap_s for gap_s in line.ask("gaps")[1:]]
     link.unlink(missing_ok=True)
     with (
-        child("paced_line", link, "19200", "31") as line,
-        child("daemon_child", roster, core=MASTER_CORE) as daemon,
+        child("support.paced_line", link, "--baud", "19200", core=OTHER_CORE) as line,
+        child("benchmarks.daemon_child", roster, core=MASTER_CORE) as daemon,
         scraped(port),
     ):
         daemon.ask("online")

@@ -9,8 +9,8 @@ from pathlib import Path
 from lecombus.config import parse_roster
 from proof.lines import RandomLine
 from proof.world import run_line
+from support.paced_line import drives
 
-from .paced_line import drives
 from .table import Row, spread
 
 __all__ = ["measure"]

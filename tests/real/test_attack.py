@@ -10,8 +10,6 @@ import contextlib
 import os
 import selectors
 import socket
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -19,9 +17,8 @@ from pathlib import Path
 
 import pytest
 
-from support import paced_line
-from support.daemon_host import Daemon, environment, free_port, roster_text, running, short_dir
-from support.daemon_host import until as wait_until
+from support.children import child
+from support.daemon_host import Daemon, free_port, roster_text, running, short_dir
 
 pytestmark = [pytest.mark.real, pytest.mark.long, pytest.mark.timeout(400)]
 
@@ -122,16 +119,11 @@ def full_line(folder: Path, http: int) -> Iterator[Daemon]:
         watchdog="{time: 2s, action: inhibit}", drive=keys,
     )  # fmt: skip
     (folder / "line.yaml").write_text(roster)
-    words = [sys.executable, paced_line.__file__, f"{folder}/line.yaml", f"{folder}/port", ""]
-    pipe = subprocess.PIPE
-    with subprocess.Popen(words, stdin=pipe, stdout=pipe, text=True, env=environment()) as process:
-        try:
-            wait_until((folder / "port").exists, "the simulated line")
-            with running(roster, folder) as daemon:
-                daemon.until_online(within_s=120.0)
-                yield daemon
-        finally:
-            process.kill()
+    with child("support.paced_line", folder / "port", "--roster", folder / "line.yaml") as line:
+        line.ask("so_far")
+        with running(roster, folder) as daemon:
+            daemon.until_online(within_s=120.0)
+            yield daemon
 
 
 def least_margin(daemon: Daemon, seconds: float = FOR_S) -> float:

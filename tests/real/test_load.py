@@ -6,22 +6,17 @@ the clients in this process do.
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from support import paced_line
+from support.children import Child, child
 from support.daemon_host import (
     Daemon,
     Wanted,
-    environment,
     roster_text,
     running,
     short_dir,
@@ -50,40 +45,19 @@ PER_S = 500.0
 KEYS = "cyclic: [{code: C0150, every: 2s}, {code: C0050, every: 5s}]"
 
 
-class PacedLine:
-    """The drives, in another process."""
-
-    def __init__(self, process: subprocess.Popen[str]) -> None:
-        self._process = process
-
-    def so_far(self) -> dict[str, Any]:
-        """What the drives went through."""
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.write("?\n")
-        self._process.stdin.flush()
-        found: dict[str, Any] = json.loads(self._process.stdout.readline())
-        return found
-
-
 @contextmanager
-def full_line(folder: Path) -> Iterator[tuple[Daemon, PacedLine]]:
+def full_line(folder: Path) -> Iterator[tuple[Daemon, Child]]:
     """Run a daemon with 31 drives, three of them absent; each has been tried once."""
     watchdog = "{time: 2s, action: inhibit}"
     roster = roster_text(folder / "port", folder, DRIVES, watchdog=watchdog, drive=KEYS)
     (folder / "line.yaml").write_text(roster)
     absent = "absent=" + "+".join(map(str, ABSENT))
-    words = [sys.executable, paced_line.__file__, f"{folder}/line.yaml", f"{folder}/port", absent]
-    pipe = subprocess.PIPE
-    with subprocess.Popen(words, stdin=pipe, stdout=pipe, text=True, env=environment()) as process:
-        try:
-            line = PacedLine(process)
-            line.so_far()
-            with running(roster, folder) as daemon:
-                until(lambda: daemon.client.get("/readyz").status_code == 200, "ready")
-                yield daemon, line
-        finally:
-            process.kill()
+    words = ("--roster", folder / "line.yaml", "--faults", absent)
+    with child("support.paced_line", folder / "port", *words) as line:
+        line.ask("so_far")
+        with running(roster, folder) as daemon:
+            until(lambda: daemon.client.get("/readyz").status_code == 200, "ready")
+            yield daemon, line
 
 
 def mixed() -> list[Asked]:
@@ -117,11 +91,11 @@ def bear(seconds: float, *, settled: bool = False, told: list[str] | None = None
     with short_dir() as folder, full_line(folder) as (daemon, line):
         if settled:
             daemon.until_online(*PRESENT, within_s=60.0)
-        before, said_before = line.so_far(), exchanges(daemon)
+        before, said_before = line.ask("so_far"), exchanges(daemon)
         missed_before = misses(daemon)
         with Traffic(daemon.socket, mixed(), PER_S) as traffic:
             time.sleep(seconds)
-        after, said = line.so_far(), exchanges(daemon) - said_before
+        after, said = line.ask("so_far"), exchanges(daemon) - said_before
         text = traffic.summary()
         if told is not None:
             status = Path(f"/proc/{daemon.process.pid}/status").read_text()

@@ -1,9 +1,10 @@
-"""Processes of a benchmark, and how they are spoken to.
+"""Processes beside a test or a benchmark, and how they are spoken to.
 
 Every party (simulated line, daemon, peer) is a process of its own, so that none takes another's
-interpreter, pinned to a core: masters to one, everything else to the other. A child reads one JSON
-document a line from its standard input and answers each with one; it ends when its input ends.
-Between its turns it is stopped by signal, so that it takes nothing from whoever is measured.
+interpreter; in a benchmark pinned to a core: masters to one, everything else to the other. A child
+reads one JSON document a line from its standard input and answers each with one; it ends when its
+input ends. Between its turns in a benchmark it is stopped by signal, so that it takes nothing from
+the one that is measured.
 """
 
 from __future__ import annotations
@@ -80,14 +81,15 @@ def die_with_parent() -> None:
 
 
 @contextlib.contextmanager
-def child(module: str, *words: str | Path, core: int = OTHER_CORE) -> Iterator[Child]:
-    """Run `benchmarks.<module>` as a child on a core, and end it."""
-    command = [sys.executable, "-m", f"benchmarks.{module}", *map(str, words)]
+def child(module: str, *words: str | Path, core: int | None = None) -> Iterator[Child]:
+    """Run a module of the tests as a child, on one core if one is given, and end it."""
+    command = [sys.executable, "-m", module, *map(str, words)]
     process = subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment(),
         preexec_fn=die_with_parent,
     )  # fmt: skip
-    os.sched_setaffinity(process.pid, {core})
+    if core is not None:
+        os.sched_setaffinity(process.pid, {core})
     try:
         yield Child(process)
     finally:
