@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from lecombus.judging import Judge
 from lecombus.line.doubts import Doubts
 from lecombus.line.jobs import ReadJob, WriteJob
+from lecombus.line.proving import Proving
 from lecombus.line.questions import Questions
 from lecombus.line.silence import Silence
 from lecombus.line.stop_job import StopJob
@@ -228,11 +229,11 @@ MUTANTS: dict[str, Mutant] = {
         quick=True,
     ),
     "a proof is not compared": Mutant(
-        WriteJob,
-        "_proven",
-        "if self.proof.means_same(self.value):",
-        "if True:",
-        (259, 59),
+        Proving,
+        "take",
+        "if not _shows(",
+        "if type(what) is not Written and not _shows(",
+        (259, 111),
         quick=True,
     ),
     "a refusal is taken for an acknowledgement": Mutant(
