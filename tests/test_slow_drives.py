@@ -9,9 +9,9 @@ import anyio
 import pytest
 
 from lecombus.api.decimal_json import encode
+from lecombus.capacity.facts import roster_of as running
+from lecombus.capacity.plan import make_plan
 from lecombus.errors import OperationError
-from lecombus.planning.facts import roster_of as running
-from lecombus.planning.plan import make_plan
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.exchange import ResultKind
 from lecombus.readings import DriveState

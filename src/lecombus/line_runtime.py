@@ -15,9 +15,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from lecombus import __version__
+from lecombus.capacity.exchange_costs import watched_s
+from lecombus.capacity.facts import answers_of, facts_of
+from lecombus.capacity.watchdog_demand import faults_of
 from lecombus.config import DriveEntry, Roster, line_timing, with_address
-from lecombus.config.exchanges import watched_s
-from lecombus.config.feeding import faults_of
 from lecombus.drives import Family, LineTiming, StopAction, family
 from lecombus.drives.measured import MeasuredTimes
 from lecombus.drives.stops import inhibit_mask, inhibit_proofs
@@ -38,7 +39,6 @@ from lecombus.operations.recorded import RecordedMaintenance, RecordedOperations
 from lecombus.operations.request_maker import RequestMaker
 from lecombus.operations.requests import Requests
 from lecombus.operations.wear import Wear
-from lecombus.planning.facts import answers_of, facts_of
 from lecombus.protocol.addressing import Code
 from lecombus.readings import DriveState, Json
 from lecombus.schedule import Feed, Priority, Schedule, Settle

@@ -19,11 +19,11 @@ from functools import partial
 import anyio
 
 from agreement.hostile import Drip, HostileLine
+from lecombus.capacity.work_ahead import Longest, work_ahead_on
 from lecombus.config import line_timing
 from lecombus.drives import StopAction
 from lecombus.line.observer import ExchangeReport, Observer
 from lecombus.line_runtime import LineRuntime
-from lecombus.planning.ahead import Longest, ahead_on
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.exchange import ResultKind
 from lecombus.protocol.values import Value
@@ -113,7 +113,7 @@ class Adversary:
         self._late_before_s = 0.0
         self._turn = 0
         self._others_s = math.inf  # when somebody else asked for something
-        self._ahead = ahead_on(site.roster, line_timing(site.roster.line))
+        self._ahead = work_ahead_on(site.roster, line_timing(site.roster.line))
         site.worker.talk.observer = _Told(site.worker.talk.observer, self)
 
     def _late_s(self) -> float:

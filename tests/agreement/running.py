@@ -9,11 +9,11 @@ import anyio
 from agreement.adversary import Adversary, Measured
 from agreement.cases import Case
 from agreement.hostile import hostile_line
+from lecombus.capacity.exchange_costs import watched_s
+from lecombus.capacity.plan import make_plan
 from lecombus.config import Roster
-from lecombus.config.exchanges import watched_s
 from lecombus.drives import family
 from lecombus.line_runtime import LineRuntime
-from lecombus.planning.plan import make_plan
 from lecombus.readings import DriveState
 from lecombus.schedule.feed import HARD_PART
 from support.site_host import Plant, until

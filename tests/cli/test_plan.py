@@ -12,11 +12,11 @@ import pytest
 from cli.conftest import Run
 from cli.daemon_stub import DaemonStub
 from lecombus.api.decimal_json import encode
+from lecombus.capacity.facts import answers_of, facts_of
 from lecombus.cli import main
 from lecombus.config import load_roster
 from lecombus.drives.measured import AnswerRow, SlowAnswers
 from lecombus.metrics.minutes import Minutes
-from lecombus.planning.facts import answers_of, facts_of
 from lecombus.protocol.addressing import Code
 from lecombus.schedule.request import Priority
 

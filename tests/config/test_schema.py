@@ -14,9 +14,9 @@ import yaml
 from config.rosters import CONFIG, GOOD, drive_with, line_with, parsed, roster_with
 from config.schema_validator import matches
 from lecombus.config import load_roster, roster_json_schema
+from lecombus.config.container_types import ListOf, NamedEntries, Table
 from lecombus.config.keys import ROSTER
-from lecombus.config.kinds import Kind
-from lecombus.config.shapes import ListOf, NamedEntries, Table
+from lecombus.config.scalar_types import Kind
 
 EXAMPLES = ["small.yaml", "full.yaml"]
 

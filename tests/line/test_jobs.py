@@ -8,11 +8,12 @@ from collections.abc import Mapping
 import pytest
 
 from lecombus.drives import StopAction, WriteClass, family
+from lecombus.drives.stops import STOP_PAUSE_S
 from lecombus.errors import ExchangeError, NakError, NoReplyError, UnknownCodeError
 from lecombus.line.duplicates import Duplicates
 from lecombus.line.jobs import MulticastJob, ReadJob, WriteJob
 from lecombus.line.station import Job, Station, Step, StepKind
-from lecombus.line.stop_job import PAUSE_S, StopJob
+from lecombus.line.stop_job import StopJob
 from lecombus.protocol.addressing import Code, Form, encode_code
 from lecombus.protocol.exchange import Result, ResultKind
 from lecombus.protocol.telegrams import AckAnswer, Answer, NakAnswer, UnknownCodeAnswer, ValueAnswer
@@ -386,7 +387,7 @@ def test_a_reading_that_shows_nothing_new_is_repeated_with_pauses() -> None:
     """A form in which a late answer may still come is not asked for: the other one is."""
     job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=2)
     play(job, "none ack")
-    for pause_s in (0.0, PAUSE_S, PAUSE_S):
+    for pause_s in (0.0, STOP_PAUSE_S, STOP_PAUSE_S):
         assert job.advance(value(150, "H0080")) is None
         assert (job.step.code, job.pause_s) == (Code(150), pause_s)
     extended = ValueAnswer(encode_code(Code(150), Form.EXTENDED), Value.parse("H0080"))

@@ -13,10 +13,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from lecombus.capacity.plan import Promises, make_promises
 from lecombus.config import Roster
 from lecombus.line.silence import Silence
 from lecombus.line.talk import Talk
-from lecombus.planning.plan import Promises, make_promises
 from lecombus.protocol.exchange import Ask, Exchange, Result
 from lecombus.protocol.telegrams import ValueAnswer
 from lecombus.protocol.values import Value

@@ -20,9 +20,9 @@ import asyncio
 from collections import Counter
 from collections.abc import Callable
 
+from lecombus.capacity.plan import make_promises
 from lecombus.line.observer import ExchangeReport
 from lecombus.line_runtime import LineRuntime
-from lecombus.planning.plan import make_promises
 from lecombus.simulator.line import SimLine
 from lecombus.simulator.receiver import Heard
 from proof.lines import RandomLine

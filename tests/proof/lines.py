@@ -16,12 +16,12 @@ import math
 from dataclasses import dataclass
 from random import Random
 
+from lecombus.capacity.demand_bound import Stream, find_overload, load_of
+from lecombus.capacity.exchange_costs import own_longest_s, stop_s
+from lecombus.capacity.watchdog_demand import demand_of, smallest
+from lecombus.capacity.watchdog_feasibility import AWAY_ATTEMPTS
 from lecombus.config import DriveEntry, Roster, line_timing, parse_roster
-from lecombus.config.exchanges import own_longest_s, stop_s
-from lecombus.config.feeding import feeding_of, smallest
 from lecombus.drives import family
-from lecombus.planning.watchdogs import AWAY_ATTEMPTS
-from lecombus.schedule.demand import Stream, find_overload, load_of
 from lecombus.schedule.feed import HARD_PART
 
 FAMILIES = ("820x", "821x", "822x", "824x", "8200vector", "93xx", "smvector")
@@ -179,7 +179,7 @@ def _some(random: Random, drives: tuple[DriveEntry, ...], share: float) -> froze
 def _least_s(roster: Roster, short: set[str], lost: int) -> float | None:
     """Give the least time for some of the watchdogs, the others being four times as long."""
     timing = line_timing(roster.line)
-    feeding = feeding_of(roster, timing)
+    feeding = demand_of(roster, timing)
     longest_stop_s = max(stop_s(drive, timing) for drive in roster.drives)
     under_way_s = max(feeding.under_way_s, feeding.lost_s)
     blocking_s = under_way_s + longest_stop_s + lost * feeding.lost_s

@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from random import Random
 
+from lecombus.capacity.exchange_costs import watched_s
+from lecombus.capacity.watchdog_demand import demand_of, least_time_s
 from lecombus.config import Roster, parse_roster
-from lecombus.config.exchanges import watched_s
-from lecombus.config.feeding import feeding_of, least_time_s
 from lecombus.line_runtime import LineRuntime
 from lecombus.schedule import Priority
 from lecombus.simulator.faults import Faults
@@ -67,7 +67,7 @@ def tolerant_line(seed: int, *, tolerate: int, losses: int, length_s: float) -> 
             "r.yaml",
         )
 
-    while (least_s := least_time_s(feeding_of(roster(60000)), all_alike=True)) is None:
+    while (least_s := least_time_s(demand_of(roster(60000)), all_alike=True)) is None:
         drives = drives[: len(drives) // 2]  # no time of so many outlasts so much
     return TolerantLine(
         seed, "tolerant", roster(round(least_s * 1000)), "", length_s, losses=losses

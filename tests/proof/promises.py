@@ -18,10 +18,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from lecombus.capacity.exchange_costs import read_times, watched_s
+from lecombus.capacity.plan import Promises as LinePromises
 from lecombus.config import line_timing
-from lecombus.config.exchanges import read_times, watched_s
 from lecombus.line.observer import ExchangeReport
-from lecombus.planning.plan import Promises as LinePromises
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.exchange import ResultKind
 from lecombus.protocol.telegrams import ValueAnswer

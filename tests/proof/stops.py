@@ -15,10 +15,10 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from lecombus.capacity.plan import Promises, make_promises
+from lecombus.drives.stops import STOP_PAUSE_S
 from lecombus.line.observer import ExchangeReport
 from lecombus.line_runtime import LineRuntime
-from lecombus.planning.plan import Promises, make_promises
-from lecombus.planning.silent_stops import PAUSE_S
 from lecombus.protocol.exchange import ResultKind
 from lecombus.schedule import Priority
 from proof.lines import RandomLine
@@ -147,7 +147,9 @@ class Stops:
             self._others_s += ended_s - result.started_s
             self._others += 1
         if stop and not answered and not report.members and report.drive in self._asked:
-            self._silent[report.drive] = _Waiting(ended_s + PAUSE_S, self._others_s, self._others)
+            self._silent[report.drive] = _Waiting(
+                ended_s + STOP_PAUSE_S, self._others_s, self._others
+            )
         elif answered:
             self._silent.pop(report.drive, None)
 

@@ -12,8 +12,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 
+from lecombus.capacity.plan import Promises
 from lecombus.line.observer import ExchangeReport
-from lecombus.planning.plan import Promises
 from lecombus.protocol.exchange import ResultKind
 from lecombus.schedule import Priority
 from proof.lines import RandomLine

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from lecombus.config.exchanges import watched_s
+from lecombus.capacity.exchange_costs import watched_s
+from lecombus.capacity.plan import Promises
 from lecombus.line.observer import ExchangeReport
-from lecombus.planning.plan import Promises
 from lecombus.protocol.exchange import ResultKind
 from lecombus.schedule import Priority
 from lecombus.simulator.line import SimLine

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
+from lecombus.capacity.demand_bound import Stream, load_of, response_s
 from lecombus.schedule import Feeding, Priority, Request
-from lecombus.schedule.demand import Stream, load_of, response_s
 from lecombus.schedule.feed import HARD_PART, Feed
 from lecombus.schedule.feeds import Feeds
 from schedule.world import World

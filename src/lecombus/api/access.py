@@ -13,7 +13,6 @@ What must not live here: sockets (`server`), how many requests there may be (`li
 
 from __future__ import annotations
 
-import ipaddress
 import re
 from dataclasses import replace
 from typing import Final
@@ -25,8 +24,9 @@ from lecombus.api.limits import is_stop
 from lecombus.api.problems import Problem
 from lecombus.api.read_routes import ADDRESSES_PATH
 from lecombus.operations.actions import ACTOR, Actor
+from lecombus.roster import is_loopback
 
-__all__ = ["ACTOR_KEY", "HeadAsGet", "ReadOnlyAccess", "WithActor", "is_loopback"]
+__all__ = ["ACTOR_KEY", "HeadAsGet", "ReadOnlyAccess", "WithActor"]
 
 HOST: Final = re.compile(r"(?:\[([0-9a-f:.]+)\]|([^\[\]:]+))(?::[0-9]{0,5})?")
 
@@ -132,7 +132,7 @@ class ReadOnlyAccess:
         return None
 
     def _is_here(self, name: str) -> bool:
-        return name in ("localhost", self._host) or is_loopback(name)
+        return name == self._host or is_loopback(name)
 
 
 def is_cross_site(scope: Scope, host: str) -> bool:
@@ -150,11 +150,3 @@ def host_name(host: str) -> str:
     """Return the host of a `Host` header without its port; empty if it is not one host."""
     match = HOST.fullmatch(host)
     return "" if match is None else match[1] or match[2]
-
-
-def is_loopback(host: str) -> bool:
-    """Return whether a text is an address of this machine only."""
-    try:
-        return ipaddress.ip_address(host.strip("[]")).is_loopback
-    except ValueError:
-        return False

@@ -26,7 +26,7 @@ import uvicorn
 from anyio.abc import TaskStatus
 from starlette.types import ASGIApp
 
-from lecombus.api.access import HeadAsGet, ReadOnlyAccess, WithActor, is_loopback
+from lecombus.api.access import HeadAsGet, ReadOnlyAccess, WithActor
 from lecombus.api.connection import Connection
 from lecombus.api.limits import (
     ACCEPT_AT_ONCE,
@@ -40,6 +40,7 @@ from lecombus.api.limits import (
 from lecombus.api.start_queue import CpuShare, StartQueue, TimedApp
 from lecombus.api.tcp_connection import TcpConnection
 from lecombus.errors import OperationError
+from lecombus.roster import is_loopback
 
 __all__ = ["Served", "serve"]
 
@@ -246,7 +247,7 @@ def tcp_socket(host: str, port: int) -> Iterator[socket.socket]:
     Raises:
         OperationError: It is not loopback, or cannot be bound.
     """
-    if host != "localhost" and not is_loopback(host):
+    if not is_loopback(host):
         raise OperationError(
             f"the API does not listen on {host}",
             kind="cannot-listen",

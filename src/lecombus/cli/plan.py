@@ -9,17 +9,16 @@ from pathlib import Path
 
 import click
 
+from lecombus.capacity.plan import Plan, make_plan
+from lecombus.capacity.timeline import Preview, picture, preview
+from lecombus.capacity.watchdog_feasibility import find_infeasible, rounded_up
 from lecombus.cli.arguments import daemon_options
 from lecombus.cli.client import connect
 from lecombus.cli.exits import Exit
 from lecombus.cli.plan_live import live_of, measured_roster, show_answers, show_live, show_unheld
 from lecombus.cli.screen import counted, show_table
 from lecombus.config import Roster, line_timing, load_roster
-from lecombus.config.unheld import find_unheld, written_up
 from lecombus.durations import format_duration
-from lecombus.planning.picture import picture
-from lecombus.planning.plan import Plan, make_plan
-from lecombus.planning.preview import Preview, preview
 from lecombus.schedule.shares import LISTEN_EVERY_S, LISTEN_S
 
 __all__ = ["command"]
@@ -89,7 +88,7 @@ def command(
     plan, shown = make_plan(loaded), preview(loaded, line_timing(loaded.line))
     if svg is not None:
         _draw(loaded, shown, svg, roster)
-    unheld = [] if answers is None else find_unheld(loaded)
+    unheld = [] if answers is None else find_infeasible(loaded)
     if as_json:
         more = {} if answers is None else {"answers": answers, "unheld": list(map(asdict, unheld))}
         run = {"run": shown.as_json()}
@@ -154,7 +153,7 @@ def _show_adapter(plan: Plan) -> None:
     if not plan.watchdogs:
         verdict = "no watchdog is fed"
     elif not one.held:
-        raised = "no time" if one.least_s is None else f"a time of {written_up(one.least_s)}"
+        raised = "no time" if one.least_s is None else f"a time of {rounded_up(one.least_s)}"
         verdict = f"not every watchdog is held: {raised} would do"
     click.echo(
         f"if the adapter adds its {format_duration(one.latency_s)} to every answer: "

@@ -11,20 +11,20 @@ from typing import Any
 
 import click
 
+from lecombus.capacity.facts import roster_of, slow_of
+from lecombus.capacity.live import LivePlan, compare
+from lecombus.capacity.watchdog_feasibility import InfeasibleWatchdog
 from lecombus.cli.client import Answer, connect
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.screen import counted, show_table
 from lecombus.config import DriveEntry, Roster, load_roster
-from lecombus.config.unheld import Unheld
 from lecombus.durations import format_duration
 from lecombus.metrics.minutes import WINDOW_S
-from lecombus.planning.facts import roster_of, slow_of
-from lecombus.planning.live import LivePlan, compare
 
 __all__ = ["live_of", "measured_roster", "show_answers", "show_live", "show_unheld"]
 
 Answers = Mapping[str, Sequence[Mapping[str, Any]]]
-"""By drive: what was measured of each code, as `planning.facts.answers_of` gives it."""
+"""By drive: what was measured of each code, as `capacity.facts.answers_of` gives it."""
 
 
 def live_of(answer: Answer) -> LivePlan:
@@ -115,7 +115,7 @@ def show_answers(answers: Answers) -> None:
     )
 
 
-def show_unheld(unheld: Sequence[Unheld]) -> None:
+def show_unheld(unheld: Sequence[InfeasibleWatchdog]) -> None:
     """Write which watchdogs cannot be held with the answer times that were measured."""
     for one in unheld:
         click.echo(f"\n{one.drive}: {one.what}; {one.right}")

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import click
 
+from lecombus.capacity.watchdog_feasibility import find_infeasible
 from lecombus.cli.arguments import json_option, roster_option
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.progress_bar import progress
@@ -18,7 +19,6 @@ from lecombus.cli.rebaud_line import carry_out, form_of
 from lecombus.cli.rebaud_reports import show_end, show_plan
 from lecombus.cli.screen import on_terminal
 from lecombus.config import DriveEntry, Roster, load_roster
-from lecombus.config.unheld import find_unheld
 from lecombus.drives import family
 from lecombus.drives.identity import identity_codes
 from lecombus.errors import LecombusError
@@ -148,7 +148,7 @@ def _check_held(roster: Roster, baud: int) -> None:
         CommandError: Some could not.
     """
     line = roster.line.model_copy(update={"baud": baud})
-    wrong = find_unheld(roster.model_copy(update={"line": line}))
+    wrong = find_infeasible(roster.model_copy(update={"line": line}))
     if wrong:
         problems = [
             Problem(f"{one.drive}: {one.what}", one.right, drive=one.drive) for one in wrong

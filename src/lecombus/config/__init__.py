@@ -6,10 +6,12 @@
 check a roster with while it is written.
 """
 
+from lecombus.capacity.exchange_costs import line_timing
 from lecombus.config.describing import DescribedDrive, DescribedGroup, Description, describe
+from lecombus.config.keys import roster_json_schema
 from lecombus.config.loading import load_roster, parse_roster
 from lecombus.config.mistakes import Mistake, RosterError
-from lecombus.config.models import (
+from lecombus.roster import (
     ApiEntry,
     CyclicEntry,
     DriveEntry,
@@ -20,10 +22,8 @@ from lecombus.config.models import (
     MqttEntry,
     Roster,
     WatchdogEntry,
+    with_address,
 )
-from lecombus.config.moving import with_address
-from lecombus.config.schema import roster_json_schema
-from lecombus.config.timing import line_timing
 
 __all__ = [
     "ApiEntry",

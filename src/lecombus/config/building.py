@@ -5,13 +5,16 @@ Only called for a roster without mistakes, so every value is there or has a defa
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from lecombus.config.checks import default_socket, drives_of
+from lecombus.config.container_types import Entry, Items
 from lecombus.config.keys import ALL
-from lecombus.config.models import (
+from lecombus.drives import family
+from lecombus.protocol.addressing import Code, Form
+from lecombus.roster import (
     ApiEntry,
     CyclicEntry,
     DriveEntry,
@@ -23,12 +26,10 @@ from lecombus.config.models import (
     Roster,
     StoredWrites,
     WatchdogEntry,
+    multicast_address,
 )
-from lecombus.config.shapes import Entry, Items
-from lecombus.drives import family
-from lecombus.protocol.addressing import Code, Form
 
-__all__ = ["STATE_DIR", "build_roster", "multicast_address"]
+__all__ = ["STATE_DIR", "build_roster"]
 
 STATE_DIR = Path("/var/lib/lecombus")
 """Where a line keeps its state file unless the roster says another place; the unit makes it."""
@@ -133,32 +134,6 @@ def _groups(roster: Entry, drives: Sequence[DriveEntry]) -> dict[str, GroupEntry
         )
         for name, names in members.items()
     }
-
-
-def multicast_address(members: Iterable[int], drives: Iterable[int]) -> int | None:
-    """Return the address that reaches exactly these members among the roster's drives.
-
-    Where all drives stand in one decade, that decade goes before 0: a broadcast would also reach
-    drives on the cable that the roster does not know.
-
-    Args:
-        members: The members' addresses.
-        drives: The addresses of all drives of the roster.
-
-    Returns:
-        10, 20 .. 90 for a decade, 0 for all drives, None if no telegram reaches exactly them.
-
-    Source: EDB2102EN 8.3.4.
-    """
-    wanted = set(members)
-    present = set(drives)
-    decades = {address // 10 * 10 for address in wanted}
-    if len(decades) == 1:
-        decade = decades.pop()
-        # Addresses 1..9 have no multicast of their own: 0 reaches everybody.
-        if decade and wanted == {address for address in present if address // 10 * 10 == decade}:
-            return decade
-    return 0 if wanted and wanted == present else None
 
 
 def _api(entry: Entry | None, line: str) -> ApiEntry:

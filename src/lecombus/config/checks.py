@@ -12,17 +12,16 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final
 
-from lecombus.config.borders import is_network_port
+from lecombus.capacity.watchdog_feasibility import find_infeasible
+from lecombus.config.container_types import Entry, Items
 from lecombus.config.drive_checks import check_drive, check_lapse
-from lecombus.config.kinds import UNUSABLE
 from lecombus.config.mistakes import Mistakes, did_you_mean, one_of, shown
-from lecombus.config.models import Roster
-from lecombus.config.nodes import Scalar
-from lecombus.config.shapes import Entry, Items
-from lecombus.config.unheld import find_unheld
+from lecombus.config.scalar_types import UNUSABLE
+from lecombus.config.yaml_nodes import Scalar
 from lecombus.drives import StopAction, family, knows_stop
+from lecombus.roster import Roster, is_network_port
 
-__all__ = ["check_feeding", "check_roster", "default_socket", "drives_of"]
+__all__ = ["check_feasibility", "check_roster", "default_socket", "drives_of"]
 
 MOST_DRIVES: Final = {"rs232": 1, "rs485": 31, "fibre": 52}
 """Source: EDB2102EN 4.4.1 to 4.4.3, CMVLC401A 3.3.2."""
@@ -57,7 +56,7 @@ def check_roster(roster: Entry, mistakes: Mistakes) -> None:
     _check_default_lapse(roster, drives, mistakes)
 
 
-def check_feeding(entries: Entry, roster: Roster, mistakes: Mistakes) -> None:
+def check_feasibility(entries: Entry, roster: Roster, mistakes: Mistakes) -> None:
     """Note every watchdog that the line cannot hold.
 
     Args:
@@ -65,7 +64,7 @@ def check_feeding(entries: Entry, roster: Roster, mistakes: Mistakes) -> None:
         roster: The same, built: what a line can hold depends on all of it.
         mistakes: Noted into.
     """
-    unheld = {one.drive: one for one in find_unheld(roster)}
+    unheld = {one.drive: one for one in find_infeasible(roster)}
     for drive in drives_of(entries):
         one = unheld.get(drive.get("name"))
         watchdog = drive.get("watchdog")

@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from lecombus.config.models import DriveEntry, GroupEntry, Roster
-from lecombus.config.suspicions import counted, cyclic_load, find_warnings
+from lecombus.config.warnings import counted, cyclic_load, find_warnings
 from lecombus.durations import format_duration
 from lecombus.protocol.addressing import group_reach
+from lecombus.roster import DriveEntry, GroupEntry, Roster
 
 __all__ = ["DescribedDrive", "DescribedGroup", "Description", "describe"]
 

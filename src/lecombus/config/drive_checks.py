@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
+from lecombus.config.container_types import Entry, Item, Items
 from lecombus.config.mistakes import Mistakes, Place, did_you_mean, one_of, shown
-from lecombus.config.shapes import Entry, Item, Items
 from lecombus.drives import (
     FAMILY_NAMES,
     Family,

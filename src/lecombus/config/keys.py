@@ -1,6 +1,6 @@
 """Every key of a roster, what it holds, and its words for editors: the grammar as one table.
 
-Reading (`loading`) and the JSON Schema (`schema`) are both made from `ROSTER`; a key that is added
+Reading (`loading`) and the JSON Schema are both made from `ROSTER`; a key that is added
 here is read, refused, completed and shown in editors. What it does is then up to `checks` and
 `building`.
 
@@ -9,23 +9,23 @@ What must not live here: rules between keys, defaults that depend on something.
 
 from __future__ import annotations
 
-from typing import Final, get_args
+from typing import Any, Final, get_args
 
-from lecombus.config import models
-from lecombus.config.borders import (
+from lecombus import roster
+from lecombus.config.container_types import Key, ListOf, NamedEntries, Table
+from lecombus.config.endpoint_types import (
     LONGEST_SOCKET_PATH,
     AbsolutePath,
     Host,
-    HttpPlace,
-    PortPlace,
+    HttpType,
+    PortType,
 )
-from lecombus.config.kinds import Choice, Name, Text, YesNo
-from lecombus.config.numbers import Address, CodeKind, Duration, Percent, Whole, WholeChoice
-from lecombus.config.shapes import Key, ListOf, NamedEntries, Table
+from lecombus.config.number_types import Address, CodeType, Duration, Percent, Whole, WholeChoice
+from lecombus.config.scalar_types import Choice, Name, Text, YesNo
 from lecombus.drives import FAMILY_NAMES
 from lecombus.protocol.timing import BAUDS
 
-__all__ = ["ALL", "CYCLIC_SHORTEST_S", "ROSTER"]
+__all__ = ["ALL", "CYCLIC_SHORTEST_S", "ROSTER", "roster_json_schema"]
 
 ALL: Final = "all"
 """The group that always exists."""
@@ -36,31 +36,31 @@ _HOUR_S: Final = 3600.0
 
 _DRIVE_NAME: Final = Name("drive", reserved={ALL: "`all` is the group of all drives"})
 _GROUP_NAME: Final = Name("group")
-_CODE: Final = CodeKind()
+_CODE: Final = CodeType()
 _ECHO: Final = Choice(
-    get_args(models.Echo),
+    get_args(roster.Echo),
     also={"true": "yes", "on": "yes", "yes": "yes", "false": "no", "off": "no", "no": "no"},
 )
-_ON_LAPSE: Final = Choice(get_args(models.Lapse))
+_ON_LAPSE: Final = Choice(get_args(roster.Lapse))
 
 _LINE: Final = Table("line", (
     Key("name", Name("line", capitals=True),
         "Name of the line: metrics label, socket and file names, lecombus@NAME.", required=True),
-    Key("port", PortPlace(),
+    Key("port", PortType(),
         "A device by its stable path (/dev/serial/by-id/..), socket://HOST:PORT, or sim: "
         "for built-in simulated drives.", required=True),
     Key("baud", WholeChoice(BAUDS), "Bits a second, the same in every drive (C0125, P411).",
         default=9600),
-    Key("medium", Choice(get_args(models.Medium)),
+    Key("medium", Choice(get_args(roster.Medium)),
         "What the drives hang on. rs485 takes 31 drives (90 with repeaters), rs232 one, fibre 52.",
         default="rs485"),
     Key("repeaters", YesNo(), "An rs485 line with repeaters: 90 drives instead of 31.",
         default=False),
-    Key("direction", Choice(get_args(models.Direction)),
+    Key("direction", Choice(get_args(roster.Direction)),
         "Who switches the RS-485 transceiver: the adapter, the kernel's driver, or lecombus by "
         "RTS (which cannot promise the 1 ms that drives expect).", default="adapter"),
     Key("echo", _ECHO, "Whether everything sent comes back; auto finds out.", default="auto"),
-    Key("parity", Choice(get_args(models.Parity)),
+    Key("parity", Choice(get_args(roster.Parity)),
         "Who makes even parity: lecombus on an 8N1 port (line), or a device server that frames "
         "7E1 (port).", default="line"),
     Key("turnaround", Duration(0, 1),
@@ -134,14 +134,14 @@ _DRIVE: Final = Table("drive", (
         "Let `lecombus restore` write parameters that `writable` does not list.", default=False),
     Key("answer_time", Duration(0.001, 10),
         "Its processing time, where it differs from its family's."),
-    Key("addressing", Choice(get_args(models.Addressing)),
+    Key("addressing", Choice(get_args(roster.Addressing)),
         "Code addressing it understands; standard for devices that know no extended addressing. "
         "Absent: as its family."),
     Key("accept_software", ListOf(Text("a software version such as 1.30", 20), "the version"),
         "Software versions (P494 of an SMVector) that may be written to besides the manual's."),
     Key("identity", NamedEntries(_CODE, Text("what the drive says of itself", 240)),
         "What identity codes such as C0200 or C1810 must read; else nothing but stops is written."),
-    Key("stop_fallback", Choice(get_args(models.StopFallback)),
+    Key("stop_fallback", Choice(get_args(roster.StopFallback)),
         "What a quick stop becomes that the drive refuses, does not show, or that cannot be made "
         "from its control word: an inhibit, whereupon the motor coasts, or none, as for a hoist.",
         default="inhibit"),
@@ -167,7 +167,7 @@ _GROUP: Final = Table("group", (
 _API: Final = Table("api", (
     Key("socket", AbsolutePath("/run/lecombus/hall-3.sock", LONGEST_SOCKET_PATH),
         "The Unix socket. Absent: /run/lecombus/NAME.sock with the line's name."),
-    Key("http", HttpPlace(), "Loopback HOST:PORT for HTTP. Absent: none."),
+    Key("http", HttpType(), "Loopback HOST:PORT for HTTP. Absent: none."),
     Key("tokens", AbsolutePath("/etc/lecombus/tokens"),
         "File of hashed tokens (not used by this version)."),
 ), "Where programs reach the daemon.")  # fmt: skip
@@ -184,7 +184,7 @@ ROSTER: Final = Table("roster", (
     Key("groups", NamedEntries(_GROUP_NAME, _GROUP, special={ALL: _ALL_DRIVES}),
         "Drives spoken to together. The group `all` always exists and takes only `multicast`."),
     Key("lease", _LEASE, "The default for all drives (not used by this version)."),
-    Key("on_shutdown", Choice(get_args(models.OnShutdown)),
+    Key("on_shutdown", Choice(get_args(roster.OnShutdown)),
         "What is sent to all drives when the daemon ends.", default="nothing"),
     Key("api", _API, _API.doc),
     Key("mqtt", _MQTT, _MQTT.doc),
@@ -194,3 +194,13 @@ ROSTER: Final = Table("roster", (
         "What must outlive the daemon: identities and write counts. Absent: "
         "/var/lib/lecombus/NAME.json with the line's name; for sim: nothing is kept."),
 ), "One line of drives, read by one lecombus process.")  # fmt: skip
+
+
+def roster_json_schema() -> dict[str, Any]:
+    """Return the JSON Schema (2020-12) of a roster, for editors.
+
+    It knows keys, words and forms. Rules between keys, ranges of durations and everything that
+    follows from a drive's family are known to `lecombus check` only.
+    """
+    schema = "https://json-schema.org/draft/2020-12/schema"
+    return {"$schema": schema, "title": "lecombus roster", **ROSTER.schema()}

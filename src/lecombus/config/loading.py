@@ -1,6 +1,6 @@
 """The way in: a file or a text becomes a `Roster`, or one `RosterError` with all that is wrong.
 
-Steps, each in its own module: text to nodes (`composing`), nodes to values (`keys`), values
+Steps, each in its own module: text to nodes (`yaml_nodes`), nodes to values (`keys`), values
 against each other (`checks`), values to models (`building`), and whether the line can hold what
 is asked of it. Only a file that cannot be read and text that is no YAML end it early.
 
@@ -16,13 +16,12 @@ from pathlib import Path
 from typing import Final
 
 from lecombus.config.building import build_roster
-from lecombus.config.checks import check_feeding, check_roster
-from lecombus.config.composing import compose
+from lecombus.config.checks import check_feasibility, check_roster
+from lecombus.config.container_types import Entry
 from lecombus.config.keys import ROSTER
 from lecombus.config.mistakes import Mistakes, RosterError
-from lecombus.config.models import Roster
-from lecombus.config.nodes import MappingNode, Scalar
-from lecombus.config.shapes import Entry
+from lecombus.config.yaml_nodes import MappingNode, Scalar, compose
+from lecombus.roster import Roster
 
 __all__ = ["load_roster", "parse_roster"]
 
@@ -87,7 +86,7 @@ def parse_roster(text: str, file: str) -> Roster:
     if mistakes:
         raise mistakes.error()
     built = build_roster(roster, file)
-    check_feeding(roster, built, mistakes)
+    check_feasibility(roster, built, mistakes)
     if mistakes:
         raise mistakes.error()
     return built

@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 from pydantic import Field
 
@@ -34,7 +34,10 @@ if TYPE_CHECKING:
     from .family import Family
 
 __all__ = [
+    "LEAST_STOP_ATTEMPTS",
     "STOPS",
+    "STOP_PATIENCE_S",
+    "STOP_PAUSE_S",
     "Proofs",
     "StopAction",
     "StopProof",
@@ -53,6 +56,13 @@ __all__ = [
     "usable_word",
 ]
 
+STOP_PATIENCE_S: Final = 5.0
+"""How long a stop is repeated from its first step, while its proof is missing, seconds."""
+LEAST_STOP_ATTEMPTS: Final = 2
+"""Least telegrams of a stop to a drive that does not answer, however long feeds keep the line."""
+STOP_PAUSE_S: Final = 0.1
+"""Left to others before each attempt after the first few, seconds; to a drive that is silent a
+stop is repeated only when all watchdogs can be fed in time besides (`schedule.silent_stops`)."""
 
 Mask = Annotated[int, whole(1, WORD_MAX)]
 

@@ -29,7 +29,7 @@ RFC2217_REFUSAL = (
     "rfc2217:// is not supported: use socket://HOST:PORT, and have the device server pass raw "
     "bytes at 8 data bits, no parity, 1 stop bit"
 )
-"""Why not, and what to use instead; a roster is told the lines to write by `config.borders`."""
+"""Why not, and what to use instead; `config.endpoint_types` gives the lines to write."""
 
 
 async def open_port(settings: PortSettings, receiver: Receiver) -> Port:

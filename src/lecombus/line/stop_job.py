@@ -35,7 +35,15 @@ from ..drives import (
     needs_control_word,
     stop_value,
 )
-from ..drives.stops import inhibit_mask, inhibit_proofs, may_ignore, usable_word
+from ..drives.stops import (
+    LEAST_STOP_ATTEMPTS,
+    STOP_PATIENCE_S,
+    STOP_PAUSE_S,
+    inhibit_mask,
+    inhibit_proofs,
+    may_ignore,
+    usable_word,
+)
 from ..errors import ExchangeError
 from ..protocol.addressing import Code
 from ..protocol.exchange import Result, ResultKind
@@ -47,13 +55,7 @@ from .failures import error_of
 from .proving import Proving
 from .station import Station, Step, StepKind, Verdict
 
-__all__ = ["STOP_PATIENCE_S", "StopJob"]
-
-STOP_PATIENCE_S = 5.0
-"""A stop is said again for this long from its first step, while its proof is missing, seconds."""
-
-LEAST_SAYINGS = 2
-"""A stop is said so often to a drive that does not answer, however long feeds keep the line."""
+__all__ = ["StopJob"]
 
 LEAST_INHIBIT_S = 1.5
 """What an inhibit in a quick stop's place is tried for at least, seconds."""
@@ -67,10 +69,6 @@ UNSHOWN_S = 1.0
 seconds: with shortened response time a 820X takes a value up 230 ms later (EDB2102EN 6.3.2)."""
 
 NO_FALLBACK = "; it was not inhibited instead: the roster says stop_fallback: none"
-
-PAUSE_S = 0.1
-"""Left to others before each attempt after the first few, seconds; to a drive that is silent a
-stop is said again only when all watchdogs can be fed in time besides (`schedule.silent_stops`)."""
 
 
 class StopJob:
@@ -157,7 +155,7 @@ class StopJob:
         self.error: ExchangeError | None = None
         self._since_s: float | None = None
         self._checking = said
-        self._least_sayings = LEAST_SAYINGS - said
+        self._least_sayings = LEAST_STOP_ATTEMPTS - said
         self._learning = False
         self._read_word: int | None = None  # read for the telegram that comes next
         self._read_inhibit: bool | None = None  # likewise
@@ -214,9 +212,9 @@ class StopJob:
         reading that could only show what is known is no reason to keep others from the line.
         """
         if self._checking:
-            return max(self.station.hold_s, PAUSE_S if self._proving.repeated else 0.0)
+            return max(self.station.hold_s, STOP_PAUSE_S if self._proving.repeated else 0.0)
         fresh = self._is_ready or max(self.attempts, self._failed_reads) <= self.retries
-        return 0.0 if fresh else PAUSE_S
+        return 0.0 if fresh else STOP_PAUSE_S
 
     def cannot_read(self) -> bool:
         """Take note that nothing may be read now; say whether there is something to say instead."""

@@ -5,7 +5,7 @@ most, sums, and how many waits fell between two marks. Whatever was measured lon
 window is written over. So the memory is bounded by the roster, however fast the line is, and
 noting something is one comparison or one addition; it is done while the next drive is thinking.
 
-What must not live here: what was promised (`planning`), the metrics page, where measures come from.
+What must not live here: what was promised (`capacity`), the metrics page, where measures come from.
 """
 
 from __future__ import annotations

@@ -23,12 +23,13 @@ from lecombus.drives import (
     write_cost,
 )
 from lecombus.drives.measured import SlowAnswers
+from lecombus.drives.stops import STOP_PATIENCE_S
 from lecombus.errors import OperationError
 from lecombus.line.duplicates import Duplicates
 from lecombus.line.jobs import MulticastJob, ReadBackJob, ReadJob, WriteJob
 from lecombus.line.proving import Written
 from lecombus.line.station import Station
-from lecombus.line.stop_job import STOP_PATIENCE_S, StopJob
+from lecombus.line.stop_job import StopJob
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.timing import ACK_CHARS, write_request_chars
 from lecombus.protocol.values import Value

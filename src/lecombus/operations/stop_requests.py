@@ -11,11 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from lecombus.drives import StopAction, knows_stop, needs_control_word, stop_value
-from lecombus.drives.stops import usable_word
+from lecombus.drives.stops import STOP_PATIENCE_S, usable_word
 from lecombus.errors import OperationError
 from lecombus.line.jobs import MulticastJob
 from lecombus.line.station import Station, Step
-from lecombus.line.stop_job import STOP_PATIENCE_S, StopJob
+from lecombus.line.stop_job import StopJob
 from lecombus.operations.context import OperationContext
 from lecombus.operations.failure_kinds import kind_of
 from lecombus.operations.reports import GroupReport, Proof, WriteReport, group_report

@@ -12,8 +12,8 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from lecombus.capacity.watchdog_feasibility import find_infeasible
 from lecombus.config import Roster, WatchdogEntry, parse_roster
-from lecombus.config.unheld import find_unheld
 from lecombus.drives import family
 from lecombus.durations import format_duration
 from lecombus.scanning.finding import Finding, Unclear
@@ -96,7 +96,7 @@ def _unheld(place: Place, baud: int, found: Sequence[Finding]) -> dict[str, str]
             drive.model_copy(update={"watchdog": watched.get(drive.name)})
             for drive in roster.drives
         )
-        wrong = find_unheld(roster.model_copy(update={"drives": drives}))
+        wrong = find_infeasible(roster.model_copy(update={"drives": drives}))
         if not wrong:
             return unheld
         for one in wrong:

@@ -19,7 +19,7 @@ A drive may be left alone for a while after a write. What waited for the end of 
 the next request of a higher class that would have the drive left alone again.
 
 So a lone control request waits for the exchange under way and for what watchdogs need, and for
-nothing else (`planning.waits` counts it so). A feed that is not urgent yet, but will be soon (twice
+nothing else (`capacity.waits` counts it so). A feed that is not urgent yet, but will be soon (twice
 the spare), costs no telegram of its own: where a cyclic slot would go, it is one of that drive, run
 early.
 

@@ -6,7 +6,7 @@ of the feeds after it. If it is answered, all of them may be. A stop waits for n
 lost answer may use the last tenth of a watchdog time, and room is kept for what that does not hold.
 With none to be tolerated an exchange is begun if the watchdogs outlast its own lost answer.
 
-The roster was accepted by the same sum (`config.feeding`).
+The roster was accepted by the same sum (`capacity.watchdog_demand`).
 
 Pure: seconds.
 """

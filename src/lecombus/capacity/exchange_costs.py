@@ -1,0 +1,212 @@
+"""The line time of the exchanges that a roster asks for, and the times of its line.
+
+Uses the cost model of `drives.costs`, as the schedule and the time-outs do, so that a plan and the
+running line use the same numbers. Turnaround is included in all costs: the line is busy then.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+from lecombus.drives import (
+    LineTiming,
+    address_code,
+    confirm_codes,
+    family,
+    read_cost,
+    stop_steps,
+    stop_value,
+    write_cost,
+)
+from lecombus.protocol.addressing import Code, Form
+from lecombus.protocol.values import Value
+from lecombus.roster import DriveEntry, LineEntry, is_network_port
+
+__all__ = [
+    "Times",
+    "adapter_latency_s",
+    "dearest_feed_times",
+    "dearest_read_times",
+    "feed_times",
+    "form_for",
+    "line_timing",
+    "own_longest_s",
+    "read_times",
+    "stop_attempt_s",
+    "stop_s",
+    "watched_s",
+    "with_slow_adapter",
+    "write_times",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Times:
+    """The line time of one exchange, in seconds, turnaround included.
+
+    Args:
+        usual_s: Answered as usual.
+        given_up_s: Until its answer is given up: a stop may go out then.
+        worst_s: One attempt that fails, with the silence kept after it.
+    """
+
+    usual_s: float
+    given_up_s: float
+    worst_s: float
+
+
+def form_for(drive: DriveEntry, code: Code) -> Form:
+    """Give the addressing form in which a drive is asked for a code."""
+    return next((form for form in drive.forms if code.knows(form)), Form.EXTENDED)
+
+
+def read_times(
+    drive: DriveEntry, code: Code, timing: LineTiming, form: Form | None = None
+) -> Times:
+    """Give the times of reading a code, in the drive's usual form if none is given."""
+    form = form or form_for(drive, code)
+    of = family(drive.family)
+    answer_s = drive.slow.time_s(of, code, write=False, answer_time_s=drive.answer_time_s)
+    cost = read_cost(timing, of, code, form, answer_s)
+    pause_s = timing.turnaround_s
+    return Times(cost.expected_s + pause_s, cost.whole_s + pause_s, cost.worst_s + pause_s)
+
+
+def dearest_read_times(drive: DriveEntry, code: Code, timing: LineTiming) -> Times:
+    """Give the times of reading a code in the longest form in which the drive is asked for it.
+
+    While an old answer could pass for one in the usual form, the other one is used.
+    """
+    of = family(drive.family)
+    answer_s = drive.slow.time_s(of, code, write=False, answer_time_s=drive.answer_time_s)
+    forms = [form for form in drive.forms if code.knows(form)] or [Form.EXTENDED]
+    costs = [read_cost(timing, of, code, form, answer_s) for form in forms]
+    pause_s = timing.turnaround_s
+    return Times(
+        max(cost.expected_s for cost in costs) + pause_s,
+        max(cost.whole_s for cost in costs) + pause_s,
+        max(cost.worst_s for cost in costs) + pause_s,
+    )
+
+
+def write_times(
+    drive: DriveEntry, code: Code, value: Value, timing: LineTiming, form: Form | None = None
+) -> Times:
+    """Give the times of writing a code, in the drive's usual form if none is given."""
+    form = form or form_for(drive, code)
+    of = family(drive.family)
+    answer_s = drive.slow.time_s(of, code, write=True, answer_time_s=drive.answer_time_s)
+    cost = write_cost(timing, of, code, value, form, answer_s)
+    pause_s = timing.turnaround_s
+    return Times(cost.expected_s + pause_s, cost.whole_s + pause_s, cost.worst_s + pause_s)
+
+
+def feed_times(drive: DriveEntry, timing: LineTiming) -> Times:
+    """Give the times of the cheapest read, which feeds a watchdog."""
+    return read_times(drive, family(drive.family).feed_code, timing)
+
+
+def dearest_feed_times(drive: DriveEntry, timing: LineTiming) -> Times:
+    """Give the times of a feed in the longer form: behind a lost answer it is said in that."""
+    return dearest_read_times(drive, family(drive.family).feed_code, timing)
+
+
+def watched_s(drive: DriveEntry) -> float | None:
+    """Give the time of a watchdog that lecombus has to feed, seconds; None: it need not."""
+    watchdog = drive.watchdog
+    if watchdog is None or watchdog.action == "none" or watchdog.time_s <= 0.0:
+        return None
+    return watchdog.time_s
+
+
+def own_longest_s(drive: DriveEntry, timing: LineTiming) -> float:
+    """Give the longest line time of one exchange that this drive is asked for anyhow, seconds.
+
+    Its reads, its feed, and the write that stops it: meanwhile nothing else can feed it.
+    """
+    of = family(drive.family)
+    codes = [of.feed_code, *(entry.code for entry in drive.cyclic)]
+    reads = [read_times(drive, code, timing).usual_s for code in codes]
+    stops = [write_times(drive, *stop_value(of, one, 0), timing).usual_s for one in of.stops]
+    return max(*reads, *stops)
+
+
+def stop_s(drive: DriveEntry, timing: LineTiming) -> float:
+    """Give the line time of stopping a drive and reading back that it stopped, seconds.
+
+    Zero for a family that knows no stop.
+    """
+    of = family(drive.family)
+    stops = [
+        write_times(drive, *stop_value(of, action, 0), timing).usual_s
+        + read_times(drive, confirm_codes(of, action)[0], timing).usual_s
+        for action in of.stops
+    ]
+    return max(stops, default=0.0)
+
+
+def stop_attempt_s(drive: DriveEntry, timing: LineTiming) -> float:
+    """Give the longest that one unanswered telegram of a drive's stop holds the line, seconds.
+
+    In whatever form it is said; zero for a family that knows no stop.
+    """
+    of, found = family(drive.family), 0.0
+    for action in of.stops:
+        for code, value in [*stop_steps(of, action), (address_code(of), None)]:
+            for form in drive.forms:
+                if not code.knows(form):
+                    continue
+                if value is None:
+                    times = read_times(drive, code, timing, form)
+                else:
+                    times = write_times(drive, code, value, timing, form)
+                found = max(found, times.worst_s)
+    return found
+
+
+USB_LATENCY_S: Final = 0.016
+"""The latency timer of FTDI adapters as shipped; other adapters stay below."""
+
+NETWORK_LATENCY_S: Final = 0.050
+"""A device server on the same site, with its own buffering."""
+SIMULATED_LATENCY_S: Final = 0.005
+"""No adapter at all, only a busy computer."""
+
+
+LEAST_QUARANTINE_S: Final = 0.03
+"""Silence after a failed exchange, besides twice the adapter's latency."""
+
+
+def adapter_latency_s(line: LineEntry) -> float:
+    """Return what the adapter adds to an answer, by the roster or else by the kind of port."""
+    if line.adapter_latency_s is not None:
+        return line.adapter_latency_s
+    if is_network_port(line.port):
+        return NETWORK_LATENCY_S
+    return SIMULATED_LATENCY_S if line.port.startswith("sim:") else USB_LATENCY_S
+
+
+def line_timing(line: LineEntry) -> LineTiming:
+    """Return the line's times for `drives.costs`.
+
+    The quarantine covers what an adapter may still have in its buffers. Answers later than that,
+    up to `late_answer`, are not sat out but kept in doubt, which costs no line time.
+    """
+    latency_s = adapter_latency_s(line)
+    return LineTiming(
+        baud=line.baud,
+        turnaround_s=line.turnaround_s,
+        adapter_latency_s=latency_s,
+        quarantine_s=min(line.late_answer_s, LEAST_QUARANTINE_S + 2.0 * latency_s),
+    )
+
+
+def with_slow_adapter(timing: LineTiming) -> LineTiming:
+    """Give the times of a line whose adapter adds all that it may to every answer.
+
+    Usual costs count the wire and the drive only: an adapter in its low latency mode adds a
+    millisecond. What it may add stands in the time-outs, and here in the pause after each exchange.
+    """
+    pause_s = timing.turnaround_s + timing.adapter_latency_s
+    return replace(timing, turnaround_s=pause_s, adapter_latency_s=0.0)

@@ -1,0 +1,345 @@
+"""Whether a line can hold the watchdogs of a roster, and what the least times would be.
+
+Every watched drive must have been spoken to within nine tenths of its watchdog time, so its feed
+is a stream of work (`demand_bound`). What stands before a feed once is an exchange with another
+drive, and one stop of another one, which goes before everything and waits for nobody. The exchange
+counts at its longest, unanswered: the schedule begins none that could make a feed late, so where
+that does not fit a drive could not even be asked whether it is there. If the feeds do not fit
+behind those, the roster is refused (`watchdog_feasibility`).
+
+The fault hypothesis: within any watchdog time at most `line.tolerate` answers are lost, of whatever
+exchange and at whatever moment. What each costs stands before the feeds besides: the line is held
+until the answer is given up and the silence after it, and the exchange is made again; for a drive's
+own feed too, which no longer is fed by the attempt. Everything is counted in the longer addressing
+form, in which it is said while the lost answer may still come. Stops, and what a lost answer of one
+holds the line longer, may use the last tenth of a watchdog time as well: the running schedule,
+which cannot foresee them, keeps room only for what that tenth does not hold (`schedule.faults`). A
+roster that does not hold that is refused, too; one in which a further lost answer makes a watchdog
+act is worth a warning.
+Source: H. Aydin: Exact Fault-Sensitive Feasibility Analysis of Real-Time Tasks, IEEE Trans. on
+Computers 56 (10), 2007: recovery from at most k faults, of whatever task, added to the demand of
+work by earliest deadline (before for fixed priorities: A. Burns, R. Davis, S. Punnekkat:
+Feasibility Analysis of Fault-Tolerant Real-Time Task Sets, Euromicro Workshop on Real-Time Systems
+1996). Exact tests for repetitions that cannot be interrupted are intractable, as he shows; this one
+is sufficient: every lost answer costs as much as the dearest.
+
+What is said to a drive feeds it, so no drive stands in its own way; that is reckoned for each of
+them, not only for the one with the shortest time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from operator import attrgetter
+from typing import Final
+
+from lecombus.capacity.demand_bound import FULL, Overload, Stream, find_overload, load_of
+from lecombus.capacity.exchange_costs import (
+    dearest_feed_times,
+    line_timing,
+    own_longest_s,
+    read_times,
+    stop_attempt_s,
+    stop_s,
+    watched_s,
+)
+from lecombus.drives import LineTiming, family
+from lecombus.roster import DriveEntry, Roster
+from lecombus.schedule.faults import Faults
+from lecombus.schedule.feed import HARD_PART
+
+__all__ = [
+    "LONGEST_S",
+    "Feeding",
+    "Obstacle",
+    "demand_of",
+    "faults_of",
+    "least_time_s",
+    "longest_stop_s",
+    "lowest_s",
+    "smallest",
+    "under_way_s",
+]
+
+LONGEST_S: Final = 65.535
+"""The longest watchdog time there is. Source: EDB2102EN 6.3.3 (C1923)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Obstacle:
+    """What one drive, watched or not, may put before the feeds of the others once.
+
+    Args:
+        drive: The drive.
+        failed_s: Its cheapest read, not answered, seconds.
+        usual_s: The same, answered, seconds.
+        reads: Its cyclic reads, as usual: what they are, and seconds.
+        stop_s: Its stop with the proof, seconds.
+        stop_failed_s: One telegram of its stop, not answered, seconds.
+    """
+
+    drive: str
+    failed_s: float
+    usual_s: float
+    reads: tuple[tuple[str, float], ...]
+    stop_s: float
+    stop_failed_s: float
+
+    @property
+    def answered_s(self) -> float:
+        """The longest exchange with it that is answered, seconds."""
+        return max(self.usual_s, *(time_s for _, time_s in self.reads), 0.0)
+
+    @property
+    def under_way_s(self) -> float:
+        """The longest exchange with it that may be under way, seconds."""
+        return max(self.failed_s, *(time_s for _, time_s in self.reads), 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Others:
+    """What may go once before one drive's feed, of all drives but itself (see `Obstacle`).
+
+    Args:
+        under_way_s: The longest exchange that may be under way.
+        answered_s: The longest that is answered.
+        failed_s: The longest of the cheapest reads, not answered.
+        stop_s: The longest stop with its proof.
+        stop_failed_s: The longest telegram of a stop, not answered.
+    """
+
+    under_way_s: float
+    answered_s: float
+    failed_s: float
+    stop_s: float
+    stop_failed_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Feeding:
+    """What feeding a roster's watchdogs asks of the line.
+
+    Args:
+        drives: The watched drives.
+        streams: The feed of each, in the same order, with what may stand before it once.
+        others: For each watched drive, what the others may put before its feed.
+        obstacles: What each drive of the line may put before the others.
+        lost_s: What one feed that is not answered costs at most, seconds.
+        own_s: For each watched drive, its own longest exchange: meanwhile nothing feeds it.
+        tolerate: So many lost answers within any watchdog time are to be outlasted.
+    """
+
+    drives: tuple[DriveEntry, ...]
+    streams: tuple[Stream, ...]
+    others: tuple[Others, ...]
+    obstacles: tuple[Obstacle, ...]
+    lost_s: float
+    own_s: tuple[float, ...]
+    tolerate: int
+
+    @property
+    def under_way_s(self) -> float:
+        """The longest exchange that may stand before the shortest watchdog's feed, seconds."""
+        return under_way_s(self.before(self._tightest))
+
+    def before(self, drive: str) -> tuple[Obstacle, ...]:
+        """List what may stand before a drive's feed: all but what is said to itself."""
+        return tuple(one for one in self.obstacles if one.drive != drive)
+
+    def overload(self, *, lost: int | None = None) -> Overload | None:
+        """Find where the feeds do not fit, when so many answers are lost within a watchdog time.
+
+        Args:
+            lost: How many; None: as many as are to be outlasted.
+        """
+        lost = self.tolerate if lost is None else lost
+        found = find_overload(self.streams, 0.0)
+        if found is None and lost:
+            found = find_overload(self._behind_lost(lost), 0.0)
+        if found is None and load_of(self.streams) > FULL:
+            first = min(self.streams, key=_every)
+            demand_s = load_of(self.streams) * first.every_s
+            return Overload(first.every_s, demand_s, first.blocked_s, first.name)
+        return found
+
+    def _behind_lost(self, lost: int) -> tuple[Stream, ...]:
+        """Put lost answers and what else may come before it once in front of each stream."""
+        again_s = (lost - 1) * self.lost_s
+        found = []
+        for one, others in zip(self.streams, self.others, strict=True):
+            tenth_s = one.every_s * (1.0 - HARD_PART) / HARD_PART
+            stop_s = max(self.lost_s + others.stop_s, others.stop_failed_s) - tenth_s
+            behind_s = others.answered_s + max(self.lost_s, stop_s)
+            blocked_s = max(others.failed_s, behind_s) + again_s
+            found.append(Stream(one.name, one.cost_s, one.every_s, blocked_s))
+        return tuple(found)
+
+    def holds(self, *, lost: int | None = None) -> bool:
+        """Whether all watchdogs can be held, also beside their own drives' exchanges."""
+        fits = all(
+            own_s <= one.every_s for own_s, one in zip(self.own_s, self.streams, strict=True)
+        )
+        return fits and self.overload(lost=lost) is None
+
+    def with_times(self, change: Callable[[float], float]) -> Feeding:
+        """Give the same with other watchdog times.
+
+        Args:
+            change: Makes the new watchdog time from the old one, seconds.
+        """
+        streams = tuple(
+            replace(one, every_s=HARD_PART * change(one.every_s / HARD_PART))
+            for one in self.streams
+        )
+        return replace(self, streams=streams)
+
+    def with_time(self, number: int, time_s: float) -> Feeding:
+        """Give the same with another watchdog time for one drive, by its number."""
+        one = replace(self.streams[number], every_s=HARD_PART * time_s)
+        return replace(self, streams=(*self.streams[:number], one, *self.streams[number + 1 :]))
+
+    def without_reads(self, longer_than_s: float) -> Feeding:
+        """Give the same with the longer cyclic reads in nobody's way."""
+        obstacles = tuple(
+            replace(one, reads=tuple(read for read in one.reads if read[1] <= longer_than_s))
+            for one in self.obstacles
+        )
+        return _put_together(
+            self.drives, self.streams, obstacles, self.own_s, self.lost_s, self.tolerate
+        )
+
+    @property
+    def _tightest(self) -> str:
+        return min(self.streams, key=_every).name if self.streams else ""
+
+
+def under_way_s(obstacles: Sequence[Obstacle]) -> float:
+    """Give the longest exchange among what may stand in the way, seconds."""
+    return max((one.under_way_s for one in obstacles), default=0.0)
+
+
+def longest_stop_s(obstacles: Sequence[Obstacle]) -> float:
+    """Give the longest stop among what may stand in the way, seconds."""
+    return max((one.stop_s for one in obstacles), default=0.0)
+
+
+def demand_of(roster: Roster, timing: LineTiming | None = None) -> Feeding:
+    """Reckon what feeding a roster's watchdogs asks of the line.
+
+    Args:
+        roster: The roster.
+        timing: The line's times; None: the roster's own.
+    """
+    timing = timing or line_timing(roster.line)
+    watched = [(drive, time_s) for drive in roster.drives if (time_s := watched_s(drive))]
+    times = [dearest_feed_times(drive, timing) for drive, _ in watched]
+    return _put_together(
+        tuple(drive for drive, _ in watched),
+        tuple(
+            Stream(drive.name, one.usual_s, HARD_PART * time_s)
+            for (drive, time_s), one in zip(watched, times, strict=True)
+        ),
+        tuple(_obstacle(drive, timing) for drive in roster.drives),
+        tuple(own_longest_s(drive, timing) for drive, _ in watched),
+        max((one.worst_s for one in times), default=0.0),
+        roster.line.tolerate,
+    )
+
+
+def faults_of(roster: Roster, timing: LineTiming) -> Faults:
+    """Give what the running schedule keeps room for: the same as the test does."""
+    return Faults(
+        roster.line.tolerate,
+        max((stop_s(drive, timing) for drive in roster.drives), default=0.0),
+        max((stop_attempt_s(drive, timing) for drive in roster.drives), default=0.0),
+    )
+
+
+def _obstacle(drive: DriveEntry, timing: LineTiming) -> Obstacle:
+    reads = tuple(
+        (f"{entry.code} of {drive.name}", read_times(drive, entry.code, timing).usual_s)
+        for entry in drive.cyclic
+    )
+    feed = dearest_feed_times(drive, timing)
+    return Obstacle(
+        drive.name, feed.worst_s, feed.usual_s, reads, stop_s(drive, timing),
+        stop_attempt_s(drive, timing),
+    )  # fmt: skip
+
+
+def _put_together(
+    drives: tuple[DriveEntry, ...],
+    streams: tuple[Stream, ...],
+    obstacles: tuple[Obstacle, ...],
+    own_s: tuple[float, ...],
+    lost_s: float,
+    tolerate: int,
+) -> Feeding:
+    """Let each stream know what may stand before it: the longest of all drives but its own."""
+    others = _others(obstacles, [one.name for one in streams])
+    blocked = tuple(
+        replace(one, blocked_s=before.under_way_s + before.stop_s)
+        for one, before in zip(streams, others, strict=True)
+    )
+    return Feeding(drives, blocked, others, obstacles, lost_s, own_s, tolerate)
+
+
+def _others(obstacles: Sequence[Obstacle], names: Sequence[str]) -> tuple[Others, ...]:
+    """Give, for each of some drives, the longest that all drives but itself put before it."""
+    longest = []
+    for what in (field.name for field in fields(Others)):
+        of = attrgetter(what)
+        two = sorted(obstacles, key=of, reverse=True)[:2]
+        longest.append([(one.drive, of(one)) for one in two])
+    return tuple(
+        Others(*(next((s for drive, s in two if drive != name), 0.0) for two in longest))
+        for name in names
+    )
+
+
+def least_time_s(
+    feeding: Feeding, *, lost: int | None = None, all_alike: bool = False
+) -> float | None:
+    """Give the least time that the watchdogs below it must be raised to so that all are held.
+
+    Args:
+        feeding: The feeds as they are.
+        lost: So many lost answers are to be outlasted; None: as the roster says.
+        all_alike: All watchdogs shall have that time, also those that are longer.
+
+    Returns:
+        The time in seconds, to the millisecond; None if not even the longest will do, or if
+        nothing is fed.
+    """
+    if not feeding.drives:
+        return None
+
+    def holds(time_s: float) -> bool:
+        def change(old_s: float) -> float:
+            return time_s if all_alike else max(old_s, time_s)
+
+        return feeding.with_times(change).holds(lost=lost)
+
+    return smallest(holds, max(lowest_s(drive) for drive in feeding.drives), LONGEST_S)
+
+
+def lowest_s(drive: DriveEntry) -> float:
+    """Give the shortest watchdog time that a drive's family has, seconds."""
+    traits = family(drive.family).watchdog
+    return traits.low_s if traits else 0.0
+
+
+def smallest(holds: Callable[[float], bool], low_s: float, high_s: float) -> float | None:
+    """Find the smallest whole number of milliseconds that holds; None if the highest does not."""
+    low, high = max(round(low_s * 1000), 1), round(high_s * 1000)
+    if not holds(high / 1000):
+        return None
+    while low < high:
+        middle = (low + high) // 2
+        low, high = (low, middle) if holds(middle / 1000) else (middle + 1, high)
+    return high / 1000
+
+
+def _every(stream: Stream) -> float:
+    return stream.every_s

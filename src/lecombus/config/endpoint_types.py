@@ -1,0 +1,169 @@
+"""Kinds of values that name something outside: the port, sockets, files, hosts.
+
+They are judged by their form only. Whether a device is there or a directory can be written is the
+business of whoever opens it: a roster is checked on machines that have neither.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from typing import Any, Final
+
+from lecombus.config.mistakes import did_you_mean, nearest, one_of, shown
+from lecombus.config.scalar_types import ScalarType, Wrong
+from lecombus.roster import is_loopback
+
+__all__ = ["AbsolutePath", "Host", "HttpType", "PortType"]
+
+_SCHEMES: Final = ("socket", "sim")
+_HOST_PORT: Final = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+):([0-9]{1,5})", re.ASCII)
+_PORT_FORMS: Final = "a device path, socket://HOST:PORT or sim:"
+_RAW_SERVER: Final = (
+    "write socket://{where} and have the device server pass raw bytes at 8 data bits, no parity, 1 "
+    "stop bit; for ser2net: `accepter: tcp,{port}` and `connector: serialdev,/dev/ttyUSB0,BAUDn81,"
+    "local` with the line's baud; a server that can only do 7E1 works with `parity: port`"
+)
+"""What to have instead of rfc2217://: nothing needs remote control of a port (ADR 3)."""
+LONGEST_SOCKET_PATH: Final = 107
+"""Linux takes 108 bytes with the closing NUL (unix(7), `sun_path`)."""
+
+
+def _split_host_port(text: str) -> tuple[str, int]:
+    match = _HOST_PORT.fullmatch(text)
+    if match is None:
+        raise Wrong("is not HOST:PORT", "write it like 127.0.0.1:9740 or [::1]:9740")
+    if int(match[2]) > 65535:
+        raise Wrong("has a port number out of range", "1 to 65535 would be right")
+    return match[1].strip("[]"), int(match[2])
+
+
+class PortType(ScalarType):
+    """What the line hangs on: a device, a device server, or the simulator."""
+
+    expects = _PORT_FORMS
+
+    def convert(self, text: str) -> str:
+        """See `ScalarType`."""
+        if not text or not text.isprintable() or text != text.strip():
+            raise Wrong("is no port", f"give {_PORT_FORMS}")
+        if text.startswith("/"):
+            return self._device(text)
+        if text == "sim":
+            return "sim:"  # YAML wants quotes around the colon; nobody should have to know that
+        scheme, colon, rest = text.partition(":")
+        if colon and scheme in _SCHEMES:
+            return text if scheme == "sim" else self._network(text, scheme, rest)
+        if colon and scheme.lower() == "rfc2217":
+            raise self._remote_control(rest)
+        if colon:
+            right = did_you_mean(scheme, _SCHEMES, f"{one_of(_SCHEMES)} would be right")
+            raise Wrong(f"has the unknown scheme {shown(scheme)}", right)
+        if text.startswith("tty"):
+            raise Wrong("is no whole path", f"write /dev/{text}")
+        meant = nearest(text, _SCHEMES)
+        raise Wrong("is no port", f"did you mean `{meant}:`?" if meant else f"give {_PORT_FORMS}")
+
+    def _device(self, text: str) -> str:
+        if text.endswith("/"):
+            raise Wrong("is a directory", f"name the device in it, such as {text}NAME")
+        return text
+
+    def _network(self, text: str, scheme: str, rest: str) -> str:
+        right = f"write {scheme}://HOST:PORT, such as {scheme}://192.0.2.7:4001"
+        if not rest.startswith("//"):
+            raise Wrong("has no host", right)
+        try:
+            _, number = _split_host_port(rest[2:].split("?")[0].rstrip("/"))
+        except Wrong as exc:
+            raise Wrong("is not a host with a port", right) from exc
+        if number == 0:
+            raise Wrong("has the port number 0", right)
+        return text
+
+    def _remote_control(self, rest: str) -> Wrong:
+        where, port = "HOST:4001", 4001
+        with contextlib.suppress(Wrong):
+            given = rest.removeprefix("//").split("?")[0].rstrip("/")
+            _, port = _split_host_port(given)
+            where = given
+        return Wrong("is not supported", _RAW_SERVER.format(where=where, port=port))
+
+    def schema(self) -> dict[str, Any]:
+        """See `Kind`."""
+        return {
+            "type": "string",
+            "pattern": r"^(/.*[^/]|socket://.+:[0-9]+.*|sim(:.*)?)$",
+        }
+
+
+class HttpType(ScalarType):
+    """Where the API listens on TCP: loopback only, as long as nobody has to say who he is."""
+
+    expects = "HOST:PORT, such as 127.0.0.1:9740"
+
+    def convert(self, text: str) -> tuple[str, int]:
+        """See `ScalarType`."""
+        host, number = _split_host_port(text)
+        if not is_loopback(host):
+            # House rule until access control exists: whoever reaches the port may read.
+            raise Wrong(
+                "is not local: api.http must be a loopback address",
+                f"write 127.0.0.1:{number}; from outside use a tunnel, such as ssh -L",
+            )
+        return host, number
+
+    def schema(self) -> dict[str, Any]:
+        """See `Kind`."""
+        return {"type": "string", "pattern": r"^(127\.[0-9.]+|localhost|\[::1\]):[0-9]{1,5}$"}
+
+
+class AbsolutePath(ScalarType):
+    """A file, by its whole path.
+
+    Args:
+        example: One, for messages.
+        longest: Most bytes.
+    """
+
+    def __init__(self, example: str, longest: int = 4095) -> None:
+        self._example = example
+        self._longest = longest
+
+    @property
+    def expects(self) -> str:
+        """See `Kind`."""
+        return f"an absolute path such as {self._example}"
+
+    def convert(self, text: str) -> str:
+        """See `ScalarType`."""
+        if not text.startswith("/") or not text.isprintable():
+            raise Wrong("is no absolute path", f"write it from /, such as {self._example}")
+        if text.endswith("/"):
+            raise Wrong("is a directory", f"name a file, such as {self._example}")
+        size = len(text.encode())
+        if size > self._longest:
+            raise Wrong(f"is too long: {size} bytes", f"at most {self._longest} are possible")
+        return text
+
+    def schema(self) -> dict[str, Any]:
+        """See `Kind`."""
+        return {"type": "string", "pattern": "^/.*[^/]$", "maxLength": self._longest}
+
+
+class Host(ScalarType):
+    """A host by name or address."""
+
+    expects = "a host name or address"
+
+    def convert(self, text: str) -> str:
+        """See `ScalarType`."""
+        if re.fullmatch(r"[A-Za-z0-9._:-]{1,253}", text, re.ASCII) is None:
+            raise Wrong("is no host", f"give {self.expects}")
+        if re.fullmatch(r"[A-Za-z0-9._-]+:[0-9]+", text):
+            raise Wrong("has a port in it", "give the port by the key `port`")
+        return text
+
+    def schema(self) -> dict[str, Any]:
+        """See `Kind`."""
+        return {"type": "string", "pattern": "^[A-Za-z0-9._:-]{1,253}$"}

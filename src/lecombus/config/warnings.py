@@ -1,0 +1,304 @@
+"""What is valid in a roster but makes one wonder: said by `check`, never a reason to refuse.
+
+Each rule is one function that yields sentences; the sentence says what will happen, then what
+could be done. Numbers come from the same cost model as time-outs and the schedule. What is true of
+single drives is yielded with the drive's name, and said once for all drives of which it is true.
+
+What must not live here: rules that refuse (see `checks`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Final
+
+from lecombus.capacity.exchange_costs import (
+    feed_times,
+    line_timing,
+    read_times,
+    watched_s,
+    with_slow_adapter,
+)
+from lecombus.capacity.watchdog_demand import demand_of, least_time_s
+from lecombus.capacity.watchdog_feasibility import rounded_up
+from lecombus.drives import LineTiming, Verb, WriteClass, family
+from lecombus.durations import format_duration
+from lecombus.protocol.addressing import Code
+from lecombus.roster import DriveEntry, LineEntry, Roster, is_network_port
+from lecombus.schedule.feed import HARD_PART
+
+__all__ = ["counted", "cyclic_load", "find_warnings"]
+
+_LATE_ANSWER_SAFE_S: Final = 0.5
+"""Longest processing time of the 2102 module. Source: EDB2102EN 3.5 (C1920..C1923, 500 ms)."""
+_UNSTABLE: Final = ("/dev/ttyUSB", "/dev/ttyACM")
+
+
+def counted(drives: Sequence[DriveEntry]) -> str:
+    """Return `1 drive` or `31 drives`."""
+    return "1 drive" if len(drives) == 1 else f"{len(drives)} drives"
+
+
+def find_warnings(roster: Roster) -> list[str]:
+    """Return everything in a roster that is valid but suspicious, the line first."""
+    timing = line_timing(roster.line)
+    found = list(_line(roster.line))
+    found.extend(_load(roster, timing))
+    found.extend(_gathered(_feeding(roster)))
+    found.extend(_slow_codes(roster, timing))
+    found.extend(_adapter(roster, timing))
+    found.extend(_unwatched(roster))
+    found.extend(_leases(roster))
+    found.extend(_groups(roster))
+    found.extend(_gathered(text for drive in roster.drives for text in _watchdog(drive)))
+    found.extend(_gathered(text for drive in roster.drives for text in _writable(drive)))
+    found.extend(_gathered(text for drive in roster.drives for text in _verbs(drive)))
+    return found
+
+
+def _gathered(told: Iterable[tuple[str, str]]) -> Iterator[str]:
+    """Yield what is said of drives, once for all of which the same is said.
+
+    Args:
+        told: Names of drives, and what is said of each.
+    """
+    drives: dict[str, list[str]] = {}
+    for name, text in told:
+        drives.setdefault(text, []).append(name)
+    for text, names in drives.items():
+        first = names[0] if len(names) == 1 else f"{len(names)} drives ({', '.join(names)})"
+        yield f"{first}: {text}"
+
+
+def _line(line: LineEntry) -> Iterator[str]:
+    if line.port.startswith(_UNSTABLE):
+        yield (
+            f"port {line.port} may be another adapter after a restart: use its name under "
+            "/dev/serial/by-id/"
+        )
+    if line.direction == "rts":
+        yield (
+            "direction rts: the 1 ms in which drives expect the line free cannot be promised; an "
+            "adapter that switches by itself is better"
+        )
+    if line.direction != "adapter" and line.medium != "rs485":
+        yield f"direction {line.direction}: {line.medium} has no transceiver to switch"
+    if line.medium == "fibre" and line.echo == "no":
+        yield "echo no: a fibre ring returns every telegram to the host; auto or yes is right"
+    if line.parity == "port" and not is_network_port(line.port):
+        yield "parity port is meant for device servers that frame 7E1; line is right elsewhere"
+    if line.late_answer_s < _LATE_ANSWER_SAFE_S:
+        yield (
+            f"late_answer {format_duration(line.late_answer_s)}: a 2102 module may take 500ms, and "
+            "its answer could then be taken for another drive's"
+        )
+    if line.stall_s == 0:
+        yield "stall 0: an adapter that hangs without an error is never reopened"
+
+
+def cyclic_load(roster: Roster) -> float:
+    """Return the share of the line that the cyclic reads ask for; above 1 they are stretched."""
+    timing = line_timing(roster.line)
+    return sum(
+        read_times(drive, entry.code, timing).usual_s / entry.every_s
+        for drive in roster.drives
+        for entry in drive.cyclic
+    )
+
+
+def _load(roster: Roster, timing: LineTiming) -> Iterator[str]:
+    load = cyclic_load(roster)
+    if load > 1:
+        yield (
+            f"the cyclic reads ask for {load:.0%} of the line at {timing.baud} baud: all periods "
+            f"are stretched by {load:.2f} or more; read less often, or raise the baud rate"
+        )
+
+
+def _feeding(roster: Roster) -> Iterator[tuple[str, str]]:
+    """Warn of watchdogs that act when one more answer is lost than the roster wants outlasted."""
+    feeding = demand_of(roster)
+    lost = feeding.tolerate + 1
+    if feeding.overload(lost=lost) is None:
+        return
+    least_s = least_time_s(feeding, lost=lost)
+    for drive in feeding.drives:
+        time_s = watched_s(drive)
+        if time_s is not None and (least_s is None or time_s < least_s):
+            outlast = "" if least_s is None else f"; {rounded_up(least_s)} would outlast that"
+            text = f"a watchdog of {format_duration(time_s)} may act when {_lost(lost)} lost"
+            yield drive.name, text + outlast
+
+
+def _lost(count: int) -> str:
+    return "an answer is" if count == 1 else f"{('two', 'three', 'four')[count - 2]} answers are"
+
+
+def _adapter(roster: Roster, timing: LineTiming) -> Iterator[str]:
+    """Warn of watchdogs that are held only while the adapter adds less than it may."""
+    feeding = demand_of(roster, with_slow_adapter(timing))
+    if feeding.holds():
+        return
+    least_s = least_time_s(feeding)
+    raised = "" if least_s is None else f"{rounded_up(least_s)} would outlast that, or "
+    yield (
+        f"watchdogs act if the adapter adds its {format_duration(timing.adapter_latency_s)} to "
+        f"every answer: {raised}give the adapter_latency that yours really has"
+    )
+
+
+def _slow_codes(roster: Roster, timing: LineTiming) -> Iterator[str]:
+    """Warn of watchdogs whose own codes take longer to read than the others can wait for food.
+
+    The schedule begins nothing that could make a feed late, so it never begins such a read: the
+    watchdog would stay as it is in the drive, and only a remark on the drive would tell.
+    """
+    feeds = [
+        (time_s, feed_times(drive, timing).usual_s)
+        for drive in roster.drives
+        if (time_s := watched_s(drive))
+    ]
+    if not feeds:
+        return
+    room_s = _room_s(feeds)
+    slow: list[tuple[DriveEntry, Code, float]] = []
+    for drive in roster.drives:
+        traits = family(drive.family).watchdog
+        if drive.watchdog is not None and traits is not None:
+            worst_s = read_times(drive, traits.action_code, timing).worst_s
+            if worst_s > room_s:
+                slow.append((drive, traits.action_code, worst_s))
+    if slow:
+        _, code, worst_s = max(slow, key=lambda one: one[2])
+        left = f"{room_s:.2f} s is left" if room_s > 0 else "no time is left"
+        which = "watchdog" if len(slow) == 1 else "watchdogs"
+        fed = "the others are" if len(feeds) > 1 else "it is"
+        yield (
+            f"the {which} of {counted([drive for drive, _, _ in slow])} "
+            f"({', '.join(drive.name for drive, _, _ in slow)}) can be neither checked nor set "
+            f"while {fed} fed: reading {code} may hold the line for {worst_s:.2f} s and {left}; "
+            f"a watchdog time of at least {_up(_least_time_s(feeds, worst_s))} s, a higher baud "
+            "rate or fewer drives on the line would do"
+        )
+
+
+def _room_s(feeds: Sequence[tuple[float, float]]) -> float:
+    """Return the longest exchange that fits beside the feeding when all have just been fed.
+
+    Args:
+        feeds: Watchdog times and costs of a feed, seconds.
+    """
+    return min(HARD_PART * time_s - _before(feeds, time_s) for time_s, _ in feeds)
+
+
+def _before(feeds: Sequence[tuple[float, float]], time_s: float) -> float:
+    """Return the cost of the feeds that come before a watchdog of `time_s`, its own included."""
+    return sum(cost_s for other_s, cost_s in feeds if other_s <= time_s)
+
+
+def _least_time_s(feeds: Sequence[tuple[float, float]], worst_s: float) -> float:
+    """Return the least watchdog time beside which an exchange of `worst_s` fits, seconds.
+
+    Times below are taken to be raised to it; each step takes in those that it has reached.
+    """
+    least_s = max(
+        time_s for time_s, _ in feeds
+        if HARD_PART * time_s - _before(feeds, time_s) < worst_s
+    )  # fmt: skip
+    while (need_s := (worst_s + _before(feeds, least_s)) / HARD_PART) > least_s:
+        least_s = need_s
+    return least_s
+
+
+def _up(seconds: float) -> str:
+    """Write a time rounded up to tenths: rounded down it would not do."""
+    return f"{math.ceil(round(seconds * 10, 6)) / 10:.1f}"
+
+
+def _unwatched(roster: Roster) -> Iterator[str]:
+    names = [drive.name for drive in roster.drives
+             if drive.watchdog is None and family(drive.family).watchdog is not None]  # fmt: skip
+    if names:
+        shown = ", ".join(names[:6]) + (" .." if len(names) > 6 else "")
+        yield (
+            f"no watchdog is looked after in {len(names)} of {counted(roster.drives)} "
+            f"({shown}): they run on if the line is cut, or stop if theirs is set in the drive"
+        )
+
+
+def _leases(roster: Roster) -> Iterator[str]:
+    """Say loudly that a lease which was asked for protects nobody yet."""
+    required = [drive for drive in roster.drives if drive.lease.required]
+    if required:
+        yield (
+            f"a lease is required for {len(required)} of {counted(roster.drives)}, but this "
+            "version does not enforce it: whoever reaches the API may move them"
+        )
+
+
+def _groups(roster: Roster) -> Iterator[str]:
+    for name, group in roster.groups.items():
+        if group.multicast and group.multicast_address is None:
+            yield (
+                f"group {name}: multicast does nothing, because no telegram reaches exactly these "
+                "drives; give it all drives of one decade, or remove multicast"
+            )
+
+
+def _watchdog(drive: DriveEntry) -> Iterator[tuple[str, str]]:
+    traits = family(drive.family).watchdog
+    if drive.watchdog is None or traits is None:
+        return
+    if drive.watchdog.action == "none":
+        yield drive.name, "watchdog action none means that nothing stops the drive"
+    if traits.volatile and not drive.watchdog.configure:
+        yield (
+            drive.name,
+            "a 2102 module forgets its watchdog at power-off; without configure: true it is only "
+            "reported then",
+        )
+
+
+def _writable(drive: DriveEntry) -> Iterator[tuple[str, str]]:
+    of = family(drive.family)
+    for code in sorted(drive.writable - of.writable):
+        info = of.info(code)
+        if info is None:
+            continue
+        if not info.writable:
+            yield drive.name, f"{code} ({info.name}) is writable here, read only in its manual"
+        elif info.write_class is WriteClass.SAVE:
+            yield drive.name, f"each write of {code} ({info.name}) wears the drive's memory"
+        elif info.write_class is WriteClass.ADDRESS:
+            yield drive.name, f"{code} ({info.name}) is never written like other codes"
+    if drive.lease.required and drive.lease.on_lapse == "hold":
+        yield drive.name, "on_lapse hold lets the drive run on, and shows as a permanent alarm"
+
+
+def _verbs(drive: DriveEntry) -> Iterator[tuple[str, str]]:
+    """Warn of a list that was meant to add a code and takes verbs away."""
+    rules = family(drive.family).verbs
+    if rules is None or not drive.writable:
+        return
+    setpoints = [rule.code for rule in rules.setpoints]
+    needs = {
+        Verb.ENABLE: [rules.enable.code, rules.control],
+        Verb.RESET_FAULT: [rules.reset.code or rules.control],
+        # One way to give a speed is enough: which one it takes follows from the drive's settings.
+        Verb.SET_SPEED: [] if drive.writable & set(setpoints) else setpoints,
+    }
+    missing = {
+        verb: [code for code in codes if code not in drive.writable]
+        for verb, codes in needs.items()
+    }
+    told = [
+        f"{verb} ({(' or ' if verb is Verb.SET_SPEED else ', ').join(map(str, codes))})"
+        for verb, codes in missing.items() if codes
+    ]  # fmt: skip
+    if told:
+        yield (
+            drive.name,
+            f"`writable` leaves out what these need: {'; '.join(told)}; to add codes to the "
+            "family's list, write `also_writable` instead",
+        )

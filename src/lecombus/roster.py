@@ -1,0 +1,343 @@
+"""The roster as the program uses it: frozen, complete, in seconds and codes.
+
+All defaults are filled in, also those that follow from a drive's family; durations are seconds
+(`*_s`), shares are fractions. A `Roster` needs no further check. Models are made by `config`, from
+values that were read and checked; pydantic checks the types.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+from collections.abc import Iterable, Mapping
+from typing import Final, Literal
+
+from pydantic import BaseModel, ConfigDict
+
+from lecombus.drives.measured import SlowAnswers
+from lecombus.protocol.addressing import Code, Form
+
+__all__ = [
+    "Addressing",
+    "ApiEntry",
+    "CyclicEntry",
+    "Direction",
+    "DriveEntry",
+    "Echo",
+    "GroupEntry",
+    "HttpAddress",
+    "Lapse",
+    "LeaseEntry",
+    "LineEntry",
+    "Medium",
+    "MqttEntry",
+    "OnShutdown",
+    "Parity",
+    "Roster",
+    "StopFallback",
+    "StoredWrites",
+    "WatchdogEntry",
+    "is_loopback",
+    "is_network_port",
+    "multicast_address",
+    "with_address",
+]
+
+Medium = Literal["rs485", "rs232", "fibre"]
+Direction = Literal["adapter", "kernel", "rts"]
+Echo = Literal["auto", "yes", "no"]
+Parity = Literal["line", "port"]
+Addressing = Literal["both", "standard"]
+Lapse = Literal["quick-stop", "inhibit", "silence", "hold"]
+StopFallback = Literal["inhibit", "none"]
+OnShutdown = Literal["nothing", "quick-stop", "inhibit"]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+
+class LineEntry(_Model):
+    """The line.
+
+    Args:
+        name: Its name: metrics label, socket and file names.
+        port: Device path, `socket://HOST:PORT` or `sim:`.
+        baud: 1200, 2400, 4800, 9600 or 19200 bit/s.
+        medium: What the drives hang on; bounds their number.
+        repeaters: An RS-485 line with repeaters: 90 drives instead of 31.
+        direction: Who switches the RS-485 transceiver.
+        echo: Whether what is sent comes back; `auto` finds out.
+        parity: Who makes even parity: we in bit 7 (`line`) or a device server (`port`).
+        turnaround_s: Least pause between an answer's end and the next telegram.
+        retries: Repetitions after a failed exchange, 0 to 10.
+        tolerate: Lost answers within any watchdog time that no watchdog may act upon, 0 to 3.
+        adapter_latency_s: What the adapter adds to an answer; None: by the kind of port.
+        late_answer_s: How late an answer may still come (quarantine after a time-out).
+        absent_share: Largest share of line time for probing absent drives, 0.01 to 0.5.
+        stall_s: Silence of all drives after which the port is reopened; 0: never.
+    """
+
+    name: str
+    port: str
+    baud: int = 9600
+    medium: Medium = "rs485"
+    repeaters: bool = False
+    direction: Direction = "adapter"
+    echo: Echo = "auto"
+    parity: Parity = "line"
+    turnaround_s: float = 0.002
+    retries: int = 2
+    tolerate: int = 1
+    adapter_latency_s: float | None = None
+    late_answer_s: float = 0.5
+    absent_share: float = 0.10
+    stall_s: float = 30.0
+
+
+class WatchdogEntry(_Model):
+    """What a drive's watchdog shall be.
+
+    Args:
+        time_s: Its monitoring time.
+        action: The family's word for what it does (`WatchdogTraits.actions`).
+        configure: Whether lecombus writes it into the drive; otherwise it only compares.
+    """
+
+    time_s: float
+    action: str
+    configure: bool = False
+
+
+class CyclicEntry(_Model):
+    """A code read again and again."""
+
+    code: Code
+    every_s: float
+
+
+class LeaseEntry(_Model):
+    """Whether control of a drive needs a lease, and what its lapse does."""
+
+    required: bool = False
+    time_s: float = 2.0
+    on_lapse: Lapse = "quick-stop"
+
+
+class StoredWrites(_Model):
+    """How often codes that wear a drive's memory may be written.
+
+    Args:
+        burst: Writes of one code that may follow each other.
+        every_s: Seconds until one more may follow; 0: no limit.
+    """
+
+    burst: int = 30
+    every_s: float = 600.0
+
+
+OF_USE: Final = (
+    "cyclic", "writable", "unchecked", "restore", "allow_address_change", "stored_writes", "lease",
+    "stop_fallback",
+)  # fmt: skip
+"""The keys of a drive that may change without an audit."""
+
+
+class DriveEntry(_Model):
+    """One drive.
+
+    Args:
+        name: Its name.
+        address: 1..99 without those ending in 0.
+        family: The name of its family.
+        forms: The addressing forms used with it, the cheaper first.
+        watchdog: What its watchdog shall be; None: not looked after.
+        cyclic: What is read all the time; the family's status set unless the roster says.
+        writable: What may be written: the roster's `writable`, else the family's set, and
+            `also_writable`.
+        unchecked: What is written without asking whether its manual allows the value.
+        restore: Whether a backup may be restored into it, beyond what `writable` lists.
+        answer_time_s: Its processing time where it differs from its family's; None: the family's.
+        accept_software: Software identifications accepted besides those of the manual.
+        allow_address_change: Whether its address may be changed by the command for that.
+        identity: What identity codes must read, by code.
+        stored_writes: How often stored codes may be written.
+        lease: Whether its control needs a lease.
+        stop_fallback: What a quick stop becomes that cannot be had.
+        slow: What a running line measured of it; no roster says that.
+    """
+
+    name: str
+    address: int
+    family: str
+    forms: tuple[Form, ...]
+    watchdog: WatchdogEntry | None = None
+    cyclic: tuple[CyclicEntry, ...]
+    writable: frozenset[Code]
+    unchecked: frozenset[Code] = frozenset()
+    restore: bool = False
+    answer_time_s: float | None = None
+    accept_software: tuple[str, ...] = ()
+    allow_address_change: bool = False
+    identity: Mapping[Code, str] = {}
+    stored_writes: StoredWrites = StoredWrites()
+    lease: LeaseEntry = LeaseEntry()
+    stop_fallback: StopFallback = "inhibit"
+    slow: SlowAnswers = SlowAnswers()
+
+    def asks_for_audit(self, now: DriveEntry) -> bool:
+        """Whether what differs in its new entry calls for speaking to it as to another drive.
+
+        What is read of it and what users may do with it are looked up when they count: neither
+        says which drive it is, how it is spoken to, or what its watchdog shall be.
+        """
+        return self.model_copy(update={key: getattr(now, key) for key in OF_USE}) != now
+
+
+class GroupEntry(_Model):
+    """Drives spoken to together.
+
+    Args:
+        members: Their names, in the order of the roster's list.
+        multicast_address: 10..90 or 0 if one telegram reaches exactly them; None: one by one.
+        multicast: Whether everything that hears this address is in the roster, so that writes
+            other than stops may go there too.
+    """
+
+    members: tuple[str, ...]
+    multicast_address: int | None = None
+    multicast: bool = False
+
+    @property
+    def write_address(self) -> int | None:
+        """Where one telegram may be sent that is no stop; None: one by one."""
+        return self.multicast_address if self.multicast else None
+
+
+class HttpAddress(_Model):
+    """A loopback address the API listens on."""
+
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        """Return `HOST:PORT`, as written in a roster."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{host}:{self.port}"
+
+
+class ApiEntry(_Model):
+    """Where the API listens; `http` None: not on TCP."""
+
+    socket: str
+    http: HttpAddress | None = None
+    tokens: str | None = None
+
+
+class MqttEntry(_Model):
+    """The message broker."""
+
+    host: str
+    port: int
+    tls: bool = True
+
+
+class Roster(_Model):
+    """A whole roster.
+
+    Args:
+        file: Where it was read from, as named by the user.
+        line: The line.
+        drives: The drives, in the order of the file.
+        groups: The groups by name; `all` is always one of them.
+        lease: The default for all drives; each drive has its own resolved.
+        on_shutdown: What is done to the drives at the end.
+        api: Where the API listens.
+        mqtt: The message broker; None: none.
+        journal: The journal's file; None: none.
+        state: The state file; None: nothing is kept.
+        not_yet_used: Keys that were given and checked but do nothing in this version.
+    """
+
+    file: str
+    line: LineEntry
+    drives: tuple[DriveEntry, ...]
+    groups: Mapping[str, GroupEntry]
+    lease: LeaseEntry = LeaseEntry()
+    on_shutdown: OnShutdown = "nothing"
+    api: ApiEntry
+    mqtt: MqttEntry | None = None
+    journal: str | None = None
+    state: str | None = None
+    not_yet_used: tuple[str, ...] = ()
+
+    def drive(self, name: str) -> DriveEntry | None:
+        """Return a drive by its name."""
+        return next((entry for entry in self.drives if entry.name == name), None)
+
+
+def is_network_port(port: str) -> bool:
+    """Tell whether a roster's port is reached over TCP."""
+    return port.startswith("socket://")
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether a host is this machine: `localhost` or a loopback address, maybe bracketed."""
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def multicast_address(members: Iterable[int], drives: Iterable[int]) -> int | None:
+    """Return the address that reaches exactly these members among the roster's drives.
+
+    Where all drives stand in one decade, that decade goes before 0: a broadcast would also reach
+    drives on the cable that the roster does not know.
+
+    Args:
+        members: The members' addresses.
+        drives: The addresses of all drives of the roster.
+
+    Returns:
+        10, 20 .. 90 for a decade, 0 for all drives, None if no telegram reaches exactly them.
+
+    Source: EDB2102EN 8.3.4.
+    """
+    wanted = set(members)
+    present = set(drives)
+    decades = {address // 10 * 10 for address in wanted}
+    if len(decades) == 1:
+        decade = decades.pop()
+        # Addresses 1..9 have no multicast of their own: 0 reaches everybody.
+        if decade and wanted == {address for address in present if address // 10 * 10 == decade}:
+            return decade
+    return 0 if wanted and wanted == present else None
+
+
+def with_address(roster: Roster, name: str, address: int) -> Roster:
+    """Return a roster in which one drive has another address.
+
+    Groups are judged anew: a drive that has left its decade is no longer reached by that decade's
+    multicast, and would be reached by another's.
+
+    Args:
+        roster: The roster.
+        name: The drive.
+        address: Its new address, free and valid.
+    """
+    drives = tuple(
+        entry.model_copy(update={"address": address}) if entry.name == name else entry
+        for entry in roster.drives
+    )
+    addresses = {entry.name: entry.address for entry in drives}
+    groups = {
+        title: group.model_copy(
+            update={
+                "multicast_address": multicast_address(
+                    [addresses[member] for member in group.members], addresses.values()
+                )
+            }
+        )
+        for title, group in roster.groups.items()
+    }
+    return roster.model_copy(update={"drives": drives, "groups": groups})

@@ -1,0 +1,177 @@
+"""Whether a line can hold the watchdogs of a roster, and whether what is proposed would do."""
+
+from __future__ import annotations
+
+import re
+from random import Random
+
+import pytest
+
+from lecombus.capacity.plan import make_plan
+from lecombus.capacity.watchdog_demand import demand_of, least_time_s
+from lecombus.capacity.watchdog_feasibility import find_infeasible
+from lecombus.config import RosterError
+from lecombus.config.warnings import find_warnings
+from lecombus.durations import parse_duration
+
+from .rosters import parsed, said
+
+
+def line_of(count: int, time: str, baud: int = 9600, *, tolerate: int = 1) -> str:
+    addresses = [address for address in range(1, 99) if address % 10][:count]
+    drives = "".join(
+        f"  - {{name: d{address}, address: {address}, family: smvector, "
+        f"watchdog: {{time: {time}, action: quick-stop}}}}\n"
+        for address in addresses
+    )
+    line = f"{{name: l, port: /dev/ttyS0, baud: {baud}, tolerate: {tolerate}}}"
+    return f"line: {line}\ndrives:\n{drives}"
+
+
+def test_50_ms_on_two_drives_at_9600_is_refused_with_the_arithmetic() -> None:
+    first, second = said(line_of(2, "50ms"))
+    assert first.startswith("3:")
+    assert second.startswith("4:")
+    for text in (first, second):
+        assert "a watchdog of 50ms cannot be held at 9600 baud: within 45ms the line would" in text
+        assert "the feeds of 2 drives (98ms) behind one exchange that fails (183ms)" in text
+        assert "a time of 410ms or more" in text
+
+
+def test_a_drive_alone_outlasts_its_own_lost_answer_or_is_refused_with_what_would_do() -> None:
+    (refused,) = said(line_of(1, "250ms"))
+    assert "cannot be held at 9600 baud if 1 answer is lost" in refused
+    assert "1 times 183ms for a lost answer" in refused
+    assert "tolerate: 0 would do" in refused
+    assert find_infeasible(parsed(line_of(1, "250ms", tolerate=0))) == []
+    assert find_infeasible(parsed(line_of(1, "310ms"))) == []
+
+
+def test_more_lost_answers_take_longer_watchdogs_and_plan_and_warning_agree() -> None:
+    least = [
+        least_time_s(demand_of(parsed(line_of(12, "10s", tolerate=tolerate))), all_alike=True)
+        for tolerate in range(1, 4)
+    ]
+    times = [time_s for time_s in least if time_s is not None]
+    assert len(times) == 3
+    assert times == sorted(set(times))
+    for tolerate, time_s in enumerate(times, 1):
+        roster = parsed(line_of(12, f"{round(time_s * 1000)}ms", tolerate=tolerate))
+        assert make_plan(roster).watchdogs[0].lost == tolerate
+        assert any("may act when" in text for text in find_warnings(roster))
+        assert said(line_of(12, f"{round(time_s * 1000) - 1}ms", tolerate=tolerate))
+
+
+def test_a_full_line_with_2_s_can_be_held_at_19200() -> None:
+    drives = line_of(31, "2s", 19200)
+    assert find_infeasible(parsed(drives)) == []
+
+
+@pytest.mark.parametrize(("count", "time", "baud"), [
+    (2, "50ms", 9600), (31, "1s", 9600), (5, "300ms", 1200), (31, "700ms", 19200),
+])  # fmt: skip
+def test_the_times_proposed_are_held_and_a_little_less_is_not(
+    count: int, time: str, baud: int
+) -> None:
+    text = said(line_of(count, time, baud))[0]
+    proposed = re.search(r"a time of (\S+) or more", text)
+    assert proposed is not None
+    parsed(line_of(count, proposed[1], baud))
+    roster = parsed(line_of(count, "60s", baud))
+    feeding = demand_of(roster)
+    least = least_time_s(feeding)
+    assert least is not None
+    assert least <= parse_duration(proposed[1])
+    assert said(line_of(count, f"{round(least * 1000) - 2}ms", baud))
+
+
+def test_the_baud_rate_proposed_does() -> None:
+    text = said(line_of(14, "1s", 4800))[0]
+    proposed = re.search(r"baud: (\d+)", text)
+    assert proposed is not None
+    parsed(line_of(14, "1s", int(proposed[1])))
+
+
+def test_a_long_cyclic_read_in_the_way_is_named() -> None:
+    slow = "\n  - {name: slow, address: 99, family: 821x, cyclic: [{code: C1923, every: 1min}]}\n"
+    text = said(line_of(3, "700ms").rstrip("\n") + slow)[0]
+    assert "not reading C1923 of slow cyclically" in text
+    parsed(line_of(3, "700ms").rstrip("\n") + slow.replace("C1923", "C0050"))
+
+
+def test_only_what_is_too_short_is_refused() -> None:
+    text = line_of(2, "50ms") + (
+        "  - {name: calm, address: 91, family: smvector, watchdog: {time: 10s, action: inhibit}}\n"
+    )
+    assert [line.split(":")[0] for line in said(text)] == ["3", "4"]
+
+
+def test_a_second_lost_answer_is_worth_a_warning_with_the_time_that_outlasts_it() -> None:
+    feeding = demand_of(parsed(line_of(2, "500ms")))
+    least = least_time_s(feeding, lost=2)
+    assert feeding.overload() is None
+    assert least is not None
+    assert least > 0.5
+
+
+def test_a_watchdog_shorter_than_a_drives_own_stop_is_refused() -> None:
+    """An 820X takes 230 ms for most writes, its inhibit among them."""
+    drive = "  - {name: a, address: 11, family: 820x, watchdog: {time: TIME, action: inhibit}}\n"
+    text = f"line: {{name: l, port: /dev/ttyS0, baud: 19200, tolerate: 0}}\ndrives:\n{drive}"
+    refused = said(text.replace("TIME", "230ms"))
+    assert len(refused) == 1
+    assert "one exchange with this drive, such as its stop, takes 237ms" in refused[0]
+    proposed = re.search(r"a time of (\S+) or more", refused[0])
+    assert proposed is not None
+    assert find_infeasible(parsed(text.replace("TIME", proposed[1]))) == []
+
+
+def mixed(slow: str, fast: str, *, slow_first: bool = True) -> str:
+    """Write an 820X, whose stop takes 230 ms and more, beside an SMVector."""
+    guard = "watchdog: {{time: {}, action: inhibit}}"
+    drives = [
+        f"  - {{name: slow, address: 1, family: 820x, {guard.format(slow)}}}",
+        f"  - {{name: fast, address: 2, family: smvector, {guard.format(fast)}}}",
+    ]
+    listed = "\n".join(drives if slow_first else drives[::-1])
+    return f"line: {{name: l, port: 'sim:', tolerate: 0}}\ndrives:\n{listed}\n"
+
+
+@pytest.mark.parametrize("slow_first", [True, False])
+def test_the_stop_of_the_drive_with_the_shortest_watchdog_stands_before_the_others(
+    slow_first: bool,
+) -> None:
+    """540 ms or 541 ms for the other: what is said to the first does not feed the second."""
+    refused = said(mixed("540ms", "541ms", slow_first=slow_first))
+    assert "one stop (296ms)" in refused[0]
+    assert said(mixed("540ms", "540ms", slow_first=slow_first))
+    parsed(mixed("700ms", "701ms", slow_first=slow_first))
+
+
+def test_whatever_time_is_proposed_does() -> None:
+    """Also where raising one watchdog makes another drive the one that stands in the way."""
+    random, proposals = Random(7), 0
+    for _ in range(60):
+        families = random.choices(("820x", "8200vector", "93xx", "smvector"), k=4)
+        times = {name: random.choice((300, 500, 700, 1000, 2000)) for name in "abcd"}
+        baud = random.choice((1200, 2400, 4800))
+        try:
+            parsed(drives_of(families, times, baud))
+        except RosterError as refused:
+            for mistake in refused.mistakes:
+                proposed = re.search(r"a time of (\S+) or more", mistake.right)
+                if proposed is not None:
+                    name = "abcd"[mistake.line - 3]
+                    times[name] = round(parse_duration(proposed[1]) * 1000)
+                    proposals += 1
+            parsed(drives_of(families, times, baud))
+    assert proposals > 20
+
+
+def drives_of(families: list[str], times: dict[str, int], baud: int) -> str:
+    rows = "".join(
+        f"  - {{name: {name}, address: {at}, family: {family}, "
+        f"watchdog: {{time: {times[name]}ms, action: quick-stop}}}}\n"
+        for at, (name, family) in enumerate(zip("abcd", families, strict=True), 1)
+    )
+    return f"line: {{name: l, port: 'sim:', baud: {baud}}}\ndrives:\n{rows}"
