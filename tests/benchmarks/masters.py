@@ -145,7 +145,7 @@ class Again:
         """Book nothing."""
         request.settled = False
 
-    def fail_all(self, now_s: float, reason: str) -> None:
+    def fail_all(self, now_s: float, reason: str, *, stops: bool = True) -> None:
         """Nothing waits."""
 
 

@@ -178,6 +178,41 @@ def test_an_adapter_that_stalls_silently_is_reopened() -> None:
     with_rig(test, options=WorkerOptions(stall_s=3.0))
 
 
+def test_a_stop_outlasts_the_reopening_of_a_silent_port() -> None:
+    async def test(rig: Rig) -> None:
+        await rig.read("a", 150).done.wait()
+        rig.line.faults.unplugged = True
+        make = reader(rig, "b", 150, Priority.CYCLIC)
+        rig.schedule.add_cyclic(Cyclic("b", 0.5, make), rig.now_s)
+        await anyio.sleep(2.5)
+        ended, waiting = stop(rig, "a"), rig.read("c", 150)
+        await until(lambda: rig.end.memory.opened == 2)
+        rig.line.faults.unplugged = False
+        await ended.done.wait()
+        assert ended.outcome is Outcome.VERIFIED
+        assert waiting.outcome is Outcome.REFUSED, "all else ends"
+
+    with_rig(test, THREE, options=WorkerOptions(stall_s=3.0))
+
+
+def test_it_ends_where_the_port_cannot_be_opened_again() -> None:
+    async def test(rig: Rig) -> None:
+        await rig.read("a", 150).done.wait()
+        rig.line.faults.unplugged = True
+        make = reader(rig, "b", 150, Priority.CYCLIC)
+        rig.schedule.add_cyclic(Cyclic("b", 0.5, make), rig.now_s)
+        await anyio.sleep(2.5)
+        ended = stop(rig, "a")
+        await until(lambda: not rig.worker.is_open)
+        assert ended.outcome is None
+        rig.end.unplug()
+        await ended.done.wait()
+        assert ended.outcome is Outcome.UNKNOWN, "it was sent"
+        assert "unplugged" in ended.reason
+
+    with_rig(test, THREE, options=WorkerOptions(stall_s=3.0))
+
+
 def test_one_failure_after_a_long_idle_time_is_no_stall() -> None:
     async def test(rig: Rig) -> None:
         await rig.read("a", 150).done.wait()

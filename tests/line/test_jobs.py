@@ -11,7 +11,8 @@ from lecombus.drives import StopAction, WriteClass, family
 from lecombus.drives.stops import STOP_PAUSE_S
 from lecombus.errors import ExchangeError, NakError, NoReplyError, UnknownCodeError
 from lecombus.line.duplicates import Duplicates
-from lecombus.line.jobs import MulticastJob, ReadJob, WriteJob
+from lecombus.line.jobs import MulticastJob, ReadBackJob, ReadJob, WriteJob
+from lecombus.line.proving import Written
 from lecombus.line.station import Job, Station, Step, StepKind
 from lecombus.line.stop_job import StopJob
 from lecombus.protocol.addressing import Code, Form, encode_code
@@ -595,6 +596,21 @@ def test_proofs_of_several_drives_take_turns_with_the_form() -> None:
         asked.append(job.step.form.value[0])
         duplicates.asked(encode_code(job.step.code, job.step.form), name, at_s)
     assert "".join(asked) == "sese"
+
+
+def test_what_was_written_is_not_read_twice_in_a_form_in_which_it_was_shown() -> None:
+    duplicates, written = doubted(), Written(CODE, Value.decimal(7))
+    for form in Form:
+        duplicates.asked(encode_code(CODE, form), "b", 0.0)
+    job = ReadBackJob(STATION, written, 2, duplicates)
+    first = job.step
+    assert not first.only, "either form will do"
+    assert first.form is not None
+    field = encode_code(CODE, first.form)
+    assert job.advance(answered(ValueAnswer(field, Value.parse("7.0")))) is None
+    assert job.step.code == CODE
+    assert job.step.only
+    assert job.step.form is not first.form
 
 
 # ---- what a quick stop may become -------------------------------------------------------------

@@ -75,6 +75,9 @@ def test_the_roster_s_word_on_the_answer_time_goes_before_the_family_s() -> None
 def test_a_read_in_doubt_is_said_in_the_other_form_and_then_waits() -> None:
     one = questions(field(STATUS))
     assert ask(one, ReadJob(station(), STATUS, 0)).ask.field == field(STATUS, Form.EXTENDED)
+    sole = ReadJob(station(), STATUS, 0, form=Form.STANDARD, only=True)
+    assert one.ask(sole, 0.1, urgent=False) == 0.5, "that one form is wanted"
+    assert ask(questions(field(STATUS, Form.EXTENDED)), sole).ask.field == field(STATUS)
     both = questions(field(STATUS), field(STATUS, Form.EXTENDED))
     assert both.ask(ReadJob(station(), STATUS, 0), 0.1, urgent=False) == 0.5
     assert both.ask(ReadJob(station(), STATUS, 0), 0.1, urgent=True) == 0.5, "a stop's read too"

@@ -27,7 +27,7 @@ from support.virtual_loop import Paused, VirtualLoop
 START_S = 600.0
 """Longest time granted for all drives to come online, seconds of line time."""
 FELL = "the daemon fell over"
-LOG_SIZE = 12
+LOG_SIZE = 40
 """Each drive remembers what was said to it for longer than a write and its proof take."""
 SELDOM = 50_000
 """A line leaves little that only the garbage collector finds: it looks after so many objects."""

@@ -39,10 +39,11 @@ class Connection:
         self._steadiness = Steadiness()
         self.port: Port | None = None
         self.is_lost = False
+        self.is_reopened = False  # it was given up here, and no error of it is known
 
     async def open(self, receiver: Receiver) -> bool:
         """Try to open the port once for whoever gets the bytes; on failure `why_not` says why."""
-        self.is_lost = False
+        self.is_lost = self.is_reopened = False
         try:
             port = await self._opener(self._settings, receiver)
         except LineLostError as exc:
@@ -86,6 +87,11 @@ class Connection:
         self._failures += 1
         self._reason = str(exc) if exc is not None else "the port was closed at the other end"
         self._tell_not_open(self._steadiness.lost(now_s()))
+
+    def reopen(self, why: str) -> None:
+        """Give up a port of which no error is known, to open it again."""
+        self.is_reopened = not self.is_lost
+        self.note_loss(LineLostError(why))
 
     def drop(self) -> None:
         """Close the port, if there is one."""

@@ -46,6 +46,7 @@ class ReadJob:
         retries: How often a failed attempt is repeated.
         instead: Codes that will do as well while an old answer to `code` may still come.
         form: The addressing form to ask in where that is free; None: the station's first.
+        only: Wait until that form is free, and ask in no other.
     """
 
     __slots__ = ("attempts", "error", "instead", "retries", "station", "step", "value")
@@ -57,10 +58,12 @@ class ReadJob:
         retries: int,
         instead: tuple[Code, ...] = (),
         form: Form | None = None,
+        *,
+        only: bool = False,
     ) -> None:
         self.station = station
         self.instead = instead
-        self.step = Step(StepKind.READ, code, form=form)
+        self.step = Step(StepKind.READ, code, form=form, only=only)
         self.retries = retries
         self.attempts = 0
         self.value: Value | None = None
@@ -169,8 +172,11 @@ class ReadBackJob:
         self._next()
 
     def _next(self) -> None:
-        wanted = self._proving.step(self.station, self.written)
-        self._reading = ReadJob(self.station, wanted.code, self._retries, form=wanted.form)
+        """Read next what is still missing; in the form shown already it would prove no more."""
+        wanted, only = self._proving.step(self.station, self.written), self._proving.has_shown
+        self._reading = ReadJob(
+            self.station, wanted.code, self._retries, form=wanted.form, only=only
+        )
         self.step = self._reading.step
 
 

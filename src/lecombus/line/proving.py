@@ -140,6 +140,11 @@ class Proving:
         return bool(left)
 
     @property
+    def has_shown(self) -> bool:
+        """Whether a reading showed it."""
+        return bool(self._shown)
+
+    @property
     def is_begun(self) -> bool:
         """Whether the drive acknowledged the stop and showed it, so that only more is wanted."""
         return self.acknowledged and bool(self._shown)

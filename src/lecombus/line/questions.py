@@ -115,7 +115,7 @@ class Questions:
         return self._write(job.station, step)
 
     def _read(self, job: Job, step: Step, now_s: float) -> Question | float:
-        question = self._free(job.station, step.code, now_s, step.form)
+        question = self._free(job.station, step.code, now_s, step.form, only=step.only)
         if type(question) is float and isinstance(job, ReadJob):
             for code in job.instead:
                 other = self._free(job.station, code, now_s)
@@ -125,7 +125,13 @@ class Questions:
         return question
 
     def _free(
-        self, station: Station, code: Code, now_s: float, form: Form | None = None
+        self,
+        station: Station,
+        code: Code,
+        now_s: float,
+        form: Form | None = None,
+        *,
+        only: bool = False,
     ) -> Question | float:
         """Find the form in which a code may be read now; else the time when one may be used."""
         free_at_s = math.inf
@@ -133,6 +139,7 @@ class Questions:
         if form is not None:
             field = encode_code(code, form)
             questions = tuple(sorted(questions, key=lambda one: one.ask.field != field))
+            questions = questions[:1] if only else questions
         for question in questions:
             until_s = self._doubts.blocked_until_s(question.ask.field, now_s)
             if until_s <= now_s:

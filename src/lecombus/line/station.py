@@ -73,12 +73,16 @@ class StepKind(StrEnum):
 
 
 class Step(NamedTuple):
-    """One exchange to be run: read `code`, in `form` if that is free, or write `value` to it."""
+    """One exchange to be run: read `code`, in `form` if that is free, or write `value` to it.
+
+    Where `only` is set the read waits until its `form` is free.
+    """
 
     kind: StepKind
     code: Code
     value: Value | None = None
     form: Form | None = None
+    only: bool = False
 
 
 class Job(Protocol):

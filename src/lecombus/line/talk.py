@@ -479,8 +479,8 @@ class Talk:
         self._doubts.add(question.ask.field, ended, asked)
         silent_s = self._stall.failed(result)
         if silent_s is not None:
-            self._connection.note_loss(
-                LineLostError(f"no byte from any drive for {silent_s:.0f} s: the port is reopened")
+            self._connection.reopen(
+                f"no byte from any drive for {silent_s:.0f} s: the port is reopened"
             )
         if not self._options.quarantine or result.kind is ResultKind.LOST:
             return 0.0

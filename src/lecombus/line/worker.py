@@ -142,7 +142,9 @@ class LineWorker:
                     return
                 self._line_lost()
             else:
-                self.talk.observer.line_changed(False, self._connection.why_not())
+                reason = self._connection.why_not()
+                self.talk.observer.line_changed(False, reason)
+                self.schedule.fail_all(loop.time(), reason)
             self._retries += 1
             # Also after a loss: a port may open well and fail at once, again and again.
             await self._nap.until(loop.time() + self._connection.backoff_s())
@@ -157,10 +159,13 @@ class LineWorker:
         return not self._closing
 
     def _line_lost(self) -> None:
+        """End all that waits; a port that is opened again, for it was silent, keeps the stops."""
         reason = self._connection.why_not()
         self._connection.drop()
         self.talk.observer.line_changed(False, reason)
-        self.schedule.fail_all(asyncio.get_running_loop().time(), reason)
+        self.schedule.fail_all(
+            asyncio.get_running_loop().time(), reason, stops=not self._connection.is_reopened
+        )
 
     def _end_all(self) -> None:
         """Close the port and leave nobody waiting."""

@@ -230,8 +230,8 @@ class Members(ABC):
         if probe is not None:
             self._probes.stop(probe)
 
-    def fail_all(self, now_s: float, reason: str) -> None:
-        """End all that waits, stops too, as refused: the line is lost.
+    def fail_all(self, now_s: float, reason: str, *, stops: bool = True) -> None:
+        """End all that waits, and the stops unless they are to be kept: the line is lost.
 
         Cyclic requests and feeding stay and resume; holds end.
         """
@@ -243,7 +243,7 @@ class Members(ABC):
         for name in [one for one in self._waiting.silent if not self._is_parked(one)]:
             self._waiting.set_silent(name, silent=False)
         self._feeds.changed()
-        self._waiting.end_all(self._waiting.listed(stops=True), Outcome.REFUSED, reason)
+        self._waiting.end_all(self._waiting.listed(stops=stops), Outcome.REFUSED, reason)
 
     def _is_parked(self, name: str) -> bool:
         drive = self._drives.get(name)
