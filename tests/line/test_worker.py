@@ -65,6 +65,26 @@ def test_a_stop_goes_out_right_after_the_exchange_it_was_submitted_in() -> None:
     with_rig(test)
 
 
+@pytest.mark.parametrize("turnaround_s", [0.0, 0.002])
+@pytest.mark.parametrize("stops", [False, True])
+def test_what_is_asked_for_when_a_read_settles_goes_out_on_an_idle_line(
+    stops: bool, turnaround_s: float
+) -> None:
+    async def test(rig: Rig) -> None:
+        settled: list[float] = []
+
+        def settle(outcome: Outcome, reason: str) -> None:
+            settled.append(rig.now_s)
+            stop(rig, "b") if stops else rig.read("b", 150)
+
+        station = rig.stations["a"]
+        rig.worker.submit(rig.maker.read(station, Code(150), Priority.INTERACTIVE, settle=settle))
+        await until(lambda: len(rig.sent) > 1)
+        assert rig.sent[1].at_s - settled[0] <= turnaround_s
+
+    with_rig(test, options=WorkerOptions(turnaround_s=turnaround_s))
+
+
 def test_a_stop_breaks_the_silence_after_a_failed_exchange_and_nothing_else_does() -> None:
     async def test(rig: Rig) -> None:
         rig.line.drive_faults[2] = Faults(unheard=1.0)

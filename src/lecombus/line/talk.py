@@ -128,6 +128,7 @@ class Talk:
         self._time: Callable[[], float] = _loop_time
         self._looked_s = 0.0  # when nothing lay in the port last
         self._ending = False
+        self._nudged = False  # since the schedule was asked last
 
     # ---- what the worker calls ----------------------------------------------------------------
 
@@ -158,6 +159,7 @@ class Talk:
 
     def nudge(self) -> None:
         """Look at the schedule again: something changed in it."""
+        self._nudged = True
         self._pause.nudge()
 
     def stop_came(self) -> None:
@@ -226,7 +228,7 @@ class Talk:
     def _go_on(self) -> None:
         """Say what comes next, or come back when it may be said."""
         while not self._ending and not self._connection.is_lost:
-            now = self._time()
+            now, self._nudged = self._time(), False
             if now < self._silence.free_at_s:
                 self._turn_round(now)
                 return
@@ -258,14 +260,14 @@ class Talk:
         if stop_goes or self._silence.is_over(now):
             return False
         self._publish()
-        self._pause.until(look_at_s)
+        self._pause.until(now if self._nudged else look_at_s)
         return True
 
     def _rest(self, now: float) -> None:
         """Nothing is due: wait, but not so long that an idle line looks like a stuck one."""
         self._publish()  # before whoever waited for the result looks for it in the books
         self.rests += 1
-        wake_at_s = self._schedule.wake_at_s(now)
+        wake_at_s = now if self._nudged else self._schedule.wake_at_s(now)
         latest_s = now + LONGEST_REST_S
         self._pause.until(latest_s if wake_at_s is None else min(wake_at_s, latest_s))
 
