@@ -10,7 +10,7 @@ import signal
 import socket
 import termios
 import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +23,8 @@ from lecombus.cli.rebaud_line import carry_out
 from lecombus.config import Roster, parse_roster
 from lecombus.errors import LineLostError
 from lecombus.line.loop import run as run_loop
-from lecombus.rebaud import Step, Steps, Subject, Wait, Write
-from support.rebauding import RebaudLine
+from lecombus.rebaud import LineAccess, Subject
+from support.rebauding import RebaudLine, Step, Write
 
 ROSTER = """\
 line: {{name: bench, port: {port}}}
@@ -50,11 +50,12 @@ def line(monkeypatch: pytest.MonkeyPatch) -> RebaudLine:
     drives = RebaudLine(DRIVES)
 
     def instead(
-        _: object, steps: Steps[None], roster: Roster, subjects: tuple[Subject, ...],
+        _: object, procedure: Callable[[LineAccess], Awaitable[None]], roster: Roster,
+        subjects: tuple[Subject, ...],
         interrupt: Callable[[], None], watch: Callable[[], None],
     ) -> None:  # fmt: skip
         drives.subjects = {one.name: one for one in subjects}
-        drives.run(steps)
+        drives.run(procedure)
         watch()
 
     monkeypatch.setattr(rebaud, "run", instead)
@@ -253,12 +254,12 @@ def test_a_signal_interrupts_and_lets_the_step_end(roster: Path, terminal: str) 
     read = parse_roster(roster.read_text().replace(str(roster.parent / "bus"), terminal), "r")
     noted: list[str] = []
 
-    def steps() -> Steps[None]:
+    async def procedure(line: LineAccess) -> None:
         os.kill(os.getpid(), signal.SIGINT)
-        yield Wait(9600, 0.3)
+        await line.wait(9600, 0.3)
         noted.append("ended")
 
-    run_loop(carry_out, steps(), read, (), lambda: noted.append("interrupted"), lambda: None)
+    run_loop(carry_out, procedure, read, (), lambda: noted.append("interrupted"), lambda: None)
     assert noted == ["interrupted", "ended"]
 
 

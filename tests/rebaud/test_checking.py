@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from lecombus.protocol.addressing import Code, Form
-from lecombus.rebaud import Place, Subject, Write
+from lecombus.rebaud import Place, Subject
 from lecombus.simulator import SimDrive
 from lecombus.simulator.motor import Motor
-from support.rebauding import RebaudLine, subject_of
+from support.rebauding import RebaudLine, Write, subject_of
 
 FAMILIES = ("820x", "821x", "822x", "824x", "8200vector", "93xx", "smvector")
 
@@ -214,7 +214,7 @@ def test_an_interruption_ends_it_before_the_next_telegram() -> None:
     line = standing("822x", "8200vector")
 
     def interrupt(_: object) -> None:
-        line.work.talk.interrupted = len(line.steps) == 3
+        line.work.line.interrupted = len(line.steps) == 3
 
     line.before = interrupt
     line.check()

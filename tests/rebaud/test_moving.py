@@ -6,10 +6,10 @@ import random
 
 import pytest
 
-from lecombus.rebaud import Ending, Place, Read, Step, Write, ending_of, situation, what_to_do
+from lecombus.rebaud import Ending, Place, ending_of, situation, what_to_do
 from lecombus.simulator import SimDrive
 from rebaud.test_checking import FAMILIES, standing
-from support.rebauding import RebaudLine, baud_of
+from support.rebauding import Read, RebaudLine, Step, Write, baud_of
 
 THREE = ("822x", "8200vector", "smvector")
 
@@ -255,7 +255,7 @@ def test_an_interruption_ends_it_and_nothing_is_claimed_that_was_not_seen(after:
     began = len(line.steps)
 
     def before(_: Step) -> None:
-        line.work.talk.interrupted = len(line.steps) >= began + after
+        line.work.line.interrupted = len(line.steps) >= began + after
 
     line.before = before
     line.move()
@@ -270,7 +270,7 @@ def test_an_interruption_ends_it_and_nothing_is_claimed_that_was_not_seen(after:
 def test_after_an_interruption_it_goes_on_or_back() -> None:
     line = standing(*THREE).check()
     line.before = lambda step: setattr(
-        line.work.talk, "interrupted", isinstance(step, Write) and step.drive == "8200vector"
+        line.work.line, "interrupted", isinstance(step, Write) and step.drive == "8200vector"
     )
     line.move()
     assert line.places == {"822x": "new", "8200vector": "written", "smvector": "old"}

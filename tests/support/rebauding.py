@@ -5,22 +5,56 @@ What the worker makes of bytes is made here in the plainest way, as for a scan.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass
 
 from lecombus.drives import family
+from lecombus.drives.access import Answer, Written
 from lecombus.drives.identity import identity_codes
 from lecombus.protocol import with_parity
 from lecombus.protocol.addressing import Code, Form
-from lecombus.rebaud import Came, Read, Rebaud, Said, Step, Steps, Subject, Wait, Write
+from lecombus.protocol.values import Value
+from lecombus.rebaud import LineAccess, Rebaud, Subject
 from lecombus.scanning import Ask, HeardKind
 from lecombus.simulator import SimDrive, SimLine
-from support.scanning import ScannedLine
+from support.scanning import ScannedLine, run_now
 from support.sim_host import write_telegram
 
 PATIENCE_S, PAUSE_S = 0.6, 0.06
-ANSWERS = {with_parity(b"\x06"): Came.DONE, with_parity(b"\x15"): Came.REFUSED}
+ANSWERS = {with_parity(b"\x06"): "done", with_parity(b"\x15"): "refused"}
 
 Standing = tuple[str, int, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Read:
+    """Read a code at a baud rate; a failed attempt is repeated `retries` times."""
+
+    baud: int
+    drive: str
+    code: Code
+    retries: int
+
+
+@dataclass(frozen=True, slots=True)
+class Write:
+    """Write a code at a baud rate, once."""
+
+    baud: int
+    drive: str
+    code: Code
+    value: Value
+
+
+@dataclass(frozen=True, slots=True)
+class Wait:
+    """Send nothing for some seconds."""
+
+    baud: int
+    for_s: float
+
+
+Step = Read | Write | Wait
 
 
 def subject_of(name: str, address: int, kind: str, **more: object) -> Subject:
@@ -87,40 +121,45 @@ class RebaudLine:
         return [one for one in self.steps if isinstance(one, Write) and one.drive == name]
 
     def check(self) -> RebaudLine:
-        self.run(self.work.check())
+        self.run(self.work.check)
         return self
 
     def move(self) -> RebaudLine:
-        self.run(self.work.move())
+        self.run(self.work.move)
         return self
 
     def back(self) -> RebaudLine:
-        self.run(self.work.back())
+        self.run(self.work.back)
         return self
 
-    def run(self, steps: Steps[None]) -> None:
-        step = next(steps, None)
-        while step is not None:
-            self.steps.append(step)
-            self.before(step)
-            try:
-                step = steps.send(self.carry_out(step))
-            except StopIteration:
-                return
+    def run(self, procedure: Callable[[LineAccess], Awaitable[None]]) -> None:
+        run_now(procedure(self))
 
-    def carry_out(self, step: Step) -> Said:
-        host = self.scanned.host
+    def at(self, baud: int, drive: str, *, retries: int) -> StandingDrive:
+        return StandingDrive(self, baud, drive, retries)
+
+    async def wait(self, baud: int, for_s: float) -> None:
+        self.take(Wait(baud, for_s))
+        self.scanned.host.wait(for_s)
+
+    def take(self, step: Step) -> None:
+        """Note a step before it is carried out."""
+        self.steps.append(step)
+        self.before(step)
         self.line.host_baud = step.baud
-        if isinstance(step, Wait):
-            host.wait(step.for_s)
-            return Said(Came.NOTHING)
+
+    def read(self, step: Read) -> Answer:
+        self.take(step)
         subject = self.subjects[step.drive]
-        if isinstance(step, Read):
-            for _ in range(step.retries + 1):
-                said = self._read(subject, step)
-                if said.came is Came.VALUE:
-                    break
-            return said
+        for _ in range(step.retries + 1):
+            answer = self._read(subject, step)
+            if answer.value is not None:
+                break
+        return answer
+
+    def write(self, step: Write) -> Written:
+        self.take(step)
+        host, subject = self.scanned.host, self.subjects[step.drive]
         extended = subject.form is Form.EXTENDED
         telegram = write_telegram(
             subject.address, step.code.number, step.value.raw, extended=extended
@@ -128,16 +167,34 @@ class RebaudLine:
         host.say(telegram)
         received = host.hear(until_s=host.now_s + PATIENCE_S)
         host.wait(PAUSE_S)
-        came = Came.NOTHING if self.lose_acks else ANSWERS.get(received, Came.NOTHING)
-        return Said(came, None, "" if came is Came.DONE else f"write: {came}")
+        came = "nothing" if self.lose_acks else ANSWERS.get(received, "nothing")
+        return Written(came == "done", came, "" if came == "done" else f"write: {came}")
 
-    def _read(self, subject: Subject, step: Read) -> Said:
+    def _read(self, subject: Subject, step: Read) -> Answer:
         ask = Ask(step.baud, subject.address, step.code, subject.form, subject.family.name)
         heard = self.scanned.hear(ask)
         if heard.kind is HeardKind.VALUE:
-            return Said(Came.VALUE, heard.value)
+            return Answer(step.code, heard.value)
         refused = heard.kind is HeardKind.NO_SUCH_CODE
-        return Said(Came.REFUSED if refused else Came.NOTHING, None, str(heard.kind))
+        kind = "no-such-code" if refused else "no-answer"
+        return Answer(step.code, None, kind, str(heard.kind))
+
+
+@dataclass(frozen=True, slots=True)
+class StandingDrive:
+    """A drive of the simulated line at one baud rate."""
+
+    line: RebaudLine
+    baud: int
+    name: str
+    retries: int
+
+    async def read(self, code: Code) -> Answer:
+        return self.line.read(Read(self.baud, self.name, code, self.retries))
+
+    async def write(self, code: Code, value: Value, *, verify: bool) -> Written:
+        assert not verify
+        return self.line.write(Write(self.baud, self.name, code, value))
 
 
 def baud_of(name: str) -> Code:

@@ -6,7 +6,7 @@ repeats the question's code counts, everything else is a disturbance.
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Awaitable, Generator
 from typing import TypeVar
 
 from lecombus.protocol.addressing import Form, encode_code
@@ -24,6 +24,17 @@ from support.sim_host import Host, read_telegram
 PATIENCE_S, PATIENT_S, PAUSE_S = 0.13, 0.65, 0.06
 
 T = TypeVar("T")
+
+
+def run_now(work: Awaitable[T]) -> T:
+    """Run a coroutine to its end that waits for nothing but computed time."""
+    steps = work.__await__()
+    try:
+        next(steps)
+    except StopIteration as end:
+        result: T = end.value
+        return result
+    raise AssertionError("it waits for something")
 
 
 class ScannedLine:

@@ -10,7 +10,9 @@ clock alike. Files, terminals and HTTP are the command line's.
 
 from __future__ import annotations
 
-from .access import Answer, DriveAccess, Listener, Written, is_passing
+from lecombus.drives.access import Answer, Written, is_passing
+
+from .access import Listener, RestoreAccess
 from .compare import Comparison, Difference, compare
 from .document import Backup, Entry, Head, Section, section_of, wanted_codes
 from .plan import Plan, Skip, Step, make_plan
@@ -25,12 +27,12 @@ __all__ = [
     "Backup",
     "Comparison",
     "Difference",
-    "DriveAccess",
     "Entry",
     "Head",
     "Listener",
     "Plan",
     "Progress",
+    "RestoreAccess",
     "Restored",
     "Section",
     "Skip",

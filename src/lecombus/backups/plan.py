@@ -22,11 +22,11 @@ from lecombus.drives import (
     restore_rule,
     saving_rule,
 )
+from lecombus.drives.access import Answer
 from lecombus.errors import CodeValueError
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 
-from .access import Answer
 from .document import Backup, Entry, Section, section_of
 from .writing import meaning_of
 

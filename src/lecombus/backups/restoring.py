@@ -24,10 +24,11 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from lecombus.drives import Family, StopAction, confirm_codes, is_last, knows_stop, stop_confirmed
+from lecombus.drives.access import Answer, DriveAccess, Written, is_passing
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 
-from .access import Answer, DriveAccess, Listener, Written, is_passing, wait_until_usable
+from .access import Listener, RestoreAccess, wait_until_usable
 from .plan import Plan, Step
 from .taking import take
 
@@ -78,7 +79,7 @@ class StopRestoreError(Exception):
 
 
 async def restore(
-    access: DriveAccess,
+    access: RestoreAccess,
     plan: Plan,
     *,
     patience_s: float,
@@ -117,7 +118,7 @@ class Work:
 
     def __init__(
         self,
-        access: DriveAccess,
+        access: RestoreAccess,
         plan: Plan,
         patience_s: float,
         listener: Listener,

@@ -14,9 +14,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from lecombus.drives.access import Answer, is_passing
 from lecombus.protocol.addressing import Code
 
-from .access import Answer, DriveAccess, Listener, is_passing, wait_until_usable
+from .access import Listener, RestoreAccess, wait_until_usable
 
 __all__ = ["Taken", "take"]
 
@@ -43,7 +44,7 @@ class Taken:
 
 
 async def take(
-    access: DriveAccess, codes: Sequence[Code], *, patience_s: float, listener: Listener
+    access: RestoreAccess, codes: Sequence[Code], *, patience_s: float, listener: Listener
 ) -> Taken:
     """Read codes.
 

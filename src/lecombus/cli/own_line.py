@@ -7,12 +7,13 @@ are those that a line has. A port that is in use is refused by `line` when it is
 from __future__ import annotations
 
 import time
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Iterable
+from contextlib import AsyncExitStack, asynccontextmanager
 
 import anyio
 
 from lecombus.cli.exits import CommandError
+from lecombus.config import LineEntry, line_timing
 from lecombus.drives import LineTiming
 from lecombus.errors import LecombusError, LineLostError
 from lecombus.line.observer import ExchangeReport
@@ -23,7 +24,7 @@ from lecombus.operations.request_maker import RequestMaker
 from lecombus.operations.requests import Requests
 from lecombus.schedule import Outcome, Priority, Schedule
 
-__all__ = ["OwnLine", "own_line"]
+__all__ = ["OwnLine", "OwnPort", "own_line", "own_port"]
 
 STRAYS_KEPT = 256
 """Bytes nobody asked for that are kept; the rest is only more of the same."""
@@ -147,3 +148,69 @@ async def own_line(
             line.worker.close()
     if failure is not None:
         raise failure
+
+
+class OwnPort:
+    """A port of a command, reopened when the baud rate changes.
+
+    Args:
+        line: Port, parity and direction; its baud rate is not used.
+        retries: How often a failed read is repeated.
+        options: How the line is worked.
+        drives: Drives that the schedule shall know, by name.
+        stack: Closes the line that is open.
+    """
+
+    def __init__(
+        self,
+        line: LineEntry,
+        retries: int,
+        options: WorkerOptions,
+        drives: Iterable[str],
+        stack: AsyncExitStack,
+    ) -> None:
+        self._entry = line
+        self._retries = retries
+        self._options = options
+        self._drives = tuple(drives)
+        self._stack = stack
+        self._line: OwnLine | None = None
+        self._baud = 0
+        self._heard_before = 0
+
+    @property
+    def bytes_heard(self) -> int:
+        """How many bytes have come, over all openings."""
+        return self._heard_before + (self._line.bytes_heard if self._line is not None else 0)
+
+    async def at(self, baud: int) -> OwnLine:
+        """Return the line at a baud rate, bit/s.
+
+        Raises:
+            LecombusError: The port cannot be opened.
+        """
+        if self._line is None or self._baud != baud:
+            self._heard_before, self._line = self.bytes_heard, None
+            await self._stack.aclose()
+            entry = self._entry.model_copy(update={"baud": baud})
+            settings = PortSettings(entry.port, baud, entry.direction, entry.parity, entry.name)
+            opening = own_line(
+                settings, line_timing(entry), retries=self._retries, options=self._options
+            )
+            self._line, self._baud = await self._stack.enter_async_context(opening), baud
+            for name in self._drives:
+                self._line.schedule.add_drive(name)
+        return self._line
+
+
+@asynccontextmanager
+async def own_port(
+    line: LineEntry,
+    *,
+    retries: int,
+    options: WorkerOptions = OPTIONS,
+    drives: Iterable[str] = (),
+) -> AsyncIterator[OwnPort]:
+    """Open and reopen a port within a block; arguments as for `OwnPort`."""
+    async with AsyncExitStack() as stack:
+        yield OwnPort(line, retries, options, drives, stack)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 import sys
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,10 +24,12 @@ from lecombus.drives.identity import identity_codes
 from lecombus.errors import LecombusError
 from lecombus.line.loop import run
 from lecombus.protocol import BAUDS, Code
-from lecombus.rebaud import Drive, Ending, Place, Rebaud, Steps, Subject, ending_of
+from lecombus.rebaud import Drive, Ending, LineAccess, Place, Rebaud, Subject, ending_of
 from lecombus.state import State
 
 __all__ = ["command"]
+
+Procedure = Callable[[LineAccess], Awaitable[None]]
 
 RATES = [str(baud) for baud in BAUDS]
 
@@ -219,10 +221,10 @@ def _ask_drives(work: Rebaud, roster: Roster, *, quiet: bool) -> None:
         CommandError: It came to no end.
     """
     try:
-        _carry(work, work.check(), roster, Shown("asking drives", Drive.is_seen, quiet=quiet))
+        _carry(work, work.check, roster, Shown("asking drives", Drive.is_seen, quiet=quiet))
     except LecombusError as exc:
         raise CommandError(Exit.FAILED, Problem(str(exc), "nothing was written")) from exc
-    if work.talk.interrupted:
+    if work.line.interrupted:
         raise CommandError(Exit.INTERRUPTED, Problem("interrupted", "nothing was written"))
 
 
@@ -232,13 +234,13 @@ def _ask_drives(work: Rebaud, roster: Roster, *, quiet: bool) -> None:
 def _do(work: Rebaud, wish: Wish) -> int:
     """Ask, move, offer the way back, and say how it came out."""
     _make_sure(work, wish)
-    trouble = _try(work, work.move(), wish, Place.NEW, work.new)
+    trouble = _try(work, work.move, wish, Place.NEW, work.new)
     went_back = False
-    if ending_of(work) is Ending.MIXED and not work.talk.interrupted and _wants_back(work, wish):
+    if ending_of(work) is Ending.MIXED and not work.line.interrupted and _wants_back(work, wish):
         went_back = True
-        trouble = _try(work, work.back(), wish, Place.OLD, work.old)
+        trouble = _try(work, work.back, wish, Place.OLD, work.old)
     show_end(work, wish.roster, trouble, as_json=wish.as_json)
-    if work.talk.interrupted:
+    if work.line.interrupted:
         return Exit.INTERRUPTED
     unsaved = any(drive.saved is False for drive in work.drives)
     moved = ending_of(work) is Ending.MOVED and not went_back
@@ -260,11 +262,11 @@ class Shown:
     quiet: bool
 
 
-def _carry(work: Rebaud, steps: Steps[None], roster: Roster, shown: Shown) -> None:
-    """Carry out steps, showing how far they are."""
+def _carry(work: Rebaud, procedure: Procedure, roster: Roster, shown: Shown) -> None:
+    """Carry out a procedure and show its progress."""
 
     def interrupt() -> None:
-        work.talk.interrupted = True
+        work.line.interrupted = True
 
     subjects = tuple(drive.subject for drive in work.drives)
     with progress(shown.title, quiet=shown.quiet) as bar:
@@ -272,17 +274,17 @@ def _carry(work: Rebaud, steps: Steps[None], roster: Roster, shown: Shown) -> No
         def watch() -> None:
             bar.advance(sum(map(shown.counts, work.drives)), len(work.drives))
 
-        run(carry_out, steps, roster, subjects, interrupt, watch)
+        run(carry_out, procedure, roster, subjects, interrupt, watch)
 
 
-def _try(work: Rebaud, steps: Steps[None], wish: Wish, aim: Place, baud: int) -> str:
-    """Carry out steps; gives what ended them early, empty where nothing did.
+def _try(work: Rebaud, procedure: Procedure, wish: Wish, aim: Place, baud: int) -> str:
+    """Carry out a procedure; return what ended it early, empty where nothing did.
 
-    Whatever happens now, the user must be told where the drives are.
+    After an error the user must still see where the drives are.
     """
     shown = Shown(f"to {baud} baud", lambda drive: drive.place is aim, quiet=wish.as_json)
     try:
-        _carry(work, steps, wish.roster, shown)
+        _carry(work, procedure, wish.roster, shown)
     except LecombusError as exc:
         return str(exc)
     return ""

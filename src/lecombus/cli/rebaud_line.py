@@ -1,20 +1,20 @@
-"""The steps of a change of baud rate, carried out on a port of our own.
+"""A change of baud rate, carried out on a port of our own.
 
-The port is opened anew for every rate. SIGINT and SIGTERM let the exchange under way end; the
-procedure then begins no further one.
+SIGINT and SIGTERM let the exchange under way end; the procedure then begins no further one.
 """
 
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, replace
 
 import anyio
 
-from lecombus.cli.own_line import OwnLine, own_line
-from lecombus.config import LineEntry, Roster, line_timing
+from lecombus.cli.own_line import OwnPort, own_port
+from lecombus.config import Roster
 from lecombus.drives import family
+from lecombus.drives.access import Answer, Written
 from lecombus.errors import (
     CutReplyError,
     ExchangeError,
@@ -22,17 +22,16 @@ from lecombus.errors import (
     NakError,
     UnknownCodeError,
 )
-from lecombus.line.port import PortSettings
 from lecombus.line.station import Station
 from lecombus.line_runtime import options_of
-from lecombus.protocol.addressing import Form
-from lecombus.rebaud import Came, Read, Said, Step, Steps, Subject, Wait
+from lecombus.protocol.addressing import Code, Form
+from lecombus.protocol.values import Value
+from lecombus.rebaud import LineAccess, Subject
 from lecombus.schedule import Outcome, Priority
 
 __all__ = ["carry_out", "form_of"]
 
 _INTERRUPTS = (signal.SIGINT, signal.SIGTERM)
-_NO = (NakError, UnknownCodeError)
 
 
 def form_of(forms: tuple[Form, ...]) -> Form:
@@ -41,32 +40,36 @@ def form_of(forms: tuple[Form, ...]) -> Form:
 
 
 async def carry_out(
-    steps: Steps[None],
+    procedure: Callable[[LineAccess], Awaitable[None]],
     roster: Roster,
     subjects: tuple[Subject, ...],
     interrupt: Callable[[], None],
     watch: Callable[[], None],
 ) -> None:
-    """Carry out steps to their end.
+    """Carry out a procedure to its end.
 
     Args:
-        steps: What is to be said.
-        roster: The line, and how its drives are spoken to.
+        procedure: What is done on the line.
+        roster: The line and its drives.
         subjects: The drives.
-        interrupt: Called at a signal; the steps then end by themselves.
-        watch: Called after every step.
+        interrupt: Called at a signal; the procedure then ends by itself.
+        watch: Called before every telegram and at the end.
 
     Raises:
         LecombusError: The port cannot be opened, or was lost.
     """
     stations = {one.name: _station(one, roster) for one in subjects}
+    # A line may be silent here: its drives may be at the other rate.
+    options = replace(options_of(roster), stall_s=0.0)
     failure: LecombusError | None = None
     async with anyio.create_task_group() as tasks:
         await tasks.start(_listen, interrupt)
         try:
-            step: Step | None = next(steps, None)
-            while step is not None:
-                step = await _at_one_rate(steps, step, roster, stations, watch)
+            async with own_port(
+                roster.line, retries=roster.line.retries, options=options, drives=stations
+            ) as port:
+                await procedure(_Line(port, stations, watch))
+                watch()
         except LecombusError as exc:  # outside the task group, or it would come out wrapped
             failure = exc
         tasks.cancel_scope.cancel()
@@ -99,53 +102,57 @@ def _station(subject: Subject, roster: Roster) -> Station:
     )
 
 
-async def _at_one_rate(
-    steps: Steps[None],
-    step: Step,
-    roster: Roster,
-    stations: dict[str, Station],
-    watch: Callable[[], None],
-) -> Step | None:
-    """Carry out steps as long as they are for one baud rate; returns the first that is not."""
-    baud = step.baud
-    at: LineEntry = roster.line.model_copy(update={"baud": baud})
-    settings = PortSettings(at.port, at.baud, at.direction, at.parity, at.name)
-    # A line may be silent for as long as it likes here: its drives may be at the other rate.
-    options = replace(options_of(roster), stall_s=0.0)
-    async with own_line(settings, line_timing(at), retries=at.retries, options=options) as own:
-        for name in stations:
-            own.schedule.add_drive(name)
-        while step.baud == baud:
-            said = await _say(own, step, stations)
-            try:
-                step = steps.send(said)
-            except StopIteration:
-                return None
-            finally:
-                watch()
-    return step
+class _Line:
+    """`LineAccess` on a port of our own."""
+
+    def __init__(
+        self, port: OwnPort, stations: dict[str, Station], watch: Callable[[], None]
+    ) -> None:
+        self.port = port
+        self.stations = stations
+        self.watch = watch
+
+    def at(self, baud: int, drive: str, *, retries: int) -> _Drive:
+        """Return a drive at a baud rate."""
+        return _Drive(self, baud, self.stations[drive], retries)
+
+    async def wait(self, baud: int, for_s: float) -> None:
+        """Send nothing for some seconds."""
+        self.watch()
+        await self.port.at(baud)
+        await anyio.sleep(for_s)
 
 
-async def _say(own: OwnLine, step: Step, stations: dict[str, Station]) -> Said:
-    """Carry out one step."""
-    if isinstance(step, Wait):
-        await anyio.sleep(step.for_s)
-        return Said(Came.NOTHING)
-    station = stations[step.drive]
-    if isinstance(step, Read):
-        return await _read(own, step, station)
-    outcome, reason = await own.requests.write(station, step.code, step.value, verify=False)
-    came = {Outcome.DONE: Came.DONE, Outcome.REFUSED: Came.REFUSED}.get(outcome, Came.NOTHING)
-    return Said(came, None, reason)
+@dataclass(frozen=True, slots=True)
+class _Drive:
+    """`DriveAccess` on a port of our own."""
 
+    line: _Line
+    baud: int
+    station: Station
+    retries: int
 
-async def _read(own: OwnLine, step: Read, station: Station) -> Said:
-    try:
-        value = await own.requests.read(
-            station, step.code, Priority.INTERACTIVE, retries=step.retries
-        )
-    except CutReplyError:
-        raise
-    except ExchangeError as exc:
-        return Said(Came.REFUSED if isinstance(exc, _NO) else Came.NOTHING, None, str(exc))
-    return Said(Came.VALUE, value)
+    async def read(self, code: Code) -> Answer:
+        """Read a code."""
+        self.line.watch()
+        requests = (await self.line.port.at(self.baud)).requests
+        try:
+            value = await requests.read(
+                self.station, code, Priority.INTERACTIVE, retries=self.retries
+            )
+        except CutReplyError:
+            raise
+        except UnknownCodeError as exc:
+            return Answer(code, None, "no-such-code", str(exc))
+        except NakError as exc:
+            return Answer(code, None, "nak", str(exc))
+        except ExchangeError as exc:
+            return Answer(code, None, "no-answer", str(exc))
+        return Answer(code, value)
+
+    async def write(self, code: Code, value: Value, *, verify: bool) -> Written:
+        """Write a code once."""
+        self.line.watch()
+        requests = (await self.line.port.at(self.baud)).requests
+        outcome, reason = await requests.write(self.station, code, value, verify=verify)
+        return Written(outcome in (Outcome.DONE, Outcome.VERIFIED), outcome.value, reason)

@@ -60,7 +60,7 @@ def show_end(work: Rebaud, roster: Roster, trouble: str, *, as_json: bool) -> No
         return
     if trouble:
         click.echo(f"ended early: {trouble}", err=True)
-    if work.talk.interrupted:
+    if work.line.interrupted:
         click.echo("interrupted: nothing further was sent", err=True)
     rows = [
         (one.name, str(one.subject.address), situation(one, work), one.why) for one in work.drives
@@ -75,7 +75,7 @@ def _head(work: Rebaud, roster: Roster) -> dict[str, object]:
         "line": roster.line.name,
         "from": work.old,
         "to": work.new,
-        "interrupted": work.talk.interrupted,
+        "interrupted": work.line.interrupted,
         "trouble": None,
         "drives": [_as_json(one, work) for one in work.drives],
     }

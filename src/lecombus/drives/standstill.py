@@ -8,15 +8,12 @@ Only a 93XX measures standstill (C0150 bit 6, n = 0, where its signal configurat
 inverter knows its output frequency: that is 0 immediately after an inhibit, while the motor coasts.
 So the result says in words what is known.
 
-`ask_standstill` is a generator that yields codes and is sent their values, so that the daemon and a
-command with its own port use the same one.
-
 Source: EDB2102EN 6.4 (820X saves only while inhibited), 8.2 (C0150 bit 6); CMVLC401A table 9.
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -27,7 +24,7 @@ from .family import Family
 from .operating import OperatingState
 from .stops import StopAction, confirm_codes, knows_stop, stop_confirmed
 
-__all__ = ["Asking", "Standstill", "ask_standstill"]
+__all__ = ["Standstill", "ask_standstill"]
 
 OUTPUT_FREQUENCY: Final = Code(50)
 STATUS_WORD: Final = Code(150)
@@ -50,76 +47,77 @@ class Standstill:
     inhibited: bool = False
 
 
-Asking = Generator[Code, Value | None, Standstill]
-"""Yields codes to be read, is sent what they read (None: nothing), returns what is known."""
+Read = Callable[[Code], Awaitable[Value | None]]
+"""Reads a code of the drive; None: it did not answer with a value."""
 
 
-def ask_standstill(family: Family, code: Code, what: str) -> Asking:
+async def ask_standstill(read: Read, family: Family, code: Code, what: str) -> Standstill:
     """Ask a drive what it says of its motion, and whether it would store a code.
 
     Of a device that is not described nothing is known.
 
     Args:
-        family: The drive's family.
+        read: Reads a code of the drive.
+        family: Its family.
         code: What shall be written.
         what: The same in words, such as `its address`.
     """
     if not family.stops:
         return Standstill("", "its codes are not known, nor its motion")
-    family = yield from _configured(family)
-    inhibited = yield from _shows(family, StopAction.INHIBIT)
+    family = await _configured(read, family)
+    inhibited = await _shows(read, family, StopAction.INHIBIT)
     if not inhibited:
         info = family.info(code)
         if info is not None and info.needs_inhibit:
             return Standstill(f"is not inhibited, so it would not store {what}", "")
-        if not (yield from _shows(family, StopAction.QUICK_STOP)):
+        if not (await _shows(read, family, StopAction.QUICK_STOP)):
             return Standstill("is neither inhibited nor in quick stop", "")
     held = "inhibited" if inhibited else "in quick stop"
-    at_rest = yield from _measured(family)
+    at_rest = await _measured(read, family)
     if at_rest is not None:
         if not at_rest:
             return Standstill(f"is {held}, but still turns (C0150 bit 6)", "", inhibited)
         return Standstill("", f"{held}; it measures a speed of 0", inhibited)
     if inhibited:
         return Standstill("", f"{held}; {NOT_MEASURED}", inhibited)
-    return (yield from _after_a_ramp(family, held))
+    return await _after_a_ramp(read, family, held)
 
 
-def _after_a_ramp(family: Family, held: str) -> Asking:
+async def _after_a_ramp(read: Read, family: Family, held: str) -> Standstill:
     """A quick stop leads the motor to 0 by its output frequency: it must have arrived there."""
     if family.info(OUTPUT_FREQUENCY) is None:
         return Standstill(f"is {held}, and does not say that it has come to rest", "")
-    frequency = yield OUTPUT_FREQUENCY
+    frequency = await read(OUTPUT_FREQUENCY)
     if frequency is None or frequency.number != 0:
         return Standstill(f"is {held}, but its output frequency (C0050) is not 0 yet", "")
     return Standstill("", f"{held}, output frequency 0; {NOT_MEASURED}")
 
 
-def _measured(family: Family) -> Generator[Code, Value | None, bool | None]:
+async def _measured(read: Read, family: Family) -> bool | None:
     """Return whether the drive measures a speed of 0; None where it does not measure or say."""
     word = family.words[STATUS_WORD]
     if OperatingState.ZERO_SPEED not in {rule.state for rule in word.states}:
         return None
-    shown = yield STATUS_WORD
+    shown = await read(STATUS_WORD)
     if shown is None or not isinstance(shown.number, int):
         return None
     return OperatingState.ZERO_SPEED in word.shown_states(shown.number)
 
 
-def _configured(family: Family) -> Generator[Code, Value | None, Family]:
+async def _configured(read: Read, family: Family) -> Family:
     """Return the family as the drive's signal configuration makes it, where it has one."""
     if family.configured_by is None:
         return family
-    value = yield family.configured_by
+    value = await read(family.configured_by)
     if value is None or isinstance(value.number, (str, bytes)):
         return family
     return family.configured(int(value.number))
 
 
-def _shows(family: Family, action: StopAction) -> Generator[Code, Value | None, bool]:
+async def _shows(read: Read, family: Family, action: StopAction) -> bool:
     """Return whether a drive's first proof of a stop holds now."""
     if not knows_stop(family, action):
         return False
     code = confirm_codes(family, action)[0]
-    value = yield code
+    value = await read(code)
     return value is not None and stop_confirmed(family, action, code, value)

@@ -35,7 +35,7 @@ from lecombus.config import DriveEntry
 from lecombus.drives import address_code
 from lecombus.drives.identity import text_of
 from lecombus.drives.restore_rules import saving_rule
-from lecombus.drives.standstill import Standstill, ask_standstill
+from lecombus.drives.standstill import ask_standstill
 from lecombus.errors import ExchangeError, NoReplyError, OperationError
 from lecombus.line.station import Station
 from lecombus.operations.failure_kinds import stopped_first
@@ -195,13 +195,9 @@ class Readdress:
     async def _see_that_it_is_stopped(self, station: Station) -> str:
         """A drive that turns must be reachable all the time; gives what it says of its motion."""
         code = address_code(station.family)
-        asking = ask_standstill(station.family, code, "its address")
-        try:
-            asked = next(asking)
-            while True:
-                asked = asking.send(await self._read(station, asked))
-        except StopIteration as end:
-            found: Standstill = end.value
+        found = await ask_standstill(
+            lambda asked: self._read(station, asked), station.family, code, "its address"
+        )
         if not found.obstacle:
             return found.known
         remedy = f"`lecombus inhibit {station.name}` first: while its address changes it cannot be "

@@ -1,12 +1,10 @@
 """What must hold of every drive before the first of them is written to.
 
-Strategy: every drive is asked, and every obstacle is named, before anything is decided. A drive
-must answer at the old rate, or at the new one if an earlier attempt left it there; hold the rate it
-answers at; be the one that it should be; be stopped, because nobody can stop it over the line while
-the rates differ; and let itself be written to. What it says of its motion is said, and what its
-watchdog will do.
+Every drive is asked and every obstacle named before anything is decided. A drive must answer at the
+old rate, or at the new one if an earlier attempt left it there; hold the rate it answers at; be the
+one that it should be; be stopped, because it cannot be stopped over the line while the rates
+differ; and be writable. What it reports of its motion and what its watchdog will do is shown.
 
-Must not live here: writing anything.
 Source: EDB2102EN 6.1.3, 6.3, 6.4 (820X saves only while inhibited), 8.2; CMVLC401A preface, 4.2.
 """
 
@@ -17,12 +15,14 @@ from dataclasses import dataclass
 from decimal import Decimal
 
 from lecombus.drives import Family
+from lecombus.drives.access import is_passing
 from lecombus.drives.identity import is_identity, text_of
 from lecombus.drives.standstill import Standstill, ask_standstill
 from lecombus.durations import format_duration
 from lecombus.protocol.addressing import Code, Form
+from lecombus.protocol.values import Value
+from lecombus.rebaud.access import RebaudLine
 from lecombus.rebaud.drives import Drive, Place
-from lecombus.rebaud.talk import Came, Steps, Talk
 
 __all__ = ["Obstacle", "check", "is_same_drive", "standstill"]
 
@@ -47,11 +47,11 @@ class Obstacle:
     kind: str
 
 
-def check(talk: Talk, drives: Iterable[Drive], old: int, new: int) -> Steps[list[Obstacle]]:
+async def check(line: RebaudLine, drives: Iterable[Drive], old: int, new: int) -> list[Obstacle]:
     """Ask every drive whether its baud rate may be changed.
 
     Args:
-        talk: Says it.
+        line: Reads the drives.
         drives: All drives of the line; what is found is noted in them.
         old: The present baud rate, bit/s.
         new: The baud rate wanted, bit/s.
@@ -62,15 +62,15 @@ def check(talk: Talk, drives: Iterable[Drive], old: int, new: int) -> Steps[list
     obstacles: list[Obstacle] = []
     silent: list[Drive] = []
     for drive in drives:
-        number = yield from talk.look(drive, old, retries=2)
+        number = await line.read_rate(drive, old, retries=2)
         if number is None:
             silent.append(drive)
         else:
-            obstacles += yield from _check_one(talk, drive, old, number)
+            obstacles += await _check_one(line, drive, old, number)
     for drive in silent:
-        number = yield from talk.look(drive, new, retries=2)
+        number = await line.read_rate(drive, new, retries=2)
         if number is not None:
-            obstacles += yield from _check_one(talk, drive, new, number)
+            obstacles += await _check_one(line, drive, new, number)
         else:
             obstacles.append(_silent(drive, old, new))
     return obstacles
@@ -87,7 +87,7 @@ def _silent(drive: Drive, old: int, new: int) -> Obstacle:
     )
 
 
-def _check_one(talk: Talk, drive: Drive, rate: int, number: int) -> Steps[list[Obstacle]]:
+async def _check_one(line: RebaudLine, drive: Drive, rate: int, number: int) -> list[Obstacle]:
     """Check a drive that answers at a rate."""
     code, right = drive.subject.spoken, drive.subject.number(rate)
     if number != right:
@@ -97,26 +97,26 @@ def _check_one(talk: Talk, drive: Drive, rate: int, number: int) -> Steps[list[O
     drive.be(Place.UNSEEN, rate)
     found: list[Obstacle] = []
     for step in (_identity, _addressing, _software, _permission, _stopped):
-        found += yield from step(talk, drive, rate)
-    yield from _watchdog(talk, drive, rate)
+        found += await step(line, drive, rate)
+    await _watchdog(line, drive, rate)
     return found
 
 
 # ---- who it is ----------------------------------------------------------------------------------
 
 
-def _identity(talk: Talk, drive: Drive, rate: int) -> Steps[list[Obstacle]]:
+async def _identity(line: RebaudLine, drive: Drive, rate: int) -> list[Obstacle]:
     found, differing = {}, []
     for code in drive.subject.asked:
-        said = yield from talk.read(drive, rate, code)
-        if said.came is Came.NOTHING:
+        answer = await line.read(drive, rate, code)
+        if answer.value is None and is_passing(answer.kind):
             name = drive.subject.family.spoken(code)
-            problem = f"{drive.name} does not say who it is ({name}): {said.text}"
+            problem = f"{drive.name} does not say who it is ({name}): {answer.text}"
             return [Obstacle(drive.name, problem, "check the line, then try again", "no-answer")]
-        if said.value is None:
+        if answer.value is None:
             continue
-        found[code] = said.value
-        if not is_identity(said.value, drive.subject.expected.get(code)):
+        found[code] = answer.value
+        if not is_identity(answer.value, drive.subject.expected.get(code)):
             differing.append(code)
     drive.identity = found
     if not differing:
@@ -130,58 +130,58 @@ def _identity(talk: Talk, drive: Drive, rate: int) -> Steps[list[Obstacle]]:
     return [Obstacle(drive.name, f"{drive.name} is another drive: {told}", remedy, "swapped")]
 
 
-def is_same_drive(talk: Talk, drive: Drive, rate: int) -> Steps[str]:
-    """Ask a drive again who it is; gives what differs, empty when it is the same."""
+async def is_same_drive(line: RebaudLine, drive: Drive, rate: int) -> str:
+    """Read the identity again; return what differs, empty when it is the same."""
     for code, before in drive.identity.items():
-        said = yield from talk.read(drive, rate, code)
-        if said.value is None:
-            return f"it does not say who it is there ({code}: {said.text})"
-        if not is_identity(said.value, text_of(before)):
-            return f"{code} reads {text_of(said.value)} there, not {text_of(before)}"
+        answer = await line.read(drive, rate, code)
+        if answer.value is None:
+            return f"it does not say who it is there ({code}: {answer.text})"
+        if not is_identity(answer.value, text_of(before)):
+            return f"{code} reads {text_of(answer.value)} there, not {text_of(before)}"
     return ""
 
 
 # ---- whether it can be written to ---------------------------------------------------------------
 
 
-def _addressing(talk: Talk, drive: Drive, rate: int) -> Steps[list[Obstacle]]:
+async def _addressing(line: RebaudLine, drive: Drive, rate: int) -> list[Obstacle]:
     """In standard addressing a code bank would make another code of C0125."""
     subject = drive.subject
     if subject.form is Form.EXTENDED or subject.family.info(REDIRECTING[1]) is None:
         return []
     for code in REDIRECTING:
-        said = yield from talk.read(drive, rate, code)
-        if said.value is None or said.value.number != 0:
-            shown = said.value.raw if said.value is not None else "nothing"
+        answer = await line.read(drive, rate, code)
+        if answer.value is None or answer.value.number != 0:
+            shown = answer.value.raw if answer.value is not None else "nothing"
             problem = f"{code} of {drive.name} reads {shown}: a write would reach another code"
             remedy = "switch it off and on, or write `addressing: both` for it in the roster"
             return [Obstacle(drive.name, problem, remedy, "locked")]
     return []
 
 
-def _software(talk: Talk, drive: Drive, rate: int) -> Steps[list[Obstacle]]:
+async def _software(line: RebaudLine, drive: Drive, rate: int) -> list[Obstacle]:
     gate = drive.subject.family.software
     if gate is None:
         return []
-    said = yield from talk.read(drive, rate, gate.code)
+    answer = await line.read(drive, rate, gate.code)
     accepted = (*gate.versions, *drive.subject.accept_software)
-    if said.value is not None and any(is_identity(said.value, one) for one in accepted):
+    if answer.value is not None and any(is_identity(answer.value, one) for one in accepted):
         return []
-    shown = text_of(said.value) if said.value is not None else "nothing"
+    shown = text_of(answer.value) if answer.value is not None else "nothing"
     name = drive.subject.family.spoken(gate.code)
     problem = f"{name} of {drive.name} reads software {shown}, not {' or '.join(accepted)}"
     remedy = "nothing is written to it, unless the roster names that in `accept_software`"
     return [Obstacle(drive.name, problem, remedy, "locked")]
 
 
-def _permission(talk: Talk, drive: Drive, rate: int) -> Steps[list[Obstacle]]:
+async def _permission(line: RebaudLine, drive: Drive, rate: int) -> list[Obstacle]:
     """Ask an SMVector whether its network may set parameters."""
     if drive.subject.family.info(NETWORK_LEVEL) is None:
         return []
-    said = yield from talk.read(drive, rate, NETWORK_LEVEL)
-    if said.value is not None and said.value.number != 0:
+    answer = await line.read(drive, rate, NETWORK_LEVEL)
+    if answer.value is not None and answer.value.number != 0:
         return []
-    shown = said.value.raw if said.value is not None else "nothing"
+    shown = answer.value.raw if answer.value is not None else "nothing"
     problem = f"P420 of {drive.name} reads {shown}: it takes no parameters over the line"
     return [Obstacle(drive.name, problem, "set P420 to 1 or more at its keypad", "locked")]
 
@@ -189,8 +189,8 @@ def _permission(talk: Talk, drive: Drive, rate: int) -> Steps[list[Obstacle]]:
 # ---- whether it is stopped ----------------------------------------------------------------------
 
 
-def _stopped(talk: Talk, drive: Drive, rate: int) -> Steps[list[Obstacle]]:
-    found = yield from standstill(talk, drive, rate)
+async def _stopped(line: RebaudLine, drive: Drive, rate: int) -> list[Obstacle]:
+    found = await standstill(line, drive, rate)
     drive.motion = found.known
     if not found.obstacle:
         return []
@@ -200,26 +200,22 @@ def _stopped(talk: Talk, drive: Drive, rate: int) -> Steps[list[Obstacle]]:
     return [Obstacle(drive.name, f"{drive.name} {found.obstacle}", remedy, "not-stopped")]
 
 
-def standstill(talk: Talk, drive: Drive, rate: int) -> Steps[Standstill]:
-    """Ask a drive what it says of its motion."""
-    asking = ask_standstill(drive.subject.family, drive.subject.code, "its baud rate")
-    try:
-        code = next(asking)
-        while True:
-            said = yield from talk.read(drive, rate, code)
-            code = asking.send(said.value)
-    except StopIteration as end:
-        found: Standstill = end.value
-        return found
+async def standstill(line: RebaudLine, drive: Drive, rate: int) -> Standstill:
+    """Read what a drive reports of its motion."""
+
+    async def read(code: Code) -> Value | None:
+        return (await line.read(drive, rate, code)).value
+
+    return await ask_standstill(read, drive.subject.family, drive.subject.code, "its baud rate")
 
 
-def _watchdog(talk: Talk, drive: Drive, rate: int) -> Steps[None]:
-    """Say what the watchdog will do: nobody feeds it while the rates differ."""
+async def _watchdog(line: RebaudLine, drive: Drive, rate: int) -> None:
+    """Note what the watchdog will do: it is not fed while the rates differ."""
     traits = drive.subject.family.watchdog
     if traits is None:
         return
-    time = yield from talk.read(drive, rate, traits.time_code)
-    action = yield from talk.read(drive, rate, traits.action_code)
+    time = await line.read(drive, rate, traits.time_code)
+    action = await line.read(drive, rate, traits.action_code)
     words = {number: word for word, number in traits.actions.items()}
     number = action.value.number if action.value is not None else None
     word = words.get(int(number)) if isinstance(number, (int, Decimal)) else None

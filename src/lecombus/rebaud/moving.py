@@ -26,9 +26,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from lecombus.drives import saving_rule
+from lecombus.rebaud.access import InterruptedRebaudError, LineAccess, RebaudLine
 from lecombus.rebaud.checking import Obstacle, check, is_same_drive, standstill
 from lecombus.rebaud.drives import Drive, Place, Subject
-from lecombus.rebaud.talk import Came, InterruptedTalkError, Steps, Talk
 
 __all__ = ["Rebaud"]
 
@@ -49,7 +49,7 @@ class Rebaud:
 
     Attributes:
         drives: What is known of each.
-        talk: To be interrupted.
+        line: The reads and writes; to be interrupted.
         obstacles: Why nothing may be written, after `check`.
     """
 
@@ -57,110 +57,113 @@ class Rebaud:
         self.drives = [Drive(one) for one in subjects]
         self.old = old
         self.new = new
-        self.talk = Talk()
+        self.line = RebaudLine()
         self.obstacles: list[Obstacle] = []
         self._began_there: list[Drive] = []
 
-    def check(self) -> Steps[None]:
+    async def check(self, access: LineAccess) -> None:
         """Ask every drive whether the change may begin; changes nothing."""
+        self.line.access = access
         try:
-            self.obstacles = yield from check(self.talk, self.drives, self.old, self.new)
-        except InterruptedTalkError:
+            self.obstacles = await check(self.line, self.drives, self.old, self.new)
+        except InterruptedRebaudError:
             return
         for drive in self.drives:
             if drive.rate is not None:
                 drive.be(Place.OLD if drive.rate == self.old else Place.NEW, drive.rate)
         self._began_there = [one for one in self.drives if one.place is Place.NEW]
 
-    def move(self) -> Steps[None]:
+    async def move(self, access: LineAccess) -> None:
         """Bring every drive to the new rate; to be called after a `check` without obstacles."""
+        self.line.access = access
         try:
-            yield from self._over()
-            yield from self._confirm_all(self.old, self.new)
+            await self._over()
+            await self._confirm_all(self.old, self.new)
             if all(drive.place is Place.NEW for drive in self.drives):
-                yield from self._save(self.drives, self.new)
-        except InterruptedTalkError:
+                await self._save(self.drives, self.new)
+        except InterruptedRebaudError:
             return
 
-    def back(self) -> Steps[None]:
+    async def back(self, access: LineAccess) -> None:
         """Bring every drive that is not at the old rate back to it, as far as possible."""
+        self.line.access = access
         try:
             astray = [one for one in self.drives if one.place not in (Place.OLD, Place.UNSEEN)]
             for drive in astray:
-                yield from self._one_back(drive)
-            yield from self._confirm_all(self.new, self.old)
+                await self._one_back(drive)
+            await self._confirm_all(self.new, self.old)
             told = [one for one in self.drives if one in self._began_there or one.saved is not None]
             home = [one for one in told if one.place is Place.OLD]
-            yield from self._save(home, self.old)
-        except InterruptedTalkError:
+            await self._save(home, self.old)
+        except InterruptedRebaudError:
             return
 
     # ---- parts --------------------------------------------------------------------------------
 
-    def _over(self) -> Steps[None]:
+    async def _over(self) -> None:
         """Write the new rate to one drive after the other, until one cannot be brought over."""
         for drive in self.drives:
             if drive.place is not Place.OLD:
                 continue
-            found = yield from standstill(self.talk, drive, self.old)
+            found = await standstill(self.line, drive, self.old)
             if found.obstacle:
                 drive.why = f"nothing was written to it: it {found.obstacle}"
                 return
-            yield from self._carry(drive, self.old, self.new)
+            await self._carry(drive, self.old, self.new)
             if drive.place not in (Place.WRITTEN, Place.NEW):
                 return
 
-    def _one_back(self, drive: Drive) -> Steps[None]:
+    async def _one_back(self, drive: Drive) -> None:
         """Write the old rate to a drive, wherever it is."""
         drive.writes = 0
         rate, number = self.new, drive.subject.number(self.new)
         if drive.place is not Place.NEW:
-            found = yield from self._search(drive, self.old, self.new)
+            found = await self._search(drive, self.old, self.new)
             if found is None:
                 drive.be(Place.LOST, None, drive.why or "it answers at neither rate")
                 return
             rate, number = found
         if (rate, number) == (self.old, drive.subject.number(self.old)):
-            yield from self._settle(drive, self.old)
+            await self._settle(drive, self.old)
             return
-        yield from self._carry(drive, rate, self.old)
+        await self._carry(drive, rate, self.old)
 
-    def _confirm_all(self, here: int, there: int) -> Steps[None]:
+    async def _confirm_all(self, here: int, there: int) -> None:
         """Look for those that were written to and not seen since; write once more where needed."""
         for drive in self.drives:
             if drive.place is not Place.WRITTEN:
                 continue
-            if (yield from self.talk.look(drive, there)) == drive.subject.number(there):
-                yield from self._settle(drive, there)
-            elif (yield from self._was_not_taken(drive, here, there, "it acknowledged the write")):
-                yield from self._carry(drive, here, there)
+            if (await self.line.read_rate(drive, there)) == drive.subject.number(there):
+                await self._settle(drive, there)
+            elif await self._was_not_taken(drive, here, there, "it acknowledged the write"):
+                await self._carry(drive, here, there)
                 if drive.place is Place.WRITTEN:
-                    yield from self._was_not_taken(drive, here, there, "it acknowledged twice")
+                    await self._was_not_taken(drive, here, there, "it acknowledged twice")
 
-    def _carry(self, drive: Drive, here: int, there: int) -> Steps[None]:
+    async def _carry(self, drive: Drive, here: int, there: int) -> None:
         """Write a rate to a drive that answers at `here`; look for it if nothing comes back."""
         number = drive.subject.number(there)
         assert number is not None, "the rates were checked beforehand"
         while True:
-            self.talk.go_on()
+            self.line.check_interruption()
             drive.be(Place.WRITTEN, drive.rate)
             drive.writes += 1
-            said = yield from self.talk.write(drive, here, drive.subject.code, number)
-            if said.came is Came.DONE:
+            written = await self.line.write(drive, here, drive.subject.code, number)
+            if written.done:
                 return
-            if not (yield from self._was_not_taken(drive, here, there, said.text)):
+            if not (await self._was_not_taken(drive, here, there, written.text)):
                 return
 
-    def _was_not_taken(self, drive: Drive, here: int, there: int, text: str) -> Steps[bool]:
+    async def _was_not_taken(self, drive: Drive, here: int, there: int, text: str) -> bool:
         """Find out where a drive is after a write, and whether it is to be written once more."""
-        found = yield from self._search(drive, here, there)
+        found = await self._search(drive, here, there)
         if found is None:
             told = f"{there} baud was written to it, and it answers at neither rate"
             drive.be(Place.LOST, None, told)
             return False
         rate, number = found
         if number == drive.subject.number(rate) == drive.subject.number(there):
-            yield from self._settle(drive, rate)
+            await self._settle(drive, rate)
             return False
         if number == drive.subject.number(there):
             told = f"it took {there} baud, but still answers at {rate}"
@@ -172,33 +175,33 @@ class Rebaud:
         drive.be(place, rate, f"it does not take {there} baud: {text}")
         return False
 
-    def _search(self, drive: Drive, first: int, second: int) -> Steps[tuple[int, int] | None]:
+    async def _search(self, drive: Drive, first: int, second: int) -> tuple[int, int] | None:
         """Look for a drive at both rates; gives the rate and the number it holds."""
         for pause_s in PAUSES_S:
             if pause_s:
-                yield from self.talk.wait(second, pause_s)
+                await self.line.wait(second, pause_s)
             for rate in (first, second):
-                number = yield from self.talk.look(drive, rate)
+                number = await self.line.read_rate(drive, rate)
                 if number is not None:
                     return rate, number
         return None
 
-    def _settle(self, drive: Drive, rate: int) -> Steps[None]:
+    async def _settle(self, drive: Drive, rate: int) -> None:
         """A drive was found at a rate that it holds: it must also be the same."""
-        differs = yield from is_same_drive(self.talk, drive, rate)
+        differs = await is_same_drive(self.line, drive, rate)
         if differs:
             drive.be(Place.LOST, None, f"something answers at {rate} baud, but {differs}")
         else:
             drive.be(Place.OLD if rate == self.old else Place.NEW, rate)
 
-    def _save(self, drives: Sequence[Drive], rate: int) -> Steps[None]:
+    async def _save(self, drives: Sequence[Drive], rate: int) -> None:
         """Tell drives to keep what they were given, where their family must be told."""
         for drive in drives:
             rule = saving_rule(drive.subject.family)
             if rule is None or rule.value is None:
                 continue
             drive.saved = False
-            said = yield from self.talk.write(drive, rate, rule.codes[0], rule.value)
-            drive.saved = said.came is Came.DONE
+            written = await self.line.write(drive, rate, rule.codes[0], rule.value)
+            drive.saved = written.done
             if not drive.saved:
                 drive.why = f"it was told to save ({rule.codes[0]}) and did not say that it did"
