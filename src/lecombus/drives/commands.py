@@ -40,7 +40,7 @@ JOG = "jog"
 """Names that have one meaning in every family, by which verbs find them."""
 
 
-Bit = Annotated[int, whole(0, 15)]
+ControlBitNumber = Annotated[int, whole(0, 15)]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -81,7 +81,7 @@ def _bits_by_name(bits: Mapping[int, ControlBit]) -> dict[str, ControlBit]:
     return found
 
 
-BITS_BY_NAME = ReadAs(Annotated[dict[Bit, ControlBit], numbered], _bits_by_name)
+BITS_BY_NAME = ReadAs(Annotated[dict[ControlBitNumber, ControlBit], numbered], _bits_by_name)
 FIELDS_BY_NAME = ReadAs(tuple[Annotated[BitField, BITS], ...], _fields_by_name)
 
 
@@ -103,8 +103,8 @@ class ControlWordInfo:
     code: WordCode
     bits: Annotated[Mapping[str, ControlBit], BITS_BY_NAME]
     fields: Annotated[Mapping[str, BitField], FIELDS_BY_NAME] = field(default_factory=dict)
-    free: tuple[Bit, ...] = ()
-    reserved: tuple[Bit, ...] = ()
+    free: tuple[ControlBitNumber, ...] = ()
+    reserved: tuple[ControlBitNumber, ...] = ()
     source: Source
 
     @property

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value
@@ -53,7 +53,7 @@ LIMIT_FACTOR = 1.2
 
 
 ModeNumber = Annotated[int, whole(0, 255)]
-RosterAction = Literal["none", "inhibit", "quick-stop", "trip"]
+RosterAction = Annotated[Literal["none", "inhibit", "quick-stop", "trip"], BeforeValidator(str)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated, Final, Literal
 
-from pydantic import AfterValidator, Field, ValidationInfo
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo
 
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
@@ -207,7 +207,7 @@ class SetpointRule:
     __pydantic_config__ = FILE_TABLE
 
     code: WritableCode
-    unit: Literal["Hz", "%"]
+    unit: Annotated[Literal["Hz", "%"], BeforeValidator(str)]  # pydantic 2.8 takes no subclass
     low: Annotated[Number, LOW]
     high: Annotated[Number, HIGH]
     step: Number | None = None

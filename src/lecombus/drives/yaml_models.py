@@ -34,7 +34,22 @@ from pydantic_core.core_schema import (
 
 from lecombus.errors import DescriptionError
 
-__all__ = ["FILE_TABLE", "FileContext", "Quoted", "ReadAs", "Reads", "YamlFile", "mistake"]
+__all__ = [
+    "FILE_TABLE",
+    "KEY",
+    "LIST_RIGHT",
+    "NOT_A_KEY",
+    "TEXT_RIGHT",
+    "FileContext",
+    "Quoted",
+    "ReadAs",
+    "Reads",
+    "YamlFile",
+    "by_key",
+    "context_of",
+    "mistake",
+    "without_keys",
+]
 
 LOADER: type = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
@@ -157,7 +172,7 @@ def by_key(
     found: dict[K, E] = {}
     for place, entry in enumerate(entries):
         if key(entry) in found:
-            raise mistake(again.format(key(entry)), place, code=key(entry))
+            raise mistake(again.format(key(entry)), place)
         found[key(entry)] = entry
     return found
 
