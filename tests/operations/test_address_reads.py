@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
 
 import pytest
 
@@ -25,16 +26,17 @@ async def ask(plant: Plant, step: Ask) -> Heard:
     )
 
 
-async def scan(plant: Plant, search: Scan) -> None:
-    steps = search.steps()
-    step = next(steps)
-    while True:
-        assert isinstance(step, Ask)
-        heard = await ask(plant, step)
-        try:
-            step = steps.send(heard)
-        except StopIteration:
-            return
+@dataclass
+class ByOperations:
+    """What a scan through the daemon asks."""
+
+    plant: Plant
+
+    async def ask(self, step: Ask) -> Heard:
+        return await ask(self.plant, step)
+
+    async def listen(self, baud: int, for_s: float) -> Heard:
+        raise AssertionError("the line is the daemon's")
 
 
 def test_a_scan_beside_fed_drives_finds_the_others_and_no_feed_is_late() -> None:
@@ -42,7 +44,7 @@ def test_a_scan_beside_fed_drives_finds_the_others_and_no_feed_is_late() -> None
         await plant.online()
         since_s = plant.now_s
         search = Scan(Plan(tuple({*EVERY} - {11, 12, 13}), (19200,), listen_s=0.0))
-        await scan(plant, search)
+        await search.run(ByOperations(plant))
         assert sorted((one.address, one.family) for one in search.found) == [
             (21, "93xx"),
             (34, "generic"),
@@ -65,7 +67,7 @@ def test_late_answers_of_the_rosters_drives_make_none_elsewhere(seed: int) -> No
     async def test(plant: Plant) -> None:
         await until(lambda: plant.site.worker.is_open)
         search = Scan(Plan(EVERY[20:50], (19200,), listen_s=0.0))
-        await scan(plant, search)
+        await search.run(ByOperations(plant))
         assert search.found == []
 
     faults = "late=0.3:0.05s-0.5s:adapter"

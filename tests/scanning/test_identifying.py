@@ -20,7 +20,7 @@ def identified(family: str, overrides: dict[int, str] | None = None, **late: boo
 
 def look(line: SimLine, **late: bool) -> Finding:
     scanned = ScannedLine(line)
-    found = scanned.run(identify(9600, ADDRESS, **late))
+    found = scanned.run(identify(scanned, 9600, ADDRESS, **late))
     assert scanned.writes == 0
     return found
 

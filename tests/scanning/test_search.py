@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from lecombus.protocol.addressing import is_drive_address
-from lecombus.scanning import ForeignTalkError, Heard, HeardKind, Plan, Scan
+from lecombus.scanning import Ask, ForeignTalkError, Heard, Plan, Scan
 from lecombus.simulator import SimLine, build
 from lecombus.simulator.wire import PARITY_TABLE
 from support.scanning import ScannedLine
@@ -35,7 +37,7 @@ def scan(
 ) -> tuple[Scan, ScannedLine]:
     scanned = ScannedLine(line)
     search = Scan(Plan(addresses, bauds, thorough))
-    scanned.run(search.steps())
+    scanned.run(search.run(scanned))
     assert scanned.writes == 0
     return search, scanned
 
@@ -138,17 +140,19 @@ def test_a_line_on_which_somebody_speaks_already_is_not_spoken_on() -> None:
     scanned = ScannedLine(line)
     scanned.host.say(read_telegram(11, 150))  # the other master; the drive answers it
     with pytest.raises(ForeignTalkError, match="bytes arrive though nothing was asked"):
-        scanned.run(Scan(Plan(EVERY, (9600,))).steps())
+        scanned.run(Scan(Plan(EVERY, (9600,))).run(scanned))
     assert scanned.asked == []
 
 
 def test_another_masters_question_ends_the_scan() -> None:
-    line = build([], baud=9600)
-    scanned = ScannedLine(line)
-    steps = Scan(Plan(EVERY, (9600,))).steps()
-    step = next(steps)
-    while len(scanned.asked) < 20:
-        step = steps.send(scanned.hear(step))
     talk = read_telegram(77, 150).translate(PARITY_TABLE)
+
+    class Overheard(ScannedLine):
+        async def ask(self, ask: Ask) -> Heard:
+            heard = await super().ask(ask)
+            return heard if len(self.asked) < 20 else replace(heard, received=talk)
+
+    scanned = Overheard(build([], baud=9600))
     with pytest.raises(ForeignTalkError, match="asks for address 77"):
-        steps.send(Heard(HeardKind.SILENCE, received=talk))
+        scanned.run(Scan(Plan(EVERY, (9600,))).run(scanned))
+    assert len(scanned.asked) == 20

@@ -1,4 +1,4 @@
-"""A scan's steps carried out on a simulated line in computed time, without port and worker.
+"""A scan carried out on a simulated line in computed time, without port and worker.
 
 What the worker makes of bytes is made here in the plainest way: the first whole answer that
 repeats the question's code counts, everything else is a disturbance.
@@ -6,7 +6,7 @@ repeats the question's code counts, everything else is a disturbance.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Generator
+from collections.abc import Awaitable
 from typing import TypeVar
 
 from lecombus.protocol.addressing import Form, encode_code
@@ -17,7 +17,7 @@ from lecombus.protocol.telegrams import (
     UnknownCodeAnswer,
     ValueAnswer,
 )
-from lecombus.scanning import Ask, Heard, HeardKind, Listen
+from lecombus.scanning import Ask, Heard, HeardKind
 from lecombus.simulator import SimLine
 from support.sim_host import Host, read_telegram
 
@@ -59,21 +59,20 @@ class ScannedLine:
     def _count(self, text: str | None) -> None:
         self.writes += text is not None
 
-    def run(self, steps: Generator[Ask | Listen, Heard, T]) -> T:
-        """Carry out steps to their end."""
-        try:
-            step = next(steps)
-            while True:
-                step = steps.send(self.hear(step))
-        except StopIteration as end:
-            result: T = end.value
-            return result
+    def run(self, work: Awaitable[T]) -> T:
+        """Carry out a scan, or a part of it, to its end."""
+        return run_now(work)
 
-    def hear(self, step: Ask | Listen) -> Heard:
+    async def ask(self, ask: Ask) -> Heard:
+        return self.hear(ask)
+
+    async def listen(self, baud: int, for_s: float) -> Heard:
+        self.line.host_baud = baud
+        return Heard(HeardKind.SILENCE, received=self.host.hear(until_s=self.host.now_s + for_s))
+
+    def hear(self, step: Ask) -> Heard:
         host = self.host
         self.line.host_baud = step.baud
-        if isinstance(step, Listen):
-            return Heard(HeardKind.SILENCE, received=host.hear(until_s=host.now_s + step.for_s))
         self.asked.append(step)
         extended = step.form is Form.EXTENDED
         number, subcode = step.code.number, step.code.subcode

@@ -15,7 +15,7 @@ from lecombus.cli import client
 from lecombus.cli.arguments import daemon_options
 from lecombus.cli.client import Daemon, connect
 from lecombus.cli.exits import CommandError, Exit, Problem
-from lecombus.cli.scan_lines import Ears, echo_of, scan_by_daemon, scan_own_port
+from lecombus.cli.scan_lines import scan_by_daemon, scan_own_port
 from lecombus.cli.scan_progress import ScanProgress
 from lecombus.cli.screen import on_terminal, show_rows
 from lecombus.config import LineEntry, line_timing
@@ -159,9 +159,9 @@ def _on_own_port(wish: Wish, line: LineEntry) -> int:
         _state(line.name, wish.output),
     )  # fmt: skip
     check_place(place)
-    scan, ears = Scan(Plan(wish.addresses, wish.bauds, wish.thorough)), Ears()
+    scan = Scan(Plan(wish.addresses, wish.bauds, wish.thorough))
     with ScanProgress(scan, _look_s(line, wish.bauds[0])) as progress:
-        run(scan_own_port, scan, line, ears, progress.watch)
+        bytes_heard = run(scan_own_port, scan, line, progress.watch)
     others = others_at(line.port)
     if others and scan.found:
         click.echo(f"{shared(line.port, others)}: {END_IT}, and scan again", err=True)
@@ -169,8 +169,9 @@ def _on_own_port(wish: Wish, line: LineEntry) -> int:
         if others:
             what = f"no drive answers: {shared(line.port, others)}"
             raise CommandError(Exit.FAILED, Problem(what, END_IT, "no-drive"))
+        echo = bytes_heard > 0 and not scan.samples  # all that was heard is what was sent
         what, remedy = why_nothing(
-            scan.samples, scan.unclear, echo=echo_of(scan, ears), parity=line.parity,
+            scan.samples, scan.unclear, echo=echo, parity=line.parity,
             bauds=wish.bauds,
         )  # fmt: skip
         raise CommandError(Exit.FAILED, Problem(what, remedy, "no-drive"))

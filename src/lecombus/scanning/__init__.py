@@ -1,32 +1,30 @@
 """Finding out what is on a line: which addresses answer, what each drive is, and a roster for it.
 
-Read `asking` for what is asked and heard, `search` for the order of addresses and baud rates,
-`identifying` for how families are told apart, `diagnosis` for what is said of a line that gives no
-answers, `proposal` for the roster that comes of it.
+`asking` holds a question and its answer, `search` the order of addresses and baud rates,
+`identifying` how families are told apart, `diagnosis` why a line gives no answers, `proposal` the
+roster.
 
-Everything here is written as generators that yield what is to be said and are sent what was heard:
-whether a port of its own or a running daemon says it is the caller's business. Nothing here ever
-writes to a drive; there is no way to.
-
-Must not live here: input or output of any kind, time, HTTP, progress bars.
+Pure: coroutines here await nothing but `AddressAccess`, which the command carries out on a port of
+its own or through a running daemon, and tests on a simulated line. It has no way to write to a
+drive.
 """
 
 from __future__ import annotations
 
-from lecombus.scanning.asking import Ask, Heard, HeardKind, Listen
+from lecombus.scanning.asking import AddressAccess, Ask, Heard, HeardKind
 from lecombus.scanning.diagnosis import why_nothing
 from lecombus.scanning.finding import Finding, FoundWatchdog, Unclear
 from lecombus.scanning.proposal import Place, check_place, entries, propose
 from lecombus.scanning.search import ForeignTalkError, Plan, Scan
 
 __all__ = [
+    "AddressAccess",
     "Ask",
     "Finding",
     "ForeignTalkError",
     "FoundWatchdog",
     "Heard",
     "HeardKind",
-    "Listen",
     "Place",
     "Plan",
     "Scan",

@@ -1,24 +1,22 @@
-"""What a scan says on the line, and what it hears.
+"""What a scan asks of a line, and the answers.
 
 A question goes to an address, not to a drive: silence is an answer to it. So is "no such code",
-which only a drive can say. Every answer repeats its question's code, which is how a scan keeps one
-address's late answer from passing for another's (see `search`).
-
-Must not live here: telegrams and time-outs (`line`); what comes back is `operations`' `Heard`.
+which only a drive can say. Every answer repeats its question's code, so that a late answer of one
+address is not taken for that of another (see `search`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator
 from dataclasses import dataclass
+from typing import Protocol
 
 from lecombus.operations.address_reads import Heard, HeardKind
 from lecombus.protocol.addressing import Code, Form
 
-__all__ = ["Ask", "Heard", "HeardKind", "Listen", "Reading", "Step", "read_surely"]
+__all__ = ["AddressAccess", "Ask", "Heard", "HeardKind", "read_surely"]
 
 TRIES = 3
-"""How often a drive that is known to be there is asked the same."""
+"""How often a drive that is known to be there is asked for one code."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,27 +40,25 @@ class Ask:
     patient: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Listen:
-    """Say nothing and hear whether somebody else speaks."""
+class AddressAccess(Protocol):
+    """A line on which addresses are asked: a port of a command, or a running daemon."""
 
-    baud: int
-    for_s: float
+    async def ask(self, ask: Ask) -> Heard:
+        """Read a code at an address, once."""
 
-
-Step = Ask | Listen
-Reading = Generator[Step, Heard, Heard]
+    async def listen(self, baud: int, for_s: float) -> Heard:
+        """Send nothing for some seconds; return what was heard."""
 
 
-def read_surely(ask: Ask) -> Reading:
-    """Ask a drive that is there until its answer can be relied on.
+async def read_surely(access: AddressAccess, ask: Ask) -> Heard:
+    """Ask a drive that is there until its answer is certain.
 
-    One damaged character makes "no such code" of a value, so that is believed when heard twice.
+    One damaged character turns a value into "no such code", so that must come twice.
     """
     refusals = 0
     heard = Heard(HeardKind.SILENCE)
     for _ in range(TRIES):
-        heard = yield ask
+        heard = await access.ask(ask)
         if heard.kind is HeardKind.VALUE:
             return heard
         if heard.kind is HeardKind.NO_SUCH_CODE:

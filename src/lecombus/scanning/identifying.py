@@ -23,14 +23,13 @@ Sources: EDB2102EN 6.1.1, 6.1.2, 6.1.3 (parameter sets), 6.4 (820X), 8.2; CMVLC4
 from __future__ import annotations
 
 import re
-from collections.abc import Generator
 from dataclasses import dataclass, field
 from decimal import Decimal
 
 from lecombus.drives import Family, family
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Format
-from lecombus.scanning.asking import Ask, Heard, HeardKind, Reading, Step, read_surely
+from lecombus.scanning.asking import AddressAccess, Ask, Heard, HeardKind, read_surely
 from lecombus.scanning.finding import Finding, FoundWatchdog
 
 __all__ = ["identify"]
@@ -54,10 +53,11 @@ LATER_82XX = re.compile(r"82([124])[1-8]")
 
 
 @dataclass(slots=True)
-class Talk:
-    """The conversation with one drive.
+class DriveQuestions:
+    """The questions to one drive, and what it answered.
 
     Args:
+        access: The line.
         baud: Its baud rate, bit/s.
         address: Its address.
         patient: It answers late.
@@ -65,20 +65,21 @@ class Talk:
         remarks: What stands to be said about it so far.
     """
 
+    access: AddressAccess
     baud: int
     address: int
     patient: bool
     labels: list[tuple[Code, str]] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
 
-    def read(self, code: Code, form: Form = Form.EXTENDED, waiting: str = "generic") -> Reading:
+    async def read(self, code: Code, form: Form = Form.EXTENDED, waiting: str = "generic") -> Heard:
         """Read a code; `waiting`: by whose answer times."""
         ask = Ask(self.baud, self.address, code, form, waiting, self.patient)
-        return (yield from read_surely(ask))
+        return await read_surely(self.access, ask)
 
-    def label(self, code: Code) -> Reading:
+    async def label(self, code: Code) -> Heard:
         """Read what the drive says of itself, and keep it."""
-        heard = yield from self.read(code)
+        heard = await self.read(code)
         self.keep(code, heard)
         return heard
 
@@ -112,44 +113,44 @@ class Talk:
         return self.finding("generic", why)
 
 
-Identification = Generator[Step, Heard, Finding]
-
-
-def identify(baud: int, address: int, *, patient: bool = False) -> Identification:
+async def identify(
+    access: AddressAccess, baud: int, address: int, *, patient: bool = False
+) -> Finding:
     """Find out what answers at an address.
 
     Args:
+        access: The line.
         baud: The baud rate, bit/s.
         address: Where something answered.
         patient: It answered late.
     """
-    talk = Talk(baud, address, patient)
-    own = yield from talk.read(OWN_ADDRESS)
+    drive = DriveQuestions(access, baud, address, patient)
+    own = await drive.read(OWN_ADDRESS)
     if not own.is_answer:
-        return (yield from _without_extended_addressing(talk))
-    module = yield from talk.label(MODULE)
+        return await _without_extended_addressing(drive)
+    module = await drive.label(MODULE)
     if module.exists is None:
-        return talk.generic(f"it answers, but not whole when asked for {MODULE}")
-    yield from _redirection(talk)
+        return drive.generic(f"it answers, but not whole when asked for {MODULE}")
+    await _redirection(drive)
     if module.exists:
-        return (yield from _behind_a_module(talk, own, module))
-    return (yield from _smvector_or_other(talk))
+        return await _behind_a_module(drive, own, module)
+    return await _smvector_or_other(drive)
 
 
-def _without_extended_addressing(talk: Talk) -> Identification:
+async def _without_extended_addressing(drive: DriveQuestions) -> Finding:
     """Another maker's device; what it says in place of a software label may help people."""
-    heard = yield from talk.read(SOFTWARE, Form.STANDARD)
+    heard = await drive.read(SOFTWARE, Form.STANDARD)
     if heard.value is not None and heard.value.format is Format.VS:
-        talk.keep(SOFTWARE, heard)
-    return talk.generic("it answers standard addressing only, as no drive does that is described")
+        drive.keep(SOFTWARE, heard)
+    return drive.generic("it answers standard addressing only, as no drive does that is described")
 
 
-def _redirection(talk: Talk) -> Generator[Step, Heard, None]:
+async def _redirection(drive: DriveQuestions) -> None:
     """Say so if standard addressing is redirected in this drive. Source: EDB2102EN 8.2."""
     for code in REDIRECTING:
-        heard = yield from talk.read(code)
+        heard = await drive.read(code)
         if heard.value is not None and heard.value.number != 0:
-            talk.remarks.append(
+            drive.remarks.append(
                 f"{code} is {heard.text}: every access by standard addressing reaches another "
                 "parameter; switch the module off and on, or let its program set it to 0"
             )
@@ -158,24 +159,24 @@ def _redirection(talk: Talk) -> Generator[Step, Heard, None]:
 # ---- 2102 fieldbus module -----------------------------------------------------------------------
 
 
-def _behind_a_module(talk: Talk, own: Heard, module: Heard) -> Identification:
-    yield from talk.label(Code(1811))
-    software = yield from talk.label(SOFTWARE)
-    yield from talk.label(Code(201))
+async def _behind_a_module(drive: DriveQuestions, own: Heard, module: Heard) -> Finding:
+    await drive.label(Code(1811))
+    software = await drive.label(SOFTWARE)
+    await drive.label(Code(201))
     if "2102" not in module.text:
-        return talk.generic(f"its fieldbus module calls itself {module.text!r}, which is no 2102")
-    if not _is_number(own, talk.address):
-        return talk.generic(f"{OWN_ADDRESS} reads {own.text or 'nothing'} at {talk.address}")
+        return drive.generic(f"its fieldbus module calls itself {module.text!r}, which is no 2102")
+    if not _is_number(own, drive.address):
+        return drive.generic(f"{OWN_ADDRESS} reads {own.text or 'nothing'} at {drive.address}")
     has: dict[Code, bool | None] = {}
     for code in (IN_SET_2, IN_SET_3, TRIP_RESET, FAULT_ARRAY):
-        has[code] = (yield from talk.read(code)).exists
+        has[code] = (await drive.read(code)).exists
     name, why = _by_codes(has, software.text)
     if name == "generic":
-        return talk.generic(why)
+        return drive.generic(why)
     certain = name not in ("821x", "822x", "824x") or LATER_82XX.search(software.text) is not None
-    yield from _setpoint_source(talk, name)
-    watchdog = yield from _watchdog(talk, family(name))
-    return talk.finding(name, why, certain=certain, watchdog=watchdog)
+    await _setpoint_source(drive, name)
+    watchdog = await _watchdog(drive, family(name))
+    return drive.finding(name, why, certain=certain, watchdog=watchdog)
 
 
 def _by_codes(has: dict[Code, bool | None], software: str) -> tuple[str, str]:
@@ -207,19 +208,19 @@ def _later_82xx(software: str) -> tuple[str, str]:
     )
 
 
-def _setpoint_source(talk: Talk, name: str) -> Generator[Step, Heard, None]:
+async def _setpoint_source(drive: DriveQuestions, name: str) -> None:
     """Say so if the drive takes no setpoints over the line as it is set."""
     if name == "93xx":
-        heard = yield from talk.read(Code(5))
+        heard = await drive.read(Code(5))
         if heard.value is not None and not heard.text.endswith("1"):
-            talk.remarks.append(
+            drive.remarks.append(
                 f"C0005 is {heard.text}: it takes setpoints over the line only with a C0005 that "
                 "ends in 1"
             )
         return
-    heard = yield from talk.read(Code(1))
+    heard = await drive.read(Code(1))
     if heard.value is not None and heard.value.number != 3:
-        talk.remarks.append(
+        drive.remarks.append(
             f"C0001 is {heard.text}: it takes C0046 and C0135 over the line only with C0001 = 3"
         )
 
@@ -227,42 +228,42 @@ def _setpoint_source(talk: Talk, name: str) -> Generator[Step, Heard, None]:
 # ---- SMVector -----------------------------------------------------------------------------------
 
 
-def _smvector_or_other(talk: Talk) -> Identification:
-    protocol = yield from talk.read(PROTOCOL)
-    network = yield from talk.read(NETWORK_ADDRESS)
-    yield from talk.label(SOFTWARE)
-    yield from talk.label(Code(201))
+async def _smvector_or_other(drive: DriveQuestions) -> Finding:
+    protocol = await drive.read(PROTOCOL)
+    network = await drive.read(NETWORK_ADDRESS)
+    await drive.label(SOFTWARE)
+    await drive.label(Code(201))
     if protocol.exists is None or network.exists is None:
-        return talk.generic(f"it answers, but not whole when asked for {PROTOCOL}")
-    if not _is_number(protocol, LECOM_B) or not _is_number(network, talk.address):
+        return drive.generic(f"it answers, but not whole when asked for {PROTOCOL}")
+    if not _is_number(protocol, LECOM_B) or not _is_number(network, drive.address):
         said = ", ".join(
             f"{code} {'is ' + heard.text if heard.text else 'is not there'}"
             for code, heard in ((PROTOCOL, protocol), (NETWORK_ADDRESS, network))
         )
-        return talk.generic(f"it has no 2102 module ({MODULE}) and is no SMVector: {said}")
+        return drive.generic(f"it has no 2102 module ({MODULE}) and is no SMVector: {said}")
     smvector = family("smvector")
-    yield from _smvector_labels(talk, smvector)
-    watchdog = yield from _watchdog(talk, smvector)
+    await _smvector_labels(drive, smvector)
+    watchdog = await _watchdog(drive, smvector)
     why = f"P400 is {LECOM_B} (LECOM-B) and P410 is its address"
-    return talk.finding("smvector", why, watchdog=watchdog)
+    return drive.finding("smvector", why, watchdog=watchdog)
 
 
-def _smvector_labels(talk: Talk, smvector: Family) -> Generator[Step, Heard, None]:
+async def _smvector_labels(drive: DriveQuestions, smvector: Family) -> None:
     for code in (VERSION, Code(1099)):
-        yield from talk.label(code)
-    kind, described = (yield from talk.read(DRIVE_ID)), smvector.info(DRIVE_ID)
+        await drive.label(code)
+    kind, described = (await drive.read(DRIVE_ID)), smvector.info(DRIVE_ID)
     if kind.value is not None:
         meaning = described.meaning(kind.value) if described is not None else None
-        talk.labels.append((DRIVE_ID, f"{kind.text} ({meaning})" if meaning else kind.text))
-    gate, version = smvector.software, talk.says(VERSION)
+        drive.labels.append((DRIVE_ID, f"{kind.text} ({meaning})" if meaning else kind.text))
+    gate, version = smvector.software, drive.says(VERSION)
     if gate is not None and version not in gate.versions:
-        talk.remarks.append(
+        drive.remarks.append(
             f"its communication software (P494) is {version or 'unknown'}, not "
             f"{' or '.join(gate.versions)}: nothing is written to it unless the roster accepts that"
         )
-    level = yield from talk.read(Code(1420))
+    level = await drive.read(Code(1420))
     if level.value is not None and Decimal(level.text) < 2:
-        talk.remarks.append(
+        drive.remarks.append(
             f"P420 is {level.text}: it takes setpoints over the line from 2 on, and is enabled "
             "over it from 3 on"
         )
@@ -271,17 +272,17 @@ def _smvector_labels(talk: Talk, smvector: Family) -> Generator[Step, Heard, Non
 # ---- both ---------------------------------------------------------------------------------------
 
 
-def _watchdog(talk: Talk, of: Family) -> Generator[Step, Heard, FoundWatchdog | None]:
+async def _watchdog(drive: DriveQuestions, of: Family) -> FoundWatchdog | None:
     """Read how the watchdog is set. A 2102 module takes up to 500 ms over it (EDB2102EN 6.3)."""
     traits = of.watchdog
     if traits is None:
         return None
-    time = yield from talk.read(traits.time_code, waiting=of.name)
-    action = yield from talk.read(traits.action_code, waiting=of.name)
+    time = await drive.read(traits.time_code, waiting=of.name)
+    action = await drive.read(traits.action_code, waiting=of.name)
     words = {number: word for word, number in traits.actions.items()}
     word = next((words[one] for one in words if _is_number(action, one)), None)
     if time.kind is not HeardKind.VALUE or word is None or not time.text.isdecimal():
-        talk.remarks.append(
+        drive.remarks.append(
             f"its watchdog could not be read: {traits.time_code} {time.text or time.kind.value}, "
             f"{traits.action_code} {action.text or action.kind.value}"
         )

@@ -23,14 +23,14 @@ Source: EDB2102EN 8.3 (answers repeat the code), 8.3.5 (time monitoring).
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Generator, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from lecombus.errors import LineError
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.host_parser import RequestParser
 from lecombus.protocol.telegrams import ReadRequest, WriteRequest
-from lecombus.scanning.asking import Ask, Heard, HeardKind, Listen, Step
+from lecombus.scanning.asking import AddressAccess, Ask, Heard, HeardKind
 from lecombus.scanning.finding import Finding, Unclear
 from lecombus.scanning.identifying import identify
 
@@ -47,11 +47,9 @@ STRAY_BYTES = 2
 """So many bytes may come out of an adapter that was just opened."""
 SAMPLES = 32
 
-Steps = Generator[Step, Heard, None]
-
 
 class ForeignTalkError(LineError):
-    """Somebody else speaks on the line: it must not be spoken over."""
+    """Another master speaks on the line: a scan would disturb it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +86,8 @@ class Scan:
         looks_left: How many will be, should nothing more be found or heard.
     """
 
+    _access: AddressAccess
+
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
         self.found: list[Finding] = []
@@ -101,26 +101,27 @@ class Scan:
         self._recent: deque[int] = deque(maxlen=SUSPECTS)
         self._disturbances = 0
 
-    def steps(self) -> Steps:
-        """Search; yields what is to be said or listened to, and is sent what was heard.
+    async def run(self, access: AddressAccess) -> None:
+        """Search on a line.
 
         Raises:
-            ForeignTalkError: Somebody else speaks on the line.
+            ForeignTalkError: Another master speaks on the line.
         """
+        self._access = access
         if self.plan.listen_s:
-            yield from self._listen()
+            await self._listen()
         order = self.plan.bauds
         if len(order) > 1:
-            order = yield from self._order()
+            order = await self._order()
         for place, baud in enumerate(order):
             self.looks_left = len(self.plan.addresses) * (len(order) - place)
-            yield from self._sweep(baud)
+            await self._sweep(baud)
             if self.found and not self.plan.thorough:
                 break
         self.looks_left = 0
 
-    def _listen(self) -> Steps:
-        heard = yield Listen(self.baud, self.plan.listen_s)
+    async def _listen(self) -> None:
+        heard = await self._access.listen(self.baud, self.plan.listen_s)
         self._disturbances = heard.disturbances
         self._note(heard, address=0)
         if len(heard.received) > STRAY_BYTES:
@@ -133,44 +134,42 @@ class Scan:
 
     # ---- baud rates -------------------------------------------------------------------------
 
-    def _order(self) -> Generator[Step, Heard, tuple[int, ...]]:
+    async def _order(self) -> tuple[int, ...]:
         """Find the line's rate by the likely addresses, and put it first."""
         bauds = self.plan.bauds
         for baud in bauds:
             self.baud = baud
             for address in (one for one in LIKELY if one in self.plan.addresses):
-                heard = yield from self._ask(address)
+                heard = await self._ask(address)
                 if heard.is_answer:
                     return (baud, *(other for other in bauds if other != baud))
         return bauds
 
-    def _sweep(self, baud: int) -> Steps:
+    async def _sweep(self, baud: int) -> None:
         """Ask every address at one baud rate."""
         self.baud = baud
-        silent, suspects = yield from self._pass(self.plan.addresses)
+        silent, suspects = await self._pass(self.plan.addresses)
         disturbed = bool(suspects)
         if self.plan.thorough or disturbed:
             self.looks_left += len(silent)
-            silent, more = yield from self._pass(silent)
+            silent, more = await self._pass(silent)
             suspects = [*suspects, *more]
         known = {one.address for one in self.found if one.baud == baud}
         for address in dict.fromkeys(suspects):
             if address not in known:
-                yield from self._look_patiently(address)
+                await self._look_patiently(address)
 
-    def _pass(
-        self, addresses: Iterable[int]
-    ) -> Generator[Step, Heard, tuple[list[int], list[int]]]:
+    async def _pass(self, addresses: Iterable[int]) -> tuple[list[int], list[int]]:
         """Ask addresses once; returns the silent ones, and those that may have answered late."""
         silent: list[int] = []
         suspects: list[int] = []
         for address in addresses:
-            heard = yield from self._ask(address)
+            heard = await self._ask(address)
             self.looks_left -= 1
             if self._was_disturbed(heard):
                 suspects.extend(self._recent)
             if heard.is_answer:
-                self.found.append((yield from identify(self.baud, address)))
+                self.found.append(await identify(self._access, self.baud, address))
                 if not self.plan.thorough:  # the line's rate is known: the others are left alone
                     self.looks_left %= len(self.plan.addresses)
             else:
@@ -179,23 +178,23 @@ class Scan:
 
     # ---- one address ------------------------------------------------------------------------
 
-    def _ask(self, address: int, *, patient: bool = False) -> Generator[Step, Heard, Heard]:
+    async def _ask(self, address: int, *, patient: bool = False) -> Heard:
         code = PROBES[self._probe]
         self._probe = (self._probe + 1) % len(PROBES)
         self.address = address
         self._recent.append(address)
-        heard = yield Ask(self.baud, address, code, patient=patient)
+        heard = await self._access.ask(Ask(self.baud, address, code, patient=patient))
         self.looks += 1
         self._note(heard, address)
         return heard
 
-    def _look_patiently(self, address: int) -> Steps:
+    async def _look_patiently(self, address: int) -> None:
         """Ask a suspect alone: it may be slow, or what it says may be damaged now and then."""
         unclear = b""
         for patient in (False, True, True):
-            heard = yield from self._ask(address, patient=patient)
+            heard = await self._ask(address, patient=patient)
             if heard.is_answer:
-                self.found.append((yield from identify(self.baud, address, patient=patient)))
+                self.found.append(await identify(self._access, self.baud, address, patient=patient))
                 return
             if heard.kind is HeardKind.GARBLED:
                 unclear = heard.received
