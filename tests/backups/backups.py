@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from lecombus.backups import Answer, Backup, Entry, Head
+from lecombus.backups import Backup, Entry, Head, ReadResult
 from lecombus.drives import Family, family, load_family
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
@@ -65,8 +65,9 @@ def backup_of(
     return Backup(head, drive, {entry.code: entry for entry in entries}, name)
 
 
-def answers(texts: Mapping[str, str]) -> dict[Code, Answer]:
+def answers(texts: Mapping[str, str]) -> dict[Code, ReadResult]:
     """What a drive reads now."""
     return {
-        Code.parse(code): Answer(Code.parse(code), Value.parse(raw)) for code, raw in texts.items()
+        Code.parse(code): ReadResult(Code.parse(code), Value.parse(raw))
+        for code, raw in texts.items()
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from backups.backups import DRIVE, TEXT, answers, backup_of
-from lecombus.backups import Answer, Plan, make_plan
+from lecombus.backups import Plan, ReadResult, make_plan
 from lecombus.backups.plan import codes_to_read
 from lecombus.drives import family, load_family
 from lecombus.protocol.addressing import Code
@@ -52,7 +52,10 @@ def test_what_the_roster_sets_is_left_out() -> None:
 
 
 def test_what_the_drive_does_not_know_is_left_out() -> None:
-    now = {**answers(NOW), Code(12): Answer(Code(12), None, "no-such-code", "there is no C0012")}
+    now = {
+        **answers(NOW),
+        Code(12): ReadResult(Code(12), None, "no-such-code", "there is no C0012"),
+    }
     made = make_plan(backup_of(DRIVE, FILE), DRIVE, now)
     assert {str(skip.code): skip.why for skip in made.skips}["C0012"] == (
         "the drive does not give it now: there is no C0012"

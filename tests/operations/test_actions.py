@@ -177,7 +177,7 @@ def test_what_is_beyond_the_first_is_told_as_a_sum(
     actions: Actions, clock: Clock, caplog: pytest.LogCaptureFixture
 ) -> None:
     for number in range(500):
-        actions.tell("write", "feeder", "done" if number % 5 else "nak", {"value": str(number)})
+        actions.log("write", "feeder", "done" if number % 5 else "nak", {"value": str(number)})
     assert len(caplog.messages) == EACH
     clock.now_s = WINDOW_S - 0.1
     actions.look()
@@ -187,7 +187,7 @@ def test_what_is_beyond_the_first_is_told_as_a_sum(
     assert len(caplog.messages) == EACH + 1
     said = caplog.messages[-1]
     assert "what=write count=495 outcomes=done:396,nak:99 drive=feeder last=499" in said
-    actions.tell("write", "feeder", "done", {})
+    actions.log("write", "feeder", "done", {})
     assert len(caplog.messages) == EACH + 2, "a window of its own"
 
 
@@ -195,10 +195,10 @@ def test_a_flood_of_one_hides_neither_another_client_nor_a_stop(
     actions: Actions, caplog: pytest.LogCaptureFixture
 ) -> None:
     for number in range(1000):
-        actions.tell("write", f"drive-{number % 50}", "done", {})
+        actions.log("write", f"drive-{number % 50}", "done", {})
     assert len(caplog.messages) == LINES_PER_S
     for _ in range(LINES_PER_S * 2):
-        actions.tell("stop", "all", "verified", {"action": "inhibit"})
+        actions.log("stop", "all", "verified", {"action": "inhibit"})
     assert sum("event=stop" in text for text in caplog.messages) == EACH
 
 
@@ -209,7 +209,7 @@ def test_lines_and_memory_are_bounded_whatever_names_are_given(
         clock.now_s = float(second)
         before = len(caplog.messages)
         for number in range(2000):
-            actions.tell("write", f"nobody-{second}-{number}", "refused", {})
+            actions.log("write", f"nobody-{second}-{number}", "refused", {})
         actions.look()
         assert len(caplog.messages) - before <= LINES_PER_S
         assert len(actions._windows) <= WINDOWS_LIMIT + 1

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from lecombus.backups import Answer, Written
+from lecombus.backups import ReadResult, WriteResult
 from lecombus.drives import Family, StopAction, confirm_codes, family
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
@@ -72,44 +72,44 @@ class FakeDrive:
     def enable_it(self) -> None:
         self.texts.update(ENABLED)
 
-    async def read(self, code: Code) -> Answer:
+    async def read(self, code: Code) -> ReadResult:
         self.before_read(self, code)
         if self.is_away():
-            return Answer(code, None, "line-lost", self.away)
+            return ReadResult(code, None, "line-lost", self.away)
         raw = self.texts.get(code.number) if code.subcode == 0 else None
         if raw is None:
-            return Answer(code, None, "no-such-code", f"there is no {code}")
-        return Answer(code, Value.parse(raw))
+            return ReadResult(code, None, "no-such-code", f"there is no {code}")
+        return ReadResult(code, Value.parse(raw))
 
-    async def read_many(self, codes: Sequence[Code], heard: Callable[[Answer], None]) -> None:
+    async def read_many(self, codes: Sequence[Code], heard: Callable[[ReadResult], None]) -> None:
         for code in codes:
             heard(await self.read(code))
 
-    async def write(self, code: Code, value: Value, *, verify: bool) -> Written:
+    async def write(self, code: Code, value: Value, *, verify: bool) -> WriteResult:
         self.before_write(self, code)
         if self.stopped:
-            return Written(False, "superseded", "ended by a stop of the drive")
+            return WriteResult(False, "superseded", "ended by a stop of the drive")
         if self.is_away():
-            return Written(False, "line-lost", self.away)
+            return WriteResult(False, "line-lost", self.away)
         why = self.refuses(self, code, value)
         if why:
-            return Written(False, "nak", why)
+            return WriteResult(False, "nak", why)
         self.writes.append((str(code), value.raw))
         self.texts[code.number] = value.raw
         self.after_write(self, code)
         if self.is_away():
-            return Written(False, "unknown", "the answer was lost")
-        return Written(True)
+            return WriteResult(False, "unknown", "the answer was lost")
+        return WriteResult(True)
 
-    async def inhibit(self) -> Written:
+    async def inhibit(self) -> WriteResult:
         self.writes.append(("inhibit", ""))
         self.texts.update(INHIBITED)
-        return Written(True)
+        return WriteResult(True)
 
-    async def enable(self) -> Written:
+    async def enable(self) -> WriteResult:
         self.writes.append(("enable", ""))
         self.enable_it()
-        return Written(True)
+        return WriteResult(True)
 
     async def why_not_usable(self) -> str:
         if self.away:

@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 
 from lecombus.drives import family
-from lecombus.drives.access import Answer, Written
+from lecombus.drives.access import ReadResult, WriteResult
 from lecombus.drives.identity import identity_codes
 from lecombus.protocol import with_parity
 from lecombus.protocol.addressing import Code, Form
@@ -148,7 +148,7 @@ class RebaudLine:
         self.before(step)
         self.line.host_baud = step.baud
 
-    def read(self, step: Read) -> Answer:
+    def read(self, step: Read) -> ReadResult:
         self.take(step)
         subject = self.subjects[step.drive]
         for _ in range(step.retries + 1):
@@ -157,7 +157,7 @@ class RebaudLine:
                 break
         return answer
 
-    def write(self, step: Write) -> Written:
+    def write(self, step: Write) -> WriteResult:
         self.take(step)
         host, subject = self.scanned.host, self.subjects[step.drive]
         extended = subject.form is Form.EXTENDED
@@ -168,16 +168,16 @@ class RebaudLine:
         received = host.hear(until_s=host.now_s + PATIENCE_S)
         host.wait(PAUSE_S)
         came = "nothing" if self.lose_acks else ANSWERS.get(received, "nothing")
-        return Written(came == "done", came, "" if came == "done" else f"write: {came}")
+        return WriteResult(came == "done", came, "" if came == "done" else f"write: {came}")
 
-    def _read(self, subject: Subject, step: Read) -> Answer:
+    def _read(self, subject: Subject, step: Read) -> ReadResult:
         ask = Ask(step.baud, subject.address, step.code, subject.form, subject.family.name)
         heard = self.scanned.hear(ask)
         if heard.kind is HeardKind.VALUE:
-            return Answer(step.code, heard.value)
+            return ReadResult(step.code, heard.value)
         refused = heard.kind is HeardKind.NO_SUCH_CODE
         kind = "no-such-code" if refused else "no-answer"
-        return Answer(step.code, None, kind, str(heard.kind))
+        return ReadResult(step.code, None, kind, str(heard.kind))
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,10 +189,10 @@ class StandingDrive:
     name: str
     retries: int
 
-    async def read(self, code: Code) -> Answer:
+    async def read(self, code: Code) -> ReadResult:
         return self.line.read(Read(self.baud, self.name, code, self.retries))
 
-    async def write(self, code: Code, value: Value, *, verify: bool) -> Written:
+    async def write(self, code: Code, value: Value, *, verify: bool) -> WriteResult:
         assert not verify
         return self.line.write(Write(self.baud, self.name, code, value))
 

@@ -10,7 +10,7 @@ clock alike. Files, terminals and HTTP are the command line's.
 
 from __future__ import annotations
 
-from lecombus.drives.access import Answer, Written, is_passing
+from lecombus.drives.access import ReadResult, WriteResult, is_passing
 
 from .access import Listener, RestoreAccess
 from .compare import Comparison, Difference, compare
@@ -23,7 +23,6 @@ from .taking import Taken, take
 from .writing import write_backup
 
 __all__ = [
-    "Answer",
     "Backup",
     "Comparison",
     "Difference",
@@ -32,13 +31,14 @@ __all__ = [
     "Listener",
     "Plan",
     "Progress",
+    "ReadResult",
     "RestoreAccess",
     "Restored",
     "Section",
     "Skip",
     "Step",
     "Taken",
-    "Written",
+    "WriteResult",
     "compare",
     "done_line",
     "head_line",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
-from lecombus.drives.access import Answer, DriveAccess, Written
+from lecombus.drives.access import DriveAccess, ReadResult, WriteResult
 from lecombus.protocol.addressing import Code
 
 __all__ = ["Listener", "RestoreAccess", "wait_until_usable"]
@@ -16,13 +16,13 @@ LOOK_AGAIN_S: Final = 1.0
 class RestoreAccess(DriveAccess, Protocol):
     """One drive behind a daemon, in the background class."""
 
-    async def read_many(self, codes: Sequence[Code], heard: Callable[[Answer], None]) -> None:
+    async def read_many(self, codes: Sequence[Code], heard: Callable[[ReadResult], None]) -> None:
         """Read codes, a few at a time; `heard` is called with one answer for each, in any order."""
 
-    async def inhibit(self) -> Written:
+    async def inhibit(self) -> WriteResult:
         """Inhibit the drive and see that it is."""
 
-    async def enable(self) -> Written:
+    async def enable(self) -> WriteResult:
         """Lift the inhibit."""
 
     async def why_not_usable(self) -> str:

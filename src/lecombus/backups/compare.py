@@ -1,9 +1,9 @@
 """What two backups differ in.
 
 Strategy: numbers are compared as numbers (35 is 35.0, H0008 is 8), texts as texts. A code that
-only one side has, or that one side could not read, is a difference: nobody has shown that it is
+only one side has, or that one side could not read, is a difference: it was not shown that it is
 equal. Left out, unless everything is asked for: process values, what belongs to one drive's place
-on the line (address, baud rate), and what tells the drives apart; the last is told as a remark.
+on the line (address, baud rate), and the identity of the drives; the last becomes a remark.
 
 What must not live here: reading files or drives, printing.
 """
@@ -71,7 +71,7 @@ def compare(one: Backup, other: Backup, *, everything: bool = False) -> Comparis
     Args:
         one: The first.
         other: The second.
-        everything: Also process values, addresses and what tells the drives apart.
+        everything: Also process values, addresses and identities.
     """
     differences: list[Difference] = []
     same = left_out = 0
@@ -87,7 +87,7 @@ def compare(one: Backup, other: Backup, *, everything: bool = False) -> Comparis
 
 
 def is_compared(one: Backup, other: Backup, code: Code) -> bool:
-    """Tell whether a code is one of those that are compared unless everything is."""
+    """Whether a code is one of those that are compared unless everything is."""
     settings = (Section.PARAMETERS, Section.MODULE, Section.UNDESCRIBED)
     known = [backup for backup in (one, other) if code in backup.entries]
     return all(
@@ -97,7 +97,7 @@ def is_compared(one: Backup, other: Backup, code: Code) -> bool:
 
 
 def is_same(one: Entry | None, other: Entry | None) -> bool:
-    """Tell whether two entries say the same; both unread for the same reason do."""
+    """Whether two entries say the same; both unread for the same reason do."""
     if one is None or other is None:
         return False
     if one.value is None or other.value is None:

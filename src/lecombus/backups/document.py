@@ -1,7 +1,7 @@
 """A backup in memory: whose it is, and what every code read.
 
 Strategy: entries are kept by code in the order of codes, which is also the order of parameter
-sets. Where a code stands in the file (settings, process values, what tells the drive apart)
+sets. Where a code stands in the file (settings, process values, identity)
 follows from its description and is never stored, so that a better description sorts old files
 better.
 
@@ -33,7 +33,7 @@ class Section(StrEnum):
     PROCESS = "process"
     """Setpoints, commands, actual values, fault memories: how the drive was just then."""
     UNDESCRIBED = "undescribed"
-    """Read because somebody asked for it; no description knows it."""
+    """Read because the user asked for it; no description knows it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,14 +118,14 @@ def section_of(family: Family, code: Code) -> Section:
 
 
 def is_own(info: CodeInfo | None) -> bool:
-    """Tell whether a code belongs to one drive's place on the line: address and baud rate."""
+    """Whether a code belongs to one drive's place on the line: address and baud rate."""
     return info is not None and info.write_class is WriteClass.ADDRESS
 
 
 def wanted_codes(family: Family, also: Iterable[Code] = ()) -> tuple[Code, ...]:
     """Name the codes that a backup holds: all that are described and can be read.
 
-    Passwords are never read; other codes only where somebody names them.
+    Passwords are never read; other codes only where the user names them.
 
     Args:
         family: The drive's family.

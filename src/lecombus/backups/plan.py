@@ -22,7 +22,7 @@ from lecombus.drives import (
     restore_rule,
     saving_rule,
 )
-from lecombus.drives.access import Answer
+from lecombus.drives.access import ReadResult
 from lecombus.errors import CodeValueError
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
@@ -66,7 +66,7 @@ class Skip:
         code: The code.
         name: Its name; empty where no description knows it.
         why: Why.
-        expected: It is left out of every restore of this family: nobody need read it.
+        expected: It is left out of every restore of this family: it is not listed.
     """
 
     code: Code
@@ -116,7 +116,7 @@ def codes_to_read(backup: Backup, owned: Collection[Code]) -> tuple[Code, ...]:
 def make_plan(
     backup: Backup,
     family: Family,
-    now: Mapping[Code, Answer],
+    now: Mapping[Code, ReadResult],
     *,
     owned: Collection[Code] = (),
     other_drive: bool = False,
@@ -167,7 +167,7 @@ def make_plan(
 
 
 def why_skipped(
-    family: Family, entry: Entry, now: Mapping[Code, Answer], owned: Collection[Code]
+    family: Family, entry: Entry, now: Mapping[Code, ReadResult], owned: Collection[Code]
 ) -> str | None:
     """Say why an entry is left out; None where it is not."""
     why = not_restored(family, entry.code, owned)
@@ -207,7 +207,7 @@ def step(family: Family, code: Code, now: Value, value: Value) -> Step:
     )
 
 
-def strangers(backup: Backup, family: Family, now: Mapping[Code, Answer]) -> tuple[str, ...]:
+def strangers(backup: Backup, family: Family, now: Mapping[Code, ReadResult]) -> tuple[str, ...]:
     """Say what shows that this may be another drive than the backup's."""
     said = []
     for code in must_be_same(family):

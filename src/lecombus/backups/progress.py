@@ -4,7 +4,7 @@ Strategy: the first line says what is restored into which drive, every further l
 that was written and read back. Lines are only added, so that a restore that is killed in the
 middle leaves whole lines and at most one torn one, which is ignored. What stands here is never
 taken for the drive's word: a restore that goes on reads everything again. It is needed for what
-the drive does not tell: that values were written and not saved yet, and that it was enabled
+the drive does not report: that values were written and not saved yet, and that it was enabled
 before.
 
 What must not live here: where the file is.
@@ -30,7 +30,7 @@ class Progress:
 
     Args:
         file: The backup that was being restored.
-        digest: Its content's digest, to tell an edited file.
+        digest: Its content's digest, to recognize an edited file.
         begun: When it began, RFC 3339.
         enabled: The drive was enabled when it began.
         done: What was written and read back.

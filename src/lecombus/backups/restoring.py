@@ -1,20 +1,17 @@
-"""Carrying out a plan: inhibit, write, prove, compare the whole, save.
+"""Carrying out a plan: inhibit, write, prove, compare all, save.
 
-Strategy, in this order:
-
-1. The drive is inhibited: nobody changes ramps and limits under a turning motor, and some codes
-   are kept only then (EDB2102EN 6.4). Before every write it is looked at again: a drive that
-   somebody enables meanwhile is no longer written to. After a loss of the line, when a watchdog
-   or a power cycle may have changed its state, it is inhibited once more.
-2. Each code is written and read back. What fails for the line's sake waits until the drive is
-   back, then is read first: it may have been written. What the drive refuses is tried once more
-   after the others, since limits may depend on another code, and before what comes last.
-3. Everything that was to be, written now or there already, is read once more and compared: whoever
-   changed the drive meanwhile is found out.
+1. The drive is inhibited: ramps and limits are not changed under a turning motor, and some codes
+   are stored only then (EDB2102EN 6.4). Before every write its inhibit is read again: a drive that
+   was enabled is no longer written to. After a loss of the line, when a watchdog or a power cycle
+   may have changed its state, it is inhibited once more.
+2. Each code is written and read back. A write that fails because of the line waits until the drive
+   is back, then the code is read first: it may have been written. What the drive refuses is tried
+   once more after the others, since limits may depend on another code, and before what comes last.
+3. All codes of the plan, also those that had their value already, are read once more and compared:
+   a change from elsewhere is found.
 4. Only then, and only if all is as wanted, it is saved where the family needs that.
 
-A stop of the drive ends it, wherever it is. It never enables a drive. What must not live here:
-deciding what is written (`plan`), files.
+A stop of the drive ends a restore at any place. It never enables a drive.
 """
 
 from __future__ import annotations
@@ -24,7 +21,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from lecombus.drives import Family, StopAction, confirm_codes, is_last, knows_stop, stop_confirmed
-from lecombus.drives.access import Answer, DriveAccess, Written, is_passing
+from lecombus.drives.access import DriveAccess, ReadResult, WriteResult, is_passing
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 
@@ -56,7 +53,7 @@ class Restored:
 
     written: dict[Code, Value] = field(default_factory=dict)
     refused: dict[Code, str] = field(default_factory=dict)
-    changed: dict[Code, tuple[Value, Answer]] = field(default_factory=dict)
+    changed: dict[Code, tuple[Value, ReadResult]] = field(default_factory=dict)
     inhibited_here: bool = False
     inhibited_now: bool | None = None
     saved: bool | None = None
@@ -93,8 +90,8 @@ async def restore(
         access: The drive.
         plan: What to do.
         patience_s: How long to wait, each time, for a drive or a line that is away, seconds.
-        listener: Told how it goes.
-        written: Told of each code that was written and read back, before the next is begun.
+        listener: Called with the progress.
+        written: Called with each code that was written and read back, before the next is begun.
         unsaved: An earlier restore wrote values that were never saved.
     """
     work = Work(access, plan, patience_s, listener, written)
@@ -222,13 +219,13 @@ class Work:
             self._settled = len(self.result.written) + len(self.result.refused)
             self._listener.advance(self._settled, len(self._plan.steps))
 
-    async def _write(self, step: Step) -> Written:
+    async def _write(self, step: Step) -> WriteResult:
         """Write one code until it is clear what came of it.
 
         Raises:
             StopRestoreError: The drive stays away, or is not inhibited any more.
         """
-        said = Written(False, "unknown", "")
+        said = WriteResult(False, "unknown", "")
         for _ in range(TRIES):
             await self._check_inhibit()
             said = await self._access.write(step.code, step.value, verify=True)
@@ -242,14 +239,14 @@ class Work:
             answer = await self._access.read(step.code)
             if answer.value is not None and answer.value.means_same(step.value):
                 await self._check_inhibit()
-                return Written(True)
+                return WriteResult(True)
         raise StopRestoreError(f"{step.code} could not be written: {said.text}")
 
     async def _check_inhibit(self) -> None:
         """See that the drive is inhibited; after an absence, see to it.
 
         Raises:
-            StopRestoreError: Somebody enabled it.
+            StopRestoreError: It was enabled.
         """
         for _ in range(TRIES):
             state = await is_inhibited(self._access, self._plan.family)
@@ -290,10 +287,10 @@ class Quiet:
 
 
 async def is_inhibited(access: DriveAccess, family: Family) -> bool | None:
-    """Tell whether a drive reports that it is inhibited.
+    """Whether a drive reports that it is inhibited.
 
     Returns:
-        None where it did not say: no answer, or none of the codes that would tell.
+        None where it did not say: no answer, or none of the codes that show it.
     """
     if not knows_stop(family, StopAction.INHIBIT):
         return None

@@ -1,11 +1,9 @@
 """Reading a drive whole, through short losses of the line.
 
-Strategy: all codes are handed over at once and asked a few at a time. What failed for the line's
-sake (no answer, no port, the drive being audited) is asked again when the drive can be asked,
+All codes are given to the access together, which reads a few at a time. What failed because of the
+line (no answer, no port, the drive being audited) is asked again when the drive can be asked,
 a bounded number of times; what the drive itself refused is not. When the drive stays away longer
 than the user has patience, what is missing is left missing, with its reason.
-
-What must not live here: HTTP, files.
 """
 
 from __future__ import annotations
@@ -14,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from lecombus.drives.access import Answer, is_passing
+from lecombus.drives.access import ReadResult, is_passing
 from lecombus.protocol.addressing import Code
 
 from .access import Listener, RestoreAccess, wait_until_usable
@@ -34,11 +32,11 @@ class Taken:
         gave_up: Why some codes were not asked to the end; empty when all were.
     """
 
-    answers: dict[Code, Answer]
+    answers: dict[Code, ReadResult]
     gave_up: str = ""
 
     @property
-    def unsettled(self) -> list[Answer]:
+    def unsettled(self) -> list[ReadResult]:
         """What could not be read for a reason that may pass."""
         return [one for one in self.answers.values() if one.value is None and is_passing(one.kind)]
 
@@ -52,13 +50,13 @@ async def take(
         access: The drive.
         codes: What to read.
         patience_s: How long to wait, each time, for a drive or a line that is away, seconds.
-        listener: Told how it goes.
+        listener: Called with the progress.
     """
-    answers: dict[Code, Answer] = {}
+    answers: dict[Code, ReadResult] = {}
     pending = list(dict.fromkeys(codes))
     total, why = len(pending), ""
 
-    def heard(answer: Answer) -> None:
+    def heard(answer: ReadResult) -> None:
         answers[answer.code] = answer
         listener.advance(sum(not is_unsettled(one) for one in answers.values()), total)
 
@@ -71,10 +69,10 @@ async def take(
         if not pending:
             break
     for code in pending:
-        answers.setdefault(code, Answer(code, None, "offline", why))
+        answers.setdefault(code, ReadResult(code, None, "offline", why))
     return Taken(dict(sorted(answers.items())), why)
 
 
-def is_unsettled(answer: Answer | None) -> bool:
-    """Tell whether a code has to be asked again."""
+def is_unsettled(answer: ReadResult | None) -> bool:
+    """Whether a code has to be asked again."""
     return answer is None or (answer.value is None and is_passing(answer.kind))

@@ -12,11 +12,11 @@ import click
 
 from lecombus import __version__
 from lecombus.backups import (
-    Answer,
     Backup,
     Entry,
     Head,
     Listener,
+    ReadResult,
     section_of,
     take,
     wanted_codes,
@@ -103,7 +103,7 @@ async def fetch(
     also: Sequence[Code],
     patience_s: float,
     listener: Listener,
-) -> tuple[Backup, list[Answer]]:
+) -> tuple[Backup, list[ReadResult]]:
     """Connect and read."""
     async with connect_async(socket, url) as (client, where):
         return await read_drive(
@@ -113,7 +113,7 @@ async def fetch(
 
 async def read_drive(
     drive: HttpDrive, also: Iterable[Code], *, patience_s: float, listener: Listener
-) -> tuple[Backup, list[Answer]]:
+) -> tuple[Backup, list[ReadResult]]:
     """Read a drive whole.
 
     Args:
@@ -142,7 +142,7 @@ async def read_drive(
     return Backup(head, kind, entries, name=whose.drive), taken.unsettled
 
 
-def incomplete(drive: str, left: Sequence[Answer], output: Path | None) -> CommandError:
+def incomplete(drive: str, left: Sequence[ReadResult], output: Path | None) -> CommandError:
     """Say why no backup was written."""
     first = left[0]
     codes = counted(len(left), "code")
@@ -160,7 +160,7 @@ def incomplete(drive: str, left: Sequence[Answer], output: Path | None) -> Comma
     )
 
 
-def summary(backup: Backup, output: Path | None, left: Sequence[Answer]) -> dict[str, Json]:
+def summary(backup: Backup, output: Path | None, left: Sequence[ReadResult]) -> dict[str, Json]:
     """Return the JSON form."""
     return {
         "drive": backup.head.drive,

@@ -2,7 +2,7 @@
 
 Strategy: every refusal of the daemon becomes an answer with its stable word, so that `backups`
 decides what may be asked again. A daemon that cannot be reached is such an answer too: it may be
-restarting. A few reads are asked for at once, in the background class, so that the line finds the
+restarting. A few reads are requested together, in the background class, so that the line finds the
 next one waiting whenever it is idle; writes go one by one.
 
 What must not live here: what is read or written, and in which order.
@@ -19,7 +19,7 @@ from urllib.parse import quote
 import anyio
 import httpx2
 
-from lecombus.backups import Answer, Written
+from lecombus.backups import ReadResult, WriteResult
 from lecombus.cli.client import answer_of, body_text, unreachable
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.reports import kind_of
@@ -33,7 +33,7 @@ AT_ONCE: Final = 4
 """Enough that one is always waiting while another is on the line, and no crowd for others."""
 
 WRITE_WITHIN_S: Final = 45
-"""A write is not begun after so long, seconds: by then nobody here waits for its answer."""
+"""A write is not begun after so long, seconds: by then this client has given up."""
 
 UNREACHABLE: Final = "unreachable"
 GOOD: Final = ("done", "verified")
@@ -126,19 +126,19 @@ class HttpDrive:
 
     # ---- what backups ask -------------------------------------------------------------------
 
-    async def read(self, code: Code) -> Answer:
+    async def read(self, code: Code) -> ReadResult:
         """Read a code when the line is idle."""
         params = {"fresh": "true", "priority": "background"}
         try:
             said = await self._ask("GET", f"{self._path}/codes/{code}", params=params)
-            return Answer(code, Value.parse(str(said["raw"])))
+            return ReadResult(code, Value.parse(str(said["raw"])))
         except CommandError as exc:
             kind, text = why(exc)
-            return Answer(code, None, kind, text)
+            return ReadResult(code, None, kind, text)
         except CodeValueError as exc:
-            return Answer(code, None, "garbled", str(exc))
+            return ReadResult(code, None, "garbled", str(exc))
 
-    async def read_many(self, codes: Sequence[Code], heard: Callable[[Answer], None]) -> None:
+    async def read_many(self, codes: Sequence[Code], heard: Callable[[ReadResult], None]) -> None:
         """Read codes, a few at a time."""
         rest = iter(codes)
 
@@ -150,7 +150,7 @@ class HttpDrive:
             for _ in range(AT_ONCE):
                 tasks.start_soon(one_after_the_other)
 
-    async def write(self, code: Code, value: Value, *, verify: bool) -> Written:
+    async def write(self, code: Code, value: Value, *, verify: bool) -> WriteResult:
         """Write a code as part of a restore."""
         document: dict[str, Json] = {
             "value": value.raw, "verify": verify, "priority": "background", "restore": True,
@@ -158,17 +158,17 @@ class HttpDrive:
         }  # fmt: skip
         return await self._act("PUT", f"{self._path}/codes/{code}", document | self._ended_by())
 
-    async def inhibit(self) -> Written:
+    async def inhibit(self) -> WriteResult:
         """Inhibit it: a stop, which waits for nothing, and ends none of what is written later."""
         said = await self._act("POST", "/v1/stop", {"action": "inhibit", "target": self._name})
         try:
             self.stops = (await self.restore_rights()).stops
         except CommandError as exc:
             kind, text = why(exc)
-            return Written(False, kind, text)
+            return WriteResult(False, kind, text)
         return said
 
-    async def enable(self) -> Written:
+    async def enable(self) -> WriteResult:
         """Lift the inhibit, unless it was stopped since; C0040 must be writable by the roster."""
         document: dict[str, Json] = {"value": 1, "verify": True}
         return await self._act("PUT", f"{self._path}/codes/C0040", document | self._ended_by())
@@ -202,17 +202,17 @@ class HttpDrive:
 
     # ---- HTTP -------------------------------------------------------------------------------
 
-    async def _act(self, method: str, path: str, document: Mapping[str, Json]) -> Written:
+    async def _act(self, method: str, path: str, document: Mapping[str, Json]) -> WriteResult:
         try:
             said = await self._ask(method, path, document=document)
         except CommandError as exc:
             kind, text = why(exc)
-            return Written(False, kind, text)
+            return WriteResult(False, kind, text)
         if said.get("outcome") in GOOD:
-            return Written(True)
+            return WriteResult(True)
         parts = [said.get(key) for key in ("reason", "detail", "cause", "remedy")]
         text = "; ".join(dict.fromkeys(str(part) for part in parts if part))
-        return Written(False, kind_of(said) or str(said.get("outcome")), text)
+        return WriteResult(False, kind_of(said) or str(said.get("outcome")), text)
 
     async def _ask(
         self,

@@ -27,14 +27,14 @@ from lecombus.schedule import Outcome, Priority, Schedule
 __all__ = ["OwnLine", "OwnPort", "own_line", "own_port"]
 
 STRAYS_KEPT = 256
-"""Bytes nobody asked for that are kept; the rest is only more of the same."""
+"""How many unsolicited bytes are kept."""
 
 OPTIONS = WorkerOptions(stall_s=0.0)
-"""A line may be silent for as long as it likes here: nobody is on it, perhaps."""
+"""A line may be silent here: perhaps no drive is on it."""
 
 
 class OwnLine:
-    """An open port with a worker on it, and the ears of whoever has it.
+    """A port opened by a command; records received and unsolicited bytes.
 
     Args:
         settings: The port.
@@ -45,7 +45,7 @@ class OwnLine:
     Attributes:
         requests: What is asked goes through here.
         schedule: For those who ask drives by a name.
-        bytes_heard: How many bytes have come, whatever they were.
+        bytes_heard: How many bytes have come, of any kind.
         disturbances: How often something came that was no answer to its question.
     """
 
@@ -62,7 +62,7 @@ class OwnLine:
         self._strays = bytearray()
 
     def take_strays(self) -> bytes:
-        """Give the bytes that nobody asked for since the last call, the first of them."""
+        """Return the unsolicited bytes since the last call, the first of them."""
         strays = bytes(self._strays)
         self._strays.clear()
         return strays
@@ -76,19 +76,19 @@ class OwnLine:
             raise
 
     def exchange_ended(self, report: ExchangeReport) -> None:
-        """Nobody keeps books here, but of what was no answer."""
+        """Count what was no answer."""
         if not report.result.clean:
             self.disturbances += 1
 
     def line_changed(self, up: bool, reason: str) -> None:
-        """Take note that it was tried."""
+        """Note that the opening was tried."""
         self.known.set()
 
     def thinking(self, for_s: float) -> None:
-        """Nothing is done meanwhile."""
+        """Do nothing while a drive thinks."""
 
     def stray_bytes(self, data: bytes, late_answer: bool) -> None:
-        """Keep what nobody asked for: it may be somebody else's talk."""
+        """Keep unsolicited bytes: they may be those of another master."""
         self.disturbances += 1
         self._strays += data[: STRAYS_KEPT - len(self._strays)]
 
@@ -111,7 +111,7 @@ class _CountingReceiver:
 
 
 def _count(priority: Priority, outcome: Outcome) -> None:
-    """Nobody counts requests here."""
+    """Requests are not counted here."""
 
 
 @asynccontextmanager

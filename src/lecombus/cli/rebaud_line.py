@@ -14,7 +14,7 @@ import anyio
 from lecombus.cli.own_line import OwnPort, own_port
 from lecombus.config import Roster
 from lecombus.drives import family
-from lecombus.drives.access import Answer, Written
+from lecombus.drives.access import ReadResult, WriteResult
 from lecombus.errors import (
     CutReplyError,
     ExchangeError,
@@ -132,7 +132,7 @@ class _Drive:
     station: Station
     retries: int
 
-    async def read(self, code: Code) -> Answer:
+    async def read(self, code: Code) -> ReadResult:
         """Read a code."""
         self.line.watch()
         requests = (await self.line.port.at(self.baud)).requests
@@ -143,16 +143,16 @@ class _Drive:
         except CutReplyError:
             raise
         except UnknownCodeError as exc:
-            return Answer(code, None, "no-such-code", str(exc))
+            return ReadResult(code, None, "no-such-code", str(exc))
         except NakError as exc:
-            return Answer(code, None, "nak", str(exc))
+            return ReadResult(code, None, "nak", str(exc))
         except ExchangeError as exc:
-            return Answer(code, None, "no-answer", str(exc))
-        return Answer(code, value)
+            return ReadResult(code, None, "no-answer", str(exc))
+        return ReadResult(code, value)
 
-    async def write(self, code: Code, value: Value, *, verify: bool) -> Written:
+    async def write(self, code: Code, value: Value, *, verify: bool) -> WriteResult:
         """Write a code once."""
         self.line.watch()
         requests = (await self.line.port.at(self.baud)).requests
         outcome, reason = await requests.write(self.station, code, value, verify=verify)
-        return Written(outcome in (Outcome.DONE, Outcome.VERIFIED), outcome.value, reason)
+        return WriteResult(outcome in (Outcome.DONE, Outcome.VERIFIED), outcome.value, reason)

@@ -12,7 +12,7 @@ from typing import Final, Protocol
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 
-__all__ = ["Answer", "DriveAccess", "Written", "is_passing"]
+__all__ = ["DriveAccess", "ReadResult", "WriteResult", "is_passing"]
 
 PASSING: Final = frozenset({
     "does-not-fit", "expired", "garbled", "line-lost", "no-answer", "not-ready", "offline",
@@ -22,7 +22,7 @@ PASSING: Final = frozenset({
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class ReadResult:
     """The result of reading one code.
 
     Args:
@@ -39,7 +39,7 @@ class Answer:
 
 
 @dataclass(frozen=True, slots=True)
-class Written:
+class WriteResult:
     """The result of writing one code.
 
     Args:
@@ -61,8 +61,8 @@ def is_passing(kind: str) -> bool:
 class DriveAccess(Protocol):
     """One drive."""
 
-    async def read(self, code: Code) -> Answer:
+    async def read(self, code: Code) -> ReadResult:
         """Read a code."""
 
-    async def write(self, code: Code, value: Value, *, verify: bool) -> Written:
+    async def write(self, code: Code, value: Value, *, verify: bool) -> WriteResult:
         """Write a code once; `verify`: and read it back."""

@@ -1,12 +1,12 @@
-"""Who moved a motor: one log event for each thing that somebody had done to a drive.
+"""Who moved a motor: one log event for each operation on a drive that a client asked for.
 
 Strategy: who asks is found in a context variable (`ACTOR`), which every door sets for the task of a
-request; what nobody set is lecombus itself. An event is logged after the thing was done, so nothing
-waits for it. Of one kind of thing that one user's program does to one drive `EACH` events are
-logged in `WINDOW_S`; what is beyond is counted and told as one sum after that. Whatever
-clients do, no more than `LINES_PER_S` lines a second are logged, and as many of stops.
+request; without a request it is lecombus itself. An event is logged after the thing was done, so
+nothing waits for it. Of one kind of thing that one user's program does to one drive `EACH` events
+are logged in `WINDOW_S`; what is beyond is counted and logged as one sum after that. No more than
+`LINES_PER_S` lines a second are logged in all, and as many of stops.
 
-Texts that a client chose are cut, and whatever could pass for another field is taken out of them.
+Texts that a client chose are cut, and what could pass for another field is removed.
 
 What must not live here: what is done (`recorded`), how a line is written (`cli.logs`).
 """
@@ -92,7 +92,7 @@ class Window:
 
     begun_s: float
     actor: Actor
-    told: int = 0
+    logged: int = 0
     kept_back: Counter[str] = field(default_factory=Counter)
     last: str = ""
 
@@ -110,7 +110,7 @@ class Actions:
         self._second = 0
         self._lines: Counter[bool] = Counter()
 
-    def tell(self, event: str, target: str, outcome: str, fields: Mapping[str, str]) -> None:
+    def log(self, event: str, target: str, outcome: str, fields: Mapping[str, str]) -> None:
         """Log that something was done, or count it.
 
         Args:
@@ -126,8 +126,8 @@ class Actions:
             place[key] = clean(text, LONG_CHARS if key in LONG else TEXT_CHARS)
         if "reason" in fields:  # the last field, in words
             place["reason"] = fields["reason"].replace("=", ":")[:LONG_CHARS]
-        if window.told < EACH and self._has_room(now_s, event):
-            window.told += 1
+        if window.logged < EACH and self._has_room(now_s, event):
+            window.logged += 1
             self._log({"event": event, **actor.fields(), "outcome": outcome, **place})
         else:
             window.actor = actor
@@ -135,7 +135,7 @@ class Actions:
             window.last = place.get("value", "")
 
     def look(self, *, at_end: bool = False) -> None:
-        """Tell the sums of what was kept back; once a second, and at the end."""
+        """Log the sums of what was kept back; once a second, and at the end."""
         now_s = self._clock()
         for key, window in list(self._windows.items()):
             if not at_end and now_s - window.begun_s < WINDOW_S:
@@ -143,7 +143,7 @@ class Actions:
             if window.kept_back and not self._has_room(now_s, key[0]):
                 continue
             del self._windows[key]
-            self._tell_sum(key, window)
+            self._log_sum(key, window)
 
     def _window(self, key: tuple[str, str, str], actor: Actor) -> Window:
         window = self._windows.get(key)
@@ -162,7 +162,7 @@ class Actions:
         self._lines[event == STOP] += 1
         return self._lines[event == STOP] <= LINES_PER_S
 
-    def _tell_sum(self, key: tuple[str, str, str], window: Window) -> None:
+    def _log_sum(self, key: tuple[str, str, str], window: Window) -> None:
         if not window.kept_back:
             return
         outcomes = ",".join(f"{name}:{count}" for name, count in window.kept_back.most_common())

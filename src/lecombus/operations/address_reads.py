@@ -1,7 +1,7 @@
 """Asking an address of which nothing is known: what a scan is made of.
 
 Here silence is an answer, and "no such code" a good one: something is there. Nothing is repeated
-and nothing is kept: whoever scans decides what an answer means. There is deliberately no way to
+and nothing is kept: the scan decides what an answer means. There is deliberately no way to
 write to an address.
 
 What must not live here: which addresses are asked for what, and families (`scanning`).
@@ -84,7 +84,7 @@ class Heard:
 
     @property
     def is_answer(self) -> bool:
-        """Whether a drive answered, whatever it said."""
+        """Whether a drive answered, with a value or a refusal."""
         return self.kind in (
             HeardKind.VALUE,
             HeardKind.NO_SUCH_CODE,
@@ -158,7 +158,7 @@ async def read_address(
 
     Raises:
         OperationError: It was never sent, or cannot be.
-        CutReplyError: The line was lost meanwhile.
+        CutReplyError: The line was lost during the read.
         LineError: There is no line.
         QueueFullError: Too many wait.
     """

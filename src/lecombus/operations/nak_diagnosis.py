@@ -49,7 +49,7 @@ from lecombus.store import Store
 __all__ = ["NakDiagnosis"]
 
 LOOK_S: Final = 1.0
-"""A look is given up after this, whatever it has found."""
+"""A look ends after this, seconds, with what it has found."""
 
 LINE_SHARE: Final = 0.1
 """Of the line's time, what looks may take at most."""
@@ -194,7 +194,7 @@ class NakDiagnosis:
         return self._requests.worker.schedule.stats(now_s).depth.get(Priority.STOP, 0) > 0
 
     async def _look(self, station: Station, known: FailedExchange) -> list[Cause]:
-        """Ask the drive what it says of the exchange; whatever fails leaves what is known."""
+        """Ask the drive what it says of the exchange; a failed read leaves what is known."""
         self._looking = True
         started_s = self._clock()
         took_s = 0.0

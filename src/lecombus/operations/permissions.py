@@ -1,6 +1,6 @@
 """Whether a write may be made now, and what goes on the wire for it.
 
-Here stands what is true of every write whoever asks for it: which codes the roster lets be written,
+Here stands what is true of every write: which codes the roster lets be written,
 that a drive which is offline, not yet audited or locked is not written to, and how a user's value
 becomes the wire's. Stops are asked none of this.
 

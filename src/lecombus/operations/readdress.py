@@ -4,12 +4,12 @@ A drive that takes another address answers at it from then on, also perhaps the 
 says that it went well but the drive itself, found again. So this is done in steps, each of which
 can still end well:
 
-1. *before*: the roster allows it, the address is one and nobody's, the drive is online, the one it
-   should be, and is stopped, as far as it can say; the new address is silent when it is asked.
+1. *before*: the roster allows it, no drive has the address, the drive is online, the one it should
+   be, and is stopped, as far as it can say; the new address is silent when it is asked.
    Nothing was changed yet.
 2. *the write*, once, never repeated blindly.
-3. *after*: the new address is asked for its own address and identity. Found: the line follows at
-   once, a drive that must be told to save is told, and a remark stands until the roster says the
+3. *after*: the new address is asked for its own address and identity. Found: the line follows,
+   a drive that needs it gets the command to save, and a remark stands until the roster says the
    same.
 4. *the way back*: not found there, the old address is asked. There with the old value: nothing has
    happened. There with the new value (it would move at its next start): the old is written back.
@@ -115,7 +115,7 @@ class Readdress:
             self._remark(name, home, facts.moved)
 
     def seen_at_home(self, name: str) -> None:
-        """Take note that a drive answers where the roster says, as the one it should be."""
+        """Note that a drive answers at the roster's address with the expected identity."""
         facts, entry = self._state.drive(name), self._entries[name]
         if facts.moved is not None and facts.moved.address != entry.address:
             facts.moved = None
@@ -127,7 +127,7 @@ class Readdress:
 
         Args:
             drive: The drive.
-            address: 1..99, not ending in 0, nobody's.
+            address: 1..99, not ending in 0, of no drive.
 
         Returns:
             `verified`: it was found there. `refused`: nothing was changed. `unknown`: it was found
@@ -267,7 +267,7 @@ class Readdress:
         )
 
     async def _save(self, drive: str, report: WriteReport) -> WriteReport:
-        """Tell a drive to keep its address, where its family must be told: a 93XX."""
+        """Make a drive save its address, where its family needs that: a 93XX."""
         station = self._requests.station(drive)
         rule = saving_rule(station.family)
         if rule is None or rule.value is None:

@@ -39,7 +39,7 @@ class RecordedOperations:
 
     Args:
         operations: What does it.
-        actions: Where it is told.
+        actions: Logs it.
         is_secret: Whether the value of a code of a drive or group is a password.
     """
 
@@ -99,7 +99,7 @@ class RecordedMaintenance:
 
     Args:
         maintenance: What does it.
-        actions: Where it is told.
+        actions: Logs it.
     """
 
     def __init__(self, maintenance: Maintenance, actions: Actions) -> None:
@@ -133,9 +133,9 @@ class RecordedMaintenance:
         try:
             done = act()
         except LecombusError as exc:
-            self._actions.tell(event, drive, Outcome.REFUSED.value, {"reason": str(exc)})
+            self._actions.log(event, drive, Outcome.REFUSED.value, {"reason": str(exc)})
             raise
-        self._actions.tell(event, drive, Outcome.DONE.value, {})
+        self._actions.log(event, drive, Outcome.DONE.value, {})
         return done
 
 
@@ -155,7 +155,7 @@ async def recorded(
     finally:
         if more.get("value") == SECRET:
             more.pop("reason", None)  # it may quote the value
-        actions.tell(event, target, outcome, more)
+        actions.log(event, target, outcome, more)
 
 
 def details(report: WriteReport | VerbReport | GroupReport) -> dict[str, str]:

@@ -1,7 +1,7 @@
-"""How a write, a group write or a stop ended, as operations tell it and the faces show it.
+"""How a write, a group write or a stop ended, as operations return it and API and commands show it.
 
 Frozen snapshots; several put together are called by the worst of them. They stand apart from
-`operations` because whoever shows them must not depend on how they came about, and apart from
+`operations` because what shows them must not depend on how they came about, and apart from
 `schedule` because a report names the likely cause and what to do, which a schedule does not know.
 """
 
@@ -89,7 +89,7 @@ class VerbReport:
 
     Args:
         drive: The drive's name.
-        verb: What it was told to do.
+        verb: The command.
         outcome: The one outcome it had; `VERIFIED`: the drive shows it.
         reason: What happened, in words.
         cause: The likely cause where it was not done, in words; empty where none is known.
@@ -195,7 +195,7 @@ _FROM_BEST = (
 def group_report(target: str, how: How, reports: Iterable[WriteReport]) -> GroupReport:
     """Put the members' reports together.
 
-    The whole is called by the worst of them: whoever reads only one word must not be told better
+    The whole is called by the worst of them: a reader of one word must not see a better one
     than it is.
     """
     members = tuple(reports)

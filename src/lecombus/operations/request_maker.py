@@ -1,6 +1,6 @@
 """The roster's drives as the line sees them, and the requests lecombus itself makes to them.
 
-Here roster, descriptions and cost model meet: every request, whoever wants it, is given its cost
+Here roster, descriptions and cost model meet: every request is given its cost
 and its worst case here, so that the schedule, the time-outs and later the plan reckon with the
 same numbers. What a read costs is kept, for the same few are made for years, until the station is
 another one or its measured times are.
@@ -54,7 +54,7 @@ class _ReadCost(NamedTuple):
 
 
 class _FeedCost(NamedTuple):
-    """Cost and longest time of a feed, as measured and as told, seconds; see `_ReadCost`."""
+    """Cost and longest time of a feed, as measured and as documented, seconds; see `_ReadCost`."""
 
     slow: SlowAnswers
     measured: tuple[float, float]
@@ -62,7 +62,7 @@ class _FeedCost(NamedTuple):
 
 
 def ignore_end(outcome: Outcome, reason: str) -> None:
-    """The end of a request nobody waits for: what it brought stands in the store."""
+    """The end of a request without a waiter: its result is in the store."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ class RequestMaker:
     Args:
         timing: Baud rate and latencies of the line.
         retries: How often a failed attempt is repeated.
-        count: Told of the end of every request.
+        count: Called at the end of every request.
     """
 
     timing: LineTiming
@@ -83,7 +83,7 @@ class RequestMaker:
     _unheeded: dict[Priority, Settle] = field(default_factory=dict, init=False)
 
     def _counted(self, priority: Priority, settle: Settle) -> Settle:
-        """Count the end of a request, then tell whoever waits; mostly that is nobody."""
+        """Count the end of a request, then call its waiter; most requests have none."""
         count = self.count
         if settle is ignore_end:
             if priority not in self._unheeded:
@@ -148,7 +148,7 @@ class RequestMaker:
         return request
 
     def _dearest(self, station: Station, code: Code, answer_s: float | None) -> tuple[float, float]:
-        """Give cost and longest time of a read in whatever form it is said."""
+        """Return cost and longest time of a read, in any addressing form."""
         pause_s = self.timing.turnaround_s
         costs = [
             read_cost(self.timing, station.family, code, form, answer_s)
@@ -181,7 +181,7 @@ class RequestMaker:
     def part_of_write(self, station: Station, code: Code, value: Value) -> Part:
         """Give what a write that is read back takes of the line.
 
-        A drive with shortened response time acknowledges at once and is left alone then.
+        A drive with shortened response time acknowledges without delay and gets a pause after it.
         """
         cost = write_cost(
             self.timing, station.family, code, value, form_of(station, code),
@@ -208,8 +208,8 @@ class RequestMaker:
     ) -> Request:
         """Make a request that writes one code.
 
-        What moves the drive runs in the control class, whatever `urgency` says; a later setpoint
-        for the same code takes the place of one that still waits. A stop ends whatever it is.
+        What moves the drive runs in the control class, also against `urgency`; a later setpoint
+        for the same code replaces one that still waits. A stop ends any write.
         """
         cost = write_cost(
             self.timing,
@@ -227,7 +227,7 @@ class RequestMaker:
             station, code, value, write_class=write_class, retries=self.retries, verify=verify,
             duplicates=duplicates,
         )  # fmt: skip
-        # Read back in whatever form: behind another drive's proof it is the longer one.
+        # Read back in either form: after another drive's proof it is the longer one.
         back_s = self._dearest(station, code, station.answer_s(code))[1] if verify else 0.0
         motion = info is not None and info.motion
         setpoint = motion and value.format == "VD" and not is_switch(station, code)
@@ -303,7 +303,7 @@ class RequestMaker:
         )
 
     def _longest_stop_s(self, station: Station, action: StopAction) -> float:
-        """Give the longest that one telegram of a stop can hold the line, in whatever form."""
+        """Return the longest that one telegram of a stop can hold the line, in any form."""
         of, found = station.family, 0.0
         # A stop may take the drive's own address to be shown.
         for code, value in [*stop_steps(of, action), (address_code(of), None)]:
@@ -363,7 +363,7 @@ class RequestMaker:
     def probe(self, station: Station) -> Callable[[], Request]:
         """Give the maker of the read that asks an offline drive whether it is back.
 
-        Its code and form are chosen so that a late answer to it blocks nobody else's reads.
+        Its code and form are chosen so that a late answer to it blocks no other reads.
         """
         forms = tuple(reversed(station.forms))
         quiet = dataclasses.replace(station, forms=forms)
@@ -407,7 +407,7 @@ def shared_form(stations: Sequence[Station], code: Code) -> Form | None:
 
 
 def thinks_s(station: Station, code: Code) -> float:
-    """How long a drive may take over a write that nobody acknowledges, seconds."""
+    """How long a drive may take over a write without acknowledgement, seconds."""
     longest_s = station.family.longest_answer_time_s(code, write=True)
     return max(longest_s, station.answer_s(code, write=True) or 0.0)
 

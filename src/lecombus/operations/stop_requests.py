@@ -2,7 +2,7 @@
 
 A stop differs from other requests: it is sent to offline drives too (a drive that does not answer
 may still receive), and it needs no permission. After a multicast stop every member is read back; a
-member that does not show the stop is stopped by a telegram of its own. A second stop of a drive
+member that does not show the stop is stopped by a separate telegram. A second stop of a drive
 that is asked for while the first waits shares the first one's telegram and outcome.
 """
 

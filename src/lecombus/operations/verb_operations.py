@@ -47,7 +47,7 @@ from lecombus.operations.verb_reports import (
     not_shown,
     still_there,
     superseded,
-    told,
+    verb_report,
     without_fault,
 )
 from lecombus.operations.verb_steps import TROUBLE, VerbSteps, words_of
@@ -101,7 +101,7 @@ class Verbs:
         expires_at_s = None if expires_s is None else self._context.clock() + expires_s
         run = Run(station, verb, self._context.stops[drive], expires_at_s, verify)
         if self._context.requests.stopped_since_asked(drive):
-            return told(run, superseded(run))
+            return verb_report(run, superseded(run))
         # A setpoint may follow another that is under way.
         with contextlib.nullcontext() if verb is Verb.SET_SPEED else self._steps.alone(drive, verb):
             try:
@@ -132,7 +132,7 @@ class Verbs:
             if verb is Verb.ENABLE and not self._steps.stopped_meanwhile(run):
                 with contextlib.suppress(*TROUBLE):
                     return await self._take_back(run, report)
-            return told(run, report)
+            return verb_report(run, report)
 
     # ---- the verbs --------------------------------------------------------------------------
 
@@ -157,7 +157,9 @@ class Verbs:
         step = speed_step(known, value, unit)
         report = await self._steps.take(run, step)
         shown = await self._steps.states(station) if report.outcome in GOOD else ()
-        return told(run, report, states=shown, reading=report.reading if run.verify else None)
+        return verb_report(
+            run, report, states=shown, reading=report.reading if run.verify else None
+        )
 
     async def _enable(self, run: Run, known: Known) -> VerbReport:
         steps = enable_steps(known)
@@ -168,16 +170,16 @@ class Verbs:
             if objection is not None:
                 text, remedy = f"{text}, and not by the line: {objection}", objection.remedy
             report = replace(enabled(known), reason=text, remedy=remedy)
-            return told(run, report, states=states(known))
+            return verb_report(run, report, states=states(known))
         failed = await self._steps.carry_out(run, steps)
         if failed is not None and not run.written:
-            return told(run, failed)
+            return verb_report(run, failed)
         # Also after a failed step: what was written may have enabled the drive already.
         known = await self._steps.watch(run, known, is_enabled, stop_words(run.station.family))
         if self._steps.stopped_meanwhile(run):
-            return told(run, superseded(run), states=await self._steps.states(run.station))
+            return verb_report(run, superseded(run), states=await self._steps.states(run.station))
         if is_enabled(known):
-            return told(run, enabled(known), states=states(known))
+            return verb_report(run, enabled(known), states=states(known))
         return await self._take_back(run, failed or not_shown(known))
 
     async def _take_back(self, run: Run, report: WriteReport) -> VerbReport:
@@ -198,22 +200,22 @@ class Verbs:
         if not run.taken_back:
             remedy = f"the enable could not be taken back ({undone.reason}): {STOP_REMEDY}"
         shown = await self._steps.states(run.station)
-        return told(run, replace(report, remedy=remedy), states=shown)
+        return verb_report(run, replace(report, remedy=remedy), states=shown)
 
     async def _reset_fault(self, run: Run, known: Known) -> VerbReport:
         steps = reset_steps(known)
         if not steps:
             report = without_fault(known, "no fault is active: nothing was sent")
-            return told(run, report, states=await self._steps.states(run.station))
+            return verb_report(run, report, states=await self._steps.states(run.station))
         name = fault_text(known)
         failed = await self._steps.carry_out(run, steps)
         if failed is not None and not may_have_happened(failed):
-            return told(run, failed)
+            return verb_report(run, failed)
         known = await self._steps.watch(
             run, known, lambda now: not has_fault(now), words_of(run.station)
         )
         if has_fault(known):
-            return told(
+            return verb_report(
                 run,
                 still_there(known, fault_text(known)),
                 states=await self._steps.states(run.station),
@@ -222,8 +224,10 @@ class Verbs:
             # The inhibit was lifted at the keypad or by a plain write.
             again = await self._steps.inhibit(run)
             if again.outcome not in GOOD:
-                return told(run, again, states=await self._steps.states(run.station))
+                return verb_report(run, again, states=await self._steps.states(run.station))
         reason = (
             f"{name} was reset; the drive is inhibited: `lecombus enable {known.drive}` lets it run"
         )
-        return told(run, without_fault(known, reason), states=await self._steps.states(run.station))
+        return verb_report(
+            run, without_fault(known, reason), states=await self._steps.states(run.station)
+        )

@@ -1,9 +1,6 @@
-"""What is told of a verb: how far it came, what the drive shows, and what to do about it.
+"""The reports of verbs: how far one came, what the drive shows, and what to do then.
 
-`Run` is what is known of a verb while it is carried out; the functions make reports of it. They
-stand apart from `verb_operations` because none of them asks a drive anything.
-
-What must not live here: reading, writing, waiting.
+Pure: `Run` is what is known of a verb while it is carried out, the functions make reports of it.
 """
 
 from __future__ import annotations
@@ -31,7 +28,7 @@ __all__ = [
     "not_shown",
     "still_there",
     "superseded",
-    "told",
+    "verb_report",
     "without_fault",
 ]
 
@@ -44,7 +41,7 @@ class Run:
 
     Args:
         station: The drive.
-        verb: What it is told to do.
+        verb: The command.
         stops: How many stops of the drive had been said when it began, its own included.
         lifts: How many plain writes that may lift an inhibit had been said when it inhibited the
             drive; None while it has not.
@@ -67,13 +64,13 @@ class Run:
 
 
 def may_have_happened(report: WriteReport) -> bool:
-    """Whether a step was done as far as anybody can tell: its acknowledgement may be lost."""
+    """Whether a step was done or may have been: its acknowledgement may be lost."""
     unheard = report.outcome is Outcome.UNKNOWN and report.kind == "no-answer"
     return report.outcome in GOOD or unheard
 
 
 def cut_off(run: Run, exc: Exception) -> WriteReport:
-    """What is told of a verb that had begun to write when something went wrong."""
+    """The report of a verb that failed after its first write."""
     name = run.station.name
     return WriteReport(
         name, None, Outcome.UNKNOWN,
@@ -85,7 +82,7 @@ def cut_off(run: Run, exc: Exception) -> WriteReport:
 
 
 def superseded(run: Run) -> WriteReport:
-    """What is told of a verb in whose way a stop came."""
+    """The report of a verb that a stop ended."""
     return WriteReport(
         run.station.name, None, Outcome.SUPERSEDED,
         f"a stop came while {run.verb} was under way: nothing more was written",
@@ -94,7 +91,7 @@ def superseded(run: Run) -> WriteReport:
 
 
 def lifted(run: Run) -> WriteReport:
-    """What is told of a reset before which somebody may have lifted its inhibit."""
+    """The report of a reset whose inhibit another client may have lifted."""
     return WriteReport(
         run.station.name, None, Outcome.SUPERSEDED,
         f"the control word was written while {run.verb} was under way: nothing more was written, "
@@ -105,7 +102,7 @@ def lifted(run: Run) -> WriteReport:
 
 
 def enabled(known: Known) -> WriteReport:
-    """What is told of a drive that shows its enable."""
+    """The report of a drive that shows its enable."""
     rules = rules_of(known.drive, known.family, Verb.ENABLE)
     code = next(code for code in rules.enable.proofs if code in known.values)
     proof = Proof(code, known.values[code].raw, "enabled")
@@ -114,7 +111,7 @@ def enabled(known: Known) -> WriteReport:
 
 
 def without_fault(known: Known, reason: str) -> WriteReport:
-    """What is told of a drive whose status words show no fault."""
+    """The report of a drive whose status words show no fault."""
     words = (code for code in known.family.words if code in known.values)
     code = next(words, None)
     proof = Proof(code, known.values[code].raw, "no fault") if code is not None else None
@@ -122,7 +119,7 @@ def without_fault(known: Known, reason: str) -> WriteReport:
 
 
 def not_shown(known: Known) -> WriteReport:
-    """What is told of a drive that was enabled and does not show it."""
+    """The report of a drive that was enabled and does not show it."""
     rules = rules_of(known.drive, known.family, Verb.ENABLE)
     stops = shown_stops(known)
     codes = tuple(dict.fromkeys(code for code, _ in stops)) or tuple(rules.enable.proofs)[:1]
@@ -166,7 +163,7 @@ def fault_text(known: Known) -> str:
 
 
 def still_there(known: Known, fault: str) -> WriteReport:
-    """What is told of a fault that a reset did not end."""
+    """The report of a fault that a reset did not end."""
     return WriteReport(
         known.drive, None, Outcome.REFUSED,
         f"the reset was taken, but {fault} is still there or has come again",
@@ -176,14 +173,14 @@ def still_there(known: Known, fault: str) -> WriteReport:
     )  # fmt: skip
 
 
-def told(
+def verb_report(
     run: Run,
     report: WriteReport,
     *,
     states: tuple[OperatingState, ...] = (),
     reading: Reading | None = None,
 ) -> VerbReport:
-    """Tell of a verb what is known of its last step."""
+    """Make the report of a verb from that of its last step."""
     return VerbReport(
         run.station.name, run.verb, report.outcome, report.reason, report.cause, report.kind,
         report.remedy, states, tuple(run.written), reading, report.proof,

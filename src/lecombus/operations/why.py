@@ -56,7 +56,7 @@ from lecombus.store import Store
 __all__ = ["Why"]
 
 FRESH_S: Final = 8.0
-"""Reading what matters is given up after this; what was read by then is told."""
+"""Reading what matters is given up after this; what was read by then is used."""
 
 TAKEN_BACK_REMEDY: Final = (
     "put that in order, then enable it again (lecombus enable); until then it stays stopped, so "
@@ -77,7 +77,7 @@ class Why:
         requests: Sends requests.
         store: What is known.
         clock: Monotonic time, seconds.
-        stops: How often a drive was told to stop, also by plain writes.
+        stops: How often a drive was stopped, also by plain writes.
     """
 
     def __init__(
@@ -142,9 +142,9 @@ class Why:
         self._requests.station(drive)  # before anything is read: there is no such drive
         if fresh:
             await self._read_now(drive)
-        return self.told(drive)
+        return self.report(drive)
 
-    def told(self, drive: str) -> WhyReport:
+    def report(self, drive: str) -> WhyReport:
         """Say it from what is known, without sending anything."""
         info = self._store.drive(drive)
         family = self._family(drive)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from lecombus.drives.access import Answer, DriveAccess, Written
+from lecombus.drives.access import DriveAccess, ReadResult, WriteResult
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 from lecombus.rebaud.drives import Drive
@@ -47,7 +47,7 @@ class RebaudLine:
 
     async def read(
         self, drive: Drive, baud: int, code: Code, *, retries: int = TRIES_MORE
-    ) -> Answer:
+    ) -> ReadResult:
         """Read a code of a drive."""
         self.check_interruption()
         return await self.access.at(baud, drive.name, retries=retries).read(code)
@@ -57,7 +57,7 @@ class RebaudLine:
         self.check_interruption()
         await self.access.wait(baud, for_s)
 
-    async def write(self, drive: Drive, baud: int, code: Code, number: int) -> Written:
+    async def write(self, drive: Drive, baud: int, code: Code, number: int) -> WriteResult:
         """Write a number to a code of a drive, once."""
         self.check_interruption()
         access = self.access.at(baud, drive.name, retries=0)

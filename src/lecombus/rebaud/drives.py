@@ -2,7 +2,7 @@
 
 Strategy: `place` says where a drive is as far as anybody knows, `rate` only what it answered at
 last. What was not seen is never assumed: a drive whose write was not followed by a look is
-`written`, whatever it acknowledged.
+`written`, also after an acknowledgement.
 
 Must not live here: what is said to drives.
 """
@@ -47,7 +47,7 @@ class Subject:
         family: Its description.
         form: The addressing form it is spoken to in: extended where it knows that, because C0248
             and C0249 do not redirect it.
-        asked: Codes that tell who it is.
+        asked: Codes of its identity.
         expected: What they must read, where that is known, by code.
         accept_software: Software that may be written to besides that of its manual.
     """
@@ -88,8 +88,8 @@ class Drive:
         motion: What it says of its motion; empty: it was not asked.
         note: What its watchdog will do; empty: nothing.
         writes: How often a rate was written to it on the present way.
-        saved: Whether the rate it has outlives switching off, for a drive that has to be told so;
-            None: it was never written here, or needs no telling.
+        saved: Whether the rate it has outlives switching off, for a drive that has to save it;
+            None: it was never written here, or needs no saving.
     """
 
     subject: Subject
@@ -112,5 +112,5 @@ class Drive:
         return self.rate is not None
 
     def be(self, place: Place, rate: int | None, why: str = "") -> None:
-        """Take note of where it is."""
+        """Note where it is."""
         self.place, self.rate, self.why = place, rate, why

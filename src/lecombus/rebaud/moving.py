@@ -1,23 +1,21 @@
 """The procedure: drive by drive to the new rate, and the way back.
 
-Theory of operation. A drive may send the very acknowledgement at its new rate, so one that is
-missing says nothing (EDB2102EN 5), and one that came does not prove anything either. So
+A drive may send the acknowledgement of the write at its new rate already, so a missing one says
+nothing (EDB2102EN 5), and one that came does not prove anything either. So
 
-1. each drive is asked once more whether it is stopped, and is written to, once. If no
-   acknowledgement comes, it is looked for at both rates, the old one first, before anything else
-   is said to it; only a drive that still holds the old rate is written to again, and only once
-   (`WRITES`);
+1. each drive is asked once more whether it is stopped, and is written to, once. Without an
+   acknowledgement it is looked for at both rates, the old one first, before anything else is sent
+   to it; only a drive that still holds the old rate is written to again, once (`WRITES`);
 2. those that acknowledged are looked for at the new rate, and at the old one where they are not
    there; one that still holds the old rate is written to again;
-3. found means: its baud code reads the rate, and it says the same of itself as before;
-4. the first drive that cannot be brought over ends the writing: no other one is sent after those
-   that are there already, and whoever asked decides whether they are brought back;
-5. when all are there, those whose family loses parameters at power-off are told to save (93XX).
+3. found means: its baud code reads the rate, and its identity is the same as before;
+4. the first drive that cannot be moved ends the writing: no other drive is moved, and the user
+   decides whether the moved ones are brought back;
+5. when all are moved, those whose family loses parameters at power-off save them (93XX).
 
 The way back is the same with the rates exchanged, for all drives that are not at the old rate, but
-one that fails does not end it: as many as possible come home.
+one that fails does not end it.
 
-Must not live here: what must hold before (`checking`), what is said to people (`telling`).
 Source: EDB2102EN 5 (C0125 over LECOM), 6.1.3 (C0003), 8.2; CMVLC401A 4.2 (P411).
 """
 
@@ -195,7 +193,7 @@ class Rebaud:
             drive.be(Place.OLD if rate == self.old else Place.NEW, rate)
 
     async def _save(self, drives: Sequence[Drive], rate: int) -> None:
-        """Tell drives to keep what they were given, where their family must be told."""
+        """Make drives save what was written, where their family needs that."""
         for drive in drives:
             rule = saving_rule(drive.subject.family)
             if rule is None or rule.value is None:

@@ -1,9 +1,8 @@
-"""What is said at the end: where every drive is, and what to do about it.
+"""The report at the end: where every drive is, and what to do then.
 
-Strategy: nothing is said to be somewhere that was not seen there. The remedies are whole command
-lines, in the order in which they are to be done.
+A drive is reported at a rate only if it was seen there. The remedies are whole command lines, in
+the order in which they are to be done.
 
-Must not live here: tables, JSON, exit statuses.
 Source: EDB2102EN 6.1.3 (93XX: what was not saved is lost at power-off), 8.2; CMVLC401A 4.2.
 """
 
@@ -19,18 +18,18 @@ __all__ = ["Ending", "ending_of", "situation", "what_to_do"]
 
 
 class Ending(StrEnum):
-    """How it came out."""
+    """How it ended."""
 
     MOVED = "moved"
     """Every drive is at the new rate."""
     UNCHANGED = "unchanged"
     """Every drive is at the old rate."""
     MIXED = "mixed"
-    """The line is at two rates, or nobody knows at which."""
+    """The line is at two rates, or it is not known at which."""
 
 
 def ending_of(work: Rebaud) -> Ending:
-    """Say how it came out."""
+    """Return how it ended."""
     places = {drive.place for drive in work.drives}
     if places == {Place.NEW}:
         return Ending.MOVED
@@ -38,7 +37,7 @@ def ending_of(work: Rebaud) -> Ending:
 
 
 def situation(drive: Drive, work: Rebaud) -> str:
-    """Say where a drive is."""
+    """Return where a drive is."""
     old, new = work.old, work.new
     match drive.place:
         case Place.UNSEEN:
@@ -55,7 +54,7 @@ def situation(drive: Drive, work: Rebaud) -> str:
 
 
 def what_to_do(work: Rebaud, roster: str, present: int) -> list[str]:
-    """Say what is to be done now.
+    """Return what is to be done now.
 
     Args:
         work: What came out.

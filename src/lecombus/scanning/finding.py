@@ -30,8 +30,8 @@ class Finding:
         address: Where it answered.
         baud: At which baud rate, bit/s.
         family: What it is, in the roster's word; `generic` where that cannot be said for sure.
-        certain: Whether the line itself told its family.
-        why: What the family was told by, or why it was not.
+        certain: Whether its family follows from its answers alone.
+        why: What the family follows from, or why it is not known.
         labels: What the drive says of its software and itself, by code.
         watchdog: How its watchdog is set; None where none is known or could be read.
         remarks: What stands to be said about it.

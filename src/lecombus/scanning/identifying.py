@@ -1,4 +1,4 @@
-"""What a drive is, by what it answers: families are told apart by the codes they have.
+"""What a drive is, by what it answers: families differ by the codes they have.
 
 Theory of operation. Only what the manuals say is relied on; the text of a software label decides
 nothing but between 821X, 822X and 824X, which lecombus describes alike.
@@ -109,7 +109,7 @@ class DriveQuestions:
         )
 
     def generic(self, why: str) -> Finding:
-        """Say that it cannot be told what it is."""
+        """Say that its family is not known."""
         return self.finding("generic", why)
 
 
@@ -146,7 +146,7 @@ async def _without_extended_addressing(drive: DriveQuestions) -> Finding:
 
 
 async def _redirection(drive: DriveQuestions) -> None:
-    """Say so if standard addressing is redirected in this drive. Source: EDB2102EN 8.2."""
+    """Remark if standard addressing is redirected in this drive. Source: EDB2102EN 8.2."""
     for code in REDIRECTING:
         heard = await drive.read(code)
         if heard.value is not None and heard.value.number != 0:
@@ -197,7 +197,7 @@ def _by_codes(has: dict[Code, bool | None], software: str) -> tuple[str, str]:
 
 
 def _later_82xx(software: str) -> tuple[str, str]:
-    """Tell 821X, 822X and 824X apart by the software label; the manual knows no other way."""
+    """Distinguish 821X, 822X and 824X by the software label; the manual knows no other way."""
     match = LATER_82XX.search(software)
     if match is not None:
         return f"82{match[1]}x", f"its software label names an {match[0]}"
@@ -209,7 +209,7 @@ def _later_82xx(software: str) -> tuple[str, str]:
 
 
 async def _setpoint_source(drive: DriveQuestions, name: str) -> None:
-    """Say so if the drive takes no setpoints over the line as it is set."""
+    """Remark if the drive takes no setpoints over the line as it is set."""
     if name == "93xx":
         heard = await drive.read(Code(5))
         if heard.value is not None and not heard.text.endswith("1"):

@@ -66,7 +66,7 @@ def propose(
     Args:
         place: The other sections.
         baud: The line's baud rate, bit/s.
-        found: Everything found; what answers at another rate is told in a comment.
+        found: Everything found; what answers at another rate stands in a comment.
         unclear: Addresses from which no whole answer came.
 
     Returns:
@@ -78,7 +78,7 @@ def propose(
 
 
 def _unheld(place: Place, baud: int, found: Sequence[Finding]) -> dict[str, str]:
-    """Find the watchdogs that this line cannot hold: they are told, and not proposed.
+    """Find the watchdogs that this line cannot hold: they are named, and not proposed.
 
     Returns:
         What is wrong with each, by the drive's name.
@@ -140,7 +140,7 @@ def entries(found: Sequence[Finding], unheld: Mapping[str, str]) -> Iterator[str
 
     Args:
         found: The drives.
-        unheld: By name, why a watchdog that acts is told and not proposed.
+        unheld: By name, why a watchdog that acts is named and not proposed.
     """
     for one in found:
         title = "not known" if one.family == "generic" else family(one.family).title
@@ -183,7 +183,7 @@ def _watchdog(one: Finding, unheld: str | None) -> Iterator[str]:
 
 
 def _elsewhere(baud: int, found: Sequence[Finding], unclear: Sequence[Unclear]) -> Iterator[str]:
-    """Tell, in comments, what is on the line and cannot be in this roster."""
+    """Name in comments what is on the line and cannot be in this roster."""
     for one in found:
         if one.baud != baud:
             yield (

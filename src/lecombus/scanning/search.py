@@ -9,13 +9,13 @@ code". Nothing else distinguishes an address without a drive from one whose answ
 * when more was heard than an answer, the addresses asked last are suspects: each is asked again,
   alone and patiently. The line is then called disturbed, and every silent address asked twice.
 * which codes: C0248, C0249, C0046 and C0040 exist in every drive described, and no roster's status
-  set reads them. So a scan through a daemon makes none of its own reads wait for a doubt.
+  set reads them. So a scan through a daemon delays none of the daemon's reads behind a late answer.
 
 With several baud rates the addresses that are most likely are asked at each first: the line's rate
 is then known within seconds, and the whole sweep begins with it.
 
-Before anything is said the line is listened to: a line has one master, and whoever speaks there
-already must not be spoken over.
+Before the first question the line is listened to: a line has one master, and another one that is
+there already must not be disturbed.
 
 Source: EDB2102EN 8.3 (answers repeat the code), 8.3.5 (time monitoring).
 """
@@ -61,7 +61,7 @@ class Plan:
         bauds: Baud rates in the order they are tried.
         thorough: Ask every silent address twice, and go through all baud rates even when drives
             were found at one.
-        listen_s: How long to listen first, seconds; 0 where somebody else has the line already.
+        listen_s: How long to listen first, seconds; 0 where a daemon has the line already.
     """
 
     addresses: tuple[int, ...]
@@ -223,7 +223,7 @@ class Scan:
 
 
 def _question_in(received: bytes) -> int | None:
-    """Give the address of a whole question among bytes, whatever their parity."""
+    """Give the address of a whole question among bytes, of any parity."""
     parser = RequestParser()
     for event in parser.feed(bytes(byte & 0x7F for byte in received)):
         if isinstance(event, ReadRequest | WriteRequest):
