@@ -2,7 +2,8 @@
 
 One loss follows the other: the first when the watchdogs have least time left for it, or when a stop
 is under way; the others hit what goes out directly after it, which by then is mostly feeds. Then
-none for as long as the longest watchdog time. Half of the answers are lost on the way back; else
+none for as long as the longest watchdog time. An exchange that leaves no room for that many at any
+time, such as a read of a module's own slow codes, is hit alone, or not at all. Half of the answers are lost on the way back; else
 the drive has not heard the question, and is not fed by it.
 """
 
@@ -26,6 +27,8 @@ MOST_TOLERATED = 3
 """The most that `line.tolerate` takes."""
 NEAR = 1.2
 """An exchange that leaves the watchdogs no more than this part of the least seen is hit."""
+LAST_PART = 0.1
+"""Of a watchdog time: an exchange that only this part of it holds is no exception."""
 LEARNT_IN = 3.0
 """Watchdog times after which the least seen is forgotten: the load has changed."""
 
@@ -100,8 +103,11 @@ class Losses:
         self._sim.drive_faults.clear()
         if now_s < self._next_s:
             return
+        too_long = not self._left and self._leaves_no_room()
         if not self._left and self._is_worst(now_s):
-            self._left = self._count
+            self._left = 1 if too_long else self._count
+        elif too_long:
+            self._next_s = now_s + self._time_s
         if self._left and address % 10:
             self._left -= 1
             self.lost += 1
@@ -110,6 +116,18 @@ class Losses:
             if not self._left:
                 self._next_s = now_s + self._time_s
                 self._least_s = float("inf")
+
+    def _leaves_no_room(self) -> bool:
+        """Whether what is sent leaves no room for what is tolerated, whenever it begins."""
+        tolerate = self._site.schedule._feeds.faults.tolerate
+        under_way = self._site.worker.talk._under_way
+        feeds = self._site.schedule._feeds
+        if under_way is None or under_way[0].priority is Priority.STOP or tolerate < 2:
+            return False
+        cost_s, worst_s = under_way[0].cost_s, under_way[0].worst_s
+        lost_s = max(feed.worst_s for feed in feeds.by_drive.values())
+        needed_s = (tolerate - 1) * lost_s + max(worst_s, cost_s + lost_s)
+        return needed_s > feeds.most_s(under_way[0].drive)[0] + LAST_PART * feeds.shortest_s()
 
     def _is_worst(self, now_s: float) -> bool:
         under_way = self._site.worker.talk._under_way

@@ -186,6 +186,20 @@ def test_a_drive_late_by_one_lost_answer_is_asked_again_at_once() -> None:
     assert world.sent[1].at_s == pytest.approx(0.55)  # when the vain attempt has ended
 
 
+@pytest.mark.parametrize("tolerate", range(4))
+def test_a_drive_that_lost_no_more_than_is_tolerated_is_asked_again_without_a_pause(
+    tolerate: int,
+) -> None:
+    world = World().drives("a")
+    world.feed("a", 1.0)
+    feed = world.schedule._feeds.by_drive["a"]
+    for lost in range(1, 5):
+        now_s = 0.9 + 0.005 * lost  # late, and its watchdog has not run out
+        feed.failed(now_s, tolerate)
+        pauses = feed.retry_at_s > now_s + 0.001
+        assert pauses is (lost > max(1, tolerate)), lost
+
+
 def test_a_drive_made_late_by_its_own_lost_answer_is_fed_before_a_setpoint_goes() -> None:
     world = World().drives("a", "b")
     world.feed("a", 0.5)

@@ -159,8 +159,13 @@ class Feed:
             self.lapsed = True
             self.lapses += 1
 
-    def failed(self, now_s: float) -> None:
-        """Note that the drive did not answer, and when to try again."""
+    def failed(self, now_s: float, tolerate: int = 0) -> None:
+        """Note that the drive did not answer, and when to try again.
+
+        Args:
+            now_s: Monotonic seconds.
+            tolerate: So many answers may be lost without its watchdog acting.
+        """
         self.failures += 1
         left_s = self.hard_s - now_s
         if left_s <= RETRY_LEAST_S:  # late, but the watchdog may not have fired yet
@@ -170,8 +175,8 @@ class Feed:
             return
         spare = max(SPARE_ATTEMPTS - self.failures, 1)
         pause_s = min(left_s / 2, left_s - spare * self.worst_s)
-        # One lost answer is no reason to be late: if need be it is asked again at once.
-        least_s = 0.0 if self.failures == 1 else RETRY_LEAST_S
+        # A lost answer or two are no reason to be late: if need be it is asked again at once.
+        least_s = 0.0 if self.failures <= max(1, tolerate) else RETRY_LEAST_S
         pause_s = max(pause_s, least_s)
         self.retry_at_s = now_s + pause_s if pause_s > 0.0 else -math.inf
 
