@@ -3,8 +3,8 @@
 One loss follows the other: the first when the watchdogs have least time left for it, or when a stop
 is under way; the others hit what goes out directly after it, which by then is mostly feeds. Then
 none for as long as the longest watchdog time. An exchange that leaves no room for that many at any
-time, such as a read of a module's own slow codes, is hit alone, or not at all. Half of the answers are lost on the way back; else
-the drive has not heard the question, and is not fed by it.
+time, such as a read of a module's own slow codes, is hit alone, or not at all. Half of the answers
+are lost on the way back; else the drive has not heard the question, and is not fed by it.
 """
 
 from __future__ import annotations
