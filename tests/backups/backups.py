@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from lecombus.backups import Backup, Entry, Head, ReadResult
+from lecombus.backups import Backup, BackupEntry, Head, ReadResult
 from lecombus.drives import Family, family, load_family
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
@@ -59,8 +59,8 @@ def backup_of(
     """A backup of a drive whose codes read these texts."""
     drive = family(kind) if isinstance(kind, str) else kind
     head = Head("feeder", "hall-3", address, drive.name, "2026-11-22T01:54:43Z", "0.1.0")
-    entries = [Entry(Code.parse(code), Value.parse(raw)) for code, raw in texts.items()]
-    entries += [Entry(Code.parse(code), None, why) for code, why in (missing or {}).items()]
+    entries = [BackupEntry(Code.parse(code), Value.parse(raw)) for code, raw in texts.items()]
+    entries += [BackupEntry(Code.parse(code), None, why) for code, why in (missing or {}).items()]
     entries.sort(key=lambda entry: entry.code)
     return Backup(head, drive, {entry.code: entry for entry in entries}, name)
 

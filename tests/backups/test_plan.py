@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from backups.backups import DRIVE, TEXT, answers, backup_of
-from lecombus.backups import Plan, ReadResult, make_plan
+from lecombus.backups import ReadResult, RestorePlan, make_plan
 from lecombus.backups.plan import codes_to_read
 from lecombus.drives import family, load_family
 from lecombus.protocol.addressing import Code
@@ -18,7 +18,7 @@ NOW = {
 }  # fmt: skip
 
 
-def plan(now: dict[str, str] | None = None, **more: object) -> Plan:
+def plan(now: dict[str, str] | None = None, **more: object) -> RestorePlan:
     return make_plan(backup_of(DRIVE, FILE), DRIVE, answers(now or NOW), **more)  # type: ignore[arg-type]
 
 

@@ -10,7 +10,7 @@ import pytest
 from lecombus.errors import LineLostError, OperationError
 from lecombus.operations.address_reads import Heard, HeardKind
 from lecombus.protocol.addressing import Code, Form, is_drive_address
-from lecombus.scanning import Ask, Plan, Scan
+from lecombus.scanning import Ask, Scan, ScanPlan
 from lecombus.schedule import Priority
 from support.site_host import Plant, roster_of, until, with_plant
 
@@ -43,7 +43,7 @@ def test_a_scan_beside_fed_drives_finds_the_others_and_no_feed_is_late() -> None
     async def test(plant: Plant) -> None:
         await plant.online()
         since_s = plant.now_s
-        search = Scan(Plan(tuple({*EVERY} - {11, 12, 13}), (19200,), listen_s=0.0))
+        search = Scan(ScanPlan(tuple({*EVERY} - {11, 12, 13}), (19200,), listen_s=0.0))
         await search.run(ByOperations(plant))
         assert sorted((one.address, one.family) for one in search.found) == [
             (21, "93xx"),
@@ -66,7 +66,7 @@ def test_a_scan_beside_fed_drives_finds_the_others_and_no_feed_is_late() -> None
 def test_late_answers_of_the_rosters_drives_make_none_elsewhere(seed: int) -> None:
     async def test(plant: Plant) -> None:
         await until(lambda: plant.site.worker.is_open)
-        search = Scan(Plan(EVERY[20:50], (19200,), listen_s=0.0))
+        search = Scan(ScanPlan(EVERY[20:50], (19200,), listen_s=0.0))
         await search.run(ByOperations(plant))
         assert search.found == []
 

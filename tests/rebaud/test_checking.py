@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from lecombus.protocol.addressing import Code, Form
-from lecombus.rebaud import Place, Subject
+from lecombus.rebaud import DrivePlace, Subject
 from lecombus.simulator import SimDrive
 from lecombus.simulator.motor import Motor
 from support.rebauding import RebaudLine, Write, subject_of
@@ -39,7 +39,7 @@ def turning(family: str, monkeypatch: pytest.MonkeyPatch) -> RebaudLine:
 def test_drives_of_all_families_that_stand_pass_and_nothing_is_written() -> None:
     line = standing(*FAMILIES).check()
     assert line.work.obstacles == []
-    assert set(line.places.values()) == {Place.OLD}
+    assert set(line.places.values()) == {DrivePlace.OLD}
     assert not [one for one in line.steps if isinstance(one, Write)]
 
 
@@ -67,7 +67,7 @@ def test_quick_stop_at_a_frequency_of_0_is_enough(family: str) -> None:
     host.write(address, 40, "1")
     host.write(address, 135, "H0008")
     line.check()
-    assert (line.kinds, line.places) == ([], {family: Place.OLD})
+    assert (line.kinds, line.places) == ([], {family: DrivePlace.OLD})
     said = "in quick stop, output frequency 0; whether its motor still turns it does not measure"
     assert line.work.drives[0].motion == said
 
@@ -187,7 +187,7 @@ def test_a_drive_that_an_earlier_attempt_left_at_the_new_rate_passes() -> None:
     line["822x"].model.params.set(125, "4")
     line.check()
     assert line.work.obstacles == []
-    assert line.places == {"822x": Place.NEW, "8200vector": Place.OLD}
+    assert line.places == {"822x": DrivePlace.NEW, "8200vector": DrivePlace.OLD}
 
 
 @pytest.mark.parametrize(
@@ -219,4 +219,4 @@ def test_an_interruption_ends_it_before_the_next_telegram() -> None:
     line.before = interrupt
     line.check()
     assert len(line.steps) == 3
-    assert set(line.places.values()) == {Place.UNSEEN}
+    assert set(line.places.values()) == {DrivePlace.UNSEEN}

@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from lecombus.rebaud import Ending, Place, ending_of, situation, what_to_do
+from lecombus.rebaud import DrivePlace, RebaudEnd, ending_of, situation, what_to_do
 from lecombus.simulator import SimDrive
 from rebaud.test_checking import FAMILIES, standing
 from support.rebauding import Read, RebaudLine, Step, Write, baud_of
@@ -29,8 +29,8 @@ def test_drives_of_all_families_follow_and_are_confirmed(new: int) -> None:
     line.work.new = new
     line.check().move()
     assert set(line.rates.values()) == {new}
-    assert set(line.places.values()) == {Place.NEW}
-    assert ending_of(line.work) is Ending.MOVED
+    assert set(line.places.values()) == {DrivePlace.NEW}
+    assert ending_of(line.work) is RebaudEnd.MOVED
     for name in FAMILIES:
         assert line.writes(name)[0].code == baud_of(name)
     assert told(line) == [
@@ -47,7 +47,7 @@ def test_acknowledgements_at_the_old_rate_are_as_good(monkeypatch: pytest.Monkey
     line = standing(*THREE).check()
     acknowledge_first(line, monkeypatch)
     line.move()
-    assert set(line.places.values()) == {Place.NEW}
+    assert set(line.places.values()) == {DrivePlace.NEW}
     assert [len(line.writes(name)) for name in THREE] == [1, 1, 1]
     last = max(place for place, one in enumerate(line.steps) if isinstance(one, Write))
     assert {one.baud for one in line.steps[last + 1 :]} == {19200}, "nobody is looked for in vain"
@@ -86,7 +86,7 @@ def test_a_93xx_that_did_not_save_is_named_with_what_to_do() -> None:
         line, "lose_acks", isinstance(step, Write) and step.code.number == 3
     )
     line.move()
-    assert ending_of(line.work) is Ending.MOVED
+    assert ending_of(line.work) is RebaudEnd.MOVED
     assert "falls back to 9600 baud when it is switched off" in told(line)[1]
     assert situation(line.work.drives[0], line.work) == "at 19200 baud, not saved"
 
@@ -104,7 +104,7 @@ def test_a_write_that_never_arrived_is_repeated_after_both_rates_were_asked() ->
 
     line.before = before
     line.move()
-    assert set(line.places.values()) == {Place.NEW}
+    assert set(line.places.values()) == {DrivePlace.NEW}
     assert len(line.writes("8200vector")) == 2
     first, second = (
         place for place, one in enumerate(line.steps)
@@ -123,7 +123,7 @@ def test_a_drive_that_refuses_ends_the_writing_and_the_others_are_left() -> None
     assert line.rates == {"822x": 19200, "8200vector": 9600, "smvector": 9600}
     assert (len(line.writes("8200vector")), len(line.writes("smvector"))) == (2, 0)
     assert line.why("8200vector").startswith("it does not take 19200 baud")
-    assert ending_of(line.work) is Ending.MIXED
+    assert ending_of(line.work) is RebaudEnd.MIXED
     assert told(line)[:2] == [
         "to go on: lecombus rebaud 19200 -c bench.yaml",
         "to go back: lecombus rebaud 9600 --from 19200 -c bench.yaml",
@@ -149,7 +149,7 @@ def test_a_93xx_that_was_there_from_the_start_saves_when_it_is_brought_back() ->
     line.move()
     assert line.places == {"93xx": "new", "8200vector": "old"}
     line.back()
-    assert ending_of(line.work) is Ending.UNCHANGED
+    assert ending_of(line.work) is RebaudEnd.UNCHANGED
     assert [one.code.number for one in line.writes("93xx")] == [125, 3]
     line["93xx"].power_cycle(line.scanned.host.now_s)
     line.scanned.host.wait(30.0)
@@ -172,7 +172,7 @@ def test_the_way_back_after_a_refusal() -> None:
     assert line.places == {"822x": "new", "93xx": "new", "8200vector": "old"}
     line.back()
     assert set(line.rates.values()) == {9600}
-    assert ending_of(line.work) is Ending.UNCHANGED
+    assert ending_of(line.work) is RebaudEnd.UNCHANGED
     assert "every drive is at 9600 baud as before" in told(line)[-1]
     assert [one.code.number for one in line.writes("93xx")] == [125, 125], "nothing was saved"
 
@@ -187,7 +187,7 @@ def test_a_drive_that_goes_silent_is_said_to_be_lost_and_comes_back_when_it_answ
     line.before = before
     line.move()
     assert line.places == {"822x": "new", "8200vector": "lost", "smvector": "old"}
-    assert ending_of(line.work) is Ending.MIXED
+    assert ending_of(line.work) is RebaudEnd.MIXED
     assert told(line)[0] == (
         "8200vector: switch it off and on; look at C0125 at its keypad (0 is 9600, 4 is 19200 baud)"
     )
@@ -195,7 +195,7 @@ def test_a_drive_that_goes_silent_is_said_to_be_lost_and_comes_back_when_it_answ
     assert line.places == {"822x": "old", "8200vector": "lost", "smvector": "old"}
     line["8200vector"].present = True
     line.back()
-    assert set(line.places.values()) == {Place.OLD}
+    assert set(line.places.values()) == {DrivePlace.OLD}
 
 
 def test_a_drive_that_took_it_and_then_went_silent_is_brought_back_from_the_new_rate() -> None:
@@ -211,7 +211,7 @@ def test_a_drive_that_took_it_and_then_went_silent_is_brought_back_from_the_new_
     line.before = lambda _: setattr(line["8200vector"], "present", True)
     line.back()
     assert set(line.rates.values()) == {9600}
-    assert set(line.places.values()) == {Place.OLD}
+    assert set(line.places.values()) == {DrivePlace.OLD}
 
 
 def test_a_drive_that_changes_only_when_switched_on_again_is_pending(
@@ -261,9 +261,9 @@ def test_an_interruption_ends_it_and_nothing_is_claimed_that_was_not_seen(after:
     line.move()
     assert len(line.steps) <= began + after
     for drive in line.work.drives:
-        if drive.place in (Place.OLD, Place.NEW):
+        if drive.place in (DrivePlace.OLD, DrivePlace.NEW):
             assert drive.rate == line[drive.name].baud, after
-        if drive.place is Place.WRITTEN:
+        if drive.place is DrivePlace.WRITTEN:
             assert line.writes(drive.name), "nothing was sent to it"
 
 

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from lecombus.config import RosterError, WatchdogEntry, parse_roster
 from lecombus.drives import FAMILY_NAMES, family
 from lecombus.protocol.addressing import Code, is_drive_address
-from lecombus.scanning import Finding, FoundWatchdog, Place, Unclear, check_place, propose
+from lecombus.scanning import Finding, FoundWatchdog, ProposedLine, Unclear, check_place, propose
 
-PLACE = Place("hall-3", "/dev/serial/by-id/usb-x")
+PLACE = ProposedLine("hall-3", "/dev/serial/by-id/usb-x")
 
 
 def finding(address: int, name: str = "822x", **more: object) -> Finding:
@@ -90,7 +90,9 @@ def test_more_than_31_drives_need_repeaters() -> None:
 
 
 def test_parity_direction_and_socket_are_kept_and_late_drives_given_time() -> None:
-    place = Place("x", "socket://192.0.2.7:4001", "port", "adapter", "/tmp/x.sock", "/tmp/x.json")
+    place = ProposedLine(
+        "x", "socket://192.0.2.7:4001", "port", "adapter", "/tmp/x.sock", "/tmp/x.json"
+    )
     _, roster = propose(place, 1200, [Finding(11, 1200, "822x", True, "", late=True)])
     assert (roster.line.parity, roster.api.socket) == ("port", "/tmp/x.sock")
     assert roster.state == "/tmp/x.json"
@@ -104,7 +106,9 @@ def test_whatever_a_drive_says_stays_in_its_comment(label: str, why: str, name: 
     assert [drive.family for drive in roster.drives] == [name]
 
 
-@pytest.mark.parametrize("place", [Place("hall 3", "/dev/x"), Place("x", "COM1"), Place("", "/x")])
-def test_a_name_or_port_no_roster_takes_is_refused_beforehand(place: Place) -> None:
+@pytest.mark.parametrize(
+    "place", [ProposedLine("hall 3", "/dev/x"), ProposedLine("x", "COM1"), ProposedLine("", "/x")]
+)
+def test_a_name_or_port_no_roster_takes_is_refused_beforehand(place: ProposedLine) -> None:
     with pytest.raises(RosterError):
         check_place(place)

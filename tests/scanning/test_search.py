@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from lecombus.protocol.addressing import is_drive_address
-from lecombus.scanning import Ask, ForeignTalkError, Heard, Plan, Scan
+from lecombus.scanning import Ask, ForeignTalkError, Heard, Scan, ScanPlan
 from lecombus.simulator import SimLine, build
 from lecombus.simulator.wire import PARITY_TABLE
 from support.scanning import ScannedLine
@@ -36,7 +36,7 @@ def scan(
     thorough: bool = False,
 ) -> tuple[Scan, ScannedLine]:
     scanned = ScannedLine(line)
-    search = Scan(Plan(addresses, bauds, thorough))
+    search = Scan(ScanPlan(addresses, bauds, thorough))
     scanned.run(search.run(scanned))
     assert scanned.writes == 0
     return search, scanned
@@ -140,7 +140,7 @@ def test_a_line_on_which_somebody_speaks_already_is_not_spoken_on() -> None:
     scanned = ScannedLine(line)
     scanned.host.say(read_telegram(11, 150))  # the other master; the drive answers it
     with pytest.raises(ForeignTalkError, match="bytes arrive though nothing was asked"):
-        scanned.run(Scan(Plan(EVERY, (9600,))).run(scanned))
+        scanned.run(Scan(ScanPlan(EVERY, (9600,))).run(scanned))
     assert scanned.asked == []
 
 
@@ -154,5 +154,5 @@ def test_another_masters_question_ends_the_scan() -> None:
 
     scanned = Overheard(build([], baud=9600))
     with pytest.raises(ForeignTalkError, match="asks for address 77"):
-        scanned.run(Scan(Plan(EVERY, (9600,))).run(scanned))
+        scanned.run(Scan(ScanPlan(EVERY, (9600,))).run(scanned))
     assert len(scanned.asked) == 20

@@ -14,8 +14,8 @@ from lecombus.drives.access import ReadResult, WriteResult, is_passing
 
 from .access import Listener, RestoreAccess
 from .compare import Comparison, Difference, compare
-from .document import Backup, Entry, Head, Section, section_of, wanted_codes
-from .plan import Plan, Skip, Step, make_plan
+from .document import Backup, BackupEntry, Head, Section, section_of, wanted_codes
+from .plan import RestorePlan, RestoreStep, Skip, make_plan
 from .progress import Progress, done_line, head_line, read_progress
 from .reading import read_backup
 from .restoring import Restored, is_inhibited, restore
@@ -24,19 +24,19 @@ from .writing import write_backup
 
 __all__ = [
     "Backup",
+    "BackupEntry",
     "Comparison",
     "Difference",
-    "Entry",
     "Head",
     "Listener",
-    "Plan",
     "Progress",
     "ReadResult",
     "RestoreAccess",
+    "RestorePlan",
+    "RestoreStep",
     "Restored",
     "Section",
     "Skip",
-    "Step",
     "Taken",
     "WriteResult",
     "compare",

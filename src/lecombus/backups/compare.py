@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from lecombus.protocol.addressing import Code
 
-from .document import Backup, Entry, Section, is_own, section_of
+from .document import Backup, BackupEntry, Section, is_own, section_of
 from .writing import meaning_of
 
 __all__ = ["Comparison", "Difference", "compare"]
@@ -37,8 +37,8 @@ class Difference:
     code: Code
     name: str
     unit: str | None
-    one: Entry | None
-    other: Entry | None
+    one: BackupEntry | None
+    other: BackupEntry | None
     meaning_one: str = ""
     meaning_other: str = ""
 
@@ -96,7 +96,7 @@ def is_compared(one: Backup, other: Backup, code: Code) -> bool:
     )
 
 
-def is_same(one: Entry | None, other: Entry | None) -> bool:
+def is_same(one: BackupEntry | None, other: BackupEntry | None) -> bool:
     """Whether two entries say the same; both unread for the same reason do."""
     if one is None or other is None:
         return False

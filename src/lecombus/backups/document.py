@@ -18,7 +18,7 @@ from lecombus.drives import CodeInfo, Family, Storage, WriteClass, must_be_same
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Format, Value
 
-__all__ = ["Backup", "Entry", "Head", "Section", "is_own", "section_of", "wanted_codes"]
+__all__ = ["Backup", "BackupEntry", "Head", "Section", "is_own", "section_of", "wanted_codes"]
 
 
 class Section(StrEnum):
@@ -58,7 +58,7 @@ class Head:
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class BackupEntry:
     """One code of a backup.
 
     Args:
@@ -87,10 +87,10 @@ class Backup:
 
     head: Head
     family: Family
-    entries: Mapping[Code, Entry] = field(default_factory=dict)
+    entries: Mapping[Code, BackupEntry] = field(default_factory=dict)
     name: str = ""
 
-    def of(self, section: Section) -> list[Entry]:
+    def of(self, section: Section) -> list[BackupEntry]:
         """Give the entries that were read and belong into a section, in order."""
         return [
             entry for entry in self.entries.values()
@@ -98,7 +98,7 @@ class Backup:
         ]  # fmt: skip
 
     @property
-    def not_read(self) -> list[Entry]:
+    def not_read(self) -> list[BackupEntry]:
         """The entries that could not be read, in order."""
         return [entry for entry in self.entries.values() if entry.value is None]
 

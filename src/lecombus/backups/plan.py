@@ -27,14 +27,14 @@ from lecombus.errors import CodeValueError
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 
-from .document import Backup, Entry, Section, section_of
+from .document import Backup, BackupEntry, Section, section_of
 from .writing import meaning_of
 
-__all__ = ["Plan", "Skip", "Step", "codes_to_read", "make_plan"]
+__all__ = ["RestorePlan", "RestoreStep", "Skip", "codes_to_read", "make_plan"]
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class RestoreStep:
     """One write of a restore.
 
     Args:
@@ -76,7 +76,7 @@ class Skip:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class RestorePlan:
     """What a restore would do.
 
     Args:
@@ -90,7 +90,7 @@ class Plan:
     """
 
     family: Family
-    steps: tuple[Step, ...]
+    steps: tuple[RestoreStep, ...]
     same: Mapping[Code, Value]
     skips: tuple[Skip, ...]
     blockers: tuple[str, ...] = ()
@@ -120,7 +120,7 @@ def make_plan(
     *,
     owned: Collection[Code] = (),
     other_drive: bool = False,
-) -> Plan:
+) -> RestorePlan:
     """Make a plan.
 
     Args:
@@ -135,8 +135,8 @@ def make_plan(
             f"the backup is of a {backup.family.name}, the drive is a {family.name}: "
             "the same code means something else there"
         )
-        return Plan(family, (), {}, (), (wrong,))
-    steps: list[Step] = []
+        return RestorePlan(family, (), {}, (), (wrong,))
+    steps: list[RestoreStep] = []
     skips: list[Skip] = []
     same: dict[Code, Value] = {}
     wrong_values: list[str] = []
@@ -161,13 +161,13 @@ def make_plan(
     strange = strangers(backup, family, now)
     blockers = (*wrong_values, *(() if other_drive else strange))
     remarks = (*outside(family, steps), *(strange if other_drive else ()))
-    return Plan(
+    return RestorePlan(
         family, tuple(steps), same, tuple(skips), tuple(blockers), tuple(remarks), saving(family)
     )
 
 
 def why_skipped(
-    family: Family, entry: Entry, now: Mapping[Code, ReadResult], owned: Collection[Code]
+    family: Family, entry: BackupEntry, now: Mapping[Code, ReadResult], owned: Collection[Code]
 ) -> str | None:
     """Say why an entry is left out; None where it is not."""
     why = not_restored(family, entry.code, owned)
@@ -182,20 +182,20 @@ def why_skipped(
     return None
 
 
-def skip(family: Family, entry: Entry, why: str, owned: Collection[Code]) -> Skip:
+def skip(family: Family, entry: BackupEntry, why: str, owned: Collection[Code]) -> Skip:
     """Describe what is left out."""
     info = family.info(entry.code)
     process = section_of(family, entry.code) in (Section.PROCESS, Section.IDENTITY)
     return Skip(entry.code, "" if info is None else info.name, why, expected=process)
 
 
-def step(family: Family, code: Code, now: Value, value: Value) -> Step:
+def step(family: Family, code: Code, now: Value, value: Value) -> RestoreStep:
     """Describe a write."""
     info = family.info(code)
     assert info is not None
     rule = restore_rule(family, code)
     name = " ".join(filter(None, (family.keypad_name(code), info.name)))
-    return Step(
+    return RestoreStep(
         code,
         name,
         info.unit,
@@ -224,7 +224,7 @@ def strangers(backup: Backup, family: Family, now: Mapping[Code, ReadResult]) ->
     return tuple(said)
 
 
-def outside(family: Family, steps: list[Step]) -> tuple[str, ...]:
+def outside(family: Family, steps: list[RestoreStep]) -> tuple[str, ...]:
     """Say which values the manual does not know; the drive has the last word on them."""
     said = []
     for one in steps:

@@ -19,7 +19,7 @@ from lecombus.errors import CodeValueError
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 
-from .document import Backup, Entry, Head, Section
+from .document import Backup, BackupEntry, Head, Section
 from .writing import FORMAT_KEY, FORMAT_VERSION, NOT_READ
 
 __all__ = ["read_backup"]
@@ -94,7 +94,7 @@ def read_backup(text: str, file: str) -> Backup:
         version=backup.lecombus,
     )
     read = document.read(_BackupFile)
-    entries: dict[Code, Entry] = {}
+    entries: dict[Code, BackupEntry] = {}
     for section in (*Section, NOT_READ):
         values: dict[str, Value | str] = getattr(read, section.replace("-", "_"))
         for key, value in values.items():
@@ -114,12 +114,12 @@ def read_backup(text: str, file: str) -> Backup:
     return Backup(head, family(head.family), dict(sorted(entries.items())), name=file)
 
 
-def _entry(document: YamlFile, section: str, key: str, value: Value | str) -> Entry:
+def _entry(document: YamlFile, section: str, key: str, value: Value | str) -> BackupEntry:
     place = document.place(section, key, KEY)
     try:
         code = Code.parse(key)
     except CodeValueError as exc:
         raise document.error(str(exc), section, key, KEY) from exc
     if isinstance(value, Value):
-        return Entry(code, value, place=place)
-    return Entry(code, None, missing=value, place=place)
+        return BackupEntry(code, value, place=place)
+    return BackupEntry(code, None, missing=value, place=place)

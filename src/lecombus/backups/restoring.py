@@ -26,7 +26,7 @@ from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 
 from .access import Listener, RestoreAccess, wait_until_usable
-from .plan import Plan, Step
+from .plan import RestorePlan, RestoreStep
 from .taking import take
 
 __all__ = ["Restored", "is_inhibited", "restore"]
@@ -77,7 +77,7 @@ class StopRestoreError(Exception):
 
 async def restore(
     access: RestoreAccess,
-    plan: Plan,
+    plan: RestorePlan,
     *,
     patience_s: float,
     listener: Listener,
@@ -116,7 +116,7 @@ class Work:
     def __init__(
         self,
         access: RestoreAccess,
-        plan: Plan,
+        plan: RestorePlan,
         patience_s: float,
         listener: Listener,
         written: Callable[[Code, Value], None],
@@ -206,7 +206,7 @@ class Work:
             raise StopRestoreError(f"not saved by {code}: {said.text}")
         self.result.saved = True
 
-    async def _write_each(self, steps: Sequence[Step]) -> None:
+    async def _write_each(self, steps: Sequence[RestoreStep]) -> None:
         for step in steps:
             said = await self._write(step)
             if said.done:
@@ -219,7 +219,7 @@ class Work:
             self._settled = len(self.result.written) + len(self.result.refused)
             self._listener.advance(self._settled, len(self._plan.steps))
 
-    async def _write(self, step: Step) -> WriteResult:
+    async def _write(self, step: RestoreStep) -> WriteResult:
         """Write one code until it is clear what came of it.
 
         Raises:

@@ -21,7 +21,7 @@ import yaml
 from lecombus.drives import CodeInfo, Family
 from lecombus.protocol.values import Value
 
-from .document import Backup, Entry, Section
+from .document import Backup, BackupEntry, Section
 
 __all__ = ["FORMAT_KEY", "FORMAT_VERSION", "NOT_READ", "meaning_of", "write_backup"]
 
@@ -79,7 +79,7 @@ def write_backup(backup: Backup) -> str:
     return INTRODUCTION + "\n".join(lines) + "\n"
 
 
-def entry_lines(family: Family, entries: Iterable[Entry]) -> Iterator[str]:
+def entry_lines(family: Family, entries: Iterable[BackupEntry]) -> Iterator[str]:
     """Give one line for each entry, and a comment where another parameter set begins."""
     parameter_set = 1
     for entry in entries:
@@ -92,7 +92,7 @@ def entry_lines(family: Family, entries: Iterable[Entry]) -> Iterator[str]:
         yield f"{text:<{COMMENT_COLUMN - 1}} # {comment}" if comment else text
 
 
-def value_text(entry: Entry) -> str:
+def value_text(entry: BackupEntry) -> str:
     """Return a value, or why there is none, as it stands in the file."""
     if entry.value is None:
         return quoted(entry.missing)
@@ -100,7 +100,7 @@ def value_text(entry: Entry) -> str:
     return raw if _PLAIN.fullmatch(raw) else quoted(raw)
 
 
-def comment_of(family: Family, info: CodeInfo | None, entry: Entry) -> str:
+def comment_of(family: Family, info: CodeInfo | None, entry: BackupEntry) -> str:
     """Return what a person wants to know of a line: name, unit, meaning, or why it is missing."""
     if info is None:
         return ""

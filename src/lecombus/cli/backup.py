@@ -13,7 +13,7 @@ import click
 from lecombus import __version__
 from lecombus.backups import (
     Backup,
-    Entry,
+    BackupEntry,
     Head,
     Listener,
     ReadResult,
@@ -133,7 +133,7 @@ async def read_drive(
     codes = wanted_codes(kind, also)
     taken = await take(drive, codes, patience_s=patience_s, listener=listener)
     entries = {
-        code: Entry(code, answer.value, missing=answer.kind)
+        code: BackupEntry(code, answer.value, missing=answer.kind)
         for code, answer in taken.answers.items()
         if answer.value is not None or kind.info(code) is not None
     }
@@ -170,7 +170,7 @@ def summary(backup: Backup, output: Path | None, left: Sequence[ReadResult]) -> 
     }
 
 
-def entry_json(backup: Backup, entry: Entry) -> dict[str, Json]:
+def entry_json(backup: Backup, entry: BackupEntry) -> dict[str, Json]:
     """Return the JSON form of one code."""
     info = backup.family.info(entry.code)
     return {

@@ -9,7 +9,7 @@ from pathlib import Path
 import anyio
 import click
 
-from lecombus.backups import Backup, Comparison, Difference, Entry, Listener, compare
+from lecombus.backups import Backup, BackupEntry, Comparison, Difference, Listener, compare
 from lecombus.cli.arguments import daemon_options, wait_option
 from lecombus.cli.backup import incomplete, read_drive
 from lecombus.cli.backup_files import load_backup
@@ -122,7 +122,7 @@ def show(found: Comparison, one: str, other: str) -> None:
         click.echo("there is nothing to compare", err=True)
 
 
-def shown(entry: Entry | None, meaning: str) -> str:
+def shown(entry: BackupEntry | None, meaning: str) -> str:
     """Return one side of a difference."""
     if entry is None:
         return "not there"
@@ -145,7 +145,7 @@ def comparison_json(found: Comparison) -> dict[str, Json]:
 def difference_json(each: Difference) -> dict[str, Json]:
     """Return the JSON form of one difference."""
 
-    def side(entry: Entry | None) -> Json:
+    def side(entry: BackupEntry | None) -> Json:
         return None if entry is None or entry.value is None else entry.value.raw
 
     return {

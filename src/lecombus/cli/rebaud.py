@@ -24,7 +24,7 @@ from lecombus.drives.identity import identity_codes
 from lecombus.errors import LecombusError
 from lecombus.line.loop import run
 from lecombus.protocol import BAUDS, Code
-from lecombus.rebaud import Drive, Ending, LineAccess, Place, Rebaud, Subject, ending_of
+from lecombus.rebaud import Drive, DrivePlace, LineAccess, Rebaud, RebaudEnd, Subject, ending_of
 from lecombus.state import State
 
 __all__ = ["command"]
@@ -234,16 +234,16 @@ def _ask_drives(work: Rebaud, roster: Roster, *, quiet: bool) -> None:
 def _do(work: Rebaud, wish: Wish) -> int:
     """Ask, move, offer the way back, and say how it came out."""
     _make_sure(work, wish)
-    trouble = _try(work, work.move, wish, Place.NEW, work.new)
+    trouble = _try(work, work.move, wish, DrivePlace.NEW, work.new)
     went_back = False
-    if ending_of(work) is Ending.MIXED and not work.line.interrupted and _wants_back(work, wish):
+    if ending_of(work) is RebaudEnd.MIXED and not work.line.interrupted and _wants_back(work, wish):
         went_back = True
-        trouble = _try(work, work.back, wish, Place.OLD, work.old)
+        trouble = _try(work, work.back, wish, DrivePlace.OLD, work.old)
     show_end(work, wish.roster, trouble, as_json=wish.as_json)
     if work.line.interrupted:
         return Exit.INTERRUPTED
     unsaved = any(drive.saved is False for drive in work.drives)
-    moved = ending_of(work) is Ending.MOVED and not went_back
+    moved = ending_of(work) is RebaudEnd.MOVED and not went_back
     return Exit.DONE if moved and not unsaved else Exit.FAILED
 
 
@@ -277,7 +277,7 @@ def _carry(work: Rebaud, procedure: Procedure, roster: Roster, shown: Shown) -> 
         run(carry_out, procedure, roster, subjects, interrupt, watch)
 
 
-def _try(work: Rebaud, procedure: Procedure, wish: Wish, aim: Place, baud: int) -> str:
+def _try(work: Rebaud, procedure: Procedure, wish: Wish, aim: DrivePlace, baud: int) -> str:
     """Carry out a procedure; return what ended it early, empty where nothing did.
 
     After an error the user must still see where the drives are.

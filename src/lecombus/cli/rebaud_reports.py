@@ -9,7 +9,7 @@ import click
 from lecombus.cli.screen import on_terminal, show_rows
 from lecombus.config import Roster
 from lecombus.drives import saving_rule
-from lecombus.rebaud import Drive, Place, Rebaud, ending_of, situation, what_to_do
+from lecombus.rebaud import Drive, DrivePlace, Rebaud, ending_of, situation, what_to_do
 
 __all__ = ["show_end", "show_plan"]
 
@@ -36,7 +36,7 @@ def _now(drive: Drive) -> str:
 
 
 def _step(drive: Drive, work: Rebaud) -> str:
-    if drive.place is Place.NEW or drive.rate is None:
+    if drive.place is DrivePlace.NEW or drive.rate is None:
         return ""
     subject = drive.subject
     rule = saving_rule(subject.family)

@@ -16,9 +16,9 @@ import click
 from lecombus.backups import (
     Backup,
     Listener,
-    Plan,
     Progress,
     Restored,
+    RestorePlan,
     is_inhibited,
     make_plan,
     read_backup,
@@ -87,7 +87,7 @@ class Seen:
 
     whose: Whose
     rights: RestoreRights
-    plan: Plan
+    plan: RestorePlan
     enabled: bool | None
 
 
@@ -278,7 +278,7 @@ def make_sure(wish: Wish) -> None:
 
 async def work(
     wish: Wish,
-    plan: Plan,
+    plan: RestorePlan,
     notes: Notes,
     unsaved: bool,
     socket: str | None,

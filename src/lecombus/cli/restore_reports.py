@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from lecombus.backups import Plan, Restored, Skip, Step
+from lecombus.backups import Restored, RestorePlan, RestoreStep, Skip
 from lecombus.cli.screen import counted, on_terminal, show_rows
 from lecombus.protocol import Value
 from lecombus.readings import Json
@@ -12,7 +12,7 @@ from lecombus.readings import Json
 __all__ = ["plan_json", "result_json", "show_interrupted", "show_plan", "show_result"]
 
 
-def show_plan(plan: Plan, drive: str, *, enabled: bool | None, enable: bool) -> None:
+def show_plan(plan: RestorePlan, drive: str, *, enabled: bool | None, enable: bool) -> None:
     """Print what would be written, what is left out, and what should be known before.
 
     Args:
@@ -44,7 +44,7 @@ def show_plan(plan: Plan, drive: str, *, enabled: bool | None, enable: bool) -> 
         click.echo(f"at the end {plan.save[0]} = {plan.save[1]} saves it all", err=True)
 
 
-def headline(plan: Plan, drive: str) -> str:
+def headline(plan: RestorePlan, drive: str) -> str:
     """Return the plan in one line."""
     expected = sum(skip.expected for skip in plan.skips)
     parts = [f"{len(plan.steps)} to write", f"{len(plan.same)} right already"]
@@ -55,7 +55,7 @@ def headline(plan: Plan, drive: str) -> str:
     return f"{drive}: " + ", ".join(parts)
 
 
-def worth_telling(plan: Plan) -> list[Skip]:
+def worth_telling(plan: RestorePlan) -> list[Skip]:
     """Give what is left out and somebody might miss: not every process value."""
     return [skip for skip in plan.skips if not skip.expected]
 
@@ -65,7 +65,7 @@ def told(value: Value, meaning: str) -> str:
     return f"{value} ({meaning})" if meaning else value.raw
 
 
-def show_result(plan: Plan, result: Restored, drive: str, *, enabled: bool) -> None:
+def show_result(plan: RestorePlan, result: Restored, drive: str, *, enabled: bool) -> None:
     """Print how it ended."""
     rows = [
         (str(code), "refused", plan.wanted[code].raw, "", why)
@@ -102,7 +102,7 @@ def show_result(plan: Plan, result: Restored, drive: str, *, enabled: bool) -> N
         click.echo(f"{drive} {told} inhibited now: take it for one that may start", err=True)
 
 
-def show_interrupted(plan: Plan, result: Restored, drive: str) -> None:
+def show_interrupted(plan: RestorePlan, result: Restored, drive: str) -> None:
     """Say what a restore that was cut short by Ctrl-C has done, and how to go on."""
     written = len(result.written)
     of = f"{written} of {counted(len(plan.steps), 'code')}"
@@ -115,7 +115,7 @@ def show_interrupted(plan: Plan, result: Restored, drive: str) -> None:
     )
 
 
-def plan_json(plan: Plan, drive: str) -> dict[str, Json]:
+def plan_json(plan: RestorePlan, drive: str) -> dict[str, Json]:
     """Return the plan's JSON form."""
     return {
         "drive": drive,
@@ -127,7 +127,7 @@ def plan_json(plan: Plan, drive: str) -> dict[str, Json]:
     }
 
 
-def step_json(step: Step) -> dict[str, Json]:
+def step_json(step: RestoreStep) -> dict[str, Json]:
     """Return the JSON form of one write."""
     return {
         "code": str(step.code),
@@ -139,7 +139,7 @@ def step_json(step: Step) -> dict[str, Json]:
     }
 
 
-def result_json(plan: Plan, result: Restored, drive: str) -> dict[str, Json]:
+def result_json(plan: RestorePlan, result: Restored, drive: str) -> dict[str, Json]:
     """Return the result's JSON form, with the plan it came from."""
     return {
         **plan_json(plan, drive),

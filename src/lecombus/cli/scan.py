@@ -24,7 +24,16 @@ from lecombus.drives import family, read_cost
 from lecombus.line.loop import run
 from lecombus.line.unheard import END_IT, others_at, shared
 from lecombus.protocol import BAUDS, Code, Form, is_drive_address
-from lecombus.scanning import Finding, Place, Plan, Scan, check_place, entries, propose, why_nothing
+from lecombus.scanning import (
+    Finding,
+    ProposedLine,
+    Scan,
+    ScanPlan,
+    check_place,
+    entries,
+    propose,
+    why_nothing,
+)
 
 __all__ = ["command"]
 
@@ -154,12 +163,12 @@ def command(
 
 
 def _on_own_port(wish: Wish, line: LineEntry) -> int:
-    place = Place(
+    place = ProposedLine(
         line.name, line.port, line.parity, line.direction, _socket(line.name),
         _state(line.name, wish.output),
     )  # fmt: skip
     check_place(place)
-    scan = Scan(Plan(wish.addresses, wish.bauds, wish.thorough))
+    scan = Scan(ScanPlan(wish.addresses, wish.bauds, wish.thorough))
     with ScanProgress(scan, _look_s(line, wish.bauds[0])) as progress:
         bytes_heard = run(scan_own_port, scan, line, progress.watch)
     others = others_at(line.port)
@@ -191,7 +200,7 @@ def _through_daemon(wish: Wish, socket: str | None, url: str | None) -> int:
                 Exit.USAGE, Problem("the roster has all of these addresses", "name others")
             )
         baud = line.baud
-        scan = Scan(Plan(addresses, (baud,), wish.thorough, listen_s=0.0))
+        scan = Scan(ScanPlan(addresses, (baud,), wish.thorough, listen_s=0.0))
         with ScanProgress(scan, _look_s(line, baud)) as progress:
             scan_by_daemon(scan, daemon, progress.watch)
         silence = daemon.get("/v1/line").data.get("remarks", {}).get("silence")

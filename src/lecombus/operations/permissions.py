@@ -1,10 +1,13 @@
-"""Whether a write may be made now, and what goes on the wire for it.
+"""Whether a write may be made now, and the value that goes on the wire for it.
 
-Here stands what is true of every write: which codes the roster lets be written,
-that a drive which is offline, not yet audited or locked is not written to, and how a user's value
-becomes the wire's. Stops are asked none of this.
+True of every write: which codes the roster lets be written, that a drive which is offline, not yet
+audited or locked is not written to, and how a user's value becomes the wire's. Stops need none of
+this.
 
-What must not live here: sending anything.
+A restore writes far more than the `writable` list of a roster allows, so it has a separate
+permission in the roster (`restore: true`). That opens no more than a backup holds: parameters that
+the family describes as settings, and the code that saves them; no commands, setpoints, addresses
+and nothing that lecombus itself sets from the roster.
 """
 
 from __future__ import annotations
@@ -13,12 +16,19 @@ from collections.abc import Collection, Mapping
 from decimal import Decimal
 
 from lecombus.config import DriveEntry
-from lecombus.drives import Family, check_allowed, encode_for, moves_drive, shifts_addressing
+from lecombus.drives import (
+    Family,
+    check_allowed,
+    encode_for,
+    moves_drive,
+    not_restored,
+    saving_rule,
+    shifts_addressing,
+)
 from lecombus.errors import CodeValueError, LineClosedError, OperationError
 from lecombus.line.station import Station
 from lecombus.operations.reports import RestoreRights
 from lecombus.operations.requests import Requests
-from lecombus.operations.restores import check_restored, rights_of
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 from lecombus.readings import DriveState, LineState
@@ -176,3 +186,49 @@ def listed(writable: Collection[Code], family: Family) -> str:
     if not writable:
         return "nothing may be written"
     return f"{', '.join(map(family.spoken, sorted(writable)))} may be written"
+
+
+def rights_of(entry: DriveEntry, family: Family, locked: str | None) -> RestoreRights:
+    """Say whether a backup may be restored into a drive, and what the roster sets itself.
+
+    Args:
+        entry: What the roster says of the drive.
+        family: Its family.
+        locked: Why nothing at all is written to it; None where something is.
+    """
+    owned: tuple[Code, ...] = ()
+    traits = family.watchdog
+    if entry.watchdog is not None and entry.watchdog.configure and traits is not None:
+        owned = (traits.action_code, traits.time_code)
+    reason, remedy = "", ""
+    if not entry.restore:
+        reason = f"the roster does not let {entry.name} be restored"
+        remedy = "write `restore: true` for this drive into the roster and reload it (SIGHUP)"
+    elif locked is not None:
+        reason = f"nothing is written to {entry.name}: {locked}"
+        remedy = "see `lecombus status`"
+    return RestoreRights(entry.name, not reason, owned, reason, remedy)
+
+
+def check_restored(
+    rights: RestoreRights, family: Family, code: Code, value: Decimal | int | str
+) -> None:
+    """Refuse what a restore does not write.
+
+    Raises:
+        OperationError: `not-writable`.
+    """
+    why, remedy = rights.reason, rights.remedy
+    saving = saving_rule(family)
+    saves = saving is not None and code in saving.codes and str(value) == str(saving.value)
+    if not why and not saves:
+        why = not_restored(family, code, rights.owned) or ""
+        remedy = "write it by itself, without `restore`, if it is meant"
+    if why:
+        raise OperationError(
+            f"{code} of {rights.drive} is not restored: {why}",
+            kind="not-writable",
+            drive=rights.drive,
+            code=str(code),
+            remedy=remedy,
+        )

@@ -12,17 +12,17 @@ from __future__ import annotations
 
 from lecombus.rebaud.access import LineAccess
 from lecombus.rebaud.checking import Obstacle, check
-from lecombus.rebaud.drives import Drive, Place, Subject
+from lecombus.rebaud.drives import Drive, DrivePlace, Subject
 from lecombus.rebaud.moving import Rebaud
-from lecombus.rebaud.telling import Ending, ending_of, situation, what_to_do
+from lecombus.rebaud.telling import RebaudEnd, ending_of, situation, what_to_do
 
 __all__ = [
     "Drive",
-    "Ending",
+    "DrivePlace",
     "LineAccess",
     "Obstacle",
-    "Place",
     "Rebaud",
+    "RebaudEnd",
     "Subject",
     "check",
     "ending_of",

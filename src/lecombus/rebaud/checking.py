@@ -22,7 +22,7 @@ from lecombus.durations import format_duration
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value
 from lecombus.rebaud.access import RebaudLine
-from lecombus.rebaud.drives import Drive, Place
+from lecombus.rebaud.drives import Drive, DrivePlace
 
 __all__ = ["Obstacle", "check", "is_same_drive", "standstill"]
 
@@ -94,7 +94,7 @@ async def _check_one(line: RebaudLine, drive: Drive, rate: int, number: int) -> 
         problem = f"{drive.name} answers at {rate} baud, but its {code} reads {number}, not {right}"
         remedy = "switch it off and on, or set its baud rate at its keypad, then try again"
         return [Obstacle(drive.name, problem, remedy, "wrong-rate")]
-    drive.be(Place.UNSEEN, rate)
+    drive.be(DrivePlace.UNSEEN, rate)
     found: list[Obstacle] = []
     for step in (_identity, _addressing, _software, _permission, _stopped):
         found += await step(line, drive, rate)

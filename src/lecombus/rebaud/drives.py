@@ -17,10 +17,10 @@ from lecombus.drives import Family, baud_code, baud_numbers
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value
 
-__all__ = ["Drive", "Place", "Subject"]
+__all__ = ["Drive", "DrivePlace", "Subject"]
 
 
-class Place(StrEnum):
+class DrivePlace(StrEnum):
     """Where a drive is."""
 
     UNSEEN = "unseen"
@@ -93,7 +93,7 @@ class Drive:
     """
 
     subject: Subject
-    place: Place = Place.UNSEEN
+    place: DrivePlace = DrivePlace.UNSEEN
     rate: int | None = None
     why: str = ""
     identity: Mapping[Code, Value] = field(default_factory=dict)
@@ -111,6 +111,6 @@ class Drive:
         """Whether it answers at a rate that is known."""
         return self.rate is not None
 
-    def be(self, place: Place, rate: int | None, why: str = "") -> None:
+    def be(self, place: DrivePlace, rate: int | None, why: str = "") -> None:
         """Note where it is."""
         self.place, self.rate, self.why = place, rate, why

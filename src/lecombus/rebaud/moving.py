@@ -26,7 +26,7 @@ from collections.abc import Sequence
 from lecombus.drives import saving_rule
 from lecombus.rebaud.access import InterruptedRebaudError, LineAccess, RebaudLine
 from lecombus.rebaud.checking import Obstacle, check, is_same_drive, standstill
-from lecombus.rebaud.drives import Drive, Place, Subject
+from lecombus.rebaud.drives import Drive, DrivePlace, Subject
 
 __all__ = ["Rebaud"]
 
@@ -68,8 +68,8 @@ class Rebaud:
             return
         for drive in self.drives:
             if drive.rate is not None:
-                drive.be(Place.OLD if drive.rate == self.old else Place.NEW, drive.rate)
-        self._began_there = [one for one in self.drives if one.place is Place.NEW]
+                drive.be(DrivePlace.OLD if drive.rate == self.old else DrivePlace.NEW, drive.rate)
+        self._began_there = [one for one in self.drives if one.place is DrivePlace.NEW]
 
     async def move(self, access: LineAccess) -> None:
         """Bring every drive to the new rate; to be called after a `check` without obstacles."""
@@ -77,7 +77,7 @@ class Rebaud:
         try:
             await self._over()
             await self._confirm_all(self.old, self.new)
-            if all(drive.place is Place.NEW for drive in self.drives):
+            if all(drive.place is DrivePlace.NEW for drive in self.drives):
                 await self._save(self.drives, self.new)
         except InterruptedRebaudError:
             return
@@ -86,12 +86,14 @@ class Rebaud:
         """Bring every drive that is not at the old rate back to it, as far as possible."""
         self.line.access = access
         try:
-            astray = [one for one in self.drives if one.place not in (Place.OLD, Place.UNSEEN)]
+            astray = [
+                one for one in self.drives if one.place not in (DrivePlace.OLD, DrivePlace.UNSEEN)
+            ]
             for drive in astray:
                 await self._one_back(drive)
             await self._confirm_all(self.new, self.old)
             told = [one for one in self.drives if one in self._began_there or one.saved is not None]
-            home = [one for one in told if one.place is Place.OLD]
+            home = [one for one in told if one.place is DrivePlace.OLD]
             await self._save(home, self.old)
         except InterruptedRebaudError:
             return
@@ -101,24 +103,24 @@ class Rebaud:
     async def _over(self) -> None:
         """Write the new rate to one drive after the other, until one cannot be brought over."""
         for drive in self.drives:
-            if drive.place is not Place.OLD:
+            if drive.place is not DrivePlace.OLD:
                 continue
             found = await standstill(self.line, drive, self.old)
             if found.obstacle:
                 drive.why = f"nothing was written to it: it {found.obstacle}"
                 return
             await self._carry(drive, self.old, self.new)
-            if drive.place not in (Place.WRITTEN, Place.NEW):
+            if drive.place not in (DrivePlace.WRITTEN, DrivePlace.NEW):
                 return
 
     async def _one_back(self, drive: Drive) -> None:
         """Write the old rate to a drive, wherever it is."""
         drive.writes = 0
         rate, number = self.new, drive.subject.number(self.new)
-        if drive.place is not Place.NEW:
+        if drive.place is not DrivePlace.NEW:
             found = await self._search(drive, self.old, self.new)
             if found is None:
-                drive.be(Place.LOST, None, drive.why or "it answers at neither rate")
+                drive.be(DrivePlace.LOST, None, drive.why or "it answers at neither rate")
                 return
             rate, number = found
         if (rate, number) == (self.old, drive.subject.number(self.old)):
@@ -129,13 +131,13 @@ class Rebaud:
     async def _confirm_all(self, here: int, there: int) -> None:
         """Look for those that were written to and not seen since; write once more where needed."""
         for drive in self.drives:
-            if drive.place is not Place.WRITTEN:
+            if drive.place is not DrivePlace.WRITTEN:
                 continue
             if (await self.line.read_rate(drive, there)) == drive.subject.number(there):
                 await self._settle(drive, there)
             elif await self._was_not_taken(drive, here, there, "it acknowledged the write"):
                 await self._carry(drive, here, there)
-                if drive.place is Place.WRITTEN:
+                if drive.place is DrivePlace.WRITTEN:
                     await self._was_not_taken(drive, here, there, "it acknowledged twice")
 
     async def _carry(self, drive: Drive, here: int, there: int) -> None:
@@ -144,7 +146,7 @@ class Rebaud:
         assert number is not None, "the rates were checked beforehand"
         while True:
             self.line.check_interruption()
-            drive.be(Place.WRITTEN, drive.rate)
+            drive.be(DrivePlace.WRITTEN, drive.rate)
             drive.writes += 1
             written = await self.line.write(drive, here, drive.subject.code, number)
             if written.done:
@@ -157,7 +159,7 @@ class Rebaud:
         found = await self._search(drive, here, there)
         if found is None:
             told = f"{there} baud was written to it, and it answers at neither rate"
-            drive.be(Place.LOST, None, told)
+            drive.be(DrivePlace.LOST, None, told)
             return False
         rate, number = found
         if number == drive.subject.number(rate) == drive.subject.number(there):
@@ -165,11 +167,11 @@ class Rebaud:
             return False
         if number == drive.subject.number(there):
             told = f"it took {there} baud, but still answers at {rate}"
-            drive.be(Place.PENDING, rate, told)
+            drive.be(DrivePlace.PENDING, rate, told)
             return False
         if drive.writes < WRITES:
             return True
-        place = Place.OLD if rate == self.old else Place.NEW
+        place = DrivePlace.OLD if rate == self.old else DrivePlace.NEW
         drive.be(place, rate, f"it does not take {there} baud: {text}")
         return False
 
@@ -188,9 +190,9 @@ class Rebaud:
         """A drive was found at a rate that it holds: it must also be the same."""
         differs = await is_same_drive(self.line, drive, rate)
         if differs:
-            drive.be(Place.LOST, None, f"something answers at {rate} baud, but {differs}")
+            drive.be(DrivePlace.LOST, None, f"something answers at {rate} baud, but {differs}")
         else:
-            drive.be(Place.OLD if rate == self.old else Place.NEW, rate)
+            drive.be(DrivePlace.OLD if rate == self.old else DrivePlace.NEW, rate)
 
     async def _save(self, drives: Sequence[Drive], rate: int) -> None:
         """Make drives save what was written, where their family needs that."""

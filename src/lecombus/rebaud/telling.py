@@ -11,13 +11,13 @@ from __future__ import annotations
 from enum import StrEnum
 
 from lecombus.drives import saving_rule
-from lecombus.rebaud.drives import Drive, Place
+from lecombus.rebaud.drives import Drive, DrivePlace
 from lecombus.rebaud.moving import Rebaud
 
-__all__ = ["Ending", "ending_of", "situation", "what_to_do"]
+__all__ = ["RebaudEnd", "ending_of", "situation", "what_to_do"]
 
 
-class Ending(StrEnum):
+class RebaudEnd(StrEnum):
     """How it ended."""
 
     MOVED = "moved"
@@ -28,28 +28,28 @@ class Ending(StrEnum):
     """The line is at two rates, or it is not known at which."""
 
 
-def ending_of(work: Rebaud) -> Ending:
+def ending_of(work: Rebaud) -> RebaudEnd:
     """Return how it ended."""
     places = {drive.place for drive in work.drives}
-    if places == {Place.NEW}:
-        return Ending.MOVED
-    return Ending.UNCHANGED if places <= {Place.OLD, Place.UNSEEN} else Ending.MIXED
+    if places == {DrivePlace.NEW}:
+        return RebaudEnd.MOVED
+    return RebaudEnd.UNCHANGED if places <= {DrivePlace.OLD, DrivePlace.UNSEEN} else RebaudEnd.MIXED
 
 
 def situation(drive: Drive, work: Rebaud) -> str:
     """Return where a drive is."""
     old, new = work.old, work.new
     match drive.place:
-        case Place.UNSEEN:
+        case DrivePlace.UNSEEN:
             return "not asked to the end; nothing was written to it"
-        case Place.OLD | Place.NEW:
+        case DrivePlace.OLD | DrivePlace.NEW:
             unsaved = ", not saved" if _needs_saving(drive, work) else ""
             return f"at {drive.rate} baud{unsaved}"
-        case Place.WRITTEN:
+        case DrivePlace.WRITTEN:
             return f"at {old} or {new} baud: a write ended, and it was not looked for since"
-        case Place.PENDING:
+        case DrivePlace.PENDING:
             return f"at {drive.rate} baud, until it is switched off and on"
-        case Place.LOST:
+        case DrivePlace.LOST:
             return "not found"
 
 
@@ -62,10 +62,10 @@ def what_to_do(work: Rebaud, roster: str, present: int) -> list[str]:
         present: The baud rate that it says, bit/s.
     """
     ending = ending_of(work)
-    if ending is Ending.MOVED:
+    if ending is RebaudEnd.MOVED:
         return _after_success(work, roster, present)
     told = _one_by_one(work)
-    if ending is Ending.UNCHANGED:
+    if ending is RebaudEnd.UNCHANGED:
         line = _roster_line(roster, work.old, present)
         kept = f"every drive is at {work.old} baud as before: {roster} stays as it is"
         return [*told, line if line else kept]
@@ -100,13 +100,13 @@ def _one_by_one(work: Rebaud) -> list[str]:
     told = []
     for drive in work.drives:
         code, name = drive.subject.spoken, drive.name
-        if drive.place is Place.LOST:
+        if drive.place is DrivePlace.LOST:
             numbers = f"{drive.subject.number(work.old)} is {work.old}"
             numbers += f", {drive.subject.number(work.new)} is {work.new} baud"
             told.append(f"{name}: switch it off and on; look at {code} at its keypad ({numbers})")
-        elif drive.place is Place.PENDING:
+        elif drive.place is DrivePlace.PENDING:
             told.append(f"{name}: switch it off and on, so that it takes the rate in {code}")
-        elif drive.place is Place.NEW and _needs_saving(drive, work):
+        elif drive.place is DrivePlace.NEW and _needs_saving(drive, work):
             told.append(f"{name}: it has not saved: switched off and on, it is at {work.old} baud")
     return told
 
@@ -115,7 +115,7 @@ def _needs_saving(drive: Drive, work: Rebaud) -> bool:
     """Whether a drive forgets at power-off what rate it was given here."""
     if saving_rule(drive.subject.family) is None or drive.saved:
         return False
-    return drive.place is Place.NEW and (drive.saved is False or drive.writes > 0)
+    return drive.place is DrivePlace.NEW and (drive.saved is False or drive.writes > 0)
 
 
 def _saving_code(drive: Drive) -> str:

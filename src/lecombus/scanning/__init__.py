@@ -14,8 +14,8 @@ from __future__ import annotations
 from lecombus.scanning.asking import AddressAccess, Ask, Heard, HeardKind
 from lecombus.scanning.diagnosis import why_nothing
 from lecombus.scanning.finding import Finding, FoundWatchdog, Unclear
-from lecombus.scanning.proposal import Place, check_place, entries, propose
-from lecombus.scanning.search import ForeignTalkError, Plan, Scan
+from lecombus.scanning.proposal import ProposedLine, check_place, entries, propose
+from lecombus.scanning.search import ForeignTalkError, Scan, ScanPlan
 
 __all__ = [
     "AddressAccess",
@@ -25,9 +25,9 @@ __all__ = [
     "FoundWatchdog",
     "Heard",
     "HeardKind",
-    "Place",
-    "Plan",
+    "ProposedLine",
     "Scan",
+    "ScanPlan",
     "Unclear",
     "check_place",
     "entries",

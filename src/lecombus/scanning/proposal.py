@@ -18,7 +18,7 @@ from lecombus.drives import family
 from lecombus.durations import format_duration
 from lecombus.scanning.finding import Finding, Unclear
 
-__all__ = ["Place", "check_place", "entries", "propose"]
+__all__ = ["ProposedLine", "check_place", "entries", "propose"]
 
 LATE_ANSWER_TIME = "300ms"
 """Proposed for a drive that answered only when waited for."""
@@ -28,7 +28,7 @@ WIDTH = 94
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class ProposedLine:
     """What the roster's other sections say.
 
     Args:
@@ -48,7 +48,7 @@ class Place:
     state: str = ""
 
 
-def check_place(place: Place) -> None:
+def check_place(place: ProposedLine) -> None:
     """See that a roster can be made with this name and port, before anything is searched.
 
     Raises:
@@ -59,7 +59,7 @@ def check_place(place: Place) -> None:
 
 
 def propose(
-    place: Place, baud: int, found: Sequence[Finding], unclear: Sequence[Unclear] = ()
+    place: ProposedLine, baud: int, found: Sequence[Finding], unclear: Sequence[Unclear] = ()
 ) -> tuple[str, Roster]:
     """Write a roster for the drives found at a baud rate.
 
@@ -77,7 +77,7 @@ def propose(
     return text, parse_roster(text, "the proposed roster")
 
 
-def _unheld(place: Place, baud: int, found: Sequence[Finding]) -> dict[str, str]:
+def _unheld(place: ProposedLine, baud: int, found: Sequence[Finding]) -> dict[str, str]:
     """Find the watchdogs that this line cannot hold: they are named, and not proposed.
 
     Returns:
@@ -105,7 +105,7 @@ def _unheld(place: Place, baud: int, found: Sequence[Finding]) -> dict[str, str]
 
 
 def _lines(
-    place: Place,
+    place: ProposedLine,
     baud: int,
     found: Sequence[Finding],
     unclear: Sequence[Unclear],

@@ -34,7 +34,7 @@ from lecombus.scanning.asking import AddressAccess, Ask, Heard, HeardKind
 from lecombus.scanning.finding import Finding, Unclear
 from lecombus.scanning.identifying import identify
 
-__all__ = ["ForeignTalkError", "Plan", "Scan"]
+__all__ = ["ForeignTalkError", "Scan", "ScanPlan"]
 
 PROBES = (Code(248), Code(249), Code(46), Code(40))
 LIKELY = (1, 11, 2, 12, 21, 3)
@@ -53,7 +53,7 @@ class ForeignTalkError(LineError):
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class ScanPlan:
     """What is to be searched.
 
     Args:
@@ -88,7 +88,7 @@ class Scan:
 
     _access: AddressAccess
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: ScanPlan) -> None:
         self.plan = plan
         self.found: list[Finding] = []
         self.unclear: list[Unclear] = []
