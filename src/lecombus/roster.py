@@ -8,7 +8,7 @@ values that were read and checked; pydantic checks the types.
 from __future__ import annotations
 
 import ipaddress
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final, Literal
 
 from pydantic import BaseModel, ConfigDict
@@ -36,6 +36,7 @@ __all__ = [
     "StopFallback",
     "StoredWrites",
     "WatchdogEntry",
+    "group_entry",
     "is_loopback",
     "is_network_port",
     "multicast_address",
@@ -314,11 +315,26 @@ def multicast_address(members: Iterable[int], drives: Iterable[int]) -> int | No
     return 0 if wanted and wanted == present else None
 
 
-def with_address(roster: Roster, name: str, address: int) -> Roster:
-    """Return a roster in which one drive has another address.
+def group_entry(
+    members: Sequence[str], addresses: Mapping[str, int], *, multicast: bool
+) -> GroupEntry:
+    """Return a group with the address that reaches exactly its members.
 
-    Groups are judged anew: a drive that has left its decade is no longer reached by that decade's
-    multicast, and would be reached by another's.
+    Args:
+        members: The members' names.
+        addresses: The addresses of all drives of the roster, by name.
+        multicast: See `GroupEntry`.
+    """
+    wanted = [addresses[member] for member in members]
+    address = multicast_address(wanted, addresses.values())
+    return GroupEntry(members=tuple(members), multicast_address=address, multicast=multicast)
+
+
+def with_address(roster: Roster, name: str, address: int) -> Roster:
+    """Return a roster in which one drive has another address, as after a readdressing.
+
+    The groups follow: a drive that has left its decade is no longer reached by the multicast of
+    that decade, and would be reached by that of another.
 
     Args:
         roster: The roster.
@@ -331,13 +347,7 @@ def with_address(roster: Roster, name: str, address: int) -> Roster:
     )
     addresses = {entry.name: entry.address for entry in drives}
     groups = {
-        title: group.model_copy(
-            update={
-                "multicast_address": multicast_address(
-                    [addresses[member] for member in group.members], addresses.values()
-                )
-            }
-        )
+        title: group_entry(group.members, addresses, multicast=group.multicast)
         for title, group in roster.groups.items()
     }
     return roster.model_copy(update={"drives": drives, "groups": groups})

@@ -158,8 +158,8 @@ def test_a_double_address_names_the_other_drive_and_a_free_address() -> None:
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        ("feeder", "a drive named `feeder` stands in line 5 already, every drive needs a name of "
-         "its own"),
+        ("feeder", "a drive named `feeder` stands in line 5 already, every drive needs its own "
+         "name"),
         ("all", "`name` `all` is taken, `all` is the group of all drives"),
         ("Belt 2", "`name` `Belt 2` is not usable as a drive name, use a-z, 0-9, _ and -, "
          "beginning with a letter or digit, such as belt-2"),
@@ -170,8 +170,7 @@ def test_a_double_address_names_the_other_drive_and_a_free_address() -> None:
 def test_a_wrong_drive_name(name: str, expected: str | None) -> None:
     words = said(GOOD.replace("belt", name))
     if expected is None:
-        assert words == ["8:11: not valid YAML: a list cannot begin here, begin it on a line of "
-                         "its own"]  # fmt: skip
+        assert words == ["8:11: not valid YAML: a list cannot begin here, begin it on its own line"]
     else:
         assert words == [f"8:11: {expected}"]
 

@@ -16,7 +16,7 @@ from config.schema_validator import matches
 from lecombus.config import load_roster, roster_json_schema
 from lecombus.config.container_types import ListOf, NamedEntries, Table
 from lecombus.config.keys import ROSTER
-from lecombus.config.scalar_types import Kind
+from lecombus.config.scalar_types import ValueType
 
 EXAMPLES = ["small.yaml", "full.yaml"]
 
@@ -56,24 +56,24 @@ def test_an_example_tells_editors_where_its_schema_is(name: str) -> None:
     assert first == "# yaml-language-server: $schema=./roster.schema.json"
 
 
-def keys_of(kind: Kind, path: str = "") -> set[str]:
-    if isinstance(kind, Table):
-        return {found for key in kind.keys.values()
-                for found in keys_of(key.kind, f"{path}.{key.name}")} | {path}  # fmt: skip
-    if isinstance(kind, ListOf | NamedEntries):
-        return keys_of(kind.kind, path)
+def keys_of(value_type: ValueType, path: str = "") -> set[str]:
+    if isinstance(value_type, Table):
+        return {found for key in value_type.keys.values()
+                for found in keys_of(key.type, f"{path}.{key.name}")} | {path}  # fmt: skip
+    if isinstance(value_type, ListOf | NamedEntries):
+        return keys_of(value_type.of, path)
     return {path}
 
 
-def keys_in(value: Any, kind: Kind, path: str = "") -> set[str]:
-    if isinstance(kind, Table):
+def keys_in(value: Any, value_type: ValueType, path: str = "") -> set[str]:
+    if isinstance(value_type, Table):
         return {found for name, item in value.items()
-                for found in keys_in(item, kind.keys[name].kind, f"{path}.{name}")
+                for found in keys_in(item, value_type.keys[name].type, f"{path}.{name}")
                 } | {path}  # fmt: skip
-    if isinstance(kind, ListOf):
-        return set().union(*(keys_in(item, kind.kind, path) for item in value))
-    if isinstance(kind, NamedEntries):
-        return set().union(*(keys_in(item, kind.kind, path) for item in value.values()))
+    if isinstance(value_type, ListOf):
+        return set().union(*(keys_in(item, value_type.of, path) for item in value))
+    if isinstance(value_type, NamedEntries):
+        return set().union(*(keys_in(item, value_type.of, path) for item in value.values()))
     return {path}
 
 

@@ -18,7 +18,7 @@ from random import Random
 
 from lecombus.capacity.demand_bound import Stream, find_overload, load_of
 from lecombus.capacity.exchange_costs import own_longest_s, stop_s
-from lecombus.capacity.watchdog_demand import demand_of, smallest
+from lecombus.capacity.watchdog_demand import demand_of, smallest, under_way_s
 from lecombus.capacity.watchdog_feasibility import AWAY_ATTEMPTS
 from lecombus.config import DriveEntry, Roster, line_timing, parse_roster
 from lecombus.drives import family
@@ -181,8 +181,9 @@ def _least_s(roster: Roster, short: set[str], lost: int) -> float | None:
     timing = line_timing(roster.line)
     feeding = demand_of(roster, timing)
     longest_stop_s = max(stop_s(drive, timing) for drive in roster.drives)
-    under_way_s = max(feeding.under_way_s, feeding.lost_s)
-    blocking_s = under_way_s + longest_stop_s + lost * feeding.lost_s
+    shortest = min(feeding.streams, key=lambda one: one.every_s, default=None)
+    under_way = under_way_s(feeding.before(shortest.name if shortest else ""))
+    blocking_s = max(under_way, feeding.lost_s) + longest_stop_s + lost * feeding.lost_s
 
     def holds(time_s: float) -> bool:
         streams = [

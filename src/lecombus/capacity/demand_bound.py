@@ -11,7 +11,7 @@ used, and nothing of them is simplified:
   Tasks, RTSS 1991; L. George, N. Rivierre, M. Spuri: Preemptive and Non-Preemptive Real-Time
   Uniprocessor Scheduling, INRIA RR-2966, 1996.
 * *Response time.* A piece of work waits for the exchange under way and for all work of higher
-  classes that comes meanwhile; the smallest fixed point of that sum bounds its wait.
+  classes that comes while it waits; the smallest fixed point of that sum bounds its wait.
   Source: the same report, section 3; N. Audsley et al.: Applying New Scheduling Theory to Static
   Priority Pre-emptive Scheduling, 1993.
 
@@ -29,13 +29,13 @@ __all__ = ["Overload", "Stream", "find_overload", "load_of", "response_s"]
 
 ROUNDING_S: Final = 1e-9
 FULL: Final = 1.0 - 1e-9
-"""A load this close to all of the line: the stretch that would have to be looked at is endless."""
+"""A load this close to all of the line: the stretch to look at would be endless."""
 MOST_PIECES: Final = 2000
 """Pieces of one stream looked at: a watchdog of 50 ms beside one of 65 s has 1300."""
 OVERLOADED_PERIODS: Final = 50
 """Of the slowest stream: within these an overload of two in a hundred shows."""
 LONGEST_S: Final = 86_400.0
-"""A wait of a day is no bound that anybody can use."""
+"""A wait of a day is no useful bound."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +91,7 @@ def find_overload(streams: Sequence[Stream], blocking_s: float) -> Overload | No
     Args:
         streams: The work.
         blocking_s: The longest exchange that may be under way when a stretch begins, seconds,
-            before whatever stream and beside what stands before that one alone; an exchange of
+            before any stream, besides what may come before that one alone; an exchange of
             another stream that need not be over yet counts by itself.
     """
     ordered = sorted(streams, key=_every)
@@ -152,7 +152,7 @@ def response_s(
 
     Args:
         own_s: Its own line time.
-        blocking_s: What can be under way or go ahead once, whatever its class; less what of the
+        blocking_s: What can be under way or go ahead once, of any class; less what of the
             work above does not come the first time.
         above: The work that goes first whenever it is there.
         most_s: Give up beyond this.

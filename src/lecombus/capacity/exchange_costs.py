@@ -6,6 +6,7 @@ running line use the same numbers. Turnaround is included in all costs: the line
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -19,6 +20,7 @@ from lecombus.drives import (
     stop_value,
     write_cost,
 )
+from lecombus.drives.costs import Cost
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value
 from lecombus.roster import DriveEntry, LineEntry, is_network_port
@@ -39,6 +41,16 @@ __all__ = [
     "with_slow_adapter",
     "write_times",
 ]
+
+
+USB_LATENCY_S: Final = 0.016
+"""The latency timer of FTDI adapters as shipped; other adapters stay below."""
+NETWORK_LATENCY_S: Final = 0.050
+"""A device server on the same site, with its own buffering."""
+SIMULATED_LATENCY_S: Final = 0.005
+"""No adapter at all, only a busy computer."""
+LEAST_QUARANTINE_S: Final = 0.03
+"""Silence after a failed exchange, besides twice the adapter's latency."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,41 +77,41 @@ def read_times(
     drive: DriveEntry, code: Code, timing: LineTiming, form: Form | None = None
 ) -> Times:
     """Give the times of reading a code, in the drive's usual form if none is given."""
-    form = form or form_for(drive, code)
-    of = family(drive.family)
-    answer_s = drive.slow.time_s(of, code, write=False, answer_time_s=drive.answer_time_s)
-    cost = read_cost(timing, of, code, form, answer_s)
-    pause_s = timing.turnaround_s
-    return Times(cost.expected_s + pause_s, cost.whole_s + pause_s, cost.worst_s + pause_s)
+    return _read_times(drive, code, timing, [form or form_for(drive, code)])
 
 
 def dearest_read_times(drive: DriveEntry, code: Code, timing: LineTiming) -> Times:
     """Give the times of reading a code in the longest form in which the drive is asked for it.
 
-    While an old answer could pass for one in the usual form, the other one is used.
+    While an old answer could be taken for one in the usual form, the other one is used.
     """
+    forms = [form for form in drive.forms if code.knows(form)] or [Form.EXTENDED]
+    return _read_times(drive, code, timing, forms)
+
+
+def _read_times(drive: DriveEntry, code: Code, timing: LineTiming, forms: Sequence[Form]) -> Times:
     of = family(drive.family)
     answer_s = drive.slow.time_s(of, code, write=False, answer_time_s=drive.answer_time_s)
-    forms = [form for form in drive.forms if code.knows(form)] or [Form.EXTENDED]
-    costs = [read_cost(timing, of, code, form, answer_s) for form in forms]
-    pause_s = timing.turnaround_s
-    return Times(
-        max(cost.expected_s for cost in costs) + pause_s,
-        max(cost.whole_s for cost in costs) + pause_s,
-        max(cost.worst_s for cost in costs) + pause_s,
-    )
+    return _times(timing, [read_cost(timing, of, code, form, answer_s) for form in forms])
 
 
 def write_times(
     drive: DriveEntry, code: Code, value: Value, timing: LineTiming, form: Form | None = None
 ) -> Times:
     """Give the times of writing a code, in the drive's usual form if none is given."""
-    form = form or form_for(drive, code)
     of = family(drive.family)
     answer_s = drive.slow.time_s(of, code, write=True, answer_time_s=drive.answer_time_s)
-    cost = write_cost(timing, of, code, value, form, answer_s)
-    pause_s = timing.turnaround_s
-    return Times(cost.expected_s + pause_s, cost.whole_s + pause_s, cost.worst_s + pause_s)
+    form = form or form_for(drive, code)
+    return _times(timing, [write_cost(timing, of, code, value, form, answer_s)])
+
+
+def _times(timing: LineTiming, costs: Sequence[Cost]) -> Times:
+    """Give the longest of some costs, with the turnaround."""
+    return Times(
+        max(cost.expected_s for cost in costs) + timing.turnaround_s,
+        max(cost.whole_s for cost in costs) + timing.turnaround_s,
+        max(cost.worst_s for cost in costs) + timing.turnaround_s,
+    )
 
 
 def feed_times(drive: DriveEntry, timing: LineTiming) -> Times:
@@ -108,12 +120,12 @@ def feed_times(drive: DriveEntry, timing: LineTiming) -> Times:
 
 
 def dearest_feed_times(drive: DriveEntry, timing: LineTiming) -> Times:
-    """Give the times of a feed in the longer form: behind a lost answer it is said in that."""
+    """Give the times of a feed in the longer form, which is used after a lost answer."""
     return dearest_read_times(drive, family(drive.family).feed_code, timing)
 
 
 def watched_s(drive: DriveEntry) -> float | None:
-    """Give the time of a watchdog that lecombus has to feed, seconds; None: it need not."""
+    """Give the time of a watchdog that lecombus has to feed, seconds; None: there is none."""
     watchdog = drive.watchdog
     if watchdog is None or watchdog.action == "none" or watchdog.time_s <= 0.0:
         return None
@@ -121,9 +133,9 @@ def watched_s(drive: DriveEntry) -> float | None:
 
 
 def own_longest_s(drive: DriveEntry, timing: LineTiming) -> float:
-    """Give the longest line time of one exchange that this drive is asked for anyhow, seconds.
+    """Give the longest line time of one exchange that the program makes by itself, seconds.
 
-    Its reads, its feed, and the write that stops it: meanwhile nothing else can feed it.
+    Its reads, its feed, and the write that stops it: nothing else can feed it during that time.
     """
     of = family(drive.family)
     codes = [of.feed_code, *(entry.code for entry in drive.cyclic)]
@@ -149,7 +161,7 @@ def stop_s(drive: DriveEntry, timing: LineTiming) -> float:
 def stop_attempt_s(drive: DriveEntry, timing: LineTiming) -> float:
     """Give the longest that one unanswered telegram of a drive's stop holds the line, seconds.
 
-    In whatever form it is said; zero for a family that knows no stop.
+    In any addressing form; zero for a family that knows no stop.
     """
     of, found = family(drive.family), 0.0
     for action in of.stops:
@@ -163,19 +175,6 @@ def stop_attempt_s(drive: DriveEntry, timing: LineTiming) -> float:
                     times = write_times(drive, code, value, timing, form)
                 found = max(found, times.worst_s)
     return found
-
-
-USB_LATENCY_S: Final = 0.016
-"""The latency timer of FTDI adapters as shipped; other adapters stay below."""
-
-NETWORK_LATENCY_S: Final = 0.050
-"""A device server on the same site, with its own buffering."""
-SIMULATED_LATENCY_S: Final = 0.005
-"""No adapter at all, only a busy computer."""
-
-
-LEAST_QUARANTINE_S: Final = 0.03
-"""Silence after a failed exchange, besides twice the adapter's latency."""
 
 
 def adapter_latency_s(line: LineEntry) -> float:

@@ -1,8 +1,8 @@
-"""What a plan is made from, as a document: a running daemon gives it, whoever plans reads it.
+"""What a plan is made from, as a document that a running daemon gives and a client plans from.
 
-A plan takes tens of milliseconds to reckon, longer than a telegram may be held up; so the daemon
-hands out the facts and the client reckons. Only what a plan depends on stands in them: nothing of
-what may be written, who a drive is, or where the daemon listens.
+A plan takes tens of milliseconds to calculate, longer than a telegram may be held up; so the daemon
+gives the facts and the client calculates. Only what a plan depends on is in them: not what may be
+written, nor the identity of a drive, nor where the daemon listens.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""A promise beside what the last minutes of the running line showed.
+"""A plan compared with the last minutes of the running line.
 
-The promise is a plan of the running roster; what was measured is what `metrics.minutes` gives as a
-document. Both are laid side by side: waits and line time by class, margins by watched drive, gaps
-by cyclic code; and whatever is beyond what was promised is said so. Promises hold while drives
-answer and at most the exchange under way is lost, so the lost exchanges stand beside them.
+The plan is that of the running roster; what was measured is the document of `metrics.minutes`.
+Compared are waits and line time by class, margins by watched drive, and gaps by cyclic code;
+everything beyond its promise is listed. Promises hold while drives answer and at most the exchange
+under way is lost, so the lost exchanges are shown beside them.
 
-What must not live here: how a promise is reckoned (`plan`, `waits`), how it is shown (`cli`).
+What must not live here: how a promise is calculated (`plan`, `waits`), how it is shown (`cli`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 from lecombus.capacity.exchange_costs import line_timing, read_times, watched_s
-from lecombus.capacity.plan import Plan, make_plan
+from lecombus.capacity.plan import LinePlan, make_plan
 from lecombus.capacity.waits import ClassWait
 from lecombus.roster import Roster
 from lecombus.schedule.feed import HARD_PART
@@ -24,7 +24,7 @@ from lecombus.schedule.feed import HARD_PART
 __all__ = ["LiveClass", "LiveCode", "LiveDrive", "LivePlan", "compare"]
 
 LOAD_ROOM: Final = 0.02
-"""Of the line: by less a measured load is not beyond what was promised."""
+"""Share of the line by which a measured load may exceed the promised one."""
 ROUNDING_S: Final = 1e-6
 OPEN: Final = "open"
 READS: Final = "cyclic"
@@ -36,7 +36,7 @@ class LiveClass:
 
     Args:
         name: The class.
-        quiet_s: Its wait is promised to be no longer, nobody else asking.
+        quiet_s: Its wait is promised to be no longer while there are no other requests.
         loaded_s: The same with every lower class full.
         median_s: Half of its waits were no longer; None: there were none.
         most_s: The longest wait.
@@ -63,7 +63,7 @@ class LiveClass:
 
     @property
     def verdict(self) -> str:
-        """Say how the longest wait and the load lie to what was promised."""
+        """The longest wait and the load, compared with what was promised."""
         if self.name == READS and self.load is not None and self.used > self.load + LOAD_ROOM:
             text = f"takes more of the line than promised ({self.used:.0%} of {self.load:.0%})"
             slow = self.load_slow is not None and self.used <= self.load_slow + LOAD_ROOM
@@ -95,7 +95,7 @@ class LiveDrive:
 
     @property
     def verdict(self) -> str:
-        """Say how the least margin lies to what was promised."""
+        """The least margin, compared with what was promised."""
         if self.least_s is None:
             return "not fed"
         if self.least_s < 0.0:
@@ -127,7 +127,7 @@ class LiveCode:
 
     @property
     def verdict(self) -> str:
-        """Say how the longest gap lies to what was promised."""
+        """The longest gap, compared with what was promised."""
         if self.away:
             return "the drive is away"
         if self.longest_s is None:
@@ -214,7 +214,7 @@ def compare(
     away: Collection[str] = (),
     state: str = OPEN,
 ) -> LivePlan:
-    """Lay promise and measure side by side.
+    """Compare what was promised with what was measured.
 
     Args:
         roster: The running line.
@@ -241,7 +241,9 @@ def compare(
     )
 
 
-def _class(wait: ClassWait, plan: Plan, measured: Mapping[str, Any], pause_s: float) -> LiveClass:
+def _class(
+    wait: ClassWait, plan: LinePlan, measured: Mapping[str, Any], pause_s: float
+) -> LiveClass:
     found = measured["classes"][wait.name]
     window_s = measured["window_s"]
     pauses = found["exchanges"] * pause_s / window_s if window_s > 0.0 else 0.0
@@ -272,13 +274,13 @@ def _drives(roster: Roster, margins: Mapping[str, float | None]) -> list[LiveDri
 
 def _codes(
     roster: Roster,
-    plan: Plan,
+    plan: LinePlan,
     gaps: Mapping[str, Mapping[str, float | None]],
     away: Collection[str],
 ) -> list[LiveCode]:
     """A slot may be late; that of a watched drive may also be run early, to feed it.
 
-    Values are told apart by when they came, and of two answers the first may come at once.
+    Values differ by their times, and of two answers the first may come without delay.
     """
     late = plan.wait("cyclic")
     timing = line_timing(roster.line)

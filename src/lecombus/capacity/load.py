@@ -1,4 +1,4 @@
-"""What share of a line is asked for, what cycles follow, and what would change it.
+"""What share of a line is used, which cycles follow, and what would change that.
 
 The load is the cyclic reads plus the feeds that they do not stand for: a drive that is read often
 enough is fed by that. Above all of the line every period is stretched by the same factor, which is
@@ -81,7 +81,7 @@ class BaudEffect:
         baud: The rate, bit/s.
         load: What would be asked of it.
         held: All watchdogs of the roster can be held.
-        least_s: The least time that all watchdogs could have at once; None: none will do, or
+        least_s: The least time that all watchdogs could have together; None: none will do, or
             nothing is fed.
     """
 
@@ -125,7 +125,7 @@ class AbsentEffect:
 
 
 def load_on(drives: Sequence[DriveEntry], timing: LineTiming, probing: float = 0.0) -> Load:
-    """Reckon what drives that are all there ask of the line.
+    """Calculate the load of drives that all answer.
 
     Args:
         drives: The drives.
@@ -173,7 +173,7 @@ class _Part:
     def feeds(self, stretch: float) -> float:
         """How many feeds it needs that its reads do not stand for, 1/s.
 
-        Several codes may be due at once and then leave a gap as long as the shortest period: where
+        Several codes may be due together and then leave a gap as long as the shortest period: where
         that is longer than feeds may be apart, the other codes cannot be counted on.
         """
         apart_s = self.apart_s(stretch)
@@ -202,7 +202,7 @@ def _needed(parts: Sequence[_Part], stretch: float) -> float:
 
 
 def baud_effects(roster: Roster) -> list[BaudEffect]:
-    """Reckon the line at every baud rate there is."""
+    """Calculate the load and the watchdogs at every baud rate."""
     effects = []
     for baud in BAUDS:
         timing = line_timing(roster.line.model_copy(update={"baud": baud}))
@@ -213,7 +213,7 @@ def baud_effects(roster: Roster) -> list[BaudEffect]:
 
 
 def adapter_effect(roster: Roster, timing: LineTiming) -> AdapterEffect:
-    """Reckon the line with an adapter that is as slow as it may be."""
+    """Calculate the load and the watchdogs with an adapter that is as slow as it may be."""
     slow = with_slow_adapter(timing)
     feeding = demand_of(roster, slow)
     return AdapterEffect(
@@ -225,7 +225,7 @@ def adapter_effect(roster: Roster, timing: LineTiming) -> AdapterEffect:
 
 
 def absent_effects(roster: Roster, timing: LineTiming) -> list[AbsentEffect]:
-    """Reckon the line while drives are away: the last ones of the roster."""
+    """Calculate the load while drives are away: the last ones of the roster."""
     whole = load_on(roster.drives, timing)
     effects = []
     for absent in (count for count in ABSENT if count < len(roster.drives)):

@@ -1,4 +1,4 @@
-"""A plan: everything a line promises, from its roster alone, as data.
+"""A plan: everything that a line promises, calculated from its roster alone, as data.
 
 Put together from the other modules of this room; `cli.plan` shows it. Times are seconds, shares
 are fractions, and a promise that cannot be given is None (JSON knows no infinity).
@@ -35,7 +35,7 @@ from lecombus.capacity.work_ahead import Room, work_ahead_on
 from lecombus.drives import LineTiming
 from lecombus.roster import DriveEntry, Roster
 
-__all__ = ["Plan", "PlannedExchange", "Promises", "make_plan", "make_promises"]
+__all__ = ["LinePlan", "PlannedExchange", "Promises", "make_plan", "make_promises"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ class PlannedExchange:
 
 @dataclass(frozen=True, slots=True)
 class Promises:
-    """How long everything waits at most on a line: the part of its plan that a run is held to.
+    """How long requests wait at most on a line: the part of its plan that a run must keep.
 
     Args:
         load: What is asked of the line all the time.
@@ -81,7 +81,7 @@ class Promises:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class LinePlan:
     """What a line promises.
 
     Args:
@@ -129,7 +129,7 @@ class Plan:
         return found
 
 
-def make_plan(roster: Roster, timing: LineTiming | None = None) -> Plan:
+def make_plan(roster: Roster, timing: LineTiming | None = None) -> LinePlan:
     """Plan a line.
 
     Args:
@@ -138,7 +138,7 @@ def make_plan(roster: Roster, timing: LineTiming | None = None) -> Plan:
     """
     timing = timing or line_timing(roster.line)
     promises = make_promises(roster, timing)
-    return Plan(
+    return LinePlan(
         line=roster.line.name,
         baud=timing.baud,
         load=promises.load,

@@ -1,13 +1,10 @@
-"""The running schedule over a roster, in no time: who would speak when.
+"""The running schedule over a roster, on a simulated clock, and its picture.
 
-The same `Schedule` that a daemon runs is given the roster's feeds and cyclic reads; every exchange
-takes its usual time. So the picture shows what the line does, not what somebody thinks it does.
+`preview` gives the same `Schedule` that a daemon runs the roster's feeds and cyclic reads; every
+exchange takes its usual time. So the picture shows what the line really does.
 
-The line over one hyperperiod as an SVG: who speaks when, and by when each had to be fed.
-
-One row for the line and one for each drive, one box an exchange, one tick a deadline, one dashed
-line an end of the hyperperiod; readable in any browser and in print, without scripts. Text is
-escaped; sizes follow from the number of drives.
+`picture` draws that as an SVG: one row for the line and one for each drive, one box an exchange,
+one tick a deadline, one dashed line an end of the hyperperiod. No scripts; names are escaped.
 """
 
 from __future__ import annotations
@@ -32,9 +29,9 @@ LONGEST_S: Final = 10.0
 """More than this is not seen in a picture."""
 SHORTEST_S: Final = 1.0
 LOOKED_AT_S: Final = 20.0
-"""So much is run to say what share of the line is taken: a picture may be too short for a feed."""
+"""Run this long to measure shares of the line: a picture may be too short for a feed."""
 SETTLED_S: Final = 5.0
-"""After this a line goes its way: the spread of a start is over."""
+"""After this the staggering of a start is over."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +122,7 @@ def _maker(drive: str, priority: Priority, times: Times, what: str) -> Callable[
 
 
 def _ended(outcome: Outcome, reason: str) -> None:
-    """Nobody waits for these."""
+    """Ignore it: no client waits for these requests."""
 
 
 def _run(schedule: Schedule, until_s: float) -> list[Span]:
@@ -149,7 +146,7 @@ def _run(schedule: Schedule, until_s: float) -> list[Span]:
 
 
 def _moved(span: Span) -> Span:
-    """Reckon from the picture's left; what was under way then is shown from there on."""
+    """Count from the picture's left edge; an exchange under way then is shown from there on."""
     return replace(span, start_s=max(span.start_s - SETTLED_S, 0.0), end_s=span.end_s - SETTLED_S)
 
 
@@ -187,7 +184,7 @@ STYLE: Final = (
     ".due{stroke:#b00020;stroke-width:1.5}.round{stroke:#222;stroke-dasharray:4 3}"
 )
 MOST_ROUNDS: Final = 50
-"""More ends of a hyperperiod than this are a grey curtain, and are not drawn."""
+"""More ends of a hyperperiod than these would hide the picture, and are not drawn."""
 
 
 def picture(title: str, drives: tuple[str, ...], shown: Preview) -> str:

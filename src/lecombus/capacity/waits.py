@@ -1,4 +1,4 @@
-"""How long each class of requests waits at worst on one line.
+"""How long each class of requests waits at most on one line.
 
 Method: non-preemptive response-time analysis for fixed priorities (`demand_bound`, with its
 papers): a request waits for the exchange under way and for the work that goes before it, and the
@@ -7,42 +7,40 @@ own rules (`schedule.choice`, `schedule.shares`), class by class:
 
 * *Stop*: the exchange under way, until its answer is given up.
 * *Control and interactive*: the exchange under way, and feeds; the lost answer may also be that of
-  a feed behind the exchange under way. A lone request lets no share go
-  first. Feeds go before it where the watchdogs' slack is short: all of those that may be due
-  together, each as often as its watchdog asks for within the wait; for control none at all where
-  the spare outlasts a lost answer. An interactive request also takes turns with one feed more.
+  a feed behind the exchange under way. A single request lets no share go first. Feeds go before it
+  where the watchdogs' slack is short: all of those that may be due together, each as often as its
+  watchdog needs it within the wait; for control none at all where the spare outlasts a lost answer.
+  An interactive request also takes turns with one feed more.
 * *Cyclic*: slots go in the order in which they are due, so one waits for the exchange under way and
-  for every other slot once, all due together, and for the feeds that reads do not stand for. (In
+  for every other slot once, all due together, and for the feeds that reads do not replace. (In
   that order the backlog is greatest at the first instant at which all are due; a load below
   the line's time lets it only shrink afterwards.)
-* *Background*: behind all cyclic reads and feeds that come meanwhile, or, if that is sooner, until
-  its share has been earned.
+* *Background*: after all cyclic reads and feeds that come while it waits, or, if that is sooner,
+  until its share has been earned.
 
-Three bounds are given. *Quiet*: one request at a time, nobody else asking, no drive being audited.
+Three bounds are given. *Quiet*: one request at a time, no other requests, no drive being audited.
 *Loaded*: lower classes are full, and the exchange under way is the longest that the drives'
 descriptions know, such as a module's own codes. *Crowded*, for the classes below control: all
-classes are full, the higher ones too, for as long as anybody likes. Requests of the same class come
-on top: how many there are is up to the clients.
+classes are full all the time, the higher ones too. Requests of the same class are additional: how
+many there are depends on the clients.
 
 The crowded bound adds up what the schedule's rules let go before the first request of a class
-(`_crowded`). The line time in which its share is earned, whatever goes meanwhile; the exchange
-under way when it begins, lost, and the one when it is earned. From then on nothing goes by right
-twice in a row: before it go one exchange by credit of each of the other two classes, and one by
-right before each of these three. Where drives are left alone after writes, what waited for that may
-go once more before each by right. Each exchange may have to wait until feeds have made room for it
-(`_rooms_s`); feeds that only press take turns with the exchanges, one with each.
+(`_crowded`). The line time in which its share is earned, independent of other requests; the
+exchange under way when it begins, lost, and the one when it is earned. From then on nothing goes by
+right twice in a row: before it go one exchange by credit of each of the other two classes, and one
+by right before each of these three. Where drives are left alone after writes, what waited for that
+may go once more before each by right. Each exchange may have to wait until feeds have made room for
+it (`_rooms_s`); feeds that only press take turns with the exchanges, one with each.
 
 The bounds hold while the drives answer and at most the exchange under way is lost, and count the
-time in which the daemon is run: a computer that does not run it adds its pause.
+time in which the daemon runs: pauses of the computer are additional.
 
-What a stop of a drive that does not answer is promised, and what it costs the others.
-
-Its first telegram is the stop class's own (`waits`), unless the drive is known to be offline. Every
-other telegram waits until the watchdogs can be fed in time besides; before it go feeds for as long
-as a round of the line and a drive that goes away take at most, and nothing else
-(`schedule.silent_stops`). So the bound is plain addition: the exchange under way, that round, the
-attempts, the last feed begun, and the time for which a drive is left alone after a write. It holds
-whoever else fails to answer; other drives' stops add theirs.
+A stop of a drive that does not answer (`silent_stop`): its first telegram waits as every stop does,
+unless the drive is known to be offline. Every other telegram waits until the watchdogs can be fed
+in time besides; before it go feeds for as long as a round of the line and a drive that goes away
+take at most, and nothing else (`schedule.silent_stops`). So the bound is an addition: the exchange
+under way, that round, the attempts, the last feed begun, and the time for which a drive is left
+alone after a write. It also holds while other drives fail to answer; their stops are additional.
 """
 
 from __future__ import annotations
@@ -78,13 +76,13 @@ class ClassWait:
 
     Args:
         name: The class.
-        quiet_s: From a request until its telegram begins, nobody else asking.
+        quiet_s: From a request until its telegram begins, without other requests.
         loaded_s: The same with every lower class full and drives being audited.
         own_s: What its own exchange then takes at most; infinite: none is ever begun.
-        share: The part of the line that the class gets if it wants it, whatever others ask for;
+        share: The part of the line that the class gets if it wants it, under any load;
             None: it waits for no share.
         crowded_s: From when a request is the first of its class until its telegram begins,
-            whatever others ask for; infinite: feeding alone takes all of the line; None: no bound
+            under any load; infinite: feeding alone takes all of the line; None: no bound
             of this kind, as it waits for no share.
         counts: What the bounds consist of, in words.
     """
@@ -196,14 +194,14 @@ def _background(ahead: WorkAhead) -> ClassWait:
     share, crowded_s = _guaranteed(ahead, Priority.BACKGROUND, ahead.read.times.usual_s)
     return ClassWait(
         "background", quiet_s + LATENESS_S, crowded_s, ahead.read.takes_s,
-        "all reads and feeds that come meanwhile; under load, clients of all classes: until a "
+        "all reads and feeds that come while it waits; under load, clients of all classes: until a "
         "twentieth of the line has been earned, and its turn has come",
         share, crowded_s,
     )  # fmt: skip
 
 
 def _guaranteed(ahead: WorkAhead, which: Priority, usual_s: float) -> tuple[float, float]:
-    """Give what a class is guaranteed whatever others do: its share, and the crowded bound.
+    """Give what a class is guaranteed under any load: its share, and the crowded bound.
 
     Args:
         ahead: What can go before a request.
@@ -233,7 +231,7 @@ def _rooms_s(ahead: WorkAhead, turns: int, one_s: float, worst_s: float) -> floa
     """Bound what feeds take while so many exchanges go, and one more is to begin.
 
     Making room takes a round of the line at most where watchdogs are alike, and else, for exchanges
-    up to half of what there is ever room for, two rounds with all that falls due meanwhile
+    up to half of what there is ever room for, two rounds with all that falls due during them
     (tests/schedule/test_starvation.py tries it). After a round there is room for exchanges until
     the slack is down to the longest of them again: where watchdogs are alike no drive is fed twice
     before that.
@@ -261,13 +259,13 @@ def _rooms_s(ahead: WorkAhead, turns: int, one_s: float, worst_s: float) -> floa
 
 
 def _lateness(ahead: WorkAhead, blocking: Sequence[Blocking], share: float) -> float:
-    """Bound how late a slot is when all are due at once, behind an exchange and beside a share."""
+    """Bound how late a slot is when all are due together, behind an exchange, beside a share."""
     if ahead.load >= (1.0 - share) * FULL:
         return math.inf
     if not ahead.cyclic:
         return 0.0
     costs_s = sorted(one.cost_s for one in ahead.cyclic)
-    # As long as an old answer may come, reads take longer, perhaps more than the line has time.
+    # As long as an old answer may come, reads take longer, perhaps more than all line time.
     overrun_s = max(load_of(ahead.cyclic) - 1.0, 0.0) * ahead.doubt_s
     slower = [Stream(one.name, one.cost_s / (1.0 - share), one.every_s) for one in ahead.beside]
     # One of a drive's slots that are due stands for its first feed.
@@ -284,7 +282,7 @@ def _lateness(ahead: WorkAhead, blocking: Sequence[Blocking], share: float) -> f
 
 
 def _put_off_s(ahead: WorkAhead) -> float:
-    """Bound how long reads wait for the end of a doubt, and then for each other; 0: there are none.
+    """Bound how long reads wait until no old answer may come, and then for each other.
 
     They keep their place, so that only the exchange that is under way then goes before them.
     """
@@ -308,7 +306,7 @@ def _until_earned(ahead: WorkAhead, own_s: float, usual_s: float, blocked_s: flo
     Args:
         ahead: What can go before a request.
         own_s: The longest background exchange, answered, seconds.
-        usual_s: The longest of those that come meanwhile, answered, seconds.
+        usual_s: The longest of those that come while it waits, answered, seconds.
         blocked_s: The longest of these, not answered, seconds.
     """
     earned_s = own_s / BACKGROUND_SHARE
@@ -336,7 +334,7 @@ def _lost_s(ahead: WorkAhead, under_way: Longest) -> float:
 
 
 def _spare_outlasts(ahead: WorkAhead, lost_s: float) -> bool:
-    """Tell whether the slack that feeds keep is enough for a lost answer and the request.
+    """Return whether the slack that feeds keep is enough for a lost answer and the request.
 
     Feeds press when less than the spare is left, and take turns with the requests of one client
     that asks again and again; each turn takes as long as such a request does when it is answered.
@@ -353,11 +351,11 @@ class SilentStop:
     """What a line promises to a stop of a drive that does not answer.
 
     Args:
-        quiet_s: From when it may be said again until its telegram begins, nobody else asking; for
+        quiet_s: From when it may be repeated until its telegram begins, without other requests; for
             a drive that is offline already, from its request to the first telegram.
         loaded_s: The same with the longest exchange under way.
         attempt_s: What one telegram without an answer then takes at most.
-        telegrams: So many go out at least, in `STOP_PATIENCE_S` or however long they take.
+        telegrams: Least telegrams, within `STOP_PATIENCE_S` or, if they take longer, after it.
         counts: What the bounds consist of, in words.
     """
 
@@ -369,7 +367,7 @@ class SilentStop:
 
 
 def silent_stop(roster: Roster, timing: LineTiming, ahead: WorkAhead) -> SilentStop:
-    """Reckon what a stop of a silent drive is promised.
+    """Calculate the promise for a stop of a drive that does not answer.
 
     Args:
         roster: The line.

@@ -1,30 +1,30 @@
-"""Whether a line can hold the watchdogs of a roster, and what the least times would be.
+"""What feeding the watchdogs of a roster takes of the line, and whether that fits.
 
-Every watched drive must have been spoken to within nine tenths of its watchdog time, so its feed
-is a stream of work (`demand_bound`). What stands before a feed once is an exchange with another
-drive, and one stop of another one, which goes before everything and waits for nobody. The exchange
-counts at its longest, unanswered: the schedule begins none that could make a feed late, so where
-that does not fit a drive could not even be asked whether it is there. If the feeds do not fit
-behind those, the roster is refused (`watchdog_feasibility`).
+Every watched drive must be fed within nine tenths of its watchdog time, so its feed is a stream of
+work (`demand_bound`). Before a feed may come, once, an exchange with another drive, and one stop of
+another drive, which has priority over everything. The exchange counts at its longest, unanswered:
+the schedule begins none that could make a feed late, so where that does not fit a drive could not
+even be asked whether it is there. If the feeds do not fit behind those, the roster is refused
+(`watchdog_feasibility`).
 
-The fault hypothesis: within any watchdog time at most `line.tolerate` answers are lost, of whatever
-exchange and at whatever moment. What each costs stands before the feeds besides: the line is held
-until the answer is given up and the silence after it, and the exchange is made again; for a drive's
-own feed too, which no longer is fed by the attempt. Everything is counted in the longer addressing
-form, in which it is said while the lost answer may still come. Stops, and what a lost answer of one
-holds the line longer, may use the last tenth of a watchdog time as well: the running schedule,
-which cannot foresee them, keeps room only for what that tenth does not hold (`schedule.faults`). A
-roster that does not hold that is refused, too; one in which a further lost answer makes a watchdog
-act is worth a warning.
+The fault hypothesis: within any watchdog time at most `line.tolerate` answers are lost, in any
+exchanges and at any moments. Each costs additional time before the feeds: the line is held until
+the answer is given up and for the silence after it, and the exchange is repeated; a drive's own
+feed too, because the failed attempt does not feed it. Everything is counted in the longer
+addressing form, which is used while the lost answer may still come. Stops, and the time for which a
+lost answer of a stop holds the line longer, may use the last tenth of a watchdog time as well: the
+running schedule, which cannot foresee them, keeps room only for what that tenth does not hold
+(`schedule.faults`). A roster that does not hold that is refused, too. `check` warns of one in which
+one more lost answer makes a watchdog act.
 Source: H. Aydin: Exact Fault-Sensitive Feasibility Analysis of Real-Time Tasks, IEEE Trans. on
-Computers 56 (10), 2007: recovery from at most k faults, of whatever task, added to the demand of
-work by earliest deadline (before for fixed priorities: A. Burns, R. Davis, S. Punnekkat:
-Feasibility Analysis of Fault-Tolerant Real-Time Task Sets, Euromicro Workshop on Real-Time Systems
-1996). Exact tests for repetitions that cannot be interrupted are intractable, as he shows; this one
-is sufficient: every lost answer costs as much as the dearest.
+Computers 56 (10), 2007: recovery from at most k faults, of any tasks, added to the demand of work
+by earliest deadline (before for fixed priorities: A. Burns, R. Davis, S. Punnekkat: Feasibility
+Analysis of Fault-Tolerant Real-Time Task Sets, Euromicro Workshop on Real-Time Systems 1996). Exact
+tests for repetitions that cannot be interrupted are intractable, as he shows; this one is
+sufficient: every lost answer costs as much as the longest.
 
-What is said to a drive feeds it, so no drive stands in its own way; that is reckoned for each of
-them, not only for the one with the shortest time.
+Every telegram to a drive feeds it, so a drive does not delay its own feed. What may come before a
+feed is therefore calculated for each drive, not only for the one with the shortest time.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ from lecombus.schedule.feed import HARD_PART
 
 __all__ = [
     "LONGEST_S",
-    "Feeding",
-    "Obstacle",
+    "DriveDelay",
+    "WatchdogDemand",
     "demand_of",
     "faults_of",
     "least_time_s",
@@ -67,8 +67,8 @@ LONGEST_S: Final = 65.535
 
 
 @dataclass(frozen=True, slots=True)
-class Obstacle:
-    """What one drive, watched or not, may put before the feeds of the others once.
+class DriveDelay:
+    """How long one drive, watched or not, may delay the feeds of the others once.
 
     Args:
         drive: The drive.
@@ -98,8 +98,8 @@ class Obstacle:
 
 
 @dataclass(frozen=True, slots=True)
-class Others:
-    """What may go once before one drive's feed, of all drives but itself (see `Obstacle`).
+class OtherDelays:
+    """How long all other drives may delay one drive's feed once (see `DriveDelay`).
 
     Args:
         under_way_s: The longest exchange that may be under way.
@@ -117,41 +117,36 @@ class Others:
 
 
 @dataclass(frozen=True, slots=True)
-class Feeding:
-    """What feeding a roster's watchdogs asks of the line.
+class WatchdogDemand:
+    """What feeding the watchdogs of a roster takes of the line.
 
     Args:
         drives: The watched drives.
-        streams: The feed of each, in the same order, with what may stand before it once.
-        others: For each watched drive, what the others may put before its feed.
-        obstacles: What each drive of the line may put before the others.
+        streams: The feed of each, in the same order, with what may come before it once.
+        others: For each watched drive, how long the others may delay its feed.
+        delays: How long each drive of the line may delay the others.
         lost_s: What one feed that is not answered costs at most, seconds.
-        own_s: For each watched drive, its own longest exchange: meanwhile nothing feeds it.
-        tolerate: So many lost answers within any watchdog time are to be outlasted.
+        own_s: For each watched drive, its own longest exchange: nothing else feeds it then.
+        tolerate: Lost answers within any watchdog time that all watchdogs must outlast.
     """
 
     drives: tuple[DriveEntry, ...]
     streams: tuple[Stream, ...]
-    others: tuple[Others, ...]
-    obstacles: tuple[Obstacle, ...]
+    others: tuple[OtherDelays, ...]
+    delays: tuple[DriveDelay, ...]
     lost_s: float
     own_s: tuple[float, ...]
     tolerate: int
 
-    @property
-    def under_way_s(self) -> float:
-        """The longest exchange that may stand before the shortest watchdog's feed, seconds."""
-        return under_way_s(self.before(self._tightest))
-
-    def before(self, drive: str) -> tuple[Obstacle, ...]:
-        """List what may stand before a drive's feed: all but what is said to itself."""
-        return tuple(one for one in self.obstacles if one.drive != drive)
+    def before(self, drive: str) -> tuple[DriveDelay, ...]:
+        """List what may delay a drive's feed: the exchanges with all other drives."""
+        return tuple(one for one in self.delays if one.drive != drive)
 
     def overload(self, *, lost: int | None = None) -> Overload | None:
-        """Find where the feeds do not fit, when so many answers are lost within a watchdog time.
+        """Find where the feeds do not fit when answers are lost within a watchdog time.
 
         Args:
-            lost: How many; None: as many as are to be outlasted.
+            lost: How many are lost; None: as many as must be outlasted.
         """
         lost = self.tolerate if lost is None else lost
         found = find_overload(self.streams, 0.0)
@@ -164,7 +159,7 @@ class Feeding:
         return found
 
     def _behind_lost(self, lost: int) -> tuple[Stream, ...]:
-        """Put lost answers and what else may come before it once in front of each stream."""
+        """Give the streams with lost answers, and what else may come before each once."""
         again_s = (lost - 1) * self.lost_s
         found = []
         for one, others in zip(self.streams, self.others, strict=True):
@@ -182,7 +177,7 @@ class Feeding:
         )
         return fits and self.overload(lost=lost) is None
 
-    def with_times(self, change: Callable[[float], float]) -> Feeding:
+    def with_times(self, change: Callable[[float], float]) -> WatchdogDemand:
         """Give the same with other watchdog times.
 
         Args:
@@ -194,38 +189,34 @@ class Feeding:
         )
         return replace(self, streams=streams)
 
-    def with_time(self, number: int, time_s: float) -> Feeding:
+    def with_time(self, number: int, time_s: float) -> WatchdogDemand:
         """Give the same with another watchdog time for one drive, by its number."""
         one = replace(self.streams[number], every_s=HARD_PART * time_s)
         return replace(self, streams=(*self.streams[:number], one, *self.streams[number + 1 :]))
 
-    def without_reads(self, longer_than_s: float) -> Feeding:
-        """Give the same with the longer cyclic reads in nobody's way."""
-        obstacles = tuple(
+    def without_reads(self, longer_than_s: float) -> WatchdogDemand:
+        """Give the same without the longer cyclic reads."""
+        delays = tuple(
             replace(one, reads=tuple(read for read in one.reads if read[1] <= longer_than_s))
-            for one in self.obstacles
+            for one in self.delays
         )
         return _put_together(
-            self.drives, self.streams, obstacles, self.own_s, self.lost_s, self.tolerate
+            self.drives, self.streams, delays, self.own_s, self.lost_s, self.tolerate
         )
 
-    @property
-    def _tightest(self) -> str:
-        return min(self.streams, key=_every).name if self.streams else ""
+
+def under_way_s(delays: Sequence[DriveDelay]) -> float:
+    """Give the longest exchange among the delays, seconds."""
+    return max((one.under_way_s for one in delays), default=0.0)
 
 
-def under_way_s(obstacles: Sequence[Obstacle]) -> float:
-    """Give the longest exchange among what may stand in the way, seconds."""
-    return max((one.under_way_s for one in obstacles), default=0.0)
+def longest_stop_s(delays: Sequence[DriveDelay]) -> float:
+    """Give the longest stop among the delays, seconds."""
+    return max((one.stop_s for one in delays), default=0.0)
 
 
-def longest_stop_s(obstacles: Sequence[Obstacle]) -> float:
-    """Give the longest stop among what may stand in the way, seconds."""
-    return max((one.stop_s for one in obstacles), default=0.0)
-
-
-def demand_of(roster: Roster, timing: LineTiming | None = None) -> Feeding:
-    """Reckon what feeding a roster's watchdogs asks of the line.
+def demand_of(roster: Roster, timing: LineTiming | None = None) -> WatchdogDemand:
+    """Calculate what feeding the watchdogs of a roster takes of the line.
 
     Args:
         roster: The roster.
@@ -248,7 +239,7 @@ def demand_of(roster: Roster, timing: LineTiming | None = None) -> Feeding:
 
 
 def faults_of(roster: Roster, timing: LineTiming) -> Faults:
-    """Give what the running schedule keeps room for: the same as the test does."""
+    """Give the lost answers and stops for which the schedule keeps room, as the test does."""
     return Faults(
         roster.line.tolerate,
         max((stop_s(drive, timing) for drive in roster.drives), default=0.0),
@@ -256,13 +247,13 @@ def faults_of(roster: Roster, timing: LineTiming) -> Faults:
     )
 
 
-def _obstacle(drive: DriveEntry, timing: LineTiming) -> Obstacle:
+def _obstacle(drive: DriveEntry, timing: LineTiming) -> DriveDelay:
     reads = tuple(
         (f"{entry.code} of {drive.name}", read_times(drive, entry.code, timing).usual_s)
         for entry in drive.cyclic
     )
     feed = dearest_feed_times(drive, timing)
-    return Obstacle(
+    return DriveDelay(
         drive.name, feed.worst_s, feed.usual_s, reads, stop_s(drive, timing),
         stop_attempt_s(drive, timing),
     )  # fmt: skip
@@ -271,57 +262,57 @@ def _obstacle(drive: DriveEntry, timing: LineTiming) -> Obstacle:
 def _put_together(
     drives: tuple[DriveEntry, ...],
     streams: tuple[Stream, ...],
-    obstacles: tuple[Obstacle, ...],
+    delays: tuple[DriveDelay, ...],
     own_s: tuple[float, ...],
     lost_s: float,
     tolerate: int,
-) -> Feeding:
-    """Let each stream know what may stand before it: the longest of all drives but its own."""
-    others = _others(obstacles, [one.name for one in streams])
+) -> WatchdogDemand:
+    """Give each stream the longest delay by all drives but its own."""
+    others = _others(delays, [one.name for one in streams])
     blocked = tuple(
         replace(one, blocked_s=before.under_way_s + before.stop_s)
         for one, before in zip(streams, others, strict=True)
     )
-    return Feeding(drives, blocked, others, obstacles, lost_s, own_s, tolerate)
+    return WatchdogDemand(drives, blocked, others, delays, lost_s, own_s, tolerate)
 
 
-def _others(obstacles: Sequence[Obstacle], names: Sequence[str]) -> tuple[Others, ...]:
-    """Give, for each of some drives, the longest that all drives but itself put before it."""
+def _others(delays: Sequence[DriveDelay], names: Sequence[str]) -> tuple[OtherDelays, ...]:
+    """Give, for each drive, the longest delays by all drives but itself."""
     longest = []
-    for what in (field.name for field in fields(Others)):
+    for what in (field.name for field in fields(OtherDelays)):
         of = attrgetter(what)
-        two = sorted(obstacles, key=of, reverse=True)[:2]
+        two = sorted(delays, key=of, reverse=True)[:2]
         longest.append([(one.drive, of(one)) for one in two])
     return tuple(
-        Others(*(next((s for drive, s in two if drive != name), 0.0) for two in longest))
+        OtherDelays(*(next((s for drive, s in two if drive != name), 0.0) for two in longest))
         for name in names
     )
 
 
 def least_time_s(
-    feeding: Feeding, *, lost: int | None = None, all_alike: bool = False
+    demand: WatchdogDemand, *, lost: int | None = None, all_alike: bool = False
 ) -> float | None:
     """Give the least time that the watchdogs below it must be raised to so that all are held.
 
     Args:
-        feeding: The feeds as they are.
-        lost: So many lost answers are to be outlasted; None: as the roster says.
+        demand: The feeds as they are.
+        lost: Lost answers to outlast; None: as the roster says.
         all_alike: All watchdogs shall have that time, also those that are longer.
 
     Returns:
         The time in seconds, to the millisecond; None if not even the longest will do, or if
         nothing is fed.
     """
-    if not feeding.drives:
+    if not demand.drives:
         return None
 
     def holds(time_s: float) -> bool:
         def change(old_s: float) -> float:
             return time_s if all_alike else max(old_s, time_s)
 
-        return feeding.with_times(change).holds(lost=lost)
+        return demand.with_times(change).holds(lost=lost)
 
-    return smallest(holds, max(lowest_s(drive) for drive in feeding.drives), LONGEST_S)
+    return smallest(holds, max(lowest_s(drive) for drive in demand.drives), LONGEST_S)
 
 
 def lowest_s(drive: DriveEntry) -> float:

@@ -24,7 +24,7 @@ from lecombus.capacity.demand_bound import Overload
 from lecombus.capacity.exchange_costs import feed_times, line_timing, watched_s
 from lecombus.capacity.watchdog_demand import (
     LONGEST_S,
-    Feeding,
+    WatchdogDemand,
     demand_of,
     least_time_s,
     longest_stop_s,
@@ -65,46 +65,46 @@ class InfeasibleWatchdog:
 
 def find_infeasible(roster: Roster) -> list[InfeasibleWatchdog]:
     """Find the watchdogs that cannot be held; each is named with what would do."""
-    feeding = demand_of(roster)
-    overload = feeding.overload()
+    demand = demand_of(roster)
+    overload = demand.overload()
     if overload is None:
-        return list(_too_slow(feeding, roster.line.baud))
-    least_s = least_time_s(feeding)
-    right = _remedy(roster, feeding, least_s)
+        return list(_too_slow(demand, roster.line.baud))
+    least_s = least_time_s(demand)
+    right = _remedy(roster, demand, least_s)
     return [
         InfeasibleWatchdog(
-            drive.name, _arithmetic(drive, feeding, overload, roster.line.baud), right
+            drive.name, _arithmetic(drive, demand, overload, roster.line.baud), right
         )
-        for drive in feeding.drives
+        for drive in demand.drives
         if least_s is None or (watched_s(drive) or math.inf) < least_s
     ]
 
 
-def _too_slow(feeding: Feeding, baud: int) -> Iterator[InfeasibleWatchdog]:
+def _too_slow(demand: WatchdogDemand, baud: int) -> Iterator[InfeasibleWatchdog]:
     """Find the drives that one exchange of their own keeps from being fed."""
-    for drive, stream, own_s in zip(feeding.drives, feeding.streams, feeding.own_s, strict=True):
+    for drive, stream, own_s in zip(demand.drives, demand.streams, demand.own_s, strict=True):
         if own_s > stream.every_s:
             time_s = format_duration(watched_s(drive) or 0.0)
             yield InfeasibleWatchdog(
                 drive.name,
                 f"a watchdog of {time_s} cannot be held at {baud} baud: one exchange with this "
-                f"drive, such as its stop, takes {_ms(own_s)}, and nothing feeds it meanwhile",
+                f"drive, such as its stop, takes {_ms(own_s)}, and nothing feeds it in that time",
                 f"a time of {rounded_up(own_s / HARD_PART)} or more would do",
             )
 
 
-def _arithmetic(drive: DriveEntry, feeding: Feeding, overload: Overload, baud: int) -> str:
+def _arithmetic(drive: DriveEntry, demand: WatchdogDemand, overload: Overload, baud: int) -> str:
     time_s = watched_s(drive) or 0.0
-    counted = sum(1 for stream in feeding.streams if stream.every_s <= overload.within_s + 1e-9)
+    counted = sum(1 for stream in demand.streams if stream.every_s <= overload.within_s + 1e-9)
     feeds = "1 feed" if counted == 1 else f"the feeds of {counted} drives"
-    before = feeding.before(overload.whose)
+    before = demand.before(overload.whose)
     behind, lost = "", ""
-    if feeding.overload(lost=0) is None:
-        lost = f" if {_answers(feeding.tolerate)} lost"
+    if demand.overload(lost=0) is None:
+        lost = f" if {_answers(demand.tolerate)} lost"
         stop = _ms(longest_stop_s(before))
         behind = (
-            f" behind {_ms(overload.blocking_s)}: an exchange, {feeding.tolerate} times "
-            f"{_ms(feeding.lost_s)} for a lost answer, a stop ({stop}) as far as the last tenth of "
+            f" behind {_ms(overload.blocking_s)}: an exchange, {demand.tolerate} times "
+            f"{_ms(demand.lost_s)} for a lost answer, a stop ({stop}) as far as the last tenth of "
             "the time does not hold it"
         )
     elif before:
@@ -123,16 +123,16 @@ def _answers(count: int) -> str:
     return "1 answer is" if count == 1 else f"{count} answers are"
 
 
-def _remedy(roster: Roster, feeding: Feeding, least_s: float | None) -> str:
+def _remedy(roster: Roster, demand: WatchdogDemand, least_s: float | None) -> str:
     ways: list[str] = []
     if least_s is not None:
         ways.append(f"a time of {rounded_up(least_s)} or more")
     baud = next((baud for baud in BAUDS if baud > roster.line.baud and _holds(roster, baud)), None)
     if baud is not None:
         ways.append(f"baud: {baud}")
-    ways.extend(_fewer_reads(feeding))
+    ways.extend(_fewer_reads(demand))
     ways.append("fewer watched drives on this line")
-    least = next((one for one in range(feeding.tolerate) if feeding.holds(lost=one)), None)
+    least = next((one for one in range(demand.tolerate) if demand.holds(lost=one)), None)
     if least is not None:
         ways.append(f"tolerate: {least}")
     return f"{' or '.join(ways)} would do"
@@ -143,12 +143,12 @@ def _holds(roster: Roster, baud: int) -> bool:
     return demand_of(roster, line_timing(line)).holds()
 
 
-def _fewer_reads(feeding: Feeding) -> Iterator[str]:
+def _fewer_reads(demand: WatchdogDemand) -> Iterator[str]:
     """Say if it is long cyclic reads that stand in the way."""
-    failed_s = max(one.failed_s for one in feeding.obstacles)
-    if feeding.without_reads(failed_s).overload() is not None:
+    failed_s = max(one.failed_s for one in demand.delays)
+    if demand.without_reads(failed_s).overload() is not None:
         return
-    long = [what for one in feeding.obstacles for what, time_s in one.reads if time_s > failed_s]
+    long = [what for one in demand.delays for what, time_s in one.reads if time_s > failed_s]
     if long:
         shown = ", ".join(long[:4]) + (" .." if len(long) > 4 else "")
         yield f"not reading {shown} cyclically"
@@ -217,18 +217,18 @@ class WatchdogPlan:
 
 def watchdog_plans(roster: Roster, timing: LineTiming) -> list[WatchdogPlan]:
     """Plan every watched drive's watchdog, in the roster's order."""
-    feeding = demand_of(roster, timing)
-    plans, lost = [], _lost(feeding)
+    demand = demand_of(roster, timing)
+    plans, lost = [], _lost(demand)
     restart_s = RESTART_S + sum(feed_times(one, timing).usual_s for one in roster.drives)
     known: dict[tuple[float, float, float, float], tuple[float | None, float | None]] = {}
-    for number, drive in enumerate(feeding.drives):
-        stream = feeding.streams[number]
-        low_s = max(lowest_s(drive), feeding.own_s[number] / HARD_PART)
+    for number, drive in enumerate(demand.drives):
+        stream = demand.streams[number]
+        low_s = max(lowest_s(drive), demand.own_s[number] / HARD_PART)
         alike = (stream.cost_s, stream.every_s, stream.blocked_s, low_s)
         if alike not in known:
             known[alike] = (
-                _least(feeding, number, low_s, None),
-                _least(feeding, number, low_s, AWAY_ATTEMPTS + 1),
+                _least(demand, number, low_s, None),
+                _least(demand, number, low_s, AWAY_ATTEMPTS + 1),
             )
         least_s, outlasts_s = known[alike]
         time_s = watched_s(drive) or 0.0
@@ -239,17 +239,17 @@ def watchdog_plans(roster: Roster, timing: LineTiming) -> list[WatchdogPlan]:
     return plans
 
 
-def _lost(feeding: Feeding) -> int:
+def _lost(demand: WatchdogDemand) -> int:
     """Count the lost answers within a watchdog time that all watchdogs outlast."""
     found = 0
-    while found < MOST_LOST and feeding.holds(lost=found + 1):
+    while found < MOST_LOST and demand.holds(lost=found + 1):
         found += 1
     return found
 
 
-def _least(feeding: Feeding, number: int, low_s: float, lost: int | None) -> float | None:
+def _least(demand: WatchdogDemand, number: int, low_s: float, lost: int | None) -> float | None:
     def holds(time_s: float) -> bool:
-        return feeding.with_time(number, time_s).holds(lost=lost)
+        return demand.with_time(number, time_s).holds(lost=lost)
 
-    now_s = feeding.streams[number].every_s / HARD_PART
+    now_s = demand.streams[number].every_s / HARD_PART
     return smallest(holds, low_s, now_s if holds(now_s) else LONGEST_S)

@@ -1,6 +1,6 @@
-"""What can go before a request on one line, in seconds of line time: what `waits` adds up.
+"""What can be sent before a request on one line, in seconds of line time: `waits` adds it up.
 
-* The exchange under way, at its longest: not answered, its answer dripping in to the last, and the
+* The exchange under way, at its longest: not answered, its answer as slow as possible, and the
   silence kept after it. The schedule begins none that could make a feed late, so one that would
   last longer than the watchdogs leave time for is not among them, unless it is a feed itself.
 * Feeds. Those of the drives that their cyclic reads feed often enough never press on a quiet line.
@@ -8,7 +8,7 @@
   answer an old one could pass for one in the usual form, and with the millisecond that an
   adapter adds in its low latency mode.
 
-What must not live here: in what order all that goes (`waits`).
+What must not live here: in which order all that is sent (`waits`).
 """
 
 from __future__ import annotations
@@ -163,7 +163,7 @@ class WorkAhead:
 
     @property
     def any_exchange(self) -> Longest:
-        """The longest exchange that anybody can ask for."""
+        """The longest exchange that any client can ask for."""
         return max(self.own, self.read, self.write, key=_worst)
 
 
@@ -248,7 +248,7 @@ def _own(drive: DriveEntry, timing: LineTiming) -> Iterator[Longest]:
 
 
 def _fed(roster: Roster, timing: LineTiming) -> Iterator[Longest]:
-    """Give the feeds: they are begun even where there is never the time for them."""
+    """Give the feeds: they are begun even where there is never enough time for them."""
     for drive in roster.drives:
         if watched_s(drive) is not None:
             code = family(drive.family).feed_code
@@ -318,7 +318,7 @@ def _beside(roster: Roster, timing: LineTiming) -> Iterator[Stream]:
 
 
 def _needs_feeds(drive: DriveEntry, time_s: float) -> bool:
-    """Whether its reads alone may feed it too seldom: all of them may be due at once."""
+    """Whether its reads alone may feed it too seldom: all of them may be due together."""
     return HARD_PART * time_s < min((entry.every_s for entry in drive.cyclic), default=math.inf)
 
 
@@ -373,4 +373,4 @@ def _worst(one: Longest) -> float:
 
 
 def _never_ended(outcome: Outcome, reason: str) -> None:
-    """Nobody waits for these."""
+    """Ignore it: this request is never sent."""

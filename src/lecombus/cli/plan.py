@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from lecombus.capacity.plan import Plan, make_plan
+from lecombus.capacity.plan import LinePlan, make_plan
 from lecombus.capacity.timeline import Preview, picture, preview
 from lecombus.capacity.watchdog_feasibility import find_infeasible, rounded_up
 from lecombus.cli.arguments import daemon_options
@@ -126,7 +126,7 @@ def _draw(roster: Roster, shown: Preview, file: Path, read_from: Path | None) ->
         raise click.UsageError(f"{file} cannot be written: {exc.strerror}") from exc
 
 
-def _show(plan: Plan, shown: Preview) -> None:
+def _show(plan: LinePlan, shown: Preview) -> None:
     load = plan.load
     click.echo(
         f"line {plan.line} at {plan.baud} baud: {load.total:.0%} of it is asked for "
@@ -146,7 +146,7 @@ def _show(plan: Plan, shown: Preview) -> None:
     _show_effects(plan)
 
 
-def _show_adapter(plan: Plan) -> None:
+def _show_adapter(plan: LinePlan) -> None:
     """Say what becomes of the line if the adapter is as slow as the roster lets it be."""
     one = plan.adapter
     verdict = "every watchdog is held"
@@ -161,7 +161,7 @@ def _show_adapter(plan: Plan) -> None:
     )
 
 
-def _show_waits(plan: Plan) -> None:
+def _show_waits(plan: LinePlan) -> None:
     rows = [
         (one.name, _time(one.quiet_s), _time(one.loaded_s), _time(one.own_s), one.counts)
         for one in plan.waits
@@ -186,7 +186,7 @@ def _show_waits(plan: Plan) -> None:
     )
 
 
-def _show_room(plan: Plan) -> None:
+def _show_room(plan: LinePlan) -> None:
     """Say which exchanges the watchdogs leave no time for, and which only when it happens so."""
     room = plan.room
     if not plan.watchdogs:
@@ -203,7 +203,7 @@ def _show_room(plan: Plan) -> None:
     )
 
 
-def _show_watchdogs(plan: Plan) -> None:
+def _show_watchdogs(plan: LinePlan) -> None:
     if not plan.watchdogs:
         return
     show_table(
@@ -219,7 +219,7 @@ def _show_watchdogs(plan: Plan) -> None:
     )  # fmt: skip
 
 
-def _show_exchanges(plan: Plan) -> None:
+def _show_exchanges(plan: LinePlan) -> None:
     show_table(
         ("drive", "what", "asked every", "reached", "usual", "one failed attempt", "at most"),
         [
@@ -231,7 +231,7 @@ def _show_exchanges(plan: Plan) -> None:
     )  # fmt: skip
 
 
-def _show_effects(plan: Plan) -> None:
+def _show_effects(plan: LinePlan) -> None:
     show_table(
         ("baud", "asked for", "cycles", "watchdogs", "least time for all"),
         [

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from lecombus.config.checks import default_socket, drives_of
-from lecombus.config.container_types import Entry, Items
+from lecombus.config.container_types import Fields, Items
 from lecombus.config.keys import ALL
 from lecombus.drives import family
 from lecombus.protocol.addressing import Code, Form
@@ -26,7 +26,7 @@ from lecombus.roster import (
     Roster,
     StoredWrites,
     WatchdogEntry,
-    multicast_address,
+    group_entry,
 )
 
 __all__ = ["STATE_DIR", "build_roster"]
@@ -42,7 +42,7 @@ _RENAMED = {
 _NOT_YET_USED = ("lease", "mqtt", "journal")
 
 
-def build_roster(roster: Entry, file: str) -> Roster:
+def build_roster(roster: Fields, file: str) -> Roster:
     """Return the roster of a file without mistakes."""
     line = LineEntry(**_fields(roster.get("line")))
     lease = _lease(roster.get("lease"), LeaseEntry())
@@ -63,21 +63,21 @@ def _state(given: str | None, line: LineEntry) -> str | None:
     return str(STATE_DIR / f"{line.name}.json")
 
 
-def _fields(entry: Entry) -> dict[str, Any]:
+def _fields(entry: Fields) -> dict[str, Any]:
     """Return the values of a mapping by the names of the models' fields."""
     return {_RENAMED.get(key, key): value for key, value in entry.values.items()}
 
 
-def _lease(entry: Entry | None, default: LeaseEntry) -> LeaseEntry:
+def _lease(entry: Fields | None, default: LeaseEntry) -> LeaseEntry:
     return default if entry is None else default.model_copy(update=_fields(entry))
 
 
-def _drive(entry: Entry, lease: LeaseEntry) -> DriveEntry:
+def _drive(entry: Fields, lease: LeaseEntry) -> DriveEntry:
     of = family(entry.get("family"))
-    watchdog: Entry | None = entry.get("watchdog")
+    watchdog: Fields | None = entry.get("watchdog")
     cyclic: Items | None = entry.get("cyclic")
     forms = _forms(entry.get("addressing"), of.forms)
-    # A family's status set may hold a subcode that a drive told to be `standard` cannot give.
+    # A family's status set may hold a subcode that a drive with `standard` addressing lacks.
     status = [
         CyclicEntry(code=code, every_s=every_s)
         for code, every_s in of.status
@@ -105,7 +105,7 @@ def _drive(entry: Entry, lease: LeaseEntry) -> DriveEntry:
     )  # fmt: skip
 
 
-def _stored_writes(entry: Entry | None) -> StoredWrites:
+def _stored_writes(entry: Fields | None) -> StoredWrites:
     return StoredWrites() if entry is None else StoredWrites(**_fields(entry))
 
 
@@ -115,28 +115,22 @@ def _forms(addressing: str | None, of_family: tuple[Form, ...]) -> tuple[Form, .
     return (Form.STANDARD,) if addressing == "standard" else (Form.STANDARD, Form.EXTENDED)
 
 
-def _groups(roster: Entry, drives: Sequence[DriveEntry]) -> dict[str, GroupEntry]:
+def _groups(roster: Fields, drives: Sequence[DriveEntry]) -> dict[str, GroupEntry]:
     addresses = {drive.name: drive.address for drive in drives}
     members = {ALL: tuple(addresses)}
-    everything_known: set[str] = set()
+    multicast: set[str] = set()
     for at, group in roster.get("groups", ()):
         if at.text != ALL:
             members[at.text] = tuple(item.value for item in group.get("members"))
         if group.get("multicast", False):
-            everything_known.add(at.text)
+            multicast.add(at.text)
     return {
-        name: GroupEntry(
-            members=names,
-            multicast_address=multicast_address(
-                [addresses[member] for member in names], addresses.values()
-            ),
-            multicast=name in everything_known,
-        )
+        name: group_entry(names, addresses, multicast=name in multicast)
         for name, names in members.items()
     }
 
 
-def _api(entry: Entry | None, line: str) -> ApiEntry:
+def _api(entry: Fields | None, line: str) -> ApiEntry:
     if entry is None:
         return ApiEntry(socket=default_socket(line))
     http = entry.get("http")
@@ -147,18 +141,18 @@ def _api(entry: Entry | None, line: str) -> ApiEntry:
     )
 
 
-def _mqtt(entry: Entry | None) -> MqttEntry | None:
+def _mqtt(entry: Fields | None) -> MqttEntry | None:
     if entry is None:
         return None
     tls = entry.get("tls", True)
     return MqttEntry(host=entry.get("host"), tls=tls, port=entry.get("port", 8883 if tls else 1883))
 
 
-def _not_yet_used(roster: Entry) -> tuple[str, ...]:
+def _not_yet_used(roster: Fields) -> tuple[str, ...]:
     """List the keys given that nothing in this version acts on."""
     found = [key for key in _NOT_YET_USED if key in roster.values]
     api = roster.get("api")
-    if isinstance(api, Entry) and "tokens" in api.values:
+    if isinstance(api, Fields) and "tokens" in api.values:
         found.append("api.tokens")
     found.extend(
         f"drives.{drive.get('name')}.lease" for drive in drives_of(roster)

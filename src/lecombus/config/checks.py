@@ -1,10 +1,10 @@
 """Rules between the keys of a roster: what is wrong only when two values are seen together.
 
-Each check is given what could be read, however little that is, and notes what is wrong with it; a
-missing or unusable value has been noted already and merely silences the rules that need it.
+Each check gets what could be read, complete or not, and notes what is wrong with it; a missing or
+unusable value has been noted already, and the rules that need it are skipped.
 
-Drives are judged one by one in `drive_checks`; here stands what concerns the line, the drives
-among each other, groups, and the end.
+The keys of one drive are checked in `drive_checks`; here are the line, the drives compared with
+each other, groups, and the end.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from typing import Final
 
 from lecombus.capacity.watchdog_feasibility import find_infeasible
-from lecombus.config.container_types import Entry, Items
+from lecombus.config.container_types import Fields, Items
 from lecombus.config.drive_checks import check_drive, check_lapse
 from lecombus.config.mistakes import Mistakes, did_you_mean, one_of, shown
 from lecombus.config.scalar_types import UNUSABLE
@@ -34,17 +34,17 @@ def default_socket(line: str) -> str:
     return f"/run/lecombus/{line}.sock"
 
 
-def drives_of(roster: Entry) -> list[Entry]:
+def drives_of(roster: Fields) -> list[Fields]:
     """Return the drives that could be read at all."""
     drives = roster.get("drives")
     return [item.value for item in drives] if isinstance(drives, Items) else []
 
 
-def check_roster(roster: Entry, mistakes: Mistakes) -> None:
+def check_roster(roster: Fields, mistakes: Mistakes) -> None:
     """Note everything that is wrong between the keys of a roster."""
     drives = drives_of(roster)
     line = roster.get("line")
-    if isinstance(line, Entry):
+    if isinstance(line, Fields):
         _check_line(line, mistakes)
         _check_count(line, roster, mistakes)
     for drive in drives:
@@ -56,7 +56,7 @@ def check_roster(roster: Entry, mistakes: Mistakes) -> None:
     _check_default_lapse(roster, drives, mistakes)
 
 
-def check_feasibility(entries: Entry, roster: Roster, mistakes: Mistakes) -> None:
+def check_feasibility(entries: Fields, roster: Roster, mistakes: Mistakes) -> None:
     """Note every watchdog that the line cannot hold.
 
     Args:
@@ -68,11 +68,11 @@ def check_feasibility(entries: Entry, roster: Roster, mistakes: Mistakes) -> Non
     for drive in drives_of(entries):
         one = unheld.get(drive.get("name"))
         watchdog = drive.get("watchdog")
-        if one is not None and isinstance(watchdog, Entry):
+        if one is not None and isinstance(watchdog, Fields):
             mistakes.note(watchdog.place("time"), one.what, one.right)
 
 
-def _check_line(line: Entry, mistakes: Mistakes) -> None:
+def _check_line(line: Fields, mistakes: Mistakes) -> None:
     direction = line.get("direction")
     port = line.get("port", "")
     if direction in {"kernel", "rts"} and is_network_port(port):
@@ -84,7 +84,7 @@ def _check_line(line: Entry, mistakes: Mistakes) -> None:
         mistakes.note(line.place("repeaters"), what, "remove the key, or write medium: rs485")
 
 
-def _check_count(line: Entry, roster: Entry, mistakes: Mistakes) -> None:
+def _check_count(line: Fields, roster: Fields, mistakes: Mistakes) -> None:
     """Note each drive beyond what the medium takes, at the first one too many."""
     medium = line.get("medium", None if "medium" in line.nodes else "rs485")
     if medium is None or not isinstance(roster.get("drives"), Items):
@@ -104,8 +104,8 @@ def _check_count(line: Entry, roster: Entry, mistakes: Mistakes) -> None:
     mistakes.note(drives[most].node, what, right)
 
 
-def _check_names(drives: list[Entry], mistakes: Mistakes) -> None:
-    first: dict[str, Entry] = {}
+def _check_names(drives: list[Fields], mistakes: Mistakes) -> None:
+    first: dict[str, Fields] = {}
     for drive in drives:
         name = drive.get("name")
         if name is None:
@@ -113,11 +113,11 @@ def _check_names(drives: list[Entry], mistakes: Mistakes) -> None:
         other = first.setdefault(name, drive)
         if other is not drive:
             what = f"a drive named {shown(name)} stands in line {other.place('name').line} already"
-            mistakes.note(drive.place("name"), what, "every drive needs a name of its own")
+            mistakes.note(drive.place("name"), what, "every drive needs its own name")
 
 
-def _check_addresses(drives: list[Entry], mistakes: Mistakes) -> None:
-    first: dict[int, Entry] = {}
+def _check_addresses(drives: list[Fields], mistakes: Mistakes) -> None:
+    first: dict[int, Fields] = {}
     for drive in drives:
         address = drive.get("address")
         if address is None:
@@ -130,7 +130,7 @@ def _check_addresses(drives: list[Entry], mistakes: Mistakes) -> None:
             mistakes.note(drive.place("address"), what, _free_address(address, drives))
 
 
-def _free_address(near: int, drives: list[Entry]) -> str:
+def _free_address(near: int, drives: list[Fields]) -> str:
     """Return a remedy that names the next free address."""
     taken = {drive.get("address") for drive in drives}
     free = [number for number in (*range(near, 100), *range(near, 0, -1))
@@ -138,7 +138,7 @@ def _free_address(near: int, drives: list[Entry]) -> str:
     return f"every drive needs its own; {free[0]} is free" if free else "every drive needs its own"
 
 
-def _check_groups(roster: Entry, drives: list[Entry], mistakes: Mistakes) -> None:
+def _check_groups(roster: Fields, drives: list[Fields], mistakes: Mistakes) -> None:
     names = {drive.get("name"): drive for drive in drives if drive.get("name") is not None}
     for at, group in roster.get("groups", ()):
         namesake = names.get(at.text)
@@ -152,7 +152,7 @@ def _check_groups(roster: Entry, drives: list[Entry], mistakes: Mistakes) -> Non
             _check_members(at.text, members, known, mistakes)
 
 
-def _written_name(drive: Entry) -> str | None:
+def _written_name(drive: Fields) -> str | None:
     node = drive.nodes.get("name")
     return node.text if isinstance(node, Scalar) else None
 
@@ -175,7 +175,7 @@ def _some(names: Iterable[str], most: int = 8) -> str:
     return one_of(ordered) if len(ordered) <= most else f"{', '.join(ordered[:most])} .."
 
 
-def _check_shutdown(roster: Entry, drives: list[Entry], mistakes: Mistakes) -> None:
+def _check_shutdown(roster: Fields, drives: list[Fields], mistakes: Mistakes) -> None:
     action = roster.get("on_shutdown", "nothing")
     if action == "nothing":
         return
@@ -197,14 +197,16 @@ def _check_shutdown(roster: Entry, drives: list[Entry], mistakes: Mistakes) -> N
     )
 
 
-def _check_default_lapse(roster: Entry, drives: list[Entry], mistakes: Mistakes) -> None:
+def _check_default_lapse(roster: Fields, drives: list[Fields], mistakes: Mistakes) -> None:
     """Check the default of `lease` against each drive that does not say otherwise."""
     default = roster.get("lease")
-    required = isinstance(default, Entry) and default.get("required", False)
-    fallback = default.get("on_lapse", "quick-stop") if isinstance(default, Entry) else "quick-stop"
+    required = isinstance(default, Fields) and default.get("required", False)
+    fallback = (
+        default.get("on_lapse", "quick-stop") if isinstance(default, Fields) else "quick-stop"
+    )
     for drive in drives:
         own = drive.get("lease", UNUSABLE)
-        given = own if isinstance(own, Entry) else None
+        given = own if isinstance(own, Fields) else None
         needs = given.get("required", required) if given is not None else required
         if needs and (given is None or "on_lapse" not in given.nodes):
             check_lapse(drive, fallback, drive.place("lease"), mistakes)

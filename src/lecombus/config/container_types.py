@@ -1,9 +1,9 @@
-"""Kinds that hold other kinds: mappings with known keys, mappings by name, lists.
+"""Types that hold other types: mappings with known keys, mappings by name, lists.
 
-Strategy: a shape reads all of its parts whatever is wrong with some of them, and gives back what
-is usable with the nodes it came from (`Entry`, `Item`), so that later checks can point at places.
-A mistyped key is taken for the key it was meant to be (the roster is refused anyway), so that
-what stands behind it is checked too, and no second mistake claims that the right key is missing.
+A container reads all of its parts even if some are wrong, and returns what is usable with its nodes
+(`Fields`, `Item`), so that later checks can give places. A mistyped key is read as the key
+that was probably meant (the roster is refused anyway): its value is checked too, and there is no
+second mistake for the missing key.
 
 What must not live here: which keys there are (see `keys`).
 """
@@ -15,10 +15,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from lecombus.config.mistakes import Mistakes, nearest, shown
-from lecombus.config.scalar_types import UNUSABLE, Kind, ScalarType, Unusable
+from lecombus.config.scalar_types import UNUSABLE, ScalarType, Unusable, ValueType
 from lecombus.config.yaml_nodes import ListNode, MappingNode, Node, Scalar, kind_of
 
-__all__ = ["Entry", "Item", "Items", "Key", "ListOf", "NamedEntries", "Table"]
+__all__ = ["Fields", "Item", "Items", "Key", "ListOf", "NamedEntries", "Table"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ class Key:
 
     Args:
         name: As written in the roster.
-        kind: What it holds.
+        type: What it holds.
         doc: What it is for, for editors; one or two sentences.
         required: Whether it must be there.
         default: What holds without it, in the roster's own words; None where there is no one
@@ -35,15 +35,15 @@ class Key:
     """
 
     name: str
-    kind: Kind
+    type: ValueType
     doc: str
     required: bool = False
     default: object = None
 
 
 @dataclass(slots=True)
-class Entry:
-    """What could be read of a mapping.
+class Fields:
+    """The parts of a mapping that could be read.
 
     Args:
         node: The mapping.
@@ -74,7 +74,7 @@ class Item:
 
 @dataclass(slots=True)
 class Items:
-    """What could be read of a list.
+    """The parts of a list that could be read.
 
     Args:
         items: The usable values.
@@ -103,37 +103,39 @@ class Table:
         self._a_title = f"{'an' if title[0] in 'aeiou' or title == 'mqtt' else 'a'} {title}"
         self.keys = {key.name: key for key in keys}
         self.doc = doc
+        self.expects = self._expected()
+        self.schema = self._schema()
 
-    @property
-    def expects(self) -> str:
-        """See `Kind`."""
+    def _expected(self) -> str:
         required = [key.name for key in self.keys.values() if key.required]
         if not required:
             return f"a mapping with keys such as {next(iter(self.keys))}"
         *most, last = required
         return f"a mapping with {', '.join(most)} and {last}" if most else f"a mapping with {last}"
 
-    def read(self, node: Node, label: str, mistakes: Mistakes) -> Entry | Unusable:
-        """See `Kind`."""
+    def read(self, node: Node, label: str, mistakes: Mistakes) -> Fields | Unusable:
+        """Return what is usable, mistakes noted; `UNUSABLE` if it is something else."""
         if not isinstance(node, MappingNode):
             mistakes.note(node, f"{label} is {kind_of(node)}", f"give {self.expects}")
             return UNUSABLE
-        entry = Entry(node)
+        entry = Fields(node)
         for text, (at, value) in node.items.items():
             name = text if text in self.keys else self._meant(at, node, entry, mistakes)
             if name is None:
                 continue
             entry.nodes[name] = value
-            read = self.keys[name].kind.read(value, f"`{name}`", mistakes)
+            read = self.keys[name].type.read(value, f"`{name}`", mistakes)
             if read is not UNUSABLE:
                 entry.values[name] = read
         for key in self.keys.values():
             if key.required and key.name not in entry.nodes:
                 what = f"the {self.title} has no `{key.name}`"
-                mistakes.note(node, what, f"give {key.kind.expects}")
+                mistakes.note(node, what, f"give {key.type.expects}")
         return entry
 
-    def _meant(self, at: Scalar, node: MappingNode, entry: Entry, mistakes: Mistakes) -> str | None:
+    def _meant(
+        self, at: Scalar, node: MappingNode, entry: Fields, mistakes: Mistakes
+    ) -> str | None:
         """Note an unknown key; return the key it was meant to be, where that is missing."""
         meant = nearest(at.text, self.keys)
         listed = f"the keys of {self._a_title} are {', '.join(self.keys)}"
@@ -142,87 +144,89 @@ class Table:
         taken = meant in node.items or meant in entry.nodes
         return None if taken else meant
 
-    def schema(self) -> dict[str, Any]:
-        """See `Kind`."""
-        properties: dict[str, Any] = {}
-        for key in self.keys.values():
-            piece = {**key.kind.schema(), "description": key.doc}
-            properties[key.name] = piece if key.default is None else {
-                **piece, "default": key.default
-            }  # fmt: skip
-        required = [key.name for key in self.keys.values() if key.required]
+    def _schema(self) -> dict[str, Any]:
+        properties = {
+            key.name: {
+                **key.type.schema, "description": key.doc,
+                **({} if key.default is None else {"default": key.default}),
+            }
+            for key in self.keys.values()
+        }  # fmt: skip
         found: dict[str, Any] = {
             "type": "object", "properties": properties, "additionalProperties": False
         }  # fmt: skip
-        if required:
+        if required := [key.name for key in self.keys.values() if key.required]:
             found["required"] = required
         return {**found, "description": self.doc} if self.doc else found
 
 
 class NamedEntries:
-    """A mapping from names to values of one kind, such as the groups.
+    """A mapping from names to values of one type, such as the groups.
 
     Args:
         name: What a name must look like.
-        kind: What each name holds.
+        of: What each name holds.
         special: What a few names hold instead.
     """
 
     def __init__(
-        self, name: ScalarType, kind: Kind, *, special: Mapping[str, Kind] | None = None
+        self,
+        name: ScalarType,
+        of: ValueType,
+        *,
+        special: Mapping[str, ValueType] | None = None,
     ) -> None:
         self.name = name
-        self.kind = kind
+        self.of = of
         self.special = special or {}
-        self.expects = f"a mapping from {name.expects} to {kind.expects}"
+        self.expects = f"a mapping from {name.expects} to {of.expects}"
+        names = {key: value for key, value in name.schema.items() if key != "type"}
+        self.schema: dict[str, Any] = {
+            "type": "object", "propertyNames": names, "additionalProperties": of.schema
+        }  # fmt: skip
+        if self.special:
+            self.schema["properties"] = {text: one.schema for text, one in self.special.items()}
 
     def read(
         self, node: Node, label: str, mistakes: Mistakes
     ) -> list[tuple[Scalar, Any]] | Unusable:
-        """See `Kind`; gives the usable entries with the nodes of their names."""
+        """Return the usable entries with the nodes of their names, mistakes noted."""
         if not isinstance(node, MappingNode):
             mistakes.note(node, f"{label} is {kind_of(node)}", f"give {self.expects}")
             return UNUSABLE
         found = []
         for text, (at, value) in node.items.items():
             self.name.read(at, "the name", mistakes)
-            read = self.special.get(text, self.kind).read(value, shown(text), mistakes)
+            read = self.special.get(text, self.of).read(value, shown(text), mistakes)
             if read is not UNUSABLE:
                 found.append((at, read))
         return found
 
-    def schema(self) -> dict[str, Any]:
-        """See `Kind`."""
-        names = {key: value for key, value in self.name.schema().items() if key != "type"}
-        found: dict[str, Any] = {
-            "type": "object", "propertyNames": names, "additionalProperties": self.kind.schema()
-        }  # fmt: skip
-        if self.special:
-            found["properties"] = {text: kind.schema() for text, kind in self.special.items()}
-        return found
-
 
 class ListOf:
-    """A list of values of one kind.
+    """A list of values of one type.
 
     Args:
-        kind: What each item is.
+        of: What each item is.
         item: What an item is called in a mistake, such as "code".
         least: Fewest items.
     """
 
-    def __init__(self, kind: Kind, item: str, least: int = 0) -> None:
-        self.kind = kind
+    def __init__(self, of: ValueType, item: str, least: int = 0) -> None:
+        self.of = of
         self._item = item
         self._least = least
-        self.expects = f"a list, each item {kind.expects}"
+        self.expects = f"a list, each item {of.expects}"
+        self.schema: dict[str, Any] = {"type": "array", "items": of.schema}
+        if least:
+            self.schema["minItems"] = least
 
     def read(self, node: Node, label: str, mistakes: Mistakes) -> Items | Unusable:
-        """See `Kind`."""
+        """Return what is usable, mistakes noted; `UNUSABLE` if it is something else."""
         if not isinstance(node, ListNode):
             right = f"give {self.expects}"
             if isinstance(node, Scalar) and not node.is_empty and isinstance(
-                self.kind, ScalarType
+                self.of, ScalarType
             ):  # fmt: skip
                 right = f"put it in brackets: [{node.text[:40]}]"
             mistakes.note(node, f"{label} is {kind_of(node)}", right)
@@ -230,11 +234,6 @@ class ListOf:
         if len(node.items) < self._least:
             mistakes.note(node, f"{label} is an empty list", f"give {self.expects}")
             return UNUSABLE
-        read = [Item(item, self.kind.read(item, self._item, mistakes)) for item in node.items]
+        read = [Item(item, self.of.read(item, self._item, mistakes)) for item in node.items]
         usable = [item for item in read if item.value is not UNUSABLE]
         return Items(usable, len(usable) == len(read))
-
-    def schema(self) -> dict[str, Any]:
-        """See `Kind`."""
-        found: dict[str, Any] = {"type": "array", "items": self.kind.schema()}
-        return {**found, "minItems": self._least} if self._least else found

@@ -1,8 +1,8 @@
-"""What a roster comes to, in words and as data, for `lecombus check`.
+"""What a roster means, in words and as data, for `lecombus check`.
 
-Says what cannot be seen in the file: whether a group is one telegram or one write after another,
-what was filled in from a drive's family, how much of the line the cyclic reads take, what is
-suspicious, and what was given but does nothing yet.
+Gives what cannot be seen in the file: whether a group is one telegram or one write after another,
+what was filled in from a drive's family, how much of the line the cyclic reads take, the warnings,
+and the keys that do nothing yet.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class DescribedDrive:
         watchdog: Such as `2s quick-stop, written` or `not looked after`.
         cyclic: What is read how often, such as `C0150 500ms, C0050 2s`.
         writable: What may be written, in order.
-        stop_fallback: What a quick stop becomes that cannot be had: `inhibit` or `none`.
+        stop_fallback: What replaces a quick stop that is not possible: `inhibit` or `none`.
     """
 
     name: str
@@ -84,7 +84,7 @@ class DescribedGroup:
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """What a roster comes to.
+    """What a roster means.
 
     Args:
         file: The roster.
@@ -124,7 +124,7 @@ class Description:
 
 
 def describe(roster: Roster) -> Description:
-    """Say what a roster comes to."""
+    """Describe a roster."""
     line = roster.line
     return Description(
         file=roster.file,

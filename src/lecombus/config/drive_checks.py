@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from lecombus.config.container_types import Entry, Item, Items
-from lecombus.config.mistakes import Mistakes, Place, did_you_mean, one_of, shown
+from lecombus.config.container_types import Fields, Item, Items
+from lecombus.config.mistakes import Mistakes, Position, did_you_mean, one_of, shown
 from lecombus.drives import (
     FAMILY_NAMES,
     Family,
@@ -28,29 +28,29 @@ WRITABLE = ("writable", "also_writable")
 """The keys that list what may be written."""
 
 
-def check_drive(drive: Entry, mistakes: Mistakes) -> None:
+def check_drive(drive: Fields, mistakes: Mistakes) -> None:
     """Note everything that is wrong inside one drive's entry."""
     _check_doubles(drive, mistakes)
     _check_forms(drive, mistakes)
     name = drive.get("family")
     watchdog = drive.get("watchdog")
     if name is None:
-        if isinstance(watchdog, Entry):
+        if isinstance(watchdog, Fields):
             _check_watchdog_of_any(watchdog, mistakes)
         return
     of = family(name)
     if of.watchdog is None and "watchdog" in drive.nodes:
         what = f"no watchdog is known for family {name}"
         mistakes.note(drive.place("watchdog"), what, "remove the key")
-    elif of.watchdog is not None and isinstance(watchdog, Entry):
+    elif of.watchdog is not None and isinstance(watchdog, Fields):
         _check_watchdog(watchdog, name, of.watchdog, mistakes)
     _check_writable(drive, of, mistakes)
     lease = drive.get("lease")
-    if isinstance(lease, Entry) and "on_lapse" in lease.values:
+    if isinstance(lease, Fields) and "on_lapse" in lease.values:
         check_lapse(drive, lease.get("on_lapse"), lease.place("on_lapse"), mistakes)
 
 
-def check_lapse(drive: Entry, action: str, place: Place, mistakes: Mistakes) -> None:
+def check_lapse(drive: Fields, action: str, place: Position, mistakes: Mistakes) -> None:
     """Note a lapse action that the drive's family does not know."""
     name = drive.get("family")
     if name is None or action not in set(StopAction):
@@ -61,7 +61,7 @@ def check_lapse(drive: Entry, action: str, place: Place, mistakes: Mistakes) -> 
         mistakes.note(place, what, f"write on_lapse: {one_of([*known, 'silence', 'hold'])}")
 
 
-def _check_watchdog_of_any(watchdog: Entry, mistakes: Mistakes) -> None:
+def _check_watchdog_of_any(watchdog: Fields, mistakes: Mistakes) -> None:
     """Note what no family's watchdog can do, where the family is not known."""
     known = [traits for name in FAMILY_NAMES if (traits := family(name).watchdog) is not None]
     low_s, high_s = min(one.low_s for one in known), max(one.high_s for one in known)
@@ -78,7 +78,7 @@ def _check_watchdog_of_any(watchdog: Entry, mistakes: Mistakes) -> None:
 
 
 def _note_action(
-    place: Place, who: str, action: str, actions: Collection[str], mistakes: Mistakes
+    place: Position, who: str, action: str, actions: Collection[str], mistakes: Mistakes
 ) -> None:
     allowed = one_of(actions)
     right = did_you_mean(action, actions, f"{allowed} would be right")
@@ -86,7 +86,9 @@ def _note_action(
     mistakes.note(place, f"{who} {shown(action)}", right)
 
 
-def _check_watchdog(watchdog: Entry, name: str, traits: WatchdogTraits, mistakes: Mistakes) -> None:
+def _check_watchdog(
+    watchdog: Fields, name: str, traits: WatchdogTraits, mistakes: Mistakes
+) -> None:
     time_s = watchdog.get("time")
     if time_s is not None:
         _check_time(time_s, watchdog.place("time"), name, traits, mistakes)
@@ -97,7 +99,7 @@ def _check_watchdog(watchdog: Entry, name: str, traits: WatchdogTraits, mistakes
 
 
 def _check_time(
-    time_s: float, place: Place, name: str, traits: WatchdogTraits, mistakes: Mistakes
+    time_s: float, place: Position, name: str, traits: WatchdogTraits, mistakes: Mistakes
 ) -> None:
     if not traits.low_s <= time_s <= traits.high_s:
         what = f"a watchdog time of {format_duration(time_s)} is out of range for family {name}"
@@ -110,13 +112,13 @@ def _range(low_s: float, high_s: float) -> str:
     return f"{format_duration(max(low_s, 0.001))} to {format_duration(high_s)} would be right"
 
 
-def _check_whole_ms(time_s: float, place: Place, mistakes: Mistakes) -> None:
+def _check_whole_ms(time_s: float, place: Position, mistakes: Mistakes) -> None:
     if abs(time_s * 1000 - round(time_s * 1000)) > 1e-6:
         what = f"a watchdog time of {format_duration(time_s)} is no whole number of milliseconds"
         mistakes.note(place, what, f"write {round(time_s * 1000)}ms")
 
 
-def _codes(drive: Entry, key: str) -> list[Item]:
+def _codes(drive: Fields, key: str) -> list[Item]:
     """Return the codes under a key that could be read, with their places."""
     items = drive.get(key)
     if key == "identity":
@@ -137,7 +139,7 @@ def _code_of(text: str) -> Code | None:
         return None
 
 
-def _check_doubles(drive: Entry, mistakes: Mistakes) -> None:
+def _check_doubles(drive: Fields, mistakes: Mistakes) -> None:
     ways = (
         ("cyclic", "read cyclically"),
         ("writable", "writable"),
@@ -154,7 +156,7 @@ def _check_doubles(drive: Entry, mistakes: Mistakes) -> None:
                 mistakes.note(item.node, what, "keep one of the two")
 
 
-def _check_forms(drive: Entry, mistakes: Mistakes) -> None:
+def _check_forms(drive: Fields, mistakes: Mistakes) -> None:
     """Note codes that the drive's addressing cannot carry."""
     name = drive.get("family")
     addressing = drive.get("addressing")
@@ -170,7 +172,7 @@ def _check_forms(drive: Entry, mistakes: Mistakes) -> None:
                 mistakes.note(item.node, what, right)
 
 
-def _check_writable(drive: Entry, of: Family, mistakes: Mistakes) -> None:
+def _check_writable(drive: Fields, of: Family, mistakes: Mistakes) -> None:
     """Refuse codes that change how the drive is reached; listed beside the key, they do nothing."""
     if drive.get("allow_address_change", "allow_address_change" in drive.nodes):
         return

@@ -1,17 +1,17 @@
-"""Kinds of values that name something outside: the port, sockets, files, hosts.
+"""Types of values that name something outside: ports, sockets, files, hosts.
 
-They are judged by their form only. Whether a device is there or a directory can be written is the
-business of whoever opens it: a roster is checked on machines that have neither.
+They are checked by their form only: a roster is checked on machines that have neither the device
+nor the directory.
 """
 
 from __future__ import annotations
 
 import contextlib
 import re
-from typing import Any, Final
+from typing import Final
 
 from lecombus.config.mistakes import did_you_mean, nearest, one_of, shown
-from lecombus.config.scalar_types import ScalarType, Wrong
+from lecombus.config.scalar_types import ScalarType, WrongText
 from lecombus.roster import is_loopback
 
 __all__ = ["AbsolutePath", "Host", "HttpType", "PortType"]
@@ -32,25 +32,26 @@ LONGEST_SOCKET_PATH: Final = 107
 def _split_host_port(text: str) -> tuple[str, int]:
     match = _HOST_PORT.fullmatch(text)
     if match is None:
-        raise Wrong("is not HOST:PORT", "write it like 127.0.0.1:9740 or [::1]:9740")
+        raise WrongText("is not HOST:PORT", "write it like 127.0.0.1:9740 or [::1]:9740")
     if int(match[2]) > 65535:
-        raise Wrong("has a port number out of range", "1 to 65535 would be right")
+        raise WrongText("has a port number out of range", "1 to 65535 would be right")
     return match[1].strip("[]"), int(match[2])
 
 
 class PortType(ScalarType):
-    """What the line hangs on: a device, a device server, or the simulator."""
+    """The port of a line: a device, a device server, or the simulator."""
 
-    expects = _PORT_FORMS
+    def __init__(self) -> None:
+        pattern = r"^(/.*[^/]|socket://.+:[0-9]+.*|sim(:.*)?)$"
+        super().__init__(_PORT_FORMS, {"type": "string", "pattern": pattern})
 
-    def convert(self, text: str) -> str:
-        """See `ScalarType`."""
+    def _convert(self, text: str) -> str:
         if not text or not text.isprintable() or text != text.strip():
-            raise Wrong("is no port", f"give {_PORT_FORMS}")
+            raise WrongText("is no port", f"give {_PORT_FORMS}")
         if text.startswith("/"):
             return self._device(text)
         if text == "sim":
-            return "sim:"  # YAML wants quotes around the colon; nobody should have to know that
+            return "sim:"  # YAML wants quotes around a value that ends in a colon
         scheme, colon, rest = text.partition(":")
         if colon and scheme in _SCHEMES:
             return text if scheme == "sim" else self._network(text, scheme, rest)
@@ -58,64 +59,58 @@ class PortType(ScalarType):
             raise self._remote_control(rest)
         if colon:
             right = did_you_mean(scheme, _SCHEMES, f"{one_of(_SCHEMES)} would be right")
-            raise Wrong(f"has the unknown scheme {shown(scheme)}", right)
+            raise WrongText(f"has the unknown scheme {shown(scheme)}", right)
         if text.startswith("tty"):
-            raise Wrong("is no whole path", f"write /dev/{text}")
+            raise WrongText("is no whole path", f"write /dev/{text}")
         meant = nearest(text, _SCHEMES)
-        raise Wrong("is no port", f"did you mean `{meant}:`?" if meant else f"give {_PORT_FORMS}")
+        raise WrongText(
+            "is no port", f"did you mean `{meant}:`?" if meant else f"give {_PORT_FORMS}"
+        )
 
     def _device(self, text: str) -> str:
         if text.endswith("/"):
-            raise Wrong("is a directory", f"name the device in it, such as {text}NAME")
+            raise WrongText("is a directory", f"name the device in it, such as {text}NAME")
         return text
 
     def _network(self, text: str, scheme: str, rest: str) -> str:
         right = f"write {scheme}://HOST:PORT, such as {scheme}://192.0.2.7:4001"
         if not rest.startswith("//"):
-            raise Wrong("has no host", right)
+            raise WrongText("has no host", right)
         try:
             _, number = _split_host_port(rest[2:].split("?")[0].rstrip("/"))
-        except Wrong as exc:
-            raise Wrong("is not a host with a port", right) from exc
+        except WrongText as exc:
+            raise WrongText("is not a host with a port", right) from exc
         if number == 0:
-            raise Wrong("has the port number 0", right)
+            raise WrongText("has the port number 0", right)
         return text
 
-    def _remote_control(self, rest: str) -> Wrong:
+    def _remote_control(self, rest: str) -> WrongText:
         where, port = "HOST:4001", 4001
-        with contextlib.suppress(Wrong):
+        with contextlib.suppress(WrongText):
             given = rest.removeprefix("//").split("?")[0].rstrip("/")
             _, port = _split_host_port(given)
             where = given
-        return Wrong("is not supported", _RAW_SERVER.format(where=where, port=port))
-
-    def schema(self) -> dict[str, Any]:
-        """See `Kind`."""
-        return {
-            "type": "string",
-            "pattern": r"^(/.*[^/]|socket://.+:[0-9]+.*|sim(:.*)?)$",
-        }
+        return WrongText("is not supported", _RAW_SERVER.format(where=where, port=port))
 
 
 class HttpType(ScalarType):
-    """Where the API listens on TCP: loopback only, as long as nobody has to say who he is."""
+    """Where the API listens on TCP: loopback only, as long as clients are not authenticated."""
 
-    expects = "HOST:PORT, such as 127.0.0.1:9740"
+    def __init__(self) -> None:
+        pattern = r"^(127\.[0-9.]+|localhost|\[::1\]):[0-9]{1,5}$"
+        super().__init__(
+            "HOST:PORT, such as 127.0.0.1:9740", {"type": "string", "pattern": pattern}
+        )
 
-    def convert(self, text: str) -> tuple[str, int]:
-        """See `ScalarType`."""
+    def _convert(self, text: str) -> tuple[str, int]:
         host, number = _split_host_port(text)
         if not is_loopback(host):
-            # House rule until access control exists: whoever reaches the port may read.
-            raise Wrong(
+            # Until access control exists, everyone who reaches the port may read.
+            raise WrongText(
                 "is not local: api.http must be a loopback address",
                 f"write 127.0.0.1:{number}; from outside use a tunnel, such as ssh -L",
             )
         return host, number
-
-    def schema(self) -> dict[str, Any]:
-        """See `Kind`."""
-        return {"type": "string", "pattern": r"^(127\.[0-9.]+|localhost|\[::1\]):[0-9]{1,5}$"}
 
 
 class AbsolutePath(ScalarType):
@@ -127,43 +122,34 @@ class AbsolutePath(ScalarType):
     """
 
     def __init__(self, example: str, longest: int = 4095) -> None:
+        super().__init__(
+            f"an absolute path such as {example}",
+            {"type": "string", "pattern": "^/.*[^/]$", "maxLength": longest},
+        )
         self._example = example
         self._longest = longest
 
-    @property
-    def expects(self) -> str:
-        """See `Kind`."""
-        return f"an absolute path such as {self._example}"
-
-    def convert(self, text: str) -> str:
-        """See `ScalarType`."""
+    def _convert(self, text: str) -> str:
         if not text.startswith("/") or not text.isprintable():
-            raise Wrong("is no absolute path", f"write it from /, such as {self._example}")
+            raise WrongText("is no absolute path", f"write it from /, such as {self._example}")
         if text.endswith("/"):
-            raise Wrong("is a directory", f"name a file, such as {self._example}")
+            raise WrongText("is a directory", f"name a file, such as {self._example}")
         size = len(text.encode())
         if size > self._longest:
-            raise Wrong(f"is too long: {size} bytes", f"at most {self._longest} are possible")
+            raise WrongText(f"is too long: {size} bytes", f"at most {self._longest} are possible")
         return text
-
-    def schema(self) -> dict[str, Any]:
-        """See `Kind`."""
-        return {"type": "string", "pattern": "^/.*[^/]$", "maxLength": self._longest}
 
 
 class Host(ScalarType):
     """A host by name or address."""
 
-    expects = "a host name or address"
+    def __init__(self) -> None:
+        schema = {"type": "string", "pattern": "^[A-Za-z0-9._:-]{1,253}$"}
+        super().__init__("a host name or address", schema)
 
-    def convert(self, text: str) -> str:
-        """See `ScalarType`."""
+    def _convert(self, text: str) -> str:
         if re.fullmatch(r"[A-Za-z0-9._:-]{1,253}", text, re.ASCII) is None:
-            raise Wrong("is no host", f"give {self.expects}")
+            raise WrongText("is no host", f"give {self.expects}")
         if re.fullmatch(r"[A-Za-z0-9._-]+:[0-9]+", text):
-            raise Wrong("has a port in it", "give the port by the key `port`")
+            raise WrongText("has a port in it", "give the port by the key `port`")
         return text
-
-    def schema(self) -> dict[str, Any]:
-        """See `Kind`."""
-        return {"type": "string", "pattern": "^[A-Za-z0-9._:-]{1,253}$"}

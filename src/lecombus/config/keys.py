@@ -21,7 +21,7 @@ from lecombus.config.endpoint_types import (
     PortType,
 )
 from lecombus.config.number_types import Address, CodeType, Duration, Percent, Whole, WholeChoice
-from lecombus.config.scalar_types import Choice, Name, Text, YesNo
+from lecombus.config.scalar_types import Keyword, Name, TextLine, YesNo
 from lecombus.drives import FAMILY_NAMES
 from lecombus.protocol.timing import BAUDS
 
@@ -37,11 +37,11 @@ _HOUR_S: Final = 3600.0
 _DRIVE_NAME: Final = Name("drive", reserved={ALL: "`all` is the group of all drives"})
 _GROUP_NAME: Final = Name("group")
 _CODE: Final = CodeType()
-_ECHO: Final = Choice(
+_ECHO: Final = Keyword(
     get_args(roster.Echo),
     also={"true": "yes", "on": "yes", "yes": "yes", "false": "no", "off": "no", "no": "no"},
 )
-_ON_LAPSE: Final = Choice(get_args(roster.Lapse))
+_ON_LAPSE: Final = Keyword(get_args(roster.Lapse))
 
 _LINE: Final = Table("line", (
     Key("name", Name("line", capitals=True),
@@ -51,16 +51,16 @@ _LINE: Final = Table("line", (
         "for built-in simulated drives.", required=True),
     Key("baud", WholeChoice(BAUDS), "Bits a second, the same in every drive (C0125, P411).",
         default=9600),
-    Key("medium", Choice(get_args(roster.Medium)),
+    Key("medium", Keyword(get_args(roster.Medium)),
         "What the drives hang on. rs485 takes 31 drives (90 with repeaters), rs232 one, fibre 52.",
         default="rs485"),
     Key("repeaters", YesNo(), "An rs485 line with repeaters: 90 drives instead of 31.",
         default=False),
-    Key("direction", Choice(get_args(roster.Direction)),
+    Key("direction", Keyword(get_args(roster.Direction)),
         "Who switches the RS-485 transceiver: the adapter, the kernel's driver, or lecombus by "
         "RTS (which cannot promise the 1 ms that drives expect).", default="adapter"),
     Key("echo", _ECHO, "Whether everything sent comes back; auto finds out.", default="auto"),
-    Key("parity", Choice(get_args(roster.Parity)),
+    Key("parity", Keyword(get_args(roster.Parity)),
         "Who makes even parity: lecombus on an 8N1 port (line), or a device server that frames "
         "7E1 (port).", default="line"),
     Key("turnaround", Duration(0, 1),
@@ -85,7 +85,7 @@ _WATCHDOG: Final = Table("watchdog", (
     Key("time", Duration(0.001, 100),
         "Time without a telegram after which the drive acts. 2102 module: 50ms to 65.535s; "
         "SMVector: up to 65s.", required=True),
-    Key("action", Text("none, inhibit, quick-stop or trip", 20),
+    Key("action", TextLine("none, inhibit, quick-stop or trip", 20),
         "What the drive does: none, inhibit, quick-stop, or trip (SMVector).", required=True),
     Key("configure", YesNo(),
         "Write time and action into the drive at start and after each power cycle; otherwise "
@@ -115,7 +115,7 @@ _STORED_WRITES: Final = Table("stored writes", (
 _DRIVE: Final = Table("drive", (
     Key("name", _DRIVE_NAME, "Name of the drive in commands, URLs and metrics.", required=True),
     Key("address", Address(), "1..99 without 10, 20 .. 90 (C0009, P410).", required=True),
-    Key("family", Choice(FAMILY_NAMES),
+    Key("family", Keyword(FAMILY_NAMES),
         "What it is; generic for any other device that speaks LECOM-A/B.", required=True),
     Key("watchdog", _WATCHDOG, _WATCHDOG.doc),
     Key("cyclic", ListOf(_CYCLIC, "the cyclic read"),
@@ -134,14 +134,14 @@ _DRIVE: Final = Table("drive", (
         "Let `lecombus restore` write parameters that `writable` does not list.", default=False),
     Key("answer_time", Duration(0.001, 10),
         "Its processing time, where it differs from its family's."),
-    Key("addressing", Choice(get_args(roster.Addressing)),
+    Key("addressing", Keyword(get_args(roster.Addressing)),
         "Code addressing it understands; standard for devices that know no extended addressing. "
         "Absent: as its family."),
-    Key("accept_software", ListOf(Text("a software version such as 1.30", 20), "the version"),
+    Key("accept_software", ListOf(TextLine("a software version such as 1.30", 20), "the version"),
         "Software versions (P494 of an SMVector) that may be written to besides the manual's."),
-    Key("identity", NamedEntries(_CODE, Text("what the drive says of itself", 240)),
+    Key("identity", NamedEntries(_CODE, TextLine("what the drive says of itself", 240)),
         "What identity codes such as C0200 or C1810 must read; else nothing but stops is written."),
-    Key("stop_fallback", Choice(get_args(roster.StopFallback)),
+    Key("stop_fallback", Keyword(get_args(roster.StopFallback)),
         "What a quick stop becomes that the drive refuses, does not show, or that cannot be made "
         "from its control word: an inhibit, whereupon the motor coasts, or none, as for a hoist.",
         default="inhibit"),
@@ -158,7 +158,7 @@ _MULTICAST: Final = Key(
 _ALL_DRIVES: Final = Table("group of all drives", (_MULTICAST,), "All drives of the roster.")
 
 _GROUP: Final = Table("group", (
-    Key("members", ListOf(Text("a drive's name", Name.LONGEST), "the member", least=1),
+    Key("members", ListOf(TextLine("a drive's name", Name.LONGEST), "the member", least=1),
         "Names of drives. A stop is sent as one telegram where they are exactly the drives of one "
         "decade of addresses, or all drives.", required=True),
     _MULTICAST,
@@ -184,7 +184,7 @@ ROSTER: Final = Table("roster", (
     Key("groups", NamedEntries(_GROUP_NAME, _GROUP, special={ALL: _ALL_DRIVES}),
         "Drives spoken to together. The group `all` always exists and takes only `multicast`."),
     Key("lease", _LEASE, "The default for all drives (not used by this version)."),
-    Key("on_shutdown", Choice(get_args(roster.OnShutdown)),
+    Key("on_shutdown", Keyword(get_args(roster.OnShutdown)),
         "What is sent to all drives when the daemon ends.", default="nothing"),
     Key("api", _API, _API.doc),
     Key("mqtt", _MQTT, _MQTT.doc),
@@ -203,4 +203,4 @@ def roster_json_schema() -> dict[str, Any]:
     follows from a drive's family are known to `lecombus check` only.
     """
     schema = "https://json-schema.org/draft/2020-12/schema"
-    return {"$schema": schema, "title": "lecombus roster", **ROSTER.schema()}
+    return {"$schema": schema, "title": "lecombus roster", **ROSTER.schema}

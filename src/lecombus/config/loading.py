@@ -1,8 +1,9 @@
-"""The way in: a file or a text becomes a `Roster`, or one `RosterError` with all that is wrong.
+"""The entry point: a file or a text becomes a `Roster`, or one `RosterError` with all mistakes.
 
-Steps, each in its own module: text to nodes (`yaml_nodes`), nodes to values (`keys`), values
-against each other (`checks`), values to models (`building`), and whether the line can hold what
-is asked of it. Only a file that cannot be read and text that is no YAML end it early.
+Steps, each in its own module: text to nodes (`yaml_nodes`), nodes to values (`keys`), rules between
+values (`checks`), values to models (`building`), and whether the line can hold the watchdogs
+(`capacity.watchdog_feasibility`). Only a file that cannot be read and text that is no YAML end it
+early.
 
 What must not live here: any rule of the roster.
 """
@@ -11,15 +12,14 @@ from __future__ import annotations
 
 import os
 import stat
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from lecombus.config.building import build_roster
 from lecombus.config.checks import check_feasibility, check_roster
-from lecombus.config.container_types import Entry
+from lecombus.config.container_types import Fields
 from lecombus.config.keys import ROSTER
-from lecombus.config.mistakes import Mistakes, RosterError
+from lecombus.config.mistakes import Mistakes, RosterError, Spot
 from lecombus.config.yaml_nodes import MappingNode, Scalar, compose
 from lecombus.roster import Roster
 
@@ -27,14 +27,6 @@ __all__ = ["load_roster", "parse_roster"]
 
 LARGEST: Final = 1024 * 1024
 """Largest file read, in bytes; 90 drives with everything spelled out take about 60,000."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Top:
-    """Where a mistake stands that concerns the file as a whole."""
-
-    line: int = 1
-    column: int = 1
 
 
 def load_roster(path: Path) -> Roster:
@@ -54,7 +46,7 @@ def load_roster(path: Path) -> Roster:
     except UnicodeDecodeError as exc:
         before = data[: exc.start]
         column = len(before[before.rfind(b"\n") + 1 :].decode("utf-8")) + 1
-        spot = _Top(before.count(b"\n") + 1, column)
+        spot = Spot(before.count(b"\n") + 1, column)
         what = f"the byte {data[exc.start]:02X}h is not UTF-8"
         raise mistakes.fatal(spot, what, "save the file as UTF-8") from exc
     return parse_roster(text, file)
@@ -76,12 +68,12 @@ def parse_roster(text: str, file: str) -> Roster:
     node = compose(text.removeprefix("\ufeff"), mistakes)
     if node is None or (isinstance(node, Scalar) and node.is_empty):
         right = "a roster has at least `line:` and `drives:`"
-        raise mistakes.fatal(_Top(), "the file is empty", right)
+        raise mistakes.fatal(Spot(), "the file is empty", right)
     if not isinstance(node, MappingNode):
         right = "a roster is a mapping with at least `line:` and `drives:`"
         raise mistakes.fatal(node, "this is no roster", right)
     roster = ROSTER.read(node, "the roster", mistakes)
-    assert isinstance(roster, Entry)
+    assert isinstance(roster, Fields)
     check_roster(roster, mistakes)
     if mistakes:
         raise mistakes.error()
@@ -97,11 +89,11 @@ def _read(path: Path, mistakes: Mistakes) -> bytes:
     try:
         data = _read_regular(path)
     except OSError as exc:
-        raise mistakes.fatal(_Top(), *_say_os_error(exc)) from exc
+        raise mistakes.fatal(Spot(), *_say_os_error(exc)) from exc
     except ValueError as exc:  # a NUL in the name
-        raise mistakes.fatal(_Top(), "this is no file name", "name a roster file") from exc
+        raise mistakes.fatal(Spot(), "this is no file name", "name a roster file") from exc
     if data is None:
-        raise mistakes.fatal(_Top(), "this is no regular file", "name a roster file")
+        raise mistakes.fatal(Spot(), "this is no regular file", "name a roster file")
     if len(data) > LARGEST:
         raise _too_large(mistakes)
     return data
@@ -124,7 +116,7 @@ def _read_regular(path: Path) -> bytes | None:
 
 def _too_large(mistakes: Mistakes) -> RosterError:
     what = f"the file is larger than {LARGEST // 1024} KiB"
-    return mistakes.fatal(_Top(), what, "name a roster file; none is that large")
+    return mistakes.fatal(Spot(), what, "name a roster file; none is that large")
 
 
 def _say_os_error(error: OSError) -> tuple[str, str]:

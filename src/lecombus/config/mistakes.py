@@ -1,13 +1,13 @@
 """What is wrong with a roster, where, and what would be right.
 
-A roster is read to its end whatever is wrong with it, so every reader and check of this room is
-given one `Mistakes` and notes into it; nothing is raised until all of them have run. The result is
-one `RosterError` whose text is one line per mistake, `FILE:LINE:COLUMN: what, right`, in the order
-of the file, which editors and terminals know how to jump to.
+A roster is read to its end even if parts are wrong: every reader and check of this room is given
+one `Mistakes` and notes into it; nothing is raised until all of them have run. The result is one
+`RosterError` whose text is one line per mistake, `FILE:LINE:COLUMN: what, right`, in the order of
+the file; editors and terminals can jump to these.
 
-The words for a mistake are put together here too (`shown`, `nearest`, `one_of`), so that all of
-them sound alike: the wrong text is quoted as it stands in the file, shortened and on one line,
-and the remedy follows after a comma.
+The words for a mistake are put together here too (`shown`, `nearest`, `one_of`), so that all have
+one form: the wrong text is quoted as in the file, shortened and on one line, and the remedy follows
+after a comma.
 
 What must not live here: knowledge of any key or value.
 """
@@ -25,8 +25,9 @@ from lecombus.errors import ConfigError
 __all__ = [
     "Mistake",
     "Mistakes",
-    "Place",
+    "Position",
     "RosterError",
+    "Spot",
     "did_you_mean",
     "nearest",
     "one_of",
@@ -41,7 +42,7 @@ _MOST_WORDS: Final = 200
 """Most words compared with a wrong one."""
 
 
-class Place(Protocol):
+class Position(Protocol):
     """Anything that stands somewhere in a file."""
 
     @property
@@ -51,6 +52,14 @@ class Place(Protocol):
     @property
     def column(self) -> int:
         """The column in characters, from 1."""
+
+
+@dataclass(frozen=True, slots=True)
+class Spot:
+    """A position without a node; by default the beginning of the file."""
+
+    line: int = 1
+    column: int = 1
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -106,7 +115,7 @@ class Mistakes:
         """Whether anything is wrong so far."""
         return bool(self._found)
 
-    def note(self, place: Place, what: str, right: str) -> None:
+    def note(self, place: Position, what: str, right: str) -> None:
         """Take a mistake; the same one at the same place (by way of an alias) counts once.
 
         Raises:
@@ -120,10 +129,10 @@ class Mistakes:
             self._found.add(Mistake(self.file, last.line, last.column + 1, what, right))
             raise self.error()
 
-    def fatal(self, place: Place, what: str, right: str) -> RosterError:
-        """Return the error for a mistake after which nothing else can be told.
+    def fatal(self, place: Position, what: str, right: str) -> RosterError:
+        """Return the error for a mistake after which nothing else can be checked.
 
-        It stands alone: whatever was found before it may be its consequence.
+        It stands alone: other mistakes may be its consequence.
         """
         return RosterError([Mistake(self.file, place.line, place.column, what, right)])
 

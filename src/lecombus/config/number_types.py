@@ -1,7 +1,7 @@
-"""Kinds of single values that count or measure: numbers, addresses, times, shares, codes.
+"""Types of single values that count or measure: numbers, addresses, times, shares, codes.
 
-All of them read the text as written, so that YAML's own numbers (octal 010, sexagesimal 11:30,
-hexadecimal, floats) never come about: only plain decimal digits are numbers here.
+All of them read the text as written: only plain decimal digits are numbers here, and none of YAML's
+own forms (octal 010, sexagesimal 11:30, hexadecimal, floats).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from lecombus.config.mistakes import one_of
-from lecombus.config.scalar_types import ScalarType, Wrong
+from lecombus.config.scalar_types import ScalarType, WrongText
 from lecombus.durations import DurationError, format_duration, parse_duration
 from lecombus.errors import CodeValueError
 from lecombus.protocol.addressing import Code
@@ -28,27 +28,23 @@ class Whole(ScalarType):
     """
 
     def __init__(self, low: int, high: int) -> None:
+        schema = {"type": "integer", "minimum": low, "maximum": high}
+        super().__init__(f"a whole number, {low} to {high}", schema)
         self._low = low
         self._high = high
 
-    @property
-    def expects(self) -> str:
-        """See `Kind`."""
-        return f"a whole number, {self._low} to {self._high}"
-
-    def convert(self, text: str) -> int:
-        """See `ScalarType`."""
+    def _convert(self, text: str) -> int:
         number = self._number(text)
         if not self._low <= number <= self._high:
-            raise Wrong("is out of range", f"{self._low} to {self._high} would be right")
+            raise WrongText("is out of range", f"{self._low} to {self._high} would be right")
         return number
 
     def _number(self, text: str) -> int:
         if re.fullmatch(r"-?[0-9]{1,9}", text) is None:
-            raise Wrong("is no whole number", f"give {self.expects}")
+            raise WrongText("is no whole number", f"give {self.expects}")
         if re.fullmatch(r"-?0[0-9]+", text):
-            # YAML 1.1 reads 010 as 8, YAML 1.2 as 10: whichever was meant, nobody can see it.
-            raise Wrong(
+            # YAML 1.1 reads 010 as 8, YAML 1.2 as 10: which was meant cannot be seen.
+            raise WrongText(
                 "begins with 0, which some YAML readers take for octal", self._without_0(int(text))
             )
         return int(text)
@@ -58,10 +54,6 @@ class Whole(ScalarType):
         fits = self._low <= number <= self._high
         return f"write {number}" if fits else f"{self._low} to {self._high} would be right"
 
-    def schema(self) -> dict[str, Any]:
-        """See `Kind`."""
-        return {"type": "integer", "minimum": self._low, "maximum": self._high}
-
 
 class WholeChoice(Whole):
     """One of a few numbers, such as the baud rates."""
@@ -69,24 +61,16 @@ class WholeChoice(Whole):
     def __init__(self, numbers: Sequence[int]) -> None:
         super().__init__(min(numbers), max(numbers))
         self._numbers = tuple(numbers)
+        self.expects = one_of(numbers)
+        self.schema = {"enum": list(numbers)}
 
-    @property
-    def expects(self) -> str:
-        """See `Kind`."""
-        return one_of(self._numbers)
-
-    def convert(self, text: str) -> int:
-        """See `ScalarType`."""
+    def _convert(self, text: str) -> int:
         number = self._number(text)
         if number in self._numbers:
             return number
         meant = min(self._numbers, key=lambda known: abs(known - number))
         near = f"did you mean {meant}? " if abs(meant - number) * 4 <= meant else ""
-        raise Wrong("is unknown", f"{near}{one_of(self._numbers)} would be right")
-
-    def schema(self) -> dict[str, Any]:
-        """See `Kind`."""
-        return {"enum": list(self._numbers)}
+        raise WrongText("is unknown", f"{near}{one_of(self._numbers)} would be right")
 
 
 class Address(Whole):
@@ -99,24 +83,20 @@ class Address(Whole):
 
     def __init__(self) -> None:
         super().__init__(1, 99)
+        self.schema["not"] = {"multipleOf": 10}
 
-    def convert(self, text: str) -> int:
-        """See `ScalarType`."""
+    def _convert(self, text: str) -> int:
         number = self._number(text)
         if 0 <= number <= 99 and number % 10 == 0:
             reach = "all drives" if number == 0 else f"the group {number + 1}..{number + 9}"
-            raise Wrong(f"ends in 0 and so reaches {reach}", self._RIGHT)
+            raise WrongText(f"ends in 0 and so reaches {reach}", self._RIGHT)
         if not 1 <= number <= 99:
-            raise Wrong("is out of range", self._RIGHT)
+            raise WrongText("is out of range", self._RIGHT)
         return number
 
     def _without_0(self, number: int) -> str:
-        """See `Whole`; 010 would be a group without its 0, too."""
+        # 010 would be a group without its 0, too.
         return f"write {number}" if number % 10 and number < 100 else self._RIGHT
-
-    def schema(self) -> dict[str, Any]:
-        """See `Kind`."""
-        return {**super().schema(), "not": {"multipleOf": 10}}
 
 
 class Duration(ScalarType):
@@ -129,34 +109,28 @@ class Duration(ScalarType):
     """
 
     def __init__(self, low_s: float, high_s: float, zero: str = "") -> None:
+        written: dict[str, Any] = {
+            "type": "string", "pattern": r"^([0-9]+(\.[0-9]+)? ?(ms|s|min|h)|0)$"
+        }  # fmt: skip
+        super().__init__(
+            "a duration such as 500ms or 2s",
+            {"anyOf": [written, {"const": 0}]} if zero or not low_s else written,
+        )
         self._low_s = low_s
         self._high_s = high_s
         self._zero = zero
 
-    @property
-    def expects(self) -> str:
-        """See `Kind`."""
-        return "a duration such as 500ms or 2s"
-
-    def convert(self, text: str) -> float:
-        """See `ScalarType`."""
+    def _convert(self, text: str) -> float:
         try:
             seconds = parse_duration(text)
         except DurationError as exc:
-            raise Wrong(exc.what, exc.right) from exc
+            raise WrongText(exc.what, exc.right) from exc
         if self._low_s <= seconds <= self._high_s or (self._zero and seconds == 0):
             return seconds
         zero = f", or 0 for {self._zero}" if self._zero else ""
         low, high = format_duration(self._low_s), format_duration(self._high_s)
         long = "long" if seconds > self._high_s else "short"
-        raise Wrong(f"is too {long}", f"{low} to {high} would be right{zero}")
-
-    def schema(self) -> dict[str, Any]:
-        """See `Kind`."""
-        written: dict[str, Any] = {
-            "type": "string", "pattern": r"^([0-9]+(\.[0-9]+)? ?(ms|s|min|h)|0)$"
-        }  # fmt: skip
-        return {"anyOf": [written, {"const": 0}]} if self._zero or not self._low_s else written
+        raise WrongText(f"is too {long}", f"{low} to {high} would be right{zero}")
 
 
 class Percent(ScalarType):
@@ -168,43 +142,37 @@ class Percent(ScalarType):
     """
 
     def __init__(self, low: int, high: int) -> None:
+        schema = {"type": "string", "pattern": r"^[0-9]+(\.[0-9]+)? ?%$"}
+        super().__init__(f"a share, {low}% to {high}%", schema)
         self._low = low
         self._high = high
 
-    @property
-    def expects(self) -> str:
-        """See `Kind`."""
-        return f"a share, {self._low}% to {self._high}%"
-
-    def convert(self, text: str) -> float:
-        """See `ScalarType`."""
+    def _convert(self, text: str) -> float:
         match = re.fullmatch(r"([0-9]{1,4}(?:\.[0-9]{1,4})?) ?(%?)", text)
         if match is None:
-            raise Wrong("is no share", f"give {self.expects}")
+            raise WrongText("is no share", f"give {self.expects}")
         number = float(match[1])
         if not match[2]:
             percent = number * 100 if number < 1 else number
-            raise Wrong("has no percent sign", f"write {percent:g}%")
+            raise WrongText("has no percent sign", f"write {percent:g}%")
         if not self._low <= number <= self._high:
-            raise Wrong("is out of range", f"{self._low}% to {self._high}% would be right")
+            raise WrongText("is out of range", f"{self._low}% to {self._high}% would be right")
         return number / 100
-
-    def schema(self) -> dict[str, Any]:
-        """See `Kind`."""
-        return {"type": "string", "pattern": r"^[0-9]+(\.[0-9]+)? ?%$"}
 
 
 class CodeType(ScalarType):
     """A code, with its subcode after a slash."""
 
-    expects = "a code such as C0150, C0039/1 or P425"
+    def __init__(self) -> None:
+        written = {"type": "string", "pattern": r"^([Cc]?[0-9]{1,5}|[Pp][0-9]{1,3})(/[0-9]{1,3})?$"}
+        number = {"type": "integer", "minimum": 0, "maximum": 65535}
+        super().__init__("a code such as C0150, C0039/1 or P425", {"anyOf": [written, number]})
 
-    def convert(self, text: str) -> Code:
-        """See `ScalarType`."""
+    def _convert(self, text: str) -> Code:
         try:
             return Code.parse(text)
         except CodeValueError as exc:
-            raise Wrong(*self._words(text)) from exc
+            raise WrongText(*self._words(text)) from exc
 
     def _words(self, text: str) -> tuple[str, str]:
         match = re.fullmatch(r"([CcPp]?)([0-9]+)(?:/([0-9]+))?", text, re.ASCII)
@@ -215,8 +183,3 @@ class CodeType(ScalarType):
         if match[3] and (len(match[3]) > 3 or int(match[3]) > 255):
             return "has a subcode out of range", "subcodes run from 0 to 255"
         return "is out of range", "codes run from 0 to 65535"
-
-    def schema(self) -> dict[str, Any]:
-        """See `Kind`."""
-        written = {"type": "string", "pattern": r"^([Cc]?[0-9]{1,5}|[Pp][0-9]{1,3})(/[0-9]{1,3})?$"}
-        return {"anyOf": [written, {"type": "integer", "minimum": 0, "maximum": 65535}]}

@@ -1,8 +1,8 @@
-"""What is valid in a roster but makes one wonder: said by `check`, never a reason to refuse.
+"""What is valid in a roster but probably not intended: shown by `check`, never a reason to refuse.
 
-Each rule is one function that yields sentences; the sentence says what will happen, then what
-could be done. Numbers come from the same cost model as time-outs and the schedule. What is true of
-single drives is yielded with the drive's name, and said once for all drives of which it is true.
+Each rule is one function that yields sentences; a sentence says what will happen, then what could
+be done. Numbers come from the cost model that time-outs and the schedule use. What is true of
+single drives is yielded with the drive's name, and shown once for all drives of which it is true.
 
 What must not live here: rules that refuse (see `checks`).
 """
@@ -41,7 +41,7 @@ def counted(drives: Sequence[DriveEntry]) -> str:
 
 
 def find_warnings(roster: Roster) -> list[str]:
-    """Return everything in a roster that is valid but suspicious, the line first."""
+    """Return all warnings of a roster, those of the line first."""
     timing = line_timing(roster.line)
     found = list(_line(roster.line))
     found.extend(_load(roster, timing))
@@ -57,14 +57,14 @@ def find_warnings(roster: Roster) -> list[str]:
     return found
 
 
-def _gathered(told: Iterable[tuple[str, str]]) -> Iterator[str]:
-    """Yield what is said of drives, once for all of which the same is said.
+def _gathered(found: Iterable[tuple[str, str]]) -> Iterator[str]:
+    """Yield the warnings of drives, each once for all drives that it is true of.
 
     Args:
-        told: Names of drives, and what is said of each.
+        found: Names of drives, and the warning of each.
     """
     drives: dict[str, list[str]] = {}
-    for name, text in told:
+    for name, text in found:
         drives.setdefault(text, []).append(name)
     for text, names in drives.items():
         first = names[0] if len(names) == 1 else f"{len(names)} drives ({', '.join(names)})"
@@ -117,13 +117,13 @@ def _load(roster: Roster, timing: LineTiming) -> Iterator[str]:
 
 
 def _feeding(roster: Roster) -> Iterator[tuple[str, str]]:
-    """Warn of watchdogs that act when one more answer is lost than the roster wants outlasted."""
-    feeding = demand_of(roster)
-    lost = feeding.tolerate + 1
-    if feeding.overload(lost=lost) is None:
+    """Warn of watchdogs that act when one more answer is lost than `line.tolerate`."""
+    demand = demand_of(roster)
+    lost = demand.tolerate + 1
+    if demand.overload(lost=lost) is None:
         return
-    least_s = least_time_s(feeding, lost=lost)
-    for drive in feeding.drives:
+    least_s = least_time_s(demand, lost=lost)
+    for drive in demand.drives:
         time_s = watched_s(drive)
         if time_s is not None and (least_s is None or time_s < least_s):
             outlast = "" if least_s is None else f"; {rounded_up(least_s)} would outlast that"
@@ -137,10 +137,10 @@ def _lost(count: int) -> str:
 
 def _adapter(roster: Roster, timing: LineTiming) -> Iterator[str]:
     """Warn of watchdogs that are held only while the adapter adds less than it may."""
-    feeding = demand_of(roster, with_slow_adapter(timing))
-    if feeding.holds():
+    demand = demand_of(roster, with_slow_adapter(timing))
+    if demand.holds():
         return
-    least_s = least_time_s(feeding)
+    least_s = least_time_s(demand)
     raised = "" if least_s is None else f"{rounded_up(least_s)} would outlast that, or "
     yield (
         f"watchdogs act if the adapter adds its {format_duration(timing.adapter_latency_s)} to "
@@ -149,10 +149,10 @@ def _adapter(roster: Roster, timing: LineTiming) -> Iterator[str]:
 
 
 def _slow_codes(roster: Roster, timing: LineTiming) -> Iterator[str]:
-    """Warn of watchdogs whose own codes take longer to read than the others can wait for food.
+    """Warn of watchdogs whose own codes take longer to read than the others can go unfed.
 
     The schedule begins nothing that could make a feed late, so it never begins such a read: the
-    watchdog would stay as it is in the drive, and only a remark on the drive would tell.
+    watchdog would stay as it is in the drive, and only a remark on the drive would show it.
     """
     feeds = [
         (time_s, feed_times(drive, timing).usual_s)
@@ -184,7 +184,7 @@ def _slow_codes(roster: Roster, timing: LineTiming) -> Iterator[str]:
 
 
 def _room_s(feeds: Sequence[tuple[float, float]]) -> float:
-    """Return the longest exchange that fits beside the feeding when all have just been fed.
+    """Return the longest exchange that fits beside the feeds when all have just been fed.
 
     Args:
         feeds: Watchdog times and costs of a feed, seconds.
@@ -228,12 +228,12 @@ def _unwatched(roster: Roster) -> Iterator[str]:
 
 
 def _leases(roster: Roster) -> Iterator[str]:
-    """Say loudly that a lease which was asked for protects nobody yet."""
+    """Warn that a required lease is not enforced yet."""
     required = [drive for drive in roster.drives if drive.lease.required]
     if required:
         yield (
             f"a lease is required for {len(required)} of {counted(roster.drives)}, but this "
-            "version does not enforce it: whoever reaches the API may move them"
+            "version does not enforce it: everyone who reaches the API may move them"
         )
 
 
@@ -292,13 +292,13 @@ def _verbs(drive: DriveEntry) -> Iterator[tuple[str, str]]:
         verb: [code for code in codes if code not in drive.writable]
         for verb, codes in needs.items()
     }
-    told = [
+    without = [
         f"{verb} ({(' or ' if verb is Verb.SET_SPEED else ', ').join(map(str, codes))})"
         for verb, codes in missing.items() if codes
     ]  # fmt: skip
-    if told:
+    if without:
         yield (
             drive.name,
-            f"`writable` leaves out what these need: {'; '.join(told)}; to add codes to the "
+            f"`writable` leaves out what these need: {'; '.join(without)}; to add codes to the "
             "family's list, write `also_writable` instead",
         )

@@ -25,7 +25,7 @@ from typing import Any, Final
 
 import yaml
 
-from lecombus.config.mistakes import Mistakes, RosterError, shown
+from lecombus.config.mistakes import Mistakes, Position, RosterError, Spot, shown
 
 __all__ = [
     "DEEPEST",
@@ -39,193 +39,6 @@ __all__ = [
     "kind_of",
     "say_yaml_error",
 ]
-
-PARSER: Final[Any] = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-"""The YAML parser in use: libyaml's where PyYAML was built with it, six times as fast."""
-DEEPEST: Final = 20
-"""Deepest nesting read; a roster needs 5."""
-HEAVIEST: Final = 50_000
-"""Most nodes with all aliases written out; 90 drives with 20 cyclic codes each are about 15,000."""
-
-_MERGE: Final = "<<"
-_HARMLESS_TAG: Final = "tag:yaml.org,2002:"
-_UNPRINTABLE: Final = yaml.reader.Reader.NON_PRINTABLE
-
-
-@dataclass(slots=True)
-class _Spot:
-    """A place without a node."""
-
-    line: int
-    column: int
-
-
-@dataclass(slots=True)
-class _Open:
-    """A collection being read: its node, its anchor, the key that waits for its value."""
-
-    node: ListNode | MappingNode
-    anchor: str | None
-    key: Scalar | None = None
-    merges: list[Node] = field(default_factory=list)
-
-
-def compose(text: str, mistakes: Mistakes, *, parser: Any = PARSER) -> Node | None:
-    """Read YAML.
-
-    Args:
-        text: The whole file.
-        mistakes: Takes what is wrong but does not end the reading.
-        parser: PyYAML's loader class that gives the events.
-
-    Returns:
-        The root, or None for a text that holds no document.
-
-    Raises:
-        RosterError: It is not YAML, nests too deep, or grows too large by its aliases.
-    """
-    _refuse_unprintable(text, mistakes)
-    events = parser(text)
-    try:
-        return _Composer(mistakes).run(events)
-    except yaml.MarkedYAMLError as exc:
-        mark = exc.problem_mark or exc.context_mark
-        spot = _Spot(mark.line + 1, mark.column + 1) if mark else _Spot(1, 1)
-        written = text.split("\n")[spot.line - 1 : spot.line]
-        raise mistakes.fatal(spot, *say_yaml_error(exc, "".join(written))) from exc
-    finally:
-        events.dispose()
-
-
-def _refuse_unprintable(text: str, mistakes: Mistakes) -> None:
-    """Say where a character stands that YAML allows nowhere: its parsers give no line for it."""
-    match = _UNPRINTABLE.search(text)
-    if match is None:
-        return
-    before = text[: match.start()]
-    spot = _Spot(before.count("\n") + 1, match.start() - (before.rfind("\n") + 1) + 1)
-    what = f"the character U+{ord(match.group()):04X} cannot stand in a YAML file"
-    raise mistakes.fatal(spot, what, "remove it")
-
-
-class _Composer:
-    """Builds nodes from events."""
-
-    def __init__(self, mistakes: Mistakes) -> None:
-        self._mistakes = mistakes
-        self._stack: list[_Open] = []
-        self._anchors: dict[str, Node] = {}
-        self._root: Node | None = None
-
-    def run(self, events: Any) -> Node | None:
-        """Take every event; see `compose`."""
-        while events.check_event():
-            event = events.get_event()
-            spot = _Spot(event.start_mark.line + 1, event.start_mark.column + 1)
-            if isinstance(event, yaml.ScalarEvent):
-                self._check_tag(event, spot)
-                plain = not event.style  # None from the Python parser, "" from libyaml's
-                self._finish(Scalar(spot.line, spot.column, event.value, plain), event.anchor)
-            elif isinstance(event, yaml.MappingStartEvent):
-                self._open(MappingNode(spot.line, spot.column), event, spot)
-            elif isinstance(event, yaml.SequenceStartEvent):
-                self._open(ListNode(spot.line, spot.column), event, spot)
-            elif isinstance(event, yaml.CollectionEndEvent):
-                self._close()
-            elif isinstance(event, yaml.AliasEvent):
-                self._put(self._aliased(event.anchor, spot), spot)
-            elif isinstance(event, yaml.DocumentStartEvent) and self._root is not None:
-                what = "a second document begins here"
-                raise self._fatal(spot, what, "remove the `---` before it: a file is one roster")
-        return self._root
-
-    def _fatal(self, spot: _Spot, what: str, right: str) -> RosterError:
-        return self._mistakes.fatal(spot, what, right)
-
-    def _check_tag(self, event: Any, spot: _Spot) -> None:
-        tag = event.tag
-        if tag is not None and tag != "!" and not tag.startswith(_HARMLESS_TAG):
-            self._mistakes.note(spot, f"the tag {shown(tag)} means nothing here", "remove it")
-        elif tag is not None and tag.startswith(f"{_HARMLESS_TAG}python"):
-            self._mistakes.note(spot, f"the tag {shown(tag)} is refused", "remove it")
-
-    def _open(self, node: ListNode | MappingNode, event: Any, spot: _Spot) -> None:
-        self._check_tag(event, spot)
-        if len(self._stack) >= DEEPEST:
-            what = f"lists and mappings nest more than {DEEPEST} deep here"
-            raise self._fatal(spot, what, "a roster never needs that; look for a stray bracket")
-        self._stack.append(_Open(node, event.anchor))
-
-    def _close(self) -> None:
-        top = self._stack.pop()
-        if isinstance(top.node, MappingNode):
-            self._merge(top.node, top.merges)
-        self._finish(top.node, top.anchor)
-
-    def _finish(self, node: Node, anchor: str | None) -> None:
-        if anchor is not None:
-            self._anchors[anchor] = node
-        self._put(node, _Spot(node.line, node.column))
-
-    def _aliased(self, anchor: str | None, spot: _Spot) -> Node:
-        assert anchor is not None, "a parser gives every alias a name"
-        if any(entry.anchor == anchor for entry in self._stack):
-            what = f"the alias `*{anchor}` refers to what it stands in"
-            raise self._fatal(spot, what, "write the entry out")
-        try:
-            return self._anchors[anchor]
-        except KeyError:
-            what = f"the alias `*{anchor}` refers to nothing"
-            right = f"write the anchor `&{anchor}` before it, or quote a value that begins with *"
-            raise self._fatal(spot, what, right) from None
-
-    def _put(self, node: Node, spot: _Spot) -> None:
-        """Place a finished node where it belongs: root, list item, key, or value."""
-        if not self._stack:
-            self._root = node
-            return
-        top = self._stack[-1]
-        top.node.weight += node.weight
-        if top.node.weight > HEAVIEST:
-            what = f"this has more than {HEAVIEST} entries, aliases written out"
-            raise self._fatal(spot, what, "a roster never needs that")
-        if isinstance(top.node, ListNode):
-            top.node.items.append(node)
-        elif top.key is None:
-            top.key = self._as_key(node, spot)
-        else:
-            key, top.key = top.key, None
-            self._set(top, key, node)
-
-    def _as_key(self, node: Node, spot: _Spot) -> Scalar:
-        if isinstance(node, Scalar):
-            # An aliased key is one text at two places; mistakes belong where it is used.
-            return Scalar(spot.line, spot.column, node.text, node.plain)
-        raise self._fatal(spot, "a list or mapping cannot be a key", "write `key: value`")
-
-    def _set(self, top: _Open, key: Scalar, node: Node) -> None:
-        assert isinstance(top.node, MappingNode)
-        if key.plain and key.text == _MERGE:
-            top.merges.append(node)
-            return
-        earlier = top.node.items.get(key.text)
-        if earlier is None:
-            top.node.items[key.text] = (key, node)
-            return
-        what = f"the key {shown(key.text)} stands twice (first in line {earlier[0].line})"
-        self._mistakes.note(key, what, "keep one of the two")
-
-    def _merge(self, into: MappingNode, merges: list[Node]) -> None:
-        """Bring in the keys of `<<`; a key written out goes before a merged one."""
-        for source in merges:
-            for node in source.items if isinstance(source, ListNode) else [source]:
-                if not isinstance(node, MappingNode):
-                    right = "give an alias of a mapping, such as `<<: *defaults`"
-                    self._mistakes.note(node, "`<<` is given what is no mapping", right)
-                    continue
-                for text, pair in node.items.items():
-                    into.items.setdefault(text, pair)
-
 
 _NULLS = frozenset({"", "~", "null", "Null", "NULL"})
 
@@ -283,6 +96,185 @@ def kind_of(node: Node) -> str:
     return "a list" if isinstance(node, ListNode) else "a mapping (`key: value`)"
 
 
+PARSER: Final[Any] = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+"""The YAML parser in use: libyaml's where PyYAML was built with it, six times as fast."""
+DEEPEST: Final = 20
+"""Deepest nesting read; a roster needs 5."""
+HEAVIEST: Final = 50_000
+"""Most nodes with all aliases written out; 90 drives with 20 cyclic codes each are about 15,000."""
+
+_MERGE: Final = "<<"
+_HARMLESS_TAG: Final = "tag:yaml.org,2002:"
+_UNPRINTABLE: Final = yaml.reader.Reader.NON_PRINTABLE
+
+
+@dataclass(slots=True)
+class _Open:
+    """A collection being read: its node, its anchor, the key that waits for its value."""
+
+    node: ListNode | MappingNode
+    anchor: str | None
+    key: Scalar | None = None
+    merges: list[Node] = field(default_factory=list)
+
+
+def compose(text: str, mistakes: Mistakes, *, parser: Any = PARSER) -> Node | None:
+    """Read YAML.
+
+    Args:
+        text: The whole file.
+        mistakes: Takes what is wrong but does not end the reading.
+        parser: PyYAML's loader class that gives the events.
+
+    Returns:
+        The root, or None for a text that holds no document.
+
+    Raises:
+        RosterError: It is not YAML, nests too deep, or grows too large by its aliases.
+    """
+    _refuse_unprintable(text, mistakes)
+    events = parser(text)
+    try:
+        return _Composer(mistakes).run(events)
+    except yaml.MarkedYAMLError as exc:
+        mark = exc.problem_mark or exc.context_mark
+        spot = Spot(mark.line + 1, mark.column + 1) if mark else Spot()
+        written = text.split("\n")[spot.line - 1 : spot.line]
+        raise mistakes.fatal(spot, *say_yaml_error(exc, "".join(written))) from exc
+    finally:
+        events.dispose()
+
+
+def _refuse_unprintable(text: str, mistakes: Mistakes) -> None:
+    """Say where a character stands that YAML allows nowhere: its parsers give no line for it."""
+    match = _UNPRINTABLE.search(text)
+    if match is None:
+        return
+    before = text[: match.start()]
+    spot = Spot(before.count("\n") + 1, match.start() - (before.rfind("\n") + 1) + 1)
+    what = f"the character U+{ord(match.group()):04X} cannot stand in a YAML file"
+    raise mistakes.fatal(spot, what, "remove it")
+
+
+class _Composer:
+    """Builds nodes from events."""
+
+    def __init__(self, mistakes: Mistakes) -> None:
+        self._mistakes = mistakes
+        self._stack: list[_Open] = []
+        self._anchors: dict[str, Node] = {}
+        self._root: Node | None = None
+
+    def run(self, events: Any) -> Node | None:
+        """Take every event; see `compose`."""
+        while events.check_event():
+            event = events.get_event()
+            spot = Spot(event.start_mark.line + 1, event.start_mark.column + 1)
+            if isinstance(event, yaml.ScalarEvent):
+                self._check_tag(event, spot)
+                plain = not event.style  # None from the Python parser, "" from libyaml's
+                self._finish(Scalar(spot.line, spot.column, event.value, plain), event.anchor)
+            elif isinstance(event, yaml.MappingStartEvent):
+                self._open(MappingNode(spot.line, spot.column), event, spot)
+            elif isinstance(event, yaml.SequenceStartEvent):
+                self._open(ListNode(spot.line, spot.column), event, spot)
+            elif isinstance(event, yaml.CollectionEndEvent):
+                self._close()
+            elif isinstance(event, yaml.AliasEvent):
+                self._put(self._aliased(event.anchor, spot), spot)
+            elif isinstance(event, yaml.DocumentStartEvent) and self._root is not None:
+                what = "a second document begins here"
+                raise self._fatal(spot, what, "remove the `---` before it: a file is one roster")
+        return self._root
+
+    def _fatal(self, spot: Position, what: str, right: str) -> RosterError:
+        return self._mistakes.fatal(spot, what, right)
+
+    def _check_tag(self, event: Any, spot: Position) -> None:
+        tag = event.tag
+        if tag is not None and tag != "!" and not tag.startswith(_HARMLESS_TAG):
+            self._mistakes.note(spot, f"the tag {shown(tag)} means nothing here", "remove it")
+        elif tag is not None and tag.startswith(f"{_HARMLESS_TAG}python"):
+            self._mistakes.note(spot, f"the tag {shown(tag)} is refused", "remove it")
+
+    def _open(self, node: ListNode | MappingNode, event: Any, spot: Position) -> None:
+        self._check_tag(event, spot)
+        if len(self._stack) >= DEEPEST:
+            what = f"lists and mappings nest more than {DEEPEST} deep here"
+            raise self._fatal(spot, what, "a roster never needs that; look for a stray bracket")
+        self._stack.append(_Open(node, event.anchor))
+
+    def _close(self) -> None:
+        top = self._stack.pop()
+        if isinstance(top.node, MappingNode):
+            self._merge(top.node, top.merges)
+        self._finish(top.node, top.anchor)
+
+    def _finish(self, node: Node, anchor: str | None) -> None:
+        if anchor is not None:
+            self._anchors[anchor] = node
+        self._put(node, node)
+
+    def _aliased(self, anchor: str | None, spot: Position) -> Node:
+        assert anchor is not None, "a parser gives every alias a name"
+        if any(entry.anchor == anchor for entry in self._stack):
+            what = f"the alias `*{anchor}` refers to what it stands in"
+            raise self._fatal(spot, what, "write the entry out")
+        try:
+            return self._anchors[anchor]
+        except KeyError:
+            what = f"the alias `*{anchor}` refers to nothing"
+            right = f"write the anchor `&{anchor}` before it, or quote a value that begins with *"
+            raise self._fatal(spot, what, right) from None
+
+    def _put(self, node: Node, spot: Position) -> None:
+        """Place a finished node where it belongs: root, list item, key, or value."""
+        if not self._stack:
+            self._root = node
+            return
+        top = self._stack[-1]
+        top.node.weight += node.weight
+        if top.node.weight > HEAVIEST:
+            what = f"this has more than {HEAVIEST} entries, aliases written out"
+            raise self._fatal(spot, what, "a roster never needs that")
+        if isinstance(top.node, ListNode):
+            top.node.items.append(node)
+        elif top.key is None:
+            top.key = self._as_key(node, spot)
+        else:
+            key, top.key = top.key, None
+            self._set(top, key, node)
+
+    def _as_key(self, node: Node, spot: Position) -> Scalar:
+        if isinstance(node, Scalar):
+            # An aliased key is one text at two places; mistakes belong where it is used.
+            return Scalar(spot.line, spot.column, node.text, node.plain)
+        raise self._fatal(spot, "a list or mapping cannot be a key", "write `key: value`")
+
+    def _set(self, top: _Open, key: Scalar, node: Node) -> None:
+        assert isinstance(top.node, MappingNode)
+        if key.plain and key.text == _MERGE:
+            top.merges.append(node)
+            return
+        earlier = top.node.items.get(key.text)
+        if earlier is None:
+            top.node.items[key.text] = (key, node)
+            return
+        what = f"the key {shown(key.text)} stands twice (first in line {earlier[0].line})"
+        self._mistakes.note(key, what, "keep one of the two")
+
+    def _merge(self, into: MappingNode, merges: list[Node]) -> None:
+        """Bring in the keys of `<<`; a key written out goes before a merged one."""
+        for source in merges:
+            for node in source.items if isinstance(source, ListNode) else [source]:
+                if not isinstance(node, MappingNode):
+                    right = "give an alias of a mapping, such as `<<: *defaults`"
+                    self._mistakes.note(node, "`<<` is given what is no mapping", right)
+                    continue
+                for text, pair in node.items.items():
+                    into.items.setdefault(text, pair)
+
+
 _ROWS: Final[tuple[tuple[str, str, str], ...]] = (
     ("'\\t'", "a tab stands where YAML wants spaces", "indent with spaces"),
     ("cannot start any token", "a character stands here that cannot begin a value",
@@ -311,7 +303,7 @@ _ROWS: Final[tuple[tuple[str, str, str], ...]] = (
     ("',' or '}'", "a `{` is not closed", "separate by `,` and close with `}`"),
     ("',' or ']'", "a `[` is not closed", "separate by `,` and close with `]`"),
     ("block sequence entries are not allowed", "a list cannot begin here",
-     "begin it on a line of its own"),
+     "begin it on its own line"),
     ("undefined tag handle", "a tag stands here", "quote a value that begins with `!`"),
 )  # fmt: skip
 
