@@ -12,25 +12,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from lecombus import __version__
-from lecombus.capacity.exchange_costs import watched_s
 from lecombus.capacity.facts import answers_of, facts_of
 from lecombus.capacity.watchdog_demand import faults_of
-from lecombus.config import DriveEntry, Roster, line_timing, with_address
-from lecombus.drives import Family, LineTiming, StopAction, family
-from lecombus.drives.measured import MeasuredTimes
-from lecombus.drives.stops import inhibit_mask, inhibit_proofs
+from lecombus.config import Roster, line_timing, with_address
+from lecombus.drive_runtime import Drive, LineDrives
+from lecombus.drives import LineTiming, StopAction
 from lecombus.errors import ConfigError
 from lecombus.line.port import PortOpener, PortSettings
-from lecombus.line.station import Station
 from lecombus.line.worker import LineWorker, WorkerOptions
+from lecombus.line_events import LineRequests
 from lecombus.metrics import Figures, Metrics
 from lecombus.metrics.minutes import LATELY_S
 from lecombus.operations.actions import Actions
 from lecombus.operations.context import OperationContext
-from lecombus.operations.control_words import ControlWords
 from lecombus.operations.facade import Operations
 from lecombus.operations.identities import Identities
 from lecombus.operations.maintenance import Maintenance
@@ -41,17 +38,24 @@ from lecombus.operations.requests import Requests
 from lecombus.operations.wear import Wear
 from lecombus.protocol.addressing import Code
 from lecombus.readings import DriveState, Json
-from lecombus.schedule import Feed, Priority, Schedule, Settle
+from lecombus.schedule import Schedule
 from lecombus.schedule.stats import ScheduleStats
 from lecombus.state import State
 from lecombus.store import Store
+from lecombus.supervision.audit_queue import AuditQueue
 from lecombus.supervision.command_effects import CommandEffects
 from lecombus.supervision.configurations import Configurations
-from lecombus.supervision.cyclic_reads import CyclicReads
+from lecombus.supervision.drive_changes import DriveChanges
 from lecombus.supervision.drive_supervisor import DriveSupervisor
+from lecombus.supervision.event_records import (
+    MetricsRecord,
+    StoreRecord,
+    record_control_words,
+)
 from lecombus.supervision.exchange_recorder import ExchangeRecorder
 from lecombus.supervision.fault_watch import FaultWatch
 from lecombus.supervision.health import Health
+from lecombus.supervision.line_requests import RequestsToLine
 from lecombus.supervision.poll_overload import PollOverload
 from lecombus.supervision.port_watch import PortWatch
 from lecombus.supervision.second_answers import SecondAnswers
@@ -62,9 +66,6 @@ __all__ = ["Changes", "LineRuntime"]
 
 STUCK_S = 6.0
 """Longer than any exchange (at 1200 baud about 4 s) and than the pause before a reopening (5 s)."""
-
-ASKED_FOR_S = 10.0
-"""What a change calls for is not read any more after this: its own turn has come by then."""
 
 ECHO = {"auto": None, "yes": True, "no": False}
 
@@ -115,40 +116,64 @@ class LineRuntime:
     ) -> None:
         line, self.roster = roster.line, roster
         self._clock = clock
+        self._timing = timing = timing or line_timing(line)
         self.store = Store(clock, wall)
         self.metrics = self._make_metrics()
         self.schedule = Schedule(absent_share=line.absent_share)
-        self.words = ControlWords(clock)
         self.state = state or State()
-        self.wear = Wear(self.state, self.store, clock)
-        self._timing = timing = timing or line_timing(line)
+        self.drives = LineDrives()
+        self.audits = AuditQueue()
+        self.health = Health(self.drives, self.schedule, self.store, self.audits, clock)
+        self._recorder = ExchangeRecorder(self.drives, self.metrics)
+        self.worker = self._make_worker(opener, timing, options or options_of(roster))
         maker = RequestMaker(timing, line.retries, self.metrics.meters.request_ended)
-        self.health = Health(self.schedule, self.store, self._wants_audit, clock)
-        self._configurations = self._make_configurations()
-        self.identities = self._make_identities(wall)
-        self._recorder = recorder = self._make_recorder(wall)
-        self.worker = self._make_worker(opener, timing, options or options_of(roster), recorder)
-        self.requests = Requests(self.worker, maker, clock)
+        self.requests = Requests(self.worker, maker, self.drives, clock)
+        asked = RequestsToLine(self.requests, self.store, self.audits, self.health, clock)
+        self.identities = Identities(self.state, self.store, wall, self.drives, asked)
+        self.wear = Wear(self.state, self.drives, clock)
+        self._subscribe(asked, wall)
         self.readdress = Readdress(
             self.requests, self.store, self.state, self.identities, clock, wall, self._follow
         )
-        self.supervisor = self._make_supervisor(clock)
+        self.supervisor = self._make_supervisor()
+        self._changes = self._make_changes()
         context = OperationContext(
-            self.requests, self.store, self.words, self.wear, clock, lambda: recorder.disturbances
+            self.requests, self.store, self.wear, clock, lambda: self._recorder.disturbances
         )
         self.operations = Operations(context, self.health.restarted)
-        self._slow = SlowDrives(self.store, self.schedule.costs_changed)
-        self.maintenance = self._make_maintenance()
+        self._slow = SlowDrives(self.store, self.schedule)
+        self.maintenance = Maintenance(
+            self.identities, self.wear, self.readdress, self.drives,
+            lambda drive: self._slow.look([drive]),
+        )  # fmt: skip
         self.actions, self.recorded, self.recorded_maintenance = self._make_recorded()
         self._overload = PollOverload(self.store)
         self._second_answers = SecondAnswers(self.store)
         self.port_watch = PortWatch(self.store, line)
-        self._reads = CyclicReads(self.requests, self.schedule, self.store, self.metrics.minutes)
-        self._entries: dict[str, DriveEntry] = {}
         self.apply(roster)
 
-    def _make_identities(self, wall: Callable[[], float]) -> Identities:
-        return Identities(self.state, self.store, wall, self._wants_audit, self.health.doubted)
+    def _subscribe(self, asked: LineRequests, wall: Callable[[], float]) -> None:
+        """Set who follows the line's events, in this order and no other.
+
+        First what was read and written is kept, so that all who follow find it. Health comes behind
+        those that read values: what a drive said is known before it is judged by having said it.
+        The counts come last, because a stop of a drive that is offline by now counts otherwise.
+        """
+        store, counts = StoreRecord(self.store), MetricsRecord(self.metrics)
+        self._recorder.subscribe(
+            exchanges=(
+                store.exchange_ended,
+                record_control_words,
+                FaultWatch(self.store, asked, wall).exchange_ended,
+                CommandEffects(self.store, asked, self._clock).exchange_ended,
+                Configurations(asked).exchange_ended,
+                self.identities.exchange_ended,
+                self.wear.exchange_ended,
+                self.health.exchange_ended,
+                counts.exchange_ended,
+            ),
+            changes=(store.line_changed, self.health.line_changed, counts.line_changed),
+        )
 
     def _make_recorded(self) -> tuple[Actions, RecordedOperations, RecordedMaintenance]:
         actions = Actions(self._clock)
@@ -159,52 +184,33 @@ class LineRuntime:
         """Whether a code of a drive, or of one of a group, is a password."""
         group = self.roster.groups.get(target)
         names = (target,) if group is None else group.members
-        infos = (
-            self.requests.station(name).family.info(code) for name in names if name in self._entries
-        )
+        drives = filter(None, map(self.drives.find, names))
+        infos = (drive.family.info(code) for drive in drives)
         return any(info is not None and info.secret for info in infos)
-
-    def _make_maintenance(self) -> Maintenance:
-        return Maintenance(
-            self.identities, self.wear, self.readdress, self.requests,
-            lambda station: self._slow.look([station]),
-        )  # fmt: skip
-
-    def _make_configurations(self) -> Configurations:
-        return Configurations(
-            self._take_family, self._take_response, self._read_soon, self._read_later
-        )
 
     def _make_metrics(self) -> Metrics:
         name, clock = self.roster.line.name, self._clock
         return Metrics(name, self.store, version=__version__, clock=clock, figures=self._figures)
 
     def _make_worker(
-        self,
-        opener: PortOpener,
-        timing: LineTiming,
-        options: WorkerOptions,
-        recorder: ExchangeRecorder,
+        self, opener: PortOpener, timing: LineTiming, options: WorkerOptions
     ) -> LineWorker:
         line = self.roster.line
         settings = PortSettings(line.port, line.baud, line.direction, line.parity, line.name)
-        return LineWorker(settings, opener, self.schedule, timing, options, recorder)
+        return LineWorker(settings, opener, self.schedule, timing, options, self._recorder)
 
-    def _make_recorder(self, wall: Callable[[], float]) -> ExchangeRecorder:
-        watch = FaultWatch(self.store, self._read_soon, wall)
-        effects = CommandEffects(self.store, self._read_soon, self._read_later, self._clock)
-        return ExchangeRecorder(
-            self.store, self.metrics, self.health, self.words, watch, effects,
-            self._configurations, self.identities, self.wear, self._has_drive,
+    def _make_supervisor(self) -> DriveSupervisor:
+        prechecks = WritePrechecks(self.requests, self.store, self.identities, self.readdress)
+        return DriveSupervisor(
+            self.requests, self.schedule, self.store, self._clock, self.health, self.audits,
+            prechecks,
         )  # fmt: skip
 
-    def _make_supervisor(self, clock: Callable[[], float]) -> DriveSupervisor:
-        prechecks = WritePrechecks(
-            self.requests, self.store, self.identities, self.words, self.readdress
-        )
-        return DriveSupervisor(
-            self.requests, self.schedule, self.store, clock, self.health, prechecks
-        )
+    def _make_changes(self) -> DriveChanges:
+        return DriveChanges(
+            self.requests, self.schedule, self.store, self.metrics, self.health, self.audits,
+            self.supervisor, self._clock,
+        )  # fmt: skip
 
     def apply(self, roster: Roster) -> Changes:
         """Take a roster's drives and groups; drives that did not change are left alone.
@@ -223,24 +229,15 @@ class LineRuntime:
                 file=roster.file,
             )
         wanted = {entry.name: entry for entry in roster.drives}
-        before, left = dict(self._entries), {}
-        for name, entry in list(self._entries.items()):
-            new = wanted.get(name)
-            if new is None or entry.asks_for_audit(new):
-                left[name] = self._remove_drive(name, kept=new is not None)
-            elif new != entry:
-                self._change_use(new)
-        for entry in roster.drives:
-            if entry.name not in self._entries:
-                self._add_drive(entry)
-                self._resume_feeding(before.get(entry.name), entry, left.get(entry.name))
+        before = self.drives.entries()
+        self._changes.apply(roster.drives)
         for name in set(self.roster.groups) - set(roster.groups):
             self.metrics.meters.remove(name)
         for name in roster.groups:
             self.metrics.meters.add_group(name)
         self.state.bound(wanted)
         self.operations.set_roster(roster.drives, roster.groups)
-        self.readdress.set_roster(wanted)
+        self.readdress.roster_changed()
         self.schedule.expect(faults_of(roster, self._timing))
         self.roster = roster
         self.worker.nudge()
@@ -254,19 +251,18 @@ class LineRuntime:
 
     def tried_all(self) -> bool:
         """Whether the line is open and every drive has been tried once since the start."""
-        return self.worker.is_open and self.supervisor.tried >= set(self._entries)
+        return self.worker.is_open and all(drive.audit.tried for drive in self.drives)
 
     def note_cadence(self) -> None:
         """Say how far the cadence is stretched, and which watchdogs ran out; once a second."""
         self.actions.look()
         now_s = self._clock()
         stats = self._gather(now_s)
-        self._slow.look(map(self.requests.station, self._entries))
-        addresses = {name: entry.address for name, entry in self._entries.items()}
-        self._second_answers.look(self.worker.talk.duplicates.found(now_s), addresses)
-        self.health.note_overdue()
+        self._slow.look(self.drives)
+        self._second_answers.look(self.worker.talk.duplicates.found(now_s), self.drives)
+        self.health.check_overdue()
         self.supervisor.note_lapses(stats.feeds)
-        starting = any(self.health.state(name) is DriveState.STARTING for name in self._entries)
+        starting = any(drive.health.state is DriveState.STARTING for drive in self.drives)
         is_open = self.worker.is_open
         self._overload.note(stats.stretch, now_s, is_open=is_open, starting=starting)
 
@@ -277,7 +273,7 @@ class LineRuntime:
             self._clock(),
             is_open=self.worker.is_open,
             silent=self.health.is_silent,
-            heard=any(map(self.health.was_heard, self._entries)),
+            heard=any(drive.health.heard for drive in self.drives),
         )
 
     @property
@@ -290,118 +286,9 @@ class LineRuntime:
         wanted = self.roster.on_shutdown
         return None if wanted == "nothing" else StopAction(wanted)
 
-    def _add_drive(self, entry: DriveEntry) -> None:
-        kind = family(entry.family)
-        station = Station(
-            entry.name,
-            entry.address,
-            kind,
-            entry.forms,
-            hold_s=kind.hold_after_write_s,
-            answer_time_s=entry.answer_time_s,
-            measured=MeasuredTimes(self.requests.maker.timing.adapter_latency_s),
-        )
-        self._entries[entry.name] = entry
-        self.store.add_drive(entry.name, entry.address, kind)
-        self._configurations.watch(entry.name, kind)
-        self.identities.add_drive(entry)
-        self.wear.add_drive(entry)
-        self.metrics.meters.add_drive(entry.name)
-        self.requests.add_station(station)
-        self.schedule.add_drive(entry.name)
-        self.health.add_drive(entry.name, self.requests.maker.probe(station))
-        for rule in kind.stops.values():
-            if rule.value is None:
-                others = (one.code for one in kind.stops.values() if one is not rule)
-                self.words.watch(
-                    entry.name, rule.code, mask=inhibit_mask(kind, rule.code), moved_by=others,
-                    inhibited_by=inhibit_proofs(kind), watchdog_s=watched_s(entry),
-                    watchdog_inhibits=entry.watchdog is not None
-                    and entry.watchdog.action == "inhibit",
-                )  # fmt: skip
-        self._reads.take(entry, self._clock())
-        self.supervisor.add_drive(entry)
-        if self.worker.is_open:
-            self.supervisor.audit_soon(entry.name)
-
-    def _change_use(self, entry: DriveEntry) -> None:
-        """Read other codes of a drive, or allow other things; it stays the drive it is.
-
-        What else looks at entries, `operations` and `readdress`, is handed all of them at the end.
-        """
-        self._entries[entry.name] = entry
-        self.identities.change_entry(entry)
-        self.wear.add_drive(entry)
-        self.supervisor.change_entry(entry)
-        self._reads.take(entry, self._clock())
-
-    def _resume_feeding(self, old: DriveEntry | None, new: DriveEntry, left: Feed | None) -> None:
-        """Let no deadline of a drive that stayed slip because its entry changed."""
-        if old is not None and left is not None:
-            is_same = (old.address, old.family) == (new.address, new.family)
-            self.schedule.resume_feeding(new.name, left, is_same=is_same)
-
-    def _remove_drive(self, name: str, *, kept: bool) -> Feed | None:
-        """Take a drive out; `kept`: it comes back at once with other settings."""
-        del self._entries[name]
-        self.supervisor.remove_drive(name)
-        self.health.remove_drive(name)
-        now_s, reason = self._clock(), f"{name} was taken out of the roster"
-        left = self.schedule.remove_drive(name, now_s, reason)
-        self.requests.remove_station(name)
-        self.words.forget(name)
-        self.identities.remove_drive(name)
-        self._recorder.forget(name)
-        self._slow.forget(name)
-        self._reads.forget(name)
-        if not kept:
-            self.store.remove_drive(name)
-            self.metrics.meters.remove(name)
-            self.metrics.minutes.forget(name)
-        return left
-
-    def _follow(self, name: str, address: int) -> None:
+    def _follow(self, drive: Drive, address: int) -> None:
         """Speak to a drive at another address, until a roster says otherwise."""
-        self.apply(with_address(self.roster, name, address))
-
-    def _has_drive(self, name: str, address: int | None) -> bool:
-        entry = self._entries.get(name)
-        return entry is not None and address in (None, entry.address)
-
-    def _wants_audit(self, name: str) -> None:
-        self.words.forget(name)
-        self.supervisor.audit_soon(name)
-
-    def _take_family(self, name: str, kind: Family) -> None:
-        """Take a drive by another description of its family: its words mean something else."""
-        self.store.take_family(name, kind)
-        station = self.requests.station(name)
-        self.requests.replace_station(station, replace(station, family=kind))
-
-    def _take_response(self, name: str, early: bool | None) -> None:
-        """Leave a drive alone after a write if it acknowledges early, or may (None)."""
-        station = self.requests.station(name)
-        hold_s = 0.0 if early is False else station.family.hold_after_write_s
-        if (station.hold_s, station.answers_early) != (hold_s, early is True):
-            changed = replace(station, hold_s=hold_s, answers_early=early is True)
-            self.requests.replace_station(station, changed)
-
-    def _read_soon(self, name: str, code: Code, settle: Settle) -> None:
-        """Read a code before the cyclic ones, without waiting for it here."""
-        station = self.requests.station(name)
-        expires_at_s = self._clock() + ASKED_FOR_S
-        self.worker.submit(
-            self.requests.maker.read(
-                station, code, Priority.INTERACTIVE, settle=settle, expires_at_s=expires_at_s
-            )
-        )
-
-    def _read_later(self, name: str, code: Code, settle: Settle) -> None:
-        """Read a code when the line has time for it."""
-        station = self.requests.station(name)
-        self.worker.submit(
-            self.requests.maker.read(station, code, Priority.BACKGROUND, settle=settle)
-        )
+        self.apply(with_address(self.roster, drive.name, address))
 
     def _figures(self) -> Figures:
         now = self._clock()
@@ -417,7 +304,7 @@ class LineRuntime:
             {name: feed.lapses for name, feed in stats.feeds.items()},
             stats.refused,
             stats.cyclic_skipped + stats.cyclic_dropped,
-            self.wear.figures(),
+            self.wear.figures(self.store.names()),
             None if math.isinf(stats.slack_s) else stats.slack_s,
             minutes.woken_late.most(now, LATELY_S) or 0.0,
             self._answer_ratios(),
@@ -425,7 +312,7 @@ class LineRuntime:
 
     def _answer_ratios(self) -> dict[str, float]:
         """By drive: the slowest answer measured, in its manual's time."""
-        rows = {name: self.requests.station(name).measured.rows() for name in self._entries}
+        rows = {drive.name: drive.station.measured.rows() for drive in self.drives}
         return {name: of[0].measured_s / of[0].manual_s for name, of in rows.items() if of}
 
     def _gather(self, now_s: float) -> ScheduleStats:
@@ -445,14 +332,16 @@ class LineRuntime:
         """Give what a plan of this line is made from, and what its last minutes showed."""
         now_s = self._clock()
         self._gather(now_s)
-        stations = [self.requests.station(name) for name in self._entries]
+        stations = [drive.station for drive in self.drives]
         return {
             "roster": facts_of(self.roster, {one.name: one.measured.slow for one in stations}),
             "measured": self.metrics.minutes.as_json(now_s),
             "answers": answers_of({one.name: one.measured.rows() for one in stations}),
             "state": str(self.store.line().state),
             "away": [
-                name for name in self._entries if self.store.state(name) is DriveState.OFFLINE
+                drive.name
+                for drive in self.drives
+                if self.store.state(drive.name) is DriveState.OFFLINE
             ],
         }
 

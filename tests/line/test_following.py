@@ -96,17 +96,17 @@ def test_a_stop_goes_out_at_the_very_moment_at_which_the_answer_is_complete() ->
     with_rig(test, options=AT_ONCE)
 
 
-def test_a_quick_stop_waits_for_the_books_and_uses_the_word_the_answer_brought() -> None:
+def test_a_quick_stop_waits_for_the_recorder_and_uses_the_word_the_answer_brought() -> None:
     async def test(rig: Rig) -> None:
         words: list[int] = []
 
-        class ExchangeRecorder(Recorder):
+        class Keeping(Recorder):
             def exchange_ended(self, report: ExchangeReport) -> None:
                 value = getattr(report.result.answer, "value", None)
                 if report.step.code == WORD and value is not None:
                     words.append(value.number)
 
-        rig.worker.talk.observer = ExchangeRecorder()
+        rig.worker.talk.observer = Keeping()
         rig.line["a"].model.control = 0x0204
         rig.read("a", 135)
         await anyio.sleep(0.010)

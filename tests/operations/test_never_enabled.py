@@ -88,7 +88,7 @@ async def quick_stop_of_the_group(plant: Plant) -> None:
 
 
 async def quick_stop_with_nothing_known(plant: Plant) -> None:
-    plant.site.words.forget("a")
+    plant.site.drives.get("a").control_word.forget()
     await quick_stop(plant)
 
 
@@ -163,7 +163,7 @@ def a_parameter(plant: Plant) -> Code:
 
 
 async def audit(plant: Plant) -> None:
-    plant.site.supervisor.audit_soon("a")
+    plant.site.audits.ask(plant.site.drives.get("a"))
     await anyio.sleep(3.0)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import anyio
 import pytest
 
+from lecombus.drive_runtime import LineDrives
 from lecombus.errors import (
     ExchangeError,
     LineClosedError,
@@ -17,16 +18,19 @@ from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 from lecombus.schedule import Outcome, Priority
 from lecombus.simulator.faults import Faults
+from support.single_drives import drive_of
 from support.site_host import Rig, with_rig
 
 STATUS = Code(150)
 
 
 def requests_of(rig: Rig) -> Requests:
-    requests = Requests(rig.worker, rig.maker, lambda: rig.now_s)
+    drives = LineDrives()
     for station in rig.stations.values():
-        requests.add_station(station)
-    return requests
+        drive = drive_of(station.name)
+        drive.station = station
+        drives.put(drive)
+    return Requests(rig.worker, rig.maker, drives, lambda: rig.now_s)
 
 
 def test_a_read_gives_its_value_and_a_write_its_outcome() -> None:

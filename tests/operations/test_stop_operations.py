@@ -123,7 +123,7 @@ def test_a_stop_goes_to_a_drive_that_was_not_audited_yet() -> None:
 def test_a_quick_stop_that_became_an_inhibit_is_reported_as_one() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()
-        plant.site.words.forget("a")
+        plant.site.drives.get("a").control_word.forget()
         plant.line["a"].model.readers[135] = lambda _: "Snone"
         report = await plant.site.operations.stop(QUICK, "a")
         assert report.outcome is Outcome.VERIFIED
@@ -283,7 +283,7 @@ def test_drives_that_are_silent_keep_the_living_ones_from_their_stop_once_at_mos
                 with pytest.raises(Exception, match=drive):
                     await plant.site.operations.read(drive, STATUS)
         for name in "pqrstu":
-            plant.site.words.forget(name)
+            plant.site.drives.get(name).control_word.forget()
         said, since_s = len(plant.end.sent), plant.now_s
         await plant.site.operations.stop(action, "six")
         first = told_at_s(plant, said)
@@ -357,7 +357,7 @@ def test_a_control_word_that_cannot_be_one_makes_an_inhibit_of_the_quick_stop() 
     async def test(plant: Plant) -> None:
         await plant.online()
         plant.line["a"].model.readers[135] = lambda _: "H00010004"
-        plant.site.words.forget("a")
+        plant.site.drives.get("a").control_word.forget()
         report = await plant.site.operations.stop(QUICK, "a")
         assert (report.outcome, report.members[0].code) == (Outcome.VERIFIED, ENABLE)
 
@@ -370,7 +370,8 @@ def test_a_quick_stop_of_a_decade_goes_one_by_one_while_a_control_word_is_being_
         await plant.site.operations.write_group("teens", WORD, "H0000")
         writing = asyncio.create_task(plant.site.operations.write("b", ENABLE, 0))
         await anyio.lowlevel.checkpoint()
-        plant.site.words.seen("b", WORD, Value.parse("H0000"))  # a read that was under way
+        word = plant.site.drives.get("b").control_word
+        word.seen(WORD, Value.parse("H0000"))  # a read that was under way
         report = await plant.site.operations.stop(QUICK, "teens")
         await writing
         assert (report.how, report.outcome) == ("one-by-one", Outcome.VERIFIED)
@@ -382,7 +383,7 @@ def test_a_quick_stop_whose_word_may_not_be_read_now_becomes_an_inhibit_and_does
     async def test(plant: Plant) -> None:
         await plant.online()
         await anyio.sleep(5.0)  # no module's own code, which holds the line for half a second
-        plant.site.words.forget("c")
+        plant.site.drives.get("c").control_word.forget()
         for form in Form:
             plant.site.worker.talk._doubts.add(encode_code(WORD, form), plant.now_s)
         said, since_s = len(plant.end.sent), plant.now_s

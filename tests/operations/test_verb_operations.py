@@ -522,8 +522,8 @@ def test_a_reset_goes_no_further_behind_a_write_that_lifts_its_inhibit(
         await do(plant, Verb.SET_SPEED, value=Decimal(50), unit="%")
         drive.trip(FAULT_NUMBER)
         resetting = asyncio.create_task(do(plant, Verb.RESET_FAULT))
-        before = plant.site.operations.context.stops["a"]
-        await until(lambda: plant.site.operations.context.stops["a"] > before)
+        before = plant.site.drives.get("a").lasting.stops_and_writes
+        await until(lambda: plant.site.drives.get("a").lasting.stops_and_writes > before)
         await plant.site.operations.write("a", Code(code), text)
         report = await resetting
         assert report.outcome is Outcome.SUPERSEDED

@@ -8,13 +8,13 @@ import anyio
 import pytest
 
 from lecombus.drives import StopAction, Verb, family
-from lecombus.errors import LineLostError
 from lecombus.motion import Doing
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
-from lecombus.schedule import Outcome, Settle
+from lecombus.schedule import Outcome
 from lecombus.store import LineState, Store
 from lecombus.supervision.command_effects import ZERO_GAP_S, CommandEffects
+from support.single_drives import AskedLine, drive_of
 from support.site_host import Plant, roster_of, with_plant
 
 WORD, OUTPUT, OPERATING, INHIBIT, CONTROL = (Code(one) for one in (150, 50, 68, 40, 135))
@@ -30,34 +30,26 @@ class Desk:
         for name in "ab":
             self.store.add_drive(name, 1, family(kind))
         self.store.line_state(LineState.OPEN)
-        self.asked: list[tuple[str, Code, str]] = []
-        self.settles: list[Settle] = []
-        self.fails = False
-        self.effects = CommandEffects(
-            self.store, self._ask("soon"), self._ask("later"), lambda: self.now_s
-        )
+        self.drives = {name: drive_of(name, kind) for name in "ab"}
+        self.line = AskedLine()
+        self.effects = CommandEffects(self.store, self.line, lambda: self.now_s)
 
-    def _ask(self, how: str):  # type: ignore[no-untyped-def]
-        def ask(drive: str, code: Code, settle: Settle) -> None:
-            if self.fails:
-                raise LineLostError("no line")
-            self.asked.append((drive, code, how))
-            self.settles.append(settle)
-
-        return ask
+    @property
+    def asked(self) -> list[tuple[str, Code, str]]:
+        return self.line.asked
 
     def writes(self, drive: str, code: Code) -> None:
         self.now_s += 0.1
         self.store.value_written(drive, code, self.now_s)
-        self.effects.written(drive, code)
+        self.effects.written(self.drives[drive], code)
 
     def reads(self, drive: str, code: Code, raw: str) -> None:
         self.now_s += 0.1
         self.store.value_read(drive, code, Value.parse(raw), self.now_s)
-        self.effects.seen(drive, code, Value.parse(raw))
+        self.effects.seen(self.drives[drive], code, Value.parse(raw))
 
     def answers(self) -> None:
-        self.settles.pop(0)(Outcome.DONE, "")
+        self.line.settles.pop(0)(Outcome.DONE, "")
 
 
 @pytest.mark.parametrize(
@@ -78,7 +70,7 @@ def test_a_command_has_what_shows_its_effect_read(
     for word in (WORD, OPERATING, CONTROL):
         desk.reads("a", word, "H0000")
     desk.writes("a", code)
-    while desk.settles:
+    while desk.line.settles:
         desk.answers()
     assert desk.asked == [("a", one, "soon") for one in wanted]
 
@@ -109,9 +101,9 @@ def test_what_was_read_since_is_not_asked_for() -> None:
 
 def test_a_line_that_is_lost_leaves_nothing_pending() -> None:
     desk = Desk()
-    desk.fails = True
+    desk.line.fails = True
     desk.writes("a", INHIBIT)
-    desk.fails = False
+    desk.line.fails = False
     desk.writes("b", INHIBIT)
     assert desk.asked == [("b", WORD, "soon")]
 
@@ -136,7 +128,7 @@ def test_it_is_not_read_for_a_stop_that_was_asked_for_nor_all_the_time() -> None
         desk.reads("a", WORD, STANDS)
     assert [how for *_, how in desk.asked[before:]] == ["later"]
     desk.answers()
-    while desk.settles:
+    while desk.line.settles:
         desk.answers()
     desk.now_s += ZERO_GAP_S
     desk.reads("a", OUTPUT, "20.0")

@@ -6,14 +6,13 @@ from decimal import Decimal
 
 import pytest
 
-from lecombus.drives import Family, family
-from lecombus.errors import LineLostError
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.exchange import ResultKind
 from lecombus.protocol.values import Value
 from lecombus.readings import DriveState
-from lecombus.schedule import Outcome, Settle
+from lecombus.schedule import Outcome
 from lecombus.supervision.configurations import Configurations
+from support.single_drives import AskedLine, drive_of
 from support.site_host import Plant, roster_of, until, with_plant
 
 C0005, C0135, C0150, C1921 = Code(5), Code(135), Code(150), Code(1921)
@@ -23,31 +22,28 @@ class Post:
     """Follows one drive."""
 
     def __init__(self, kind: str = "93xx") -> None:
-        self.taken: list[str] = []
-        self.asked: list[Code] = []
-        self.asked_later: list[Code] = []
-        self.deaf = False
-        self.early: list[bool | None] = []
-        self.following = Configurations(self._change, self._take_early, self._ask, self._ask_later)
-        self.following.watch("a", family(kind))
+        self.drive = drive_of("a", kind)
+        self.line = AskedLine()
+        self.following = Configurations(self.line)
 
-    def _change(self, drive: str, found: Family) -> None:
-        self.taken.append(found.configuration)
+    @property
+    def taken(self) -> list[str]:
+        return self.line.families
 
-    def _take_early(self, drive: str, early: bool | None) -> None:
-        self.early.append(early)
+    @property
+    def early(self) -> list[bool | None]:
+        return self.line.early
 
-    def _ask_later(self, drive: str, code: Code, settle: Settle) -> None:
-        self.asked_later.append(code)
+    @property
+    def asked(self) -> list[Code]:
+        return [code for _, code, how in self.line.asked if how == "soon"]
 
-    def _ask(self, drive: str, code: Code, settle: Settle) -> None:
-        if self.deaf:
-            raise LineLostError("no line")
-        self.asked.append(code)
-        settle(Outcome.DONE, "")
+    @property
+    def asked_later(self) -> list[Code]:
+        return [code for _, code, how in self.line.asked if how == "later"]
 
     def reads(self, raw: str, code: Code = C0005) -> None:
-        self.following.seen("a", code, Value.parse(raw))
+        self.following.seen(self.drive, code, Value.parse(raw))
 
 
 def test_a_change_is_told_once() -> None:
@@ -68,24 +64,22 @@ def test_what_is_no_number_is_no_configuration(raw: str) -> None:
 def test_after_a_write_nothing_is_known_until_it_is_read() -> None:
     post = Post()
     post.reads("1001")
-    post.following.written("a", C0135)
+    post.following.written(post.drive, C0135)
     assert (post.taken, post.asked) == (["1xx1"], [])
-    post.following.written("a", C0005)
+    post.following.written(post.drive, C0005)
     assert (post.taken, post.asked) == (["1xx1", ""], [C0005])
-    post.deaf = True
-    post.following.written("a", C0005)
+    post.line.fails = True
+    post.following.written(post.drive, C0005)
     assert post.taken == ["1xx1", ""]
 
 
 def test_other_codes_families_and_drives_say_nothing() -> None:
     post = Post()
     post.reads("1001", C0135)
-    post.following.seen("b", C0005, Value.decimal(1001))
-    post.following.forget("a")
-    post.reads("1001")
+    post.following.seen(drive_of("b"), C0005, Value.decimal(1001))
     inverter = Post("8200vector")
     inverter.reads("1001")
-    inverter.following.written("a", C0005)
+    inverter.following.written(inverter.drive, C0005)
     assert (post.taken, inverter.taken, inverter.asked) == ([], [], [])
 
 
@@ -186,7 +180,7 @@ def test_shortened_response_time_is_followed_and_not_known_after_a_write() -> No
     post = Post("820x")
     for raw in ("0", "1", "S1"):
         post.reads(raw, C1921)
-    post.following.written("a", C1921)
+    post.following.written(post.drive, C1921)
     assert post.early == [False, True, None, None]
     assert (post.asked_later, post.asked, post.taken) == ([C1921], [], [])
 

@@ -8,6 +8,7 @@ import random
 import anyio
 import pytest
 
+from lecombus.drive_runtime import Drive
 from lecombus.errors import LecombusError
 from lecombus.protocol.addressing import Code
 from lecombus.readings import DriveState
@@ -288,9 +289,11 @@ def test_a_drive_that_stays_away_when_a_flapping_line_is_back_is_told(
 def test_an_audit_asked_for_while_the_rest_is_learnt_is_not_forgotten() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()
-        assert "a" in plant.site.supervisor._auditing, "the rest is still being learnt"
+        assert plant.site.drives.get("a").audit.running is not None, (
+            "the rest is still being learnt"
+        )
         plant.line["a"].power_cycle(plant.now_s, 0.0)
-        plant.site.supervisor.audit_soon("a")
+        plant.site.audits.ask(plant.site.drives.get("a"))
         await until(lambda: plant.line["a"].model.watchdog_setting() == (2.0, 2), within_s=30.0)
 
     with_plant(test, roster_of(ONE, watchdog=GUARD))
@@ -317,18 +320,18 @@ def test_shortened_response_is_learnt_and_the_drive_left_alone_after_each_write(
     with_plant(test, roster_of(ONE, watchdog=GUARD))
 
 
-def test_the_keeper_cannot_end_silently() -> None:
+def test_the_supervisor_cannot_end_silently() -> None:
     async def main() -> None:
         async with Plant(roster_of(ONE, watchdog=GUARD)) as plant:
 
-            def fail(name: str) -> None:
-                raise RuntimeError(f"a mistake in the books of {name}")
+            def fail(drive: Drive) -> None:
+                raise RuntimeError(f"a mistake about {drive.name}")
 
             plant.site.health.audited = fail  # type: ignore[method-assign]
             await anyio.sleep(60.0)
-            pytest.fail("the keeper's error was lost")
+            pytest.fail("the supervisor's error was lost")
 
-    with pytest.raises(RuntimeError, match="books of a"):
+    with pytest.raises(RuntimeError, match="mistake about a"):
         plainly(main())
 
 

@@ -9,14 +9,14 @@ import pytest
 
 from lecombus.drives import family
 from lecombus.drives.faults import FaultKind
-from lecombus.errors import LineLostError
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 from lecombus.readings import ActiveFault
-from lecombus.schedule import Outcome, Settle
+from lecombus.schedule import Outcome
 from lecombus.simulator.families.smvector import SMVector
 from lecombus.store import Store
 from lecombus.supervision.fault_watch import TRIES, FaultWatch
+from support.single_drives import AskedLine, drive_of
 from support.site_host import Plant, roster_of, until, with_plant
 
 C0068, C0150, C0161 = Code(68), Code(150), Code(161)
@@ -30,23 +30,20 @@ class Post:
         self.now_s = 1000.0
         self.store = Store(lambda: self.now_s, lambda: self.now_s)
         self.store.add_drive("a", 1, family(kind))
-        self.asked: list[Code] = []
-        self.settles: list[Settle] = []
-        self.deaf = False
-        self.watch = FaultWatch(self.store, self._ask, lambda: self.now_s)
+        self.drive = drive_of("a", kind)
+        self.line = AskedLine()
+        self.watch = FaultWatch(self.store, self.line, lambda: self.now_s)
 
-    def _ask(self, drive: str, code: Code, settle: Settle) -> None:
-        if self.deaf:
-            raise LineLostError("no line")
-        self.asked.append(code)
-        self.settles.append(settle)
+    @property
+    def asked(self) -> list[Code]:
+        return [code for _, code, _ in self.line.asked]
 
     def sees(self, code: Code, raw: str) -> None:
-        self.watch.seen("a", code, Value.parse(raw))
+        self.watch.seen(self.drive, code, Value.parse(raw))
 
     def answers(self) -> None:
         """Every read asked for ended; their values are told by `sees`."""
-        settles, self.settles = self.settles, []
+        settles, self.line.settles = self.line.settles, []
         for settle in settles:
             settle(Outcome.DONE, "")
 
@@ -151,7 +148,7 @@ def test_a_word_that_showed_a_fault_is_read_again_when_another_shows_it_gone() -
     post = Post()
     post.sees(C0150, TRIPPED)
     post.sees(C0068, "H8005")
-    post.asked.clear()
+    post.line.asked.clear()
     post.sees(C0150, FINE)
     assert post.fault() is not None  # C0068 has not said so yet
     assert post.asked == [C0068]
@@ -163,7 +160,7 @@ def test_words_that_contradict_each_other_are_read_again_a_few_times_only() -> N
     post = Post()
     post.sees(C0068, "H8005")
     post.sees(C0161, "50")
-    post.asked.clear()
+    post.line.asked.clear()
     for _ in range(20):
         post.sees(C0150, FINE)
         post.sees(C0068, "H8005")
@@ -196,10 +193,10 @@ def test_a_message_is_named_too_and_a_number_not_listed_is_shown_as_a_number() -
 
 def test_without_a_line_nothing_is_asked_and_the_next_word_asks_again() -> None:
     post = Post()
-    post.deaf = True
+    post.line.fails = True
     post.sees(C0150, TRIPPED)
     assert post.asked == []
-    post.deaf = False
+    post.line.fails = False
     post.sees(C0150, TRIPPED)
     assert post.asked == [C0161]
 
@@ -207,7 +204,7 @@ def test_without_a_line_nothing_is_asked_and_the_next_word_asks_again() -> None:
 def test_a_drive_that_left_the_roster_begins_anew() -> None:
     post = Post()
     post.sees(C0150, TRIPPED)
-    post.watch.forget("a")
+    post.drive = drive_of("a", "smvector")
     post.store.remove_drive("a")
     post.store.add_drive("a", 1, family("smvector"))
     post.sees(C0150, "H0100")

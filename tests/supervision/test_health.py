@@ -6,17 +6,30 @@ from collections.abc import Callable
 
 import pytest
 
+from lecombus.drive_runtime import Drive, LineDrives
 from lecombus.drives import family
+from lecombus.line_events import LineChange
 from lecombus.protocol.exchange import ResultKind
 from lecombus.readings import DriveState, LineState
 from lecombus.schedule import Outcome, Priority, Request, Schedule
 from lecombus.store import Store
+from lecombus.supervision.audit_queue import AuditQueue
 from lecombus.supervision.health import Health
+from support.single_drives import drive_of
 
 STARTING, ONLINE, DEGRADED, OFFLINE = (
     DriveState.STARTING, DriveState.ONLINE, DriveState.DEGRADED, DriveState.OFFLINE,
 )  # fmt: skip
 GOOD, MISSED = ResultKind.ANSWERED, ResultKind.NO_REPLY
+
+
+class CountedAudits(AuditQueue):
+    """A queue of audits that nobody makes."""
+
+    asked = 0
+
+    def ask(self, drive: Drive) -> None:
+        self.asked += 1
 
 
 class Ward:
@@ -29,32 +42,41 @@ class Ward:
         self.store = Store(lambda: self.now_s, lambda: 1e9)
         self.store.line_state(LineState.OPEN)
         self.store.add_drive("a", 1, family("8200vector"))
-        self.audits = 0
-        self.health = Health(self.schedule, self.store, self._want, lambda: self.now_s)
-        self.health.add_drive("a", self._probe)
+        self.drives = LineDrives()
+        self.drive = drive_of("a")
+        self.drive.probe = self._probe
+        self.drives.put(self.drive)
+        self.queue = CountedAudits()
+        self.health = Health(self.drives, self.schedule, self.store, self.queue, lambda: self.now_s)
+        self.health.begin(self.drive)
 
-    def _want(self, name: str) -> None:
-        self.audits += 1
+    @property
+    def audits(self) -> int:
+        return self.queue.asked
+
+    @property
+    def state(self) -> DriveState:
+        return self.drive.health.state
 
     def _probe(self) -> Request:
         return Request("a", Priority.CYCLIC, 0.05, 0.1, lambda outcome, reason: None)
 
     def exchange(self, *kinds: ResultKind) -> DriveState:
         for kind in kinds:
-            self.health.exchange_ended("a", kind, "no answer in time")
-        return self.health.state("a")
+            self.health.judge(self.drive, kind, "no answer in time")
+        return self.state
 
     def online(self) -> Ward:
         self.exchange(GOOD)
-        self.health.audited("a")
+        self.health.audited(self.drive)
         return self
 
 
 def test_a_drive_is_online_only_when_it_was_audited_not_when_it_answers() -> None:
     ward = Ward()
     assert ward.exchange(GOOD, GOOD) is STARTING
-    ward.health.audited("a")
-    assert ward.health.state("a") is ONLINE
+    ward.health.audited(ward.drive)
+    assert ward.state is ONLINE
 
 
 @pytest.mark.parametrize(
@@ -85,16 +107,16 @@ def test_two_misses_in_a_row_cost_an_audit_before_the_drive_is_online_again() ->
     assert ward.exchange(MISSED, MISSED, GOOD) is DEGRADED
     assert ward.audits == 1
     assert ward.exchange(GOOD) is DEGRADED
-    ward.health.audited("a")
-    assert ward.health.state("a") is ONLINE
+    ward.health.audited(ward.drive)
+    assert ward.state is ONLINE
 
 
 def test_a_single_miss_while_an_audit_is_due_does_not_stand_in_for_it() -> None:
     ward = Ward().online()
     ward.exchange(MISSED, MISSED, GOOD)
     assert ward.exchange(MISSED, GOOD) is DEGRADED
-    ward.health.audited("a")
-    assert ward.health.state("a") is ONLINE
+    ward.health.audited(ward.drive)
+    assert ward.state is ONLINE
 
 
 def test_a_lost_line_is_no_drive_s_fault() -> None:
@@ -126,24 +148,24 @@ def test_an_offline_drive_that_answers_is_audited_and_stays_starting_until_then(
     assert ward.exchange(GOOD) is STARTING
     assert ward.audits == 1
     assert ward.store.drive("a").reason == "it answers again: being audited"
-    ward.health.audited("a")
-    assert ward.health.state("a") is ONLINE
+    ward.health.audited(ward.drive)
+    assert ward.state is ONLINE
 
 
 def test_an_audit_that_ends_after_the_drive_went_offline_changes_nothing() -> None:
     ward = Ward().online()
     ward.exchange(*[MISSED] * 4)
-    ward.health.audited("a")
-    ward.health.audit_failed("a", "too late")
-    assert ward.health.state("a") is OFFLINE
+    ward.health.audited(ward.drive)
+    ward.health.audit_failed(ward.drive, "too late")
+    assert ward.state is OFFLINE
     assert "4 exchanges" in ward.store.drive("a").reason
 
 
 def test_a_reopened_line_begins_anew_with_every_drive() -> None:
     ward = Ward().online()
     ward.exchange(*[MISSED] * 4)
-    ward.health.line_opened()
-    assert ward.health.state("a") is STARTING
+    ward.health.line_changed(LineChange(True, ""))
+    assert ward.state is STARTING
     assert ward.audits == 1
     assert ward.schedule.next(ward.now_s) is None, "it is no longer probed"
 
@@ -151,16 +173,17 @@ def test_a_reopened_line_begins_anew_with_every_drive() -> None:
 @pytest.mark.parametrize(
     "call",
     [
-        lambda health: health.audited("a"),
-        lambda health: health.audit_failed("a", "x"),
-        lambda health: health.exchange_ended("a", MISSED, "x"),
-        lambda health: health.line_opened(),
+        lambda ward: ward.health.audited(ward.drive),
+        lambda ward: ward.health.audit_failed(ward.drive, "x"),
+        lambda ward: ward.health.restarted("a"),
+        lambda ward: ward.health.line_changed(LineChange(True, "")),
     ],
 )
-def test_what_is_said_of_a_drive_taken_out_is_ignored(call: Callable[[Health], None]) -> None:
+def test_what_is_said_of_a_drive_taken_out_is_ignored(call: Callable[[Ward], None]) -> None:
     ward = Ward().online()
-    ward.health.remove_drive("a")
-    call(ward.health)
+    ward.drives.take_out(ward.drive)
+    ward.store.remove_drive("a")
+    call(ward)
     assert ward.audits == 0
 
 
@@ -173,7 +196,7 @@ def test_a_drive_silent_long_enough_to_be_another_is_not_written_to_before_its_a
     ward.now_s += silent_s
     assert ward.exchange(MISSED, GOOD) is state
     assert ward.audits == 1
-    ward.health.audited("a")
+    ward.health.audited(ward.drive)
     assert ward.exchange(MISSED, GOOD) is ONLINE, "one failure alone is none of this"
 
 
@@ -183,22 +206,22 @@ def test_a_drive_whose_audit_takes_too_long_is_written_to_no_longer() -> None:
     for later_s in (4.0, 5.0):
         ward.now_s += later_s
         ward.exchange(MISSED, MISSED, GOOD)  # once more: it is due since the first time
-        ward.health.audit_failed("a", "no answer in time")
-        ward.health.note_overdue()
-        assert ward.health.state("a") is DEGRADED
+        ward.health.audit_failed(ward.drive, "no answer in time")
+        ward.health.check_overdue()
+        assert ward.state is DEGRADED
     ward.now_s += 1.0
-    ward.health.note_overdue()
-    assert ward.health.state("a") is STARTING
+    ward.health.check_overdue()
+    assert ward.state is STARTING
     assert "not audited yet" in ward.store.drive("a").reason
-    ward.health.audited("a")
+    ward.health.audited(ward.drive)
     ward.now_s += 100.0
-    ward.health.note_overdue()
-    assert ward.health.state("a") is ONLINE
+    ward.health.check_overdue()
+    assert ward.state is ONLINE
 
 
 def test_one_missed_answer_makes_no_audit_due() -> None:
     ward = Ward().online()
     ward.exchange(MISSED, GOOD)
     ward.now_s += 100.0
-    ward.health.note_overdue()
-    assert ward.health.state("a") is ONLINE
+    ward.health.check_overdue()
+    assert ward.state is ONLINE

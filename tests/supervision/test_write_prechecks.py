@@ -224,7 +224,7 @@ def test_with_a_code_bank_or_input_selection_extended_addressing_is_used(
         assert all(b"!" in one.data for one in group), "standard addressing would miss the drive"
         await leave_and_return(plant)
         assert "addressing-moved" not in plant.site.store.drive("a").remarks
-        assert plant.site.requests.station("a").forms == plant.site._entries["a"].forms
+        assert plant.site.requests.station("a").forms == plant.site.drives.get("a").entry.forms
 
     with_plant(test, ROSTER)
 

@@ -14,6 +14,7 @@ import anyio
 
 from lecombus.cli.exits import CommandError
 from lecombus.config import LineEntry, line_timing
+from lecombus.drive_runtime import LineDrives
 from lecombus.drives import LineTiming
 from lecombus.errors import LecombusError, LineLostError
 from lecombus.line.observer import ExchangeReport
@@ -56,7 +57,9 @@ class OwnLine:
         self.error: LineLostError | None = None
         self.schedule = Schedule()
         self.worker = LineWorker(settings, self._open, self.schedule, timing, options, self)
-        self.requests = Requests(self.worker, RequestMaker(timing, retries, _count), time.monotonic)
+        self.requests = Requests(
+            self.worker, RequestMaker(timing, retries, _count), LineDrives(), time.monotonic
+        )
         self.bytes_heard = 0
         self.disturbances = 0
         self._strays = bytearray()

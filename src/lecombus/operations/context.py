@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import secrets
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 
 from lecombus.config import DriveEntry, GroupEntry
+from lecombus.control_word import ControlWord
+from lecombus.drive_runtime import LastingRecord
 from lecombus.drives.stops import asks_to_stop
 from lecombus.errors import OperationError, meant
 from lecombus.line.station import Station
-from lecombus.operations.control_words import ControlWords
 from lecombus.operations.nak_diagnosis import NakDiagnosis
 from lecombus.operations.permissions import Permissions
 from lecombus.operations.requests import Requests
@@ -30,7 +30,6 @@ class OperationContext:
     Args:
         requests: Sends requests.
         store: The last values and states of the drives.
-        words: The drives' control words as last seen.
         wear: Counts and limits writes to the drives' EEPROMs.
         clock: Monotonic time, seconds.
         disturbances: How often the line has carried something that was no answer.
@@ -41,32 +40,26 @@ class OperationContext:
         permissions: Whether a write may be made.
         diagnosis: Why a drive refused.
         why: Why a drive does not turn.
-        stops: How often each drive was to stop, by a stop or by a plain write.
-        lifts: How many plain writes of each drive may have lifted its inhibit.
     """
 
     def __init__(
         self,
         requests: Requests,
         store: Store,
-        words: ControlWords,
         wear: Wear,
         clock: Callable[[], float],
         disturbances: Callable[[], int] = lambda: 0,
     ) -> None:
         self.requests = requests
         self.store = store
-        self.words = words
         self.wear = wear
         self.clock = clock
         self.disturbances = disturbances
         self.entries: dict[str, DriveEntry] = {}
         self.groups: Mapping[str, GroupEntry] = {}
-        self.stops: Counter[str] = Counter()
-        self.lifts: Counter[str] = Counter()
         self.permissions = Permissions(requests, store)
         self.diagnosis = NakDiagnosis(requests, store, clock)
-        self.why = Why(requests, store, clock, lambda drive: self.stops[drive])
+        self.why = Why(requests, store, clock)
         self._run = secrets.token_hex(4)
 
     def set_roster(self, entries: Sequence[DriveEntry], groups: Mapping[str, GroupEntry]) -> None:
@@ -130,6 +123,15 @@ class OperationContext:
             remedy=meant(target, (*self.entries, *self.groups), "they"),
         )
 
+    def control_word(self, drive: str) -> ControlWord:
+        """Return the control word of a drive; one that left the roster has none that is known."""
+        found = self.requests.drives.find(drive)
+        return ControlWord(self.clock) if found is None else found.control_word
+
+    def lasting(self, drive: str) -> LastingRecord:
+        """Return what counts for a drive whatever its entry, also after it left the roster."""
+        return self.requests.drives.lasting(drive)
+
     def silence_of(self, station: Station) -> int:
         """Return how little a drive answers: 0 online, 1 not known yet, 2 offline."""
         state = self.store.state(station.name)
@@ -141,18 +143,18 @@ class OperationContext:
         A verb under way must not undo the one, and a reset must not go on behind the other.
         """
         if asks_to_stop(station.family, code, wire):
-            self.stops[station.name] += 1
-        elif self.words.moves(station.name, code):
-            self.lifts[station.name] += 1
+            self.lasting(station.name).stops_and_writes += 1
+        elif self.control_word(station.name).moves(code):
+            self.lasting(station.name).lifts += 1
 
     def note_stop(self, drive: str) -> None:
         """Count a stop of a drive; writes and verbs under way end behind it."""
-        self.stops[drive] += 1
+        self.lasting(drive).stops_and_writes += 1
         self.requests.note_stop(drive)
 
     def stop_mark(self, drive: str) -> str:
         """Return a mark of this run that the next stop of the drive outdates."""
-        return f"{self._run}-{self.requests.stops_said[drive]}"
+        return f"{self._run}-{self.requests.stops_said(drive)}"
 
     def is_outdated(self, drive: str, mark: str) -> bool:
         """Whether a stop came after a mark; a mark of another run of lecombus says nothing."""

@@ -12,6 +12,7 @@ import asyncio
 from collections.abc import Mapping, Sequence
 from decimal import Decimal
 
+from lecombus.control_word import unknown_until_ended
 from lecombus.drives import WriteClass
 from lecombus.drives.stops import asks_to_stop, stops_every_drive
 from lecombus.errors import (
@@ -275,9 +276,10 @@ class GroupWrites:
         infos = [one.family.info(code) for one in stations]
         motion = any(info is not None and info.motion for info in infos)
         ending = Ending()
+        words = [self._context.control_word(one.name) for one in stations]
         request = self._context.requests.maker.multicast(
             group, stations, code, wire, Priority.CONTROL if motion else Priority.INTERACTIVE,
-            settle=self._context.words.guard([one.name for one in stations], code, ending.settle),
+            settle=unknown_until_ended(words, code, ending.settle),
             expires_at_s=expires_at_s,
         )  # fmt: skip
         ending.request = request

@@ -18,9 +18,10 @@ import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from lecombus.config import DriveEntry
+from lecombus.drive_runtime import Drive, LineDrives
 from lecombus.drives.identity import is_identity, is_same_text, text_of
 from lecombus.errors import OperationError
+from lecombus.line_events import ExchangeEvent, LineRequests
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 from lecombus.readings import IDENTITY_LOCK, DriveState, Json, rfc3339
@@ -71,8 +72,8 @@ class Identities:
         state: Where they are kept.
         store: Gets what was found, and the remarks.
         wall: The time of day, Unix seconds.
-        on_accepted: Called with a drive whose identity somebody accepted.
-        on_doubt: Called with a drive that is online and says otherwise than it did, and how.
+        drives: The drives.
+        line: Audits a drive that was accepted, or that says otherwise than it did.
     """
 
     def __init__(
@@ -80,68 +81,53 @@ class Identities:
         state: State,
         store: Store,
         wall: Callable[[], float],
-        on_accepted: Callable[[str], None],
-        on_doubt: Callable[[str, str], None],
+        drives: LineDrives,
+        line: LineRequests,
     ) -> None:
         self._state = state
         self._store = store
         self._wall = wall
-        self._on_accepted = on_accepted
-        self._on_doubt = on_doubt
-        self._entries: dict[str, DriveEntry] = {}
-        self._found: dict[str, dict[str, str]] = {}
-        self._known: dict[str, dict[Code, str]] = {}
+        self._drives = drives
+        self._line = line
 
-    def add_drive(self, entry: DriveEntry) -> None:
-        """Look after a drive from now on; nothing it said as another entry counts."""
-        self._entries[entry.name] = entry
-        self._found.pop(entry.name, None)
-        self._known.pop(entry.name, None)
-
-    def change_entry(self, entry: DriveEntry) -> None:
-        """Take another entry of a drive that stayed what it is: what it said goes on counting."""
-        self._entries[entry.name] = entry
-
-    def remove_drive(self, name: str) -> None:
-        """Look after it no longer; what is recorded of it stays."""
-        self._entries.pop(name, None)
-        self._found.pop(name, None)
-        self._known.pop(name, None)
-
-    def differing(self, name: str, found: Mapping[Code, Value]) -> list[Code]:
+    def differing(self, drive: Drive, found: Mapping[Code, Value]) -> list[Code]:
         """Return the codes that read otherwise than the roster or the record says."""
-        entry, record = self._entries[name], self._state.drive(name).identity
+        roster, record = drive.entry.identity, self._state.drive(drive.name).identity
         return [
             code for code, value in found.items()
-            if not is_identity(value, entry.identity.get(code, record.get(str(code))))
+            if not is_identity(value, roster.get(code, record.get(str(code))))
         ]  # fmt: skip
 
-    def judge(self, name: str, found: Mapping[Code, Value]) -> None:
+    def judge(self, drive: Drive, found: Mapping[Code, Value]) -> None:
         """Take what a drive says of itself: record it, or lock the drive where it differs.
 
         Args:
-            name: The drive.
+            drive: The drive.
             found: What could be read, by code.
         """
-        self._known[name] = {code: text_of(value) for code, value in found.items()}
-        told = {str(code): text for code, text in self._known[name].items()}
-        self._found[name] = told
-        self._store.identify(name, told)
-        differing = self.differing(name, found)
+        drive.identity.found = {code: text_of(value) for code, value in found.items()}
+        told = drive.identity.as_text()
+        self._store.identify(drive.name, told)
+        differing = self.differing(drive, found)
         if not differing:
-            self._record(name, told)
-        self._remark(name, self._difference(name, differing, told))
+            self._record(drive.name, told)
+        self._remark(drive.name, self._difference(drive, differing, told))
 
-    def seen(self, name: str, code: Code, value: Value) -> None:
-        """Take any value read: a drive that says otherwise than at its audit is audited anew.
+    def exchange_ended(self, event: ExchangeEvent) -> None:
+        """Take an exchange: only values that were read say something."""
+        if event.read is not None:
+            self.seen(event.drives[0], event.code, event.read)
+
+    def seen(self, drive: Drive, code: Code, value: Value) -> None:
+        """Take any value read: a drive that says otherwise than at its audit is audited again.
 
         A drive under audit is judged when that has ended.
         """
-        known = self._known.get(name, {}).get(code)
+        known = drive.identity.found.get(code)
         if known is None or is_same_text(text_of(value), known):
             return
-        if self._store.state(name) is DriveState.ONLINE:
-            self._on_doubt(name, f"{code} reads {text_of(value)}, not {known}: to be audited")
+        if self._store.state(drive.name) is DriveState.ONLINE:
+            self._line.doubt(drive, f"{code} reads {text_of(value)}, not {known}: to be audited")
 
     def report(self, name: str) -> IdentityReport:
         """Return what is known of who a drive is.
@@ -151,12 +137,12 @@ class Identities:
         """
         info = self._store.drive(name)
         facts = self._state.drive(name)
-        entry = self._entries[name]
+        drive = self._drives.get(name)
         return IdentityReport(
             name,
-            self._found.get(name, {}),
+            drive.identity.as_text(),
             facts.identity,
-            {str(code): text for code, text in entry.identity.items()},
+            {str(code): text for code, text in drive.entry.identity.items()},
             facts.accepted_at,
             info.remarks.get(IDENTITY_LOCK, ""),
         )
@@ -188,7 +174,7 @@ class Identities:
                 remedy="look at what it is now, and accept that",
             )
         against = [
-            code for code, text in self._entries[name].identity.items()
+            code for code, text in self._drives.get(name).entry.identity.items()
             if str(code) in report.found and not is_same_text(report.found[str(code)], text)
         ]  # fmt: skip
         if against:
@@ -213,7 +199,7 @@ class Identities:
             facts.writes_before = dict(facts.writes)
             self._state.touch()
         self._store.note(name, IDENTITY_LOCK, None)
-        self._on_accepted(name)
+        self._line.audit_soon(self._drives.get(name))
 
     def _record(self, name: str, told: Mapping[str, str]) -> None:
         """Keep what is new; a code that could not be read this time stays as it was."""
@@ -226,11 +212,13 @@ class Identities:
         facts.accepted_at = rfc3339(self._wall())
         self._state.touch()
 
-    def _difference(self, name: str, differing: list[Code], told: Mapping[str, str]) -> str | None:
+    def _difference(
+        self, drive: Drive, differing: list[Code], told: Mapping[str, str]
+    ) -> str | None:
         """Say what differs and what to do about it; None where nothing does."""
         if not differing:
             return None
-        roster, record = self._entries[name].identity, self._state.drive(name).identity
+        roster, record = drive.entry.identity, self._state.drive(drive.name).identity
         parts = [
             f"{code} reads {told[str(code)]}, "
             + (f"the roster says {roster[code]}" if code in roster else f"not {record[str(code)]}")
@@ -240,7 +228,7 @@ class Identities:
         remedy = (
             "correct `identity` in the roster and reload"
             if by_roster
-            else f"`lecombus accept {name}`"
+            else f"`lecombus accept {drive.name}`"
         )
         return (
             f"this is not the drive that was there: {'; '.join(parts)}; nothing is written to it "

@@ -10,12 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from lecombus.drive_runtime import Drive, LineDrives
 from lecombus.drives.measured import AnswerRow
-from lecombus.line.station import Station
 from lecombus.operations.identities import Identities, IdentityReport
 from lecombus.operations.readdress import Readdress
 from lecombus.operations.reports import WriteReport
-from lecombus.operations.requests import Requests
 from lecombus.operations.wear import Wear, WearReport
 from lecombus.readings import Json, seconds
 
@@ -57,7 +56,7 @@ class Maintenance:
         identities: Who they are.
         wear: How often their memories were written.
         readdress: Changes their addresses.
-        requests: Knows the drives.
+        drives: The drives.
         times_changed: Told of a drive whose measured times are others now.
     """
 
@@ -66,13 +65,13 @@ class Maintenance:
         identities: Identities,
         wear: Wear,
         readdress: Readdress,
-        requests: Requests,
-        times_changed: Callable[[Station], None],
+        drives: LineDrives,
+        times_changed: Callable[[Drive], None],
     ) -> None:
         self._identities = identities
         self._wear = wear
         self._readdress = readdress
-        self._requests = requests
+        self._drives = drives
         self._times_changed = times_changed
 
     async def readdress(self, drive: str, address: int) -> WriteReport:
@@ -85,10 +84,10 @@ class Maintenance:
         Raises:
             OperationError: `no-such-drive`.
         """
-        station = self._requests.station(drive)
-        rows = tuple(row for row in station.measured.rows() if row.slow)
-        station.measured.forget()
-        self._times_changed(station)
+        found = self._drives.get(drive)
+        rows = tuple(row for row in found.station.measured.rows() if row.slow)
+        found.station.measured.forget()
+        self._times_changed(found)
         return TimesReport(drive, rows)
 
     def wear(self, drive: str) -> WearReport:

@@ -26,12 +26,12 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 
 import anyio
 
-from lecombus.config import DriveEntry
+from lecombus.drive_runtime import Drive
 from lecombus.drives import address_code
 from lecombus.drives.identity import text_of
 from lecombus.drives.restore_rules import saving_rule
@@ -84,7 +84,7 @@ class Readdress:
         identities: Identities,
         clock: Callable[[], float],
         wall: Callable[[], float],
-        follow: Callable[[str, int], None],
+        follow: Callable[[Drive, int], None],
     ) -> None:
         self._requests = requests
         self._store = store
@@ -93,34 +93,32 @@ class Readdress:
         self._clock = clock
         self._wall = wall
         self._follow = follow
-        self._entries: Mapping[str, DriveEntry] = {}
-        self._homes: dict[str, int] = {}
+        self._drives = requests.drives
         self._following = False
         self._one_at_a_time = anyio.Lock()
 
-    def set_roster(self, entries: Mapping[str, DriveEntry]) -> None:
-        """Take the roster's drives, and say which of them were moved elsewhere.
+    def roster_changed(self) -> None:
+        """Say which of the roster's drives were moved elsewhere.
 
-        While a drive is followed, the entries have its new address: its home stays where the
+        While a drive is followed, its entry has its new address: its home stays where the
         roster's file has it.
         """
-        self._entries = entries
-        if not self._following:
-            self._homes = {name: entry.address for name, entry in entries.items()}
-        for name, home in self._homes.items():
-            facts = self._state.drive(name)
-            if facts.moved is not None and facts.moved.address == home:
+        for drive in self._drives:
+            if not self._following:
+                drive.home = drive.entry.address
+            facts = self._state.drive(drive.name)
+            if facts.moved is not None and facts.moved.address == drive.home:
                 facts.moved = None
                 self._state.touch()
-            self._remark(name, home, facts.moved)
+            self._remark(drive.name, drive.home, facts.moved)
 
-    def seen_at_home(self, name: str) -> None:
+    def seen_at_home(self, drive: Drive) -> None:
         """Note that a drive answers at the roster's address with the expected identity."""
-        facts, entry = self._state.drive(name), self._entries[name]
-        if facts.moved is not None and facts.moved.address != entry.address:
+        facts, address = self._state.drive(drive.name), drive.entry.address
+        if facts.moved is not None and facts.moved.address != address:
             facts.moved = None
             self._state.touch()
-            self._remark(name, entry.address, None)
+            self._remark(drive.name, address, None)
 
     async def change(self, drive: str, address: int) -> WriteReport:
         """Give a drive another address and follow it there.
@@ -140,14 +138,14 @@ class Readdress:
         """
         async with self._one_at_a_time:
             station = self._requests.station(drive)
-            stops = self._requests.stops_said[drive]
+            stops = self._requests.stops_said(drive)
             self._check(drive, station, address)
             held = await self._see_that_it_is_stopped(station)
             async with self._at(station, address) as there:
                 await self._see_silence(drive, there)
                 self._check(drive, station, address)
                 code = address_code(station.family)
-                if self._requests.stops_said[drive] != stops:
+                if self._requests.stops_said(drive) != stops:
                     return stopped_first(drive, code)
                 logger.warning(
                     "drive=%s event=readdress from=%d to=%d", drive, station.address, address
@@ -177,11 +175,11 @@ class Readdress:
         if not 1 <= address <= 99 or address % 10 == 0:
             text = f"{address} is no drive's address"
             raise refuse(text, "bad-value", "1 to 99 without 10, 20 .. 90 would be right")
-        other = next((e.name for e in self._entries.values() if e.address == address), None)
+        other = next((one.name for one in self._drives if one.entry.address == address), None)
         if other is not None:
             text = f"{other} has address {address}" + (" already" if other == drive else "")
             raise refuse(text, "address-taken", "choose an address that no drive has")
-        if not self._entries[drive].allow_address_change:
+        if not self._drives.get(drive).entry.allow_address_change:
             text = f"the roster does not let the address of {drive} be changed"
             remedy = "write `allow_address_change: true` for it, reload, and take it out afterwards"
             raise refuse(text, "not-permitted", remedy)
@@ -251,10 +249,10 @@ class Readdress:
         logger.warning("drive=%s event=readdressed from=%d to=%d", drive, station.address, address)
         self._following = True
         try:
-            self._follow(drive, address)
+            self._follow(self._drives.get(drive), address)
         finally:
             self._following = False
-        home = self._homes[drive]
+        home = self._drives.get(drive).home
         text = f"it answers at address {address} now, and is the same drive (before: {held})"
         remedy = (
             f"write `address: {address}` for {drive} into the roster, then reload: until "

@@ -8,11 +8,10 @@ would have, and the worker never knows who was waiting.
 from __future__ import annotations
 
 import asyncio
-import math
-from collections import Counter
 from collections.abc import Callable
 from contextvars import ContextVar
 
+from lecombus.drive_runtime import LineDrives
 from lecombus.drives.stops import asks_to_stop
 from lecombus.errors import (
     CutReplyError,
@@ -20,7 +19,6 @@ from lecombus.errors import (
     LecombusError,
     LineError,
     OperationError,
-    meant,
 )
 from lecombus.line.jobs import ReadBackJob, ReadJob
 from lecombus.line.station import Station
@@ -106,63 +104,44 @@ class Requests:
     Args:
         worker: The line.
         maker: Makes the requests with their costs.
+        drives: The drives.
         clock: Monotonic time, seconds.
-
-    Attributes:
-        stops_said: How often each drive was told to stop, for work of several steps: what is not
-            in the schedule yet when a stop comes must not be written either.
     """
 
-    def __init__(self, worker: LineWorker, maker: RequestMaker, clock: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        worker: LineWorker,
+        maker: RequestMaker,
+        drives: LineDrives,
+        clock: Callable[[], float],
+    ) -> None:
         self.worker = worker
         self.maker = maker
+        self.drives = drives
         self._clock = clock
-        self.stops_said: Counter[str] = Counter()
-        self._stopped_at_s: dict[str, float] = {}
-        self._stations: dict[str, Station] = {}
 
     def note_stop(self, name: str) -> None:
-        """Take note that a drive is told to stop now."""
-        self.stops_said[name] += 1
-        self._stopped_at_s[name] = self._clock()
+        """Count that a drive is told to stop now."""
+        lasting = self.drives.lasting(name)
+        lasting.stops += 1
+        lasting.stopped_at_s = self._clock()
+
+    def stops_said(self, name: str) -> int:
+        """Return how often a drive was told to stop, also if it left the roster since."""
+        return self.drives.lasting(name).stops
 
     def stopped_since_asked(self, name: str) -> bool:
         """Whether a drive was told to stop since what is being done was asked for."""
         came_s = CAME_S.get()
-        return came_s is not None and self._stopped_at_s.get(name, -math.inf) > came_s
-
-    def add_station(self, station: Station) -> None:
-        """Make a drive known."""
-        self._stations[station.name] = station
-
-    def replace_station(self, old: Station, new: Station) -> None:
-        """Put a station that was changed in the place of the one it was made from.
-
-        Where that one is no longer the drive's, because a reload came between, nothing is done:
-        it may have another address now.
-        """
-        if self._stations.get(old.name) is old:
-            self._stations[old.name] = new
-
-    def remove_station(self, name: str) -> None:
-        """Forget a drive."""
-        self._stations.pop(name, None)
+        return came_s is not None and self.drives.lasting(name).stopped_at_s > came_s
 
     def station(self, name: str) -> Station:
-        """Look a drive up.
+        """Return how a drive is spoken to.
 
         Raises:
             OperationError: `no-such-drive`.
         """
-        station = self._stations.get(name)
-        if station is None:
-            raise OperationError(
-                f"there is no drive {name!r} on this line",
-                kind="no-such-drive",
-                drive=name,
-                remedy=meant(name, self._stations, "the drives"),
-            )
-        return station
+        return self.drives.get(name).station
 
     async def read(
         self,

@@ -132,7 +132,7 @@ class Stops:
             return None
         telegrams: dict[tuple[Code, str], tuple[Code, Value]] = {}
         for one in able:
-            word = usable_word(self._context.words.get(one.name))
+            word = usable_word(self._context.control_word(one.name).get())
             if needs_control_word(one.family, action) and (
                 word is None or self._is_being_inhibited(one.name)
             ):
@@ -186,7 +186,7 @@ class Stops:
         self._submit_stop(station, action, ending, said=said)
         if action is StopAction.INHIBIT:
             # A quick stop that comes before this inhibit is sent must not lift it.
-            self._context.words.inhibiting(station.name)
+            self._context.control_word(station.name).inhibiting()
         return ending
 
     def _submit_stop(
@@ -204,9 +204,9 @@ class Stops:
         absent = self._context.store.state(name) is DriveState.OFFLINE
         entry = self._context.entries.get(name)
         ending.request = request = self._context.requests.maker.stop(
-            station, action, word=lambda: self._context.words.word(name),
-            inhibited=lambda: self._context.words.inhibited(name),
-            last_word=lambda: self._context.words.last(name), said=said, settle=settle,
+            station, action, word=lambda: self._context.control_word(name).word(),
+            inhibited=lambda: self._context.control_word(name).inhibited(),
+            last_word=lambda: self._context.control_word(name).last(), said=said, settle=settle,
             silent=bool(self._context.silence_of(station)),
             may_inhibit=entry is None or entry.stop_fallback == "inhibit",
             duplicates=self._context.requests.worker.talk.duplicates,

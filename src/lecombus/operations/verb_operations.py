@@ -99,7 +99,9 @@ class Verbs:
         refuse_for_gone_client(drive)
         self._context.permissions.check_ready(drive)
         expires_at_s = None if expires_s is None else self._context.clock() + expires_s
-        run = Run(station, verb, self._context.stops[drive], expires_at_s, verify)
+        run = Run(
+            station, verb, self._context.lasting(drive).stops_and_writes, expires_at_s, verify
+        )
         if self._context.requests.stopped_since_asked(drive):
             return verb_report(run, superseded(run))
         # A setpoint may follow another that is under way.

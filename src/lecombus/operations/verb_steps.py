@@ -119,7 +119,7 @@ class VerbSteps:
         """Inhibit the drive as part of a verb; without proof the verb goes no further."""
         name = run.station.name
         run.stops += 1
-        run.lifts = self._context.lifts[name]
+        run.lifts = self._context.lasting(name).lifts
         report = (await self._stops.stop(StopAction.INHIBIT, name)).members[0]
         if report.outcome is Outcome.VERIFIED:
             return report
@@ -130,11 +130,11 @@ class VerbSteps:
         """Write the control word with bits changed; nothing where they are set so already."""
         name = run.station.name
         for _ in range(WORD_TRIES):
-            missing = self._context.words.missing(name)
+            missing = self._context.control_word(name).missing()
             if missing is None:
                 break
             await self._context.requests.read(run.station, missing, Priority.INTERACTIVE)
-        word = self._context.words.get(name)
+        word = self._context.control_word(name).get()
         if word is None:
             raise OperationError(
                 f"the control word {step.code} of {name} cannot be read, or others keep writing "
@@ -216,11 +216,11 @@ class VerbSteps:
 
     def stopped_meanwhile(self, run: Run) -> bool:
         """Whether the drive was stopped since the verb began."""
-        return self._context.stops[run.station.name] != run.stops
+        return self._context.lasting(run.station.name).stops_and_writes != run.stops
 
     def lifted_meanwhile(self, run: Run) -> bool:
         """Whether another client may have lifted the inhibit of the verb."""
-        return run.lifts is not None and self._context.lifts[run.station.name] != run.lifts
+        return run.lifts not in (None, self._context.lasting(run.station.name).lifts)
 
     @contextlib.contextmanager
     def alone(self, drive: str, verb: Verb) -> Iterator[None]:

@@ -15,18 +15,18 @@ Source: EDB2102EN 6.1.1 (82XX store every write), 6.1.3 (93XX store by C0003); C
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
-from lecombus.config import DriveEntry
+from lecombus.drive_runtime import Drive, LineDrives
 from lecombus.drives import Family, Storage, WriteClass
 from lecombus.durations import format_duration
 from lecombus.errors import CodeValueError, OperationError
+from lecombus.line_events import ExchangeEvent
 from lecombus.protocol.addressing import Code
 from lecombus.readings import Json, seconds
 from lecombus.state import State
-from lecombus.store import Store
 
 __all__ = ["CodeWear", "Wear", "WearReport", "wears"]
 
@@ -91,26 +91,21 @@ class Wear:
 
     Args:
         state: Where counts are kept.
-        store: Knows the drives' families.
+        drives: The drives.
         clock: Monotonic time, seconds.
     """
 
-    def __init__(self, state: State, store: Store, clock: Callable[[], float]) -> None:
+    def __init__(self, state: State, drives: LineDrives, clock: Callable[[], float]) -> None:
         self._state = state
-        self._store = store
+        self._drives = drives
         self._clock = clock
-        self._entries: dict[str, DriveEntry] = {}
-        self._full_at_s: dict[tuple[str, Code], float] = {}
 
-    def add_drive(self, entry: DriveEntry) -> None:
-        """Take what the roster allows for a drive."""
-        self._entries[entry.name] = entry
-
-    def written(self, drive: str, code: Code) -> None:
-        """Count a write that may have reached the drive's memory."""
-        if not counts(self._store.family(drive), code):
-            return
-        self._state.count(drive, str(code))
+    def exchange_ended(self, event: ExchangeEvent) -> None:
+        """Count a write that may have reached the memory of its drives."""
+        if event.is_write:
+            for drive in event.drives:
+                if counts(drive.family, event.code):
+                    self._state.count(drive.name, str(event.code))
 
     def check(self, drive: str, code: Code) -> None:
         """Refuse a write that would come too soon.
@@ -121,8 +116,8 @@ class Wear:
         wait_s = self._wait_s(drive, code)
         if wait_s <= 0.0:
             return
-        limit = self._entries[drive].stored_writes
-        told = self._store.family(drive).spoken(code)
+        found = self._drives.get(drive)
+        limit, told = found.entry.stored_writes, found.family.spoken(code)
         raise OperationError(
             f"{told} of {drive} is stored in the drive at every write, and was written "
             f"{'once' if limit.burst == 1 else f'{limit.burst} times'} in a short time",
@@ -142,11 +137,12 @@ class Wear:
             OperationError: `too-many-writes`.
         """
         self.check(drive, code)
-        if not wears(self._store.family(drive), code):
+        found = self._drives.get(drive)
+        if not wears(found.family, code):
             return
-        now, key = self._clock(), (drive, code)
-        start_s = max(now, self._full_at_s.get(key, now))
-        self._full_at_s[key] = start_s + self._entries[drive].stored_writes.every_s
+        now, full_at_s = self._clock(), found.lasting.full_at_s
+        start_s = max(now, full_at_s.get(code, now))
+        full_at_s[code] = start_s + found.entry.stored_writes.every_s
 
     def report(self, drive: str) -> WearReport:
         """Return how often a drive's memory was written.
@@ -154,8 +150,9 @@ class Wear:
         Raises:
             OperationError: `no-such-drive`.
         """
-        family = self._store.family(drive)
-        facts, limit = self._state.drive(drive), self._entries[drive].stored_writes
+        found = self._drives.get(drive)
+        family, limit = found.family, found.entry.stored_writes
+        facts = self._state.drive(drive)
         codes = []
         for text, count in sorted(facts.writes.items(), key=lambda item: (-item[1], item[0])):
             code = _code_of(text)
@@ -171,13 +168,17 @@ class Wear:
             )
         return WearReport(drive, limit.burst, limit.every_s, tuple(codes))
 
-    def figures(self) -> Mapping[str, Mapping[str, int]]:
-        """Return the counts for the metrics, by drive and described code; the rest as `other`."""
-        return {name: dict(self._figures_of(name)) for name in self._store.names()}
+    def figures(self, names: Iterable[str]) -> Mapping[str, Mapping[str, int]]:
+        """Return the counts for the metrics, by drive and described code; the rest as `other`.
 
-    def _figures_of(self, drive: str) -> Iterator[tuple[str, int]]:
-        family, other = self._store.family(drive), 0
-        for text, count in self._state.drive(drive).writes.items():
+        Args:
+            names: The drives, in the order in which they shall stand.
+        """
+        return {name: dict(self._figures_of(self._drives.get(name))) for name in names}
+
+    def _figures_of(self, drive: Drive) -> Iterator[tuple[str, int]]:
+        family, other = drive.family, 0
+        for text, count in self._state.drive(drive.name).writes.items():
             code = _code_of(text)
             if code is not None and family.info(code) is not None:
                 yield text, count
@@ -190,8 +191,9 @@ class Wear:
 
         The bucket is kept as the moment at which it will be full.
         """
-        limit = self._entries[drive].stored_writes
-        full_at_s = self._full_at_s.get((drive, code), 0.0)
+        found = self._drives.get(drive)
+        limit = found.entry.stored_writes
+        full_at_s = found.lasting.full_at_s.get(code, 0.0)
         return max(0.0, full_at_s - (limit.burst - 1) * limit.every_s - self._clock())
 
 

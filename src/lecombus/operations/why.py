@@ -77,7 +77,6 @@ class Why:
         requests: Sends requests.
         store: What is known.
         clock: Monotonic time, seconds.
-        stops: How often a drive was stopped, also by plain writes.
     """
 
     def __init__(
@@ -85,12 +84,10 @@ class Why:
         requests: Requests,
         store: Store,
         clock: Callable[[], float],
-        stops: Callable[[str], int],
     ) -> None:
         self._requests = requests
         self._store = store
         self._clock = clock
-        self._stops = stops
         self._stops_then: dict[str, int] = {}
         self._enables: dict[str, LastEnable] = {}
         self._lapses_then: dict[str, int] = {}
@@ -286,6 +283,10 @@ class Why:
             seen = status_shows_quick_stop(self._store.family(info.name))
             found.append(lapse_finding(lapses, unseen=since and not seen))
         return found
+
+    def _stops(self, drive: str) -> int:
+        """How often a drive was to stop, also by plain writes."""
+        return self._requests.drives.lasting(drive).stops_and_writes
 
     def _lapses(self, drive: str) -> int:
         feed = self._requests.worker.schedule.stats(self._clock()).feeds.get(drive)

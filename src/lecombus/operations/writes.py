@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from decimal import Decimal
 
+from lecombus.control_word import unknown_until_ended
 from lecombus.drives import (
     WriteClass,
 )
@@ -171,7 +172,8 @@ class Writes:
         """
         ending = Ending()
         # From here on a stop must not use the stored control word: this write may change it.
-        settle = self._context.words.guard((station.name,), code, ending.settle)
+        word = self._context.control_word(station.name)
+        settle = unknown_until_ended((word,), code, ending.settle)
         ending.request = request = self._context.requests.maker.write(
             station, code, wire, settle=settle, verify=verify, expires_at_s=expires_at_s,
             urgency=urgency, duplicates=self._context.requests.worker.talk.duplicates,

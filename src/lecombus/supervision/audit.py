@@ -15,7 +15,7 @@ import logging
 from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
 
-from lecombus.config import DriveEntry
+from lecombus.drive_runtime import Drive
 from lecombus.errors import LecombusError, RefusedError, UnknownCodeError
 from lecombus.line.station import Station
 from lecombus.motion import learnt_setpoint
@@ -48,10 +48,6 @@ class Audit:
         self._prechecks = prechecks
         self._watchdogs = watchdogs
 
-    def forget(self, name: str) -> None:
-        """It may be another device now: look at everything again."""
-        self._watchdogs.forget(name)
-
     async def contact(self, station: Station) -> None:
         """Any answer shows that the drive is there, also that it has no such code.
 
@@ -69,34 +65,34 @@ class Audit:
                 retries=0,
             )
 
-    async def examine(self, entry: DriveEntry, turn: Turn) -> None:
+    async def examine(self, drive: Drive, turn: Turn) -> None:
         """Find out what is at the other end and put its watchdog in order.
 
         In two turns: what a drive's watchdog does is looked at before any drive's is set, because
         one that is off needs no feeding, and with less to feed setting them goes faster.
 
         Args:
-            entry: What the roster says of the drive.
+            drive: The drive.
             turn: Entered for each of the two; slow drives take turns.
 
         Raises:
             LecombusError: It could not be finished.
         """
-        station = self._requests.station(entry.name)
-        traits = station.family.watchdog if entry.watchdog is not None else None
+        station = self._requests.station(drive.name)
+        traits = station.family.watchdog if drive.entry.watchdog is not None else None
         action = None
         async with turn():
-            station = await self._prechecks.check_addressing(entry, station)
+            station = await self._prechecks.check_addressing(drive, station)
             await self._learn_words(station)
-            known = await self._prechecks.check_identity(entry, station)
+            known = await self._prechecks.check_identity(drive, station)
             gate = station.family.software
             if gate is not None:
-                await self._prechecks.check_software(entry, station, gate, known.get(gate.code))
+                await self._prechecks.check_software(drive, station, gate, known.get(gate.code))
             if traits is not None:
-                action = await self._watchdogs.look(entry.name, station, traits)
+                action = await self._watchdogs.look(drive, station, traits)
         if action is not None and traits is not None:
             async with turn():
-                await self._watchdogs.settle(entry, station, traits, action)
+                await self._watchdogs.settle(drive, station, traits, action)
 
     async def _learn_words(self, station: Station) -> None:
         """Read the control word, and before it the code that decides what its bits mean.
@@ -109,15 +105,15 @@ class Audit:
             with contextlib.suppress(UnknownCodeError):  # its quick stop will be an inhibit
                 await self._requests.read(station, code, Priority.INTERACTIVE, timeout_s=PATIENCE_S)
 
-    async def learn_the_rest(self, entry: DriveEntry, station: Station) -> None:
+    async def learn_the_rest(self, drive: Drive, station: Station) -> None:
         """What a drive need not be kept from work for: read when the line has time.
 
         A watchdog that the roster does not name is looked at, so that its user learns of it; and
         whether the module answers writes early (C1921), until when it is taken to do so.
         """
         try:
-            if entry.watchdog is None and station.family.watchdog is not None:
-                await self._watchdogs.learn(entry.name, station, station.family.watchdog)
+            if drive.entry.watchdog is None and station.family.watchdog is not None:
+                await self._watchdogs.learn(drive.name, station, station.family.watchdog)
             setpoint = learnt_setpoint(station.family)
             if setpoint is not None:  # what it was set to before is shown beside its speed
                 await self._requests.read(
@@ -130,4 +126,4 @@ class Audit:
                 )
         except LecombusError as exc:
             if not is_of_the_line(exc):
-                logger.info("drive=%s event=not-learnt reason=%s", entry.name, exc)
+                logger.info("drive=%s event=not-learnt reason=%s", drive.name, exc)

@@ -17,13 +17,14 @@ What must not live here: what a word means (`motion`), who goes first (`schedule
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Final
 
+from lecombus.drive_runtime import Drive
 from lecombus.drives import OperatingState
 from lecombus.drives.verbs import status_shows_quick_stop
 from lecombus.errors import LecombusError
+from lecombus.line_events import ExchangeEvent, LineRequests
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 from lecombus.schedule import Outcome, Settle
@@ -38,7 +39,7 @@ OUTPUT: Final = Code(50)
 SPEED_CODES: Final = (OUTPUT, Code(150))
 AT_ZERO: Final = frozenset((OperatingState.ZERO_SPEED, OperatingState.OUTPUT_FREQUENCY_0))
 
-Ask = Callable[[str, Code, Settle], None]
+Ask = Callable[[Drive, Code, Settle], None]
 """Reads a code of a drive; raises a `LecombusError` where that cannot be asked."""
 
 
@@ -50,13 +51,13 @@ class _OneByOne:
         is_wanted: Whether a code need still be read.
     """
 
-    def __init__(self, ask: Ask, is_wanted: Callable[[str, Code], bool]) -> None:
+    def __init__(self, ask: Ask, is_wanted: Callable[[Drive, Code], bool]) -> None:
         self._ask = ask
         self._is_wanted = is_wanted
-        self._waiting: dict[tuple[str, Code], None] = {}
+        self._waiting: dict[tuple[Drive, Code], None] = {}
         self._is_asking = False
 
-    def want(self, drive: str, code: Code) -> None:
+    def want(self, drive: Drive, code: Code) -> None:
         """Have a code read."""
         self._waiting[drive, code] = None
         self._go_on()
@@ -84,44 +85,42 @@ class CommandEffects:
 
     Args:
         store: What is known.
-        ask: Reads a code in the interactive class.
-        ask_later: Reads a code in the background class.
+        line: Reads codes.
         clock: Monotonic time, seconds.
     """
 
-    def __init__(self, store: Store, ask: Ask, ask_later: Ask, clock: Callable[[], float]) -> None:
-        self._store = store
+    def __init__(self, store: Store, line: LineRequests, clock: Callable[[], float]) -> None:
         self._clock = clock
-        self._after_command = _OneByOne(ask, store.is_outdated)
-        self._at_zero = _OneByOne(ask_later, lambda drive, code: True)
-        self._turns: dict[str, bool] = {}
-        self._raws: dict[tuple[str, Code], str] = {}
-        self._looked_s: dict[str, float] = {}
+        self._after_command = _OneByOne(
+            line.read_soon, lambda drive, code: store.is_outdated(drive.name, code)
+        )
+        self._at_zero = _OneByOne(line.read_later, lambda drive, code: True)
 
-    def forget(self, drive: str) -> None:
-        """The drive has left the roster; what comes back by its name may be another device."""
-        self._turns.pop(drive, None)
-        for code in SPEED_CODES:
-            self._raws.pop((drive, code), None)
-        self._looked_s.pop(drive, None)
+    def exchange_ended(self, event: ExchangeEvent) -> None:
+        """Take an exchange."""
+        if event.is_write:
+            for drive in event.drives:
+                self.written(drive, event.code)
+        if event.read is not None:
+            self.seen(event.drives[0], event.code, event.read)
 
-    def written(self, drive: str, code: Code) -> None:
+    def written(self, drive: Drive, code: Code) -> None:
         """A code was written: read what shows the effect, if it stops drives or lets them run."""
-        family = self._store.family(drive)
+        family = drive.family
         rules = [rule for rule in family.stops.values() if rule.code == code]
         shown_by = [proof for rule in rules for proof in list(rule.proofs)[:1]]
         if rules:
-            self._turns.pop(drive, None)  # what its speed does now was asked for
+            drive.speed.turns = None  # what its speed does now was asked for
             # The first status word comes last: with it the motion is known.
             for one in dict.fromkeys((*shown_by, *list(family.words)[:1])):
                 self._after_command.want(drive, one)
 
-    def seen(self, drive: str, code: Code, value: Value) -> None:
+    def seen(self, drive: Drive, code: Code, value: Value) -> None:
         """Take a value that was read: the speed, or a status word that tells that it is 0."""
-        if code not in SPEED_CODES or self._raws.get((drive, code)) == value.raw:
+        if code not in SPEED_CODES or drive.speed.raw.get(code) == value.raw:
             return
-        self._raws[drive, code] = value.raw
-        number, family = value.number, self._store.family(drive)
+        drive.speed.raw[code] = value.raw
+        number, family = value.number, drive.family
         if isinstance(number, str | bytes):
             return
         turns, word = number != 0, family.words.get(code)
@@ -129,12 +128,12 @@ class CommandEffects:
             if not isinstance(number, int) or not word.possible_states & AT_ZERO:
                 return
             turns = AT_ZERO.isdisjoint(word.shown_states(number))
-        if self._turns.get(drive) and not turns and status_shows_quick_stop(family):
+        if drive.speed.turns and not turns and status_shows_quick_stop(family):
             self._look(drive, list(family.words)[-1])
-        self._turns[drive] = turns
+        drive.speed.turns = turns
 
-    def _look(self, drive: str, word: Code) -> None:
+    def _look(self, drive: Drive, word: Code) -> None:
         now_s = self._clock()
-        if now_s - self._looked_s.get(drive, -math.inf) >= ZERO_GAP_S:
-            self._looked_s[drive] = now_s
+        if now_s - drive.speed.looked_s >= ZERO_GAP_S:
+            drive.speed.looked_s = now_s
             self._at_zero.want(drive, word)

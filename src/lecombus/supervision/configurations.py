@@ -16,99 +16,77 @@ Source: EDB2102EN 8.2 (C0135, C0150), 6.3.2 (C1921).
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
-from typing import Final
 
-from lecombus.drives import Family
+from lecombus.drive_runtime import Drive
 from lecombus.errors import LecombusError
+from lecombus.line_events import ExchangeEvent, LineRequests
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
-from lecombus.schedule import Outcome, Settle
+from lecombus.schedule import Outcome
 
 __all__ = ["Configurations"]
 
 logger = logging.getLogger(__name__)
 
-_NOTHING: Final[Mapping[Code, Callable[[str, int | None], None]]] = {}
-
 
 class Configurations:
-    """Tells whoever works with a drive how it is to be taken.
+    """Follows two codes of each drive.
 
     Args:
-        change: Told that a drive is to be taken by another description of its family.
-        early: Told whether a drive acknowledges early; None: not known.
-        ask: Reads a code of a drive now; raises a `LecombusError` where that cannot be asked.
-        ask_later: The same when the line has time: half a second for a module's own code.
+        line: Reads codes, and takes what they say into account.
     """
 
-    def __init__(
-        self,
-        change: Callable[[str, Family], None],
-        early: Callable[[str, bool | None], None],
-        ask: Callable[[str, Code, Settle], None],
-        ask_later: Callable[[str, Code, Settle], None],
-    ) -> None:
-        self._change = change
-        self._early = early
-        self._ask = ask
-        self._ask_later = ask_later
-        self._families: dict[str, Family] = {}
-        self._followed: dict[str, Mapping[Code, Callable[[str, int | None], None]]] = {}
+    def __init__(self, line: LineRequests) -> None:
+        self._line = line
 
-    def watch(self, drive: str, family: Family) -> None:
-        """Follow a drive from now on; nothing is known of it yet."""
-        self.forget(drive)
-        followed = {}
-        if family.configured_by is not None:
-            self._families[drive] = family
-            followed[family.configured_by] = self._take_configuration
-        if family.shortened_code is not None:
-            followed[family.shortened_code] = self._take_response
-        if followed:
-            self._followed[drive] = followed
+    def exchange_ended(self, event: ExchangeEvent) -> None:
+        """Take an exchange."""
+        if event.is_write:
+            for drive in event.drives:
+                self.written(drive, event.code)
+        if event.read is not None:
+            self.seen(event.drives[0], event.code, event.read)
 
-    def forget(self, drive: str) -> None:
-        """The drive has left the roster."""
-        self._families.pop(drive, None)
-        self._followed.pop(drive, None)
-
-    def seen(self, drive: str, code: Code, value: Value) -> None:
+    def seen(self, drive: Drive, code: Code, value: Value) -> None:
         """Take a value that was read."""
-        take = self._followed.get(drive, _NOTHING).get(code)
-        if take is not None:
+        family = drive.family
+        if code in (family.configured_by, family.shortened_code):
             number = value.number
             whole = not isinstance(number, str | bytes) and number == int(number)
-            take(drive, int(number) if whole else None)
+            self._take(drive, code, int(number) if whole else None)
 
-    def written(self, drive: str, code: Code) -> None:
-        """Take note that a code was written: whether it took is known when it is read."""
-        take = self._followed.get(drive, _NOTHING).get(code)
-        if take is None:
+    def written(self, drive: Drive, code: Code) -> None:
+        """Take a write of a code: whether it took effect is known when it is read."""
+        family = drive.family
+        if code not in (family.configured_by, family.shortened_code):
             return
-        take(drive, None)
-        known = self._families.get(drive)
-        urgent = known is not None and known.configured_by == code
+        self._take(drive, code, None)
+        is_urgent = code == family.configured_by
+        ask = self._line.read_soon if is_urgent else self._line.read_later
         try:
-            (self._ask if urgent else self._ask_later)(drive, code, ignore)
+            ask(drive, code, ignore)
         except LecombusError as exc:
-            logger.info("drive=%s event=configuration-not-asked reason=%s", drive, exc)
+            logger.info("drive=%s event=configuration-not-asked reason=%s", drive.name, exc)
 
-    def _take_response(self, drive: str, number: int | None) -> None:
-        self._early(drive, None if number is None else number == 1)
+    def _take(self, drive: Drive, code: Code, number: int | None) -> None:
+        if code == drive.family.shortened_code:
+            self._line.use_early_answers(drive, None if number is None else number == 1)
+        else:
+            self._take_configuration(drive, number)
 
-    def _take_configuration(self, drive: str, number: int | None) -> None:
-        known = self._families[drive]
+    def _take_configuration(self, drive: Drive, number: int | None) -> None:
+        known = drive.configuration.family
         found = known.configured(number)
         if found is known:
             return
-        self._families[drive] = found
+        drive.configuration.family = found
         logger.info(
             "drive=%s event=configuration code=%s from=%s to=%s",
-            drive, found.configured_by, known.configuration or "any", found.configuration or "any",
+            drive.name, found.configured_by, known.configuration or "any",
+            found.configuration or "any",
         )  # fmt: skip
-        self._change(drive, found)
+        self._line.use_family(drive, found)
 
 
 def ignore(outcome: Outcome, reason: str) -> None:
-    """What the read brings is told by `Configurations.seen`."""
+    """The end of a read whose value comes to `Configurations.seen`."""

@@ -9,11 +9,10 @@ What must not live here: when each read goes (`schedule`), when a value is stale
 
 from __future__ import annotations
 
-from lecombus.config import DriveEntry
+from lecombus.drive_runtime import Drive
 from lecombus.metrics.minutes import Minutes
 from lecombus.operations.requests import Requests
-from lecombus.protocol.addressing import Code
-from lecombus.schedule import Cyclic, Entry, Schedule
+from lecombus.schedule import Cyclic, Schedule
 from lecombus.store import Store
 
 __all__ = ["CyclicReads"]
@@ -36,11 +35,10 @@ class CyclicReads:
         self._schedule = schedule
         self._store = store
         self._minutes = minutes
-        self._running: dict[str, dict[Code, Entry]] = {}
 
-    def take(self, entry: DriveEntry, now_s: float) -> None:
+    def take(self, drive: Drive, now_s: float) -> None:
         """Read of a drive what its entry says from now on, and nothing else."""
-        running = self._running.setdefault(entry.name, {})
+        running, entry = drive.cyclic, drive.entry
         wanted = {one.code: one.every_s for one in entry.cyclic}
         same = {code for code, one in running.items() if wanted.get(code) == one.cyclic.period_s}
         if running and same == set(running) == set(wanted):
@@ -57,7 +55,8 @@ class CyclicReads:
                 running[code] = self._schedule.add_cyclic(cyclic, now_s)
         self._minutes.expect(entry.name, tuple(wanted))
 
-    def forget(self, name: str) -> None:
-        """Take note that the schedule reads nothing of a drive any more: it was taken out."""
-        for code in self._running.pop(name):
-            self._store.expect(name, code, None)
+    def forget(self, drive: Drive) -> None:
+        """The schedule reads nothing of a drive any more: it was taken out there."""
+        for code in drive.cyclic:
+            self._store.expect(drive.name, code, None)
+        drive.cyclic.clear()

@@ -19,11 +19,12 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
+from lecombus.drive_runtime import Drive
 from lecombus.drives import Family
 from lecombus.drives.faults import NO_FAULT, FaultKind, FaultTable, fits_digit
 from lecombus.errors import LecombusError
+from lecombus.line_events import ExchangeEvent, LineRequests
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 from lecombus.readings import ActiveFault
@@ -43,226 +44,201 @@ TRIES = 3
 
 RANK = {None: 0, FaultKind.WARNING: 1, FaultKind.MESSAGE: 2, FaultKind.TRIP: 3}
 
-Ask = Callable[[str, Code, Settle], None]
-"""Reads a code of a drive now; raises a `LecombusError` where that cannot be asked."""
-
-
-@dataclass(slots=True)
-class _Watched:
-    """One drive.
-
-    Args:
-        family: Its description.
-        raw: The status words as last read.
-        shows: What each status word last showed.
-        kind: The worst of these.
-        since_s: When that rose, Unix seconds.
-        number: The fault's number, once the memory gave one that agrees.
-        digit: The tens digit last read while a fault was shown.
-        candidate: What the memory last held while a fault was shown.
-        tries: How often the memory was asked.
-        looks: How often words that contradict each other were read again.
-        asking: A read of the memory is under way.
-        logged: This fault stands in the log already.
-    """
-
-    family: Family
-    raw: dict[Code, str] = field(default_factory=dict)
-    shows: dict[Code, FaultKind | None] = field(default_factory=dict)
-    kind: FaultKind | None = None
-    since_s: float = 0.0
-    number: int | None = None
-    digit: int = 0
-    candidate: int | None = None
-    tries: int = 0
-    looks: int = 0
-    asking: bool = False
-    logged: bool = False
-
 
 class FaultWatch:
-    """Tells the store which fault each drive has.
+    """Keeps in the store which fault each drive has.
 
     Args:
-        store: Told.
-        ask: Reads a code now.
+        store: The store.
+        line: Reads codes soon.
         wall: The time of day, Unix seconds.
     """
 
-    def __init__(self, store: Store, ask: Ask, wall: Callable[[], float]) -> None:
+    def __init__(self, store: Store, line: LineRequests, wall: Callable[[], float]) -> None:
         self._store = store
-        self._ask = ask
+        self._line = line
         self._wall = wall
-        self._drives: dict[str, _Watched] = {}
 
-    def forget(self, drive: str) -> None:
-        """The drive has left the roster; what comes back by its name may be another device."""
-        self._drives.pop(drive, None)
+    def exchange_ended(self, event: ExchangeEvent) -> None:
+        """Take an exchange: only values that were read say something."""
+        if event.read is not None:
+            self.seen(event.drives[0], event.code, event.read)
 
-    def seen(self, drive: str, code: Code, value: Value) -> None:
+    def seen(self, drive: Drive, code: Code, value: Value) -> None:
         """Take a value that was read."""
-        watched = self._drives.get(drive)
-        if watched is None:
-            watched = self._drives[drive] = _Watched(self._store.family(drive))
-        if code not in watched.family.words:
-            if watched.kind is not None:
-                self._memory(drive, watched, code, value)
+        fault = drive.fault
+        family = fault.family
+        if family is None:
+            family = fault.family = drive.family
+        if code not in family.words:
+            if fault.kind is not None:
+                self._memory(drive, family, code, value)
             return
-        if watched.raw.get(code) == value.raw:
-            if watched.kind is not None:
-                self._still(drive, watched, code)
+        if fault.raw.get(code) == value.raw:
+            if fault.kind is not None:
+                self._still(drive, family, code)
             return
         number = value.number
         if isinstance(number, int):
-            watched.raw[code] = value.raw
-            self._word(drive, watched, code, number)
+            fault.raw[code] = value.raw
+            self._word(drive, family, code, number)
 
     # -- what the words say -----------------------------------------------------------------------
 
-    def _word(self, drive: str, watched: _Watched, code: Code, number: int) -> None:
-        family = watched.family
-        watched.shows[code] = family.shown_fault(code, number)
+    def _word(self, drive: Drive, family: Family, code: Code, number: int) -> None:
+        fault = drive.fault
+        fault.shows[code] = family.shown_fault(code, number)
         digit = family.status_fields(code, number).get(FAULT_DIGIT)
-        before = watched.digit
+        before = fault.digit
         if digit is not None:
-            watched.digit = digit.number
-        kind = max(watched.shows.values(), key=RANK.__getitem__)
-        if kind is not watched.kind:
-            if watched.kind is not None:
-                self._goes(drive, watched)
+            fault.digit = digit.number
+        kind = max(fault.shows.values(), key=RANK.__getitem__)
+        if kind is not fault.kind:
+            if fault.kind is not None:
+                self._goes(drive, family)
             if kind is not None:
-                self._rises(drive, watched, kind, shown_by=code)
-        elif kind is not None and watched.digit != before:
-            self._doubt(drive, watched, before)
-        if watched.kind is FaultKind.TRIP and watched.shows[code] is None:
-            self._look_again(drive, watched)
+                self._rises(drive, family, kind, shown_by=code)
+        elif kind is not None and fault.digit != before:
+            self._doubt(drive, family, before)
+        if fault.kind is FaultKind.TRIP and fault.shows[code] is None:
+            self._look_again(drive, family)
 
-    def _still(self, drive: str, watched: _Watched, code: Code) -> None:
+    def _still(self, drive: Drive, family: Family, code: Code) -> None:
         """A word reads as before while a fault is shown."""
-        if watched.number is None:
-            self._ask_memory(drive, watched)
-        if watched.kind is FaultKind.TRIP and watched.shows[code] is None:
-            self._look_again(drive, watched)
+        fault = drive.fault
+        if fault.number is None:
+            self._ask_memory(drive, family)
+        if fault.kind is FaultKind.TRIP and fault.shows[code] is None:
+            self._look_again(drive, family)
 
-    def _rises(self, drive: str, watched: _Watched, kind: FaultKind, *, shown_by: Code) -> None:
+    def _rises(self, drive: Drive, family: Family, kind: FaultKind, *, shown_by: Code) -> None:
         """A fault is there that was not, or is another kind of fault now."""
-        watched.kind = kind
-        watched.since_s = self._wall()
-        watched.tries = watched.looks = 0
+        fault = drive.fault
+        fault.kind = kind
+        fault.since_s = self._wall()
+        fault.tries = fault.looks = 0
         if shown_by != OPERATING_STATUS:
-            watched.digit = 0  # what was read before the rise says nothing of this fault
-        self._tell(drive, watched)
-        self._ask_memory(drive, watched)
-        missing = shown_by != OPERATING_STATUS and OPERATING_STATUS in watched.family.words
+            fault.digit = 0  # what was read before the rise says nothing of this fault
+        self._tell(drive, family)
+        self._ask_memory(drive, family)
+        missing = shown_by != OPERATING_STATUS and OPERATING_STATUS in family.words
         if kind is FaultKind.TRIP and missing:
             self._try_to_ask(drive, OPERATING_STATUS, ignore_end)
 
-    def _goes(self, drive: str, watched: _Watched) -> None:
-        if not watched.logged:
-            self._log(drive, watched)
+    def _goes(self, drive: Drive, family: Family) -> None:
+        fault = drive.fault
+        if not fault.logged:
+            self._log(drive, family)
         logger.info(
-            "drive=%s event=%s-gone number=%s", drive, watched.kind, number_text(watched.number)
+            "drive=%s event=%s-gone number=%s", drive.name, fault.kind, number_text(fault.number)
         )
-        watched.kind = watched.number = watched.candidate = None
-        watched.logged = False
-        self._tell(drive, watched)
+        fault.kind = fault.number = fault.candidate = None
+        fault.logged = False
+        self._tell(drive, family)
 
-    def _look_again(self, drive: str, watched: _Watched) -> None:
+    def _look_again(self, drive: Drive, family: Family) -> None:
         """One word shows no fault, others did when they were last read: read these again.
 
         A few times only: a drive whose words contradict each other costs no line for ever.
         """
-        if watched.looks >= TRIES:
+        fault = drive.fault
+        if fault.looks >= TRIES:
             return
-        watched.looks += 1
-        for code, shown in watched.shows.items():
+        fault.looks += 1
+        for code, shown in fault.shows.items():
             if shown is FaultKind.TRIP:
                 self._try_to_ask(drive, code, ignore_end)
 
     # -- what the memory says -------------------------------------------------------------------
 
-    def _memory(self, drive: str, watched: _Watched, code: Code, value: Value) -> None:
+    def _memory(self, drive: Drive, family: Family, code: Code, value: Value) -> None:
         """Take the newest entry of the memory, read while a fault is shown."""
-        table = watched.family.fault_table
+        fault = drive.fault
+        table = family.fault_table
         if table is None or code != table.memories[0]:
             return
         number = value.number
         is_number = not isinstance(number, (str, bytes)) and number == int(number)
-        watched.candidate = int(number) if is_number else None
-        self._name(drive, table, watched)
+        fault.candidate = int(number) if is_number else None
+        self._name(drive, family, table)
 
-    def _doubt(self, drive: str, watched: _Watched, before: int) -> None:
+    def _doubt(self, drive: Drive, family: Family, before: int) -> None:
         """The tens digit is another one than before: it may be another fault by now."""
-        table = watched.family.fault_table
+        fault = drive.fault
+        table = family.fault_table
         if table is None or not (table.lecom_numbers or before):
             return  # of numbers of its own, the first digit of a fault says nothing
-        candidate = watched.candidate if table.lecom_numbers else None
-        if candidate is not None and fits_digit(candidate, watched.digit):
-            self._name(drive, table, watched)
+        candidate = fault.candidate if table.lecom_numbers else None
+        if candidate is not None and fits_digit(candidate, fault.digit):
+            self._name(drive, family, table)
             return
-        watched.number = watched.candidate = None
-        watched.tries = 0
-        self._tell(drive, watched)
-        self._ask_memory(drive, watched)
+        fault.number = fault.candidate = None
+        fault.tries = 0
+        self._tell(drive, family)
+        self._ask_memory(drive, family)
 
-    def _name(self, drive: str, table: FaultTable, watched: _Watched) -> None:
+    def _name(self, drive: Drive, family: Family, table: FaultTable) -> None:
         """Take the number in the memory, if it can be the fault that the words show."""
-        number = watched.candidate
-        if number is not None and not agrees(table, number, watched.kind, watched.digit):
+        fault = drive.fault
+        number = fault.candidate
+        if number is not None and not agrees(table, number, fault.kind, fault.digit):
             number = None
-        if number != watched.number:
-            watched.number = number
-            self._tell(drive, watched)
+        if number != fault.number:
+            fault.number = number
+            self._tell(drive, family)
             if number is not None:
-                self._log(drive, watched)
+                self._log(drive, family)
 
-    def _ask_memory(self, drive: str, watched: _Watched) -> None:
+    def _ask_memory(self, drive: Drive, family: Family) -> None:
         """Ask for the number a few times; then the fault has none, and the log says so."""
-        table = watched.family.fault_table
-        if table is None or watched.asking:
+        fault = drive.fault
+        table = family.fault_table
+        if table is None or fault.asking:
             return
-        if watched.tries >= TRIES:
-            if not watched.logged:
-                self._log(drive, watched)
+        if fault.tries >= TRIES:
+            if not fault.logged:
+                self._log(drive, family)
             return
-        watched.tries += 1
+        fault.tries += 1
 
         def end(outcome: Outcome, reason: str) -> None:
-            watched.asking = False
+            fault.asking = False
 
-        watched.asking = True
-        watched.asking = self._try_to_ask(drive, table.memories[0], end) and watched.asking
+        fault.asking = True
+        fault.asking = self._try_to_ask(drive, table.memories[0], end) and fault.asking
 
-    def _try_to_ask(self, drive: str, code: Code, settle: Settle) -> bool:
+    def _try_to_ask(self, drive: Drive, code: Code, settle: Settle) -> bool:
         """Ask for a read; where that cannot be, the code's own turn comes later."""
         try:
-            self._ask(drive, code, settle)
+            self._line.read_soon(drive, code, settle)
         except LecombusError:
             return False
         return True
 
     # -- telling ---------------------------------------------------------------------------------
 
-    def _tell(self, drive: str, watched: _Watched) -> None:
+    def _tell(self, drive: Drive, family: Family) -> None:
+        fault = drive.fault
         active = None
-        if watched.kind is not None:
+        if fault.kind is not None:
             known = None
-            if watched.number is not None:
-                known = watched.family.fault(watched.number)
-            words = [code for code, shown in watched.shows.items() if shown is watched.kind]
-            shown_by = ", ".join(f"{code} reads {watched.raw[code]}" for code in words)
-            active = ActiveFault(watched.kind, watched.number, known, watched.since_s, shown_by)
-        self._store.set_fault(drive, active)
-        self._store.note(drive, FAULT_REMARK, None if active is None else str(active))
+            if fault.number is not None:
+                known = family.fault(fault.number)
+            words = [code for code, shown in fault.shows.items() if shown is fault.kind]
+            shown_by = ", ".join(f"{code} reads {fault.raw[code]}" for code in words)
+            active = ActiveFault(fault.kind, fault.number, known, fault.since_s, shown_by)
+        self._store.set_fault(drive.name, active)
+        self._store.note(drive.name, FAULT_REMARK, None if active is None else str(active))
 
-    def _log(self, drive: str, watched: _Watched) -> None:
+    def _log(self, drive: Drive, family: Family) -> None:
+        fault = drive.fault
         known = None
-        if watched.number is not None:
-            known = watched.family.fault(watched.number)
-        watched.logged = True
+        if fault.number is not None:
+            known = family.fault(fault.number)
+        fault.logged = True
         logger.warning(
             "drive=%s event=%s number=%s keypad=%s meaning=%s",
-            drive, watched.kind, number_text(watched.number),
+            drive.name, fault.kind, number_text(fault.number),
             known.keypad if known is not None else "",
             known.meaning if known is not None else "not known",
         )  # fmt: skip

@@ -19,12 +19,15 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
 
+from lecombus.drive_runtime import Drive, LineDrives
+from lecombus.line.station import StepKind
+from lecombus.line_events import ExchangeEvent, LineChange
 from lecombus.protocol.exchange import ResultKind
 from lecombus.readings import DriveState
-from lecombus.schedule import Request, Schedule
+from lecombus.schedule import Schedule
 from lecombus.store import Store
+from lecombus.supervision.audit_queue import AuditQueue
 
 __all__ = ["Health"]
 
@@ -53,198 +56,181 @@ AGAIN_S = 60.0
 """A line that is opened again so soon flaps: that its drives start anew each time is not logged."""
 
 
-@dataclass(slots=True)
-class _Record:
-    state: DriveState
-    make_probe: Callable[[], Request]
-    misses: int = 0
-    silent_from_s: float = 0.0
-    heard: bool = False
-    audit_due: bool = False
-    due_from_s: float = 0.0
-    told: DriveState = DriveState.STARTING
-    """The state that the log shows."""
-
-
 class Health:
     """Judges the drives of one line.
 
     Args:
+        drives: The drives.
         schedule: Parks the drives that are offline.
         store: Told the states.
-        wants_audit: Called with a drive that must be audited before it is called online.
+        audits: Takes drives that must be audited before they are called online.
         clock: Monotonic time, seconds.
     """
 
     def __init__(
         self,
+        drives: LineDrives,
         schedule: Schedule,
         store: Store,
-        wants_audit: Callable[[str], None],
+        audits: AuditQueue,
         clock: Callable[[], float],
     ) -> None:
+        self._drives = drives
         self._schedule = schedule
         self._store = store
-        self._wants_audit = wants_audit
+        self._audits = audits
         self._clock = clock
-        self._records: dict[str, _Record] = {}
         self._opened_s = -AGAIN_S
 
-    def add_drive(self, name: str, make_probe: Callable[[], Request]) -> None:
-        """Watch a drive from now on; it starts as STARTING."""
-        self._records[name] = _Record(DriveState.STARTING, make_probe)
-        self._store.drive_state(name, DriveState.STARTING, "not tried yet")
-
-    def remove_drive(self, name: str) -> None:
-        """Watch it no longer."""
-        self._records.pop(name, None)
-
-    def state(self, name: str) -> DriveState:
-        """How a drive is doing."""
-        return self._records[name].state
-
-    def was_heard(self, name: str) -> bool:
-        """Whether a drive has answered since the line was opened."""
-        record = self._records.get(name)
-        return record is not None and record.heard
+    def begin(self, drive: Drive) -> None:
+        """Show a drive that was added, or that begins again, as one that was not tried yet."""
+        self._store.drive_state(drive.name, drive.health.state, "not tried yet")
 
     @property
     def is_silent(self) -> bool:
         """Whether all drives were tried and none answers."""
-        records = self._records.values()
-        return bool(records) and all(one.state is DriveState.OFFLINE for one in records)
+        states = [drive.health.state for drive in self._drives]
+        return bool(states) and all(state is DriveState.OFFLINE for state in states)
 
-    def line_opened(self) -> None:
-        """Begin anew with every drive: nobody knows what happened while the line was away."""
+    def line_changed(self, change: LineChange) -> None:
+        """Start again with every drive: what happened while the line was away is not known."""
+        if not change.is_open:
+            return
         now = self._clock()
         is_news, self._opened_s = now - self._opened_s >= AGAIN_S, now
-        for name, record in self._records.items():
-            if record.state is DriveState.OFFLINE:
-                self._schedule.set_probe(name, None, now)
-                self._schedule.unpark(name, now)
-            record.misses = 0
-            record.heard = False
+        for drive in self._drives:
+            health = drive.health
+            if health.state is DriveState.OFFLINE:
+                self._schedule.set_probe(drive.name, None, now)
+                self._schedule.unpark(drive.name, now)
+            health.misses = 0
+            health.heard = False
             reason = "the line was opened: to be audited"
-            self._set(name, record, DriveState.STARTING, reason, is_news=is_news)
-            self._wants_audit(name)
+            self._set(drive, DriveState.STARTING, reason, is_news=is_news)
+            self._audits.ask(drive)
 
-    def exchange_ended(self, name: str, kind: ResultKind, fault: str) -> None:
-        """Take the end of one exchange with a drive into account.
+    def exchange_ended(self, event: ExchangeEvent) -> None:
+        """Judge a drive by an exchange with it; a multicast says nothing of its members."""
+        result = event.report.result
+        if event.report.step.kind is not StepKind.MULTICAST:
+            self.judge(event.drives[0], result.kind, result.fault)
+
+    def judge(self, drive: Drive, kind: ResultKind, fault: str) -> None:
+        """Take the end of one exchange with a drive.
 
         Args:
-            name: The drive.
+            drive: The drive.
             kind: How it ended.
             fault: Why it failed, in words.
         """
-        record = self._records.get(name)
-        if record is None:
-            return
+        health = drive.health
         if kind is ResultKind.ANSWERED:
-            if not record.heard:
-                record.heard = True
-                self._tell_held_back(name)
-            if record.misses or record.state is DriveState.OFFLINE:
-                self._answered(name, record)
+            if not health.heard:
+                health.heard = True
+                self._log_held_back(drive)
+            if health.misses or health.state is DriveState.OFFLINE:
+                self._answered(drive)
         elif kind is not ResultKind.LOST:
-            self._missed(name, record, fault)
+            self._missed(drive, fault)
 
     def restarted(self, name: str) -> None:
-        """A drive was made to start anew: what it forgot is put in order before it is online.
+        """A drive was restarted by a command: what it lost is set before it is online.
 
         Source: EDB2102EN 6.4 (TRIP reset of 820X: drive and fieldbus module are initialised).
         """
-        record = self._records.get(name)
-        if record is not None and record.state is not DriveState.OFFLINE:
-            self._set(name, record, DriveState.STARTING, "it was made to restart: to be audited")
-            self._wants_audit(name)
+        drive = self._drives.find(name)
+        if drive is not None:
+            self.doubted(drive, "it was made to restart: to be audited")
 
-    def doubted(self, name: str, reason: str) -> None:
-        """A drive says that it is another: nothing but stops is written to it before its audit."""
-        record = self._records.get(name)
-        if record is not None and record.state is not DriveState.OFFLINE:
-            self._set(name, record, DriveState.STARTING, reason)
-            self._wants_audit(name)
+    def doubted(self, drive: Drive, reason: str) -> None:
+        """A drive may be another: nothing but stops is written to it before its audit."""
+        if drive.health.state is not DriveState.OFFLINE:
+            self._set(drive, DriveState.STARTING, reason)
+            self._audits.ask(drive)
 
-    def audited(self, name: str) -> None:
+    def audited(self, drive: Drive) -> None:
         """The supervisor has found the drive in order, or has put it in order."""
-        record = self._records.get(name)
-        if record is not None and record.state is not DriveState.OFFLINE:
-            record.audit_due = False
-            self._set(name, record, DriveState.ONLINE, "")
+        if self._has(drive) and drive.health.state is not DriveState.OFFLINE:
+            drive.health.audit_due = False
+            self._set(drive, DriveState.ONLINE, "")
 
-    def note_overdue(self) -> None:
+    def check_overdue(self) -> None:
         """Have nothing but stops written to drives whose audit takes too long; once a second."""
         late_s = self._clock() - UNAUDITED_S
-        for name, record in self._records.items():
-            writable = record.state in (DriveState.ONLINE, DriveState.DEGRADED)
-            if record.audit_due and writable and record.due_from_s <= late_s:
+        for drive in self._drives:
+            health = drive.health
+            writable = health.state in (DriveState.ONLINE, DriveState.DEGRADED)
+            if health.audit_due and writable and health.due_from_s <= late_s:
                 reason = f"it answered again {UNAUDITED_S:.0f} s ago and is not audited yet"
-                self._set(name, record, DriveState.STARTING, reason)
+                self._set(drive, DriveState.STARTING, reason)
 
-    def audit_failed(self, name: str, reason: str) -> None:
+    def audit_failed(self, drive: Drive, reason: str) -> None:
         """The supervisor could not finish its audit; it will try again."""
-        record = self._records.get(name)
-        if record is not None and record.state is not DriveState.OFFLINE:
-            self._set(name, record, record.state, f"not audited: {reason}")
+        if self._has(drive) and drive.health.state is not DriveState.OFFLINE:
+            self._set(drive, drive.health.state, f"not audited: {reason}")
 
-    def _answered(self, name: str, record: _Record) -> None:
-        misses, record.misses = record.misses, 0
-        if record.state is DriveState.OFFLINE:
+    def _has(self, drive: Drive) -> bool:
+        """Whether a drive has not left the roster, as it may during its audit."""
+        return self._drives.find(drive.name) is drive
+
+    def _answered(self, drive: Drive) -> None:
+        health = drive.health
+        misses, health.misses = health.misses, 0
+        if health.state is DriveState.OFFLINE:
             now = self._clock()
-            self._schedule.set_probe(name, None, now)
-            self._schedule.unpark(name, now)
-            self._set(name, record, DriveState.STARTING, "it answers again: being audited")
-            self._wants_audit(name)
-        elif record.state is DriveState.DEGRADED:
-            if misses < AUDIT_AFTER and not record.audit_due:
-                self._set(name, record, DriveState.ONLINE, "")
+            self._schedule.set_probe(drive.name, None, now)
+            self._schedule.unpark(drive.name, now)
+            self._set(drive, DriveState.STARTING, "it answers again: being audited")
+            self._audits.ask(drive)
+        elif health.state is DriveState.DEGRADED:
+            if misses < AUDIT_AFTER and not health.audit_due:
+                self._set(drive, DriveState.ONLINE, "")
                 return
-            away_s = self._clock() - record.silent_from_s
-            # Whoever had the time to put another drive there may have done so.
+            away_s = self._clock() - health.silent_from_s
+            # In so much time another drive may have been put in its place.
             state = DriveState.STARTING if away_s >= SWAP_S else DriveState.DEGRADED
-            self._set(name, record, state, "it answers again: being audited")
+            self._set(drive, state, "it answers again: being audited")
             if misses >= AUDIT_AFTER:
-                if not record.audit_due:
-                    record.audit_due, record.due_from_s = True, self._clock()
-                self._wants_audit(name)
+                if not health.audit_due:
+                    health.audit_due, health.due_from_s = True, self._clock()
+                self._audits.ask(drive)
 
-    def _tell_held_back(self, heard: str) -> None:
+    def _log_held_back(self, heard: Drive) -> None:
         """Log the drives that are offline: with the first one heard it is no longer all of them."""
-        for name, record in self._records.items():
-            is_told = record.told is DriveState.OFFLINE
-            if name != heard and record.state is DriveState.OFFLINE and not is_told:
-                self._log(name, record, record.state, self._store.drive(name).reason)
+        for drive in self._drives:
+            health = drive.health
+            is_logged = health.logged is DriveState.OFFLINE
+            if drive is not heard and health.state is DriveState.OFFLINE and not is_logged:
+                self._log(drive, health.state, self._store.drive(drive.name).reason)
 
-    def _missed(self, name: str, record: _Record, fault: str) -> None:
-        if not record.misses:
-            record.silent_from_s = self._clock()
-        record.misses += 1
-        if record.state is DriveState.OFFLINE:
+    def _missed(self, drive: Drive, fault: str) -> None:
+        health = drive.health
+        if not health.misses:
+            health.silent_from_s = self._clock()
+        health.misses += 1
+        if health.state is DriveState.OFFLINE:
             return
-        starting = record.state is DriveState.STARTING
-        if record.misses >= (OFFLINE_AFTER if record.heard else OFFLINE_AFTER_UNHEARD):
-            many = f"{record.misses} exchanges in a row" if record.misses > 1 else "the exchange"
+        starting = health.state is DriveState.STARTING
+        if health.misses >= (OFFLINE_AFTER if health.heard else OFFLINE_AFTER_UNHEARD):
+            many = f"{health.misses} exchanges in a row" if health.misses > 1 else "the exchange"
             reason = f"{many} failed: {fault}"
-            self._set(name, record, DriveState.OFFLINE, reason)
+            self._set(drive, DriveState.OFFLINE, reason)
             now = self._clock()
-            self._schedule.park(name, now, f"{name} is offline: {reason}")
-            self._schedule.set_probe(name, record.make_probe, now)
+            self._schedule.park(drive.name, now, f"{drive.name} is offline: {reason}")
+            self._schedule.set_probe(drive.name, drive.probe, now)
         elif not starting:
-            self._set(name, record, DriveState.DEGRADED, fault)
+            self._set(drive, DriveState.DEGRADED, fault)
 
-    def _set(
-        self, name: str, record: _Record, state: DriveState, reason: str, *, is_news: bool = True
-    ) -> None:
+    def _set(self, drive: Drive, state: DriveState, reason: str, *, is_news: bool = True) -> None:
         # That no drive at all answers is said once for all of them (`port_watch`).
-        unheard = state is DriveState.OFFLINE and not any(
-            one.heard for one in self._records.values()
-        )
-        if is_news and state is not record.told and not unheard:
-            self._log(name, record, state, reason)
-        record.state = state
-        self._store.drive_state(name, state, reason)
+        unheard = state is DriveState.OFFLINE and not any(one.health.heard for one in self._drives)
+        if is_news and state is not drive.health.logged and not unheard:
+            self._log(drive, state, reason)
+        drive.health.state = state
+        self._store.drive_state(drive.name, state, reason)
 
-    def _log(self, name: str, record: _Record, state: DriveState, reason: str) -> None:
+    def _log(self, drive: Drive, state: DriveState, reason: str) -> None:
         log = logger.warning if state is DriveState.OFFLINE else logger.info
-        log("drive=%s event=state from=%s to=%s reason=%s", name, record.told, state, reason)
-        record.told = state
+        logged = drive.health.logged
+        log("drive=%s event=state from=%s to=%s reason=%s", drive.name, logged, state, reason)
+        drive.health.logged = state

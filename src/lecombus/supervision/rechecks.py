@@ -16,11 +16,10 @@ Source: EDB2102EN 6.3 (kept without supply: nothing), CMVLC401A 7.3.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
 
 import anyio
 
-from lecombus.config import DriveEntry
+from lecombus.drive_runtime import Drive
 from lecombus.drives import WatchdogTraits
 from lecombus.errors import LecombusError
 from lecombus.line.station import Station
@@ -44,7 +43,6 @@ class Rechecks:
         requests: Sends requests and waits for their end.
         watchdogs: Knows what was set.
         health: Knows who is online; told who must be audited.
-        entries: Gives the roster's drives, as they are now.
     """
 
     def __init__(
@@ -52,54 +50,51 @@ class Rechecks:
         requests: Requests,
         watchdogs: WatchdogAudit,
         health: Health,
-        entries: Callable[[], Mapping[str, DriveEntry]],
     ) -> None:
         self._requests = requests
         self._watchdogs = watchdogs
         self._health = health
-        self._entries = entries
 
     async def run(self) -> None:
         """Go round for as long as the daemon lives."""
         while True:
-            names = [name for name in self._entries() if self._watched(name) is not None]
-            pause_s = self._round_s(names) / max(1, len(names))
-            for name in names:
+            drives = [one for one in self._requests.drives if self._watched(one) is not None]
+            pause_s = self._round_s(drives) / max(1, len(drives))
+            for drive in drives:
                 await anyio.sleep(pause_s)
-                await self._look(name)
-            if not names:
+                await self._look(drive.name)
+            if not drives:
                 await anyio.sleep(pause_s)
 
-    def _round_s(self, names: list[str]) -> float:
+    def _round_s(self, drives: list[Drive]) -> float:
         """Give how long one round takes, seconds."""
         cost_s = 0.0
-        for watched in filter(None, map(self._watched, names)):
+        for watched in filter(None, map(self._watched, drives)):
             station, traits = watched
             for code in (traits.time_code, traits.action_code):
                 cost_s += self._requests.maker.cost_of_read_s(station, code)
         return max(EVERY_S, cost_s / LINE_SHARE)
 
-    def _watched(self, name: str) -> tuple[Station, WatchdogTraits] | None:
+    def _watched(self, drive: Drive | None) -> tuple[Station, WatchdogTraits] | None:
         """A drive that is online, and of whose watchdog the roster and an audit know."""
-        entry = self._entries().get(name)
-        if entry is None or entry.watchdog is None or self._watchdogs.known(name) is None:
+        if drive is None or drive.entry.watchdog is None or drive.audit.watchdog is None:
             return None
-        station = self._requests.station(name)
-        traits = station.family.watchdog
-        if traits is None or self._health.state(name) is not DriveState.ONLINE:
+        traits = drive.family.watchdog
+        if traits is None or drive.health.state is not DriveState.ONLINE:
             return None
-        return station, traits
+        return drive.station, traits
 
     async def _look(self, name: str) -> None:
         """Ask one drive, if it is still one to be asked."""
-        watched = self._watched(name)
-        if watched is None:
+        drive = self._requests.drives.find(name)
+        watched = self._watched(drive)
+        if drive is None or watched is None:
             return
         try:
-            change = await self._watchdogs.changed(name, *watched)
+            change = await self._watchdogs.changed(drive, *watched)
         except LecombusError as exc:
             logger.debug("drive=%s event=not-rechecked reason=%s", name, exc)
             return
-        if change and self._watched(name) == watched:
+        if change and self._watched(self._requests.drives.find(name)) == watched:
             logger.warning("drive=%s event=watchdog-changed reason=%s", name, change)
-            self._health.doubted(name, f"its watchdog was changed {change}: to be audited")
+            self._health.doubted(drive, f"its watchdog was changed {change}: to be audited")

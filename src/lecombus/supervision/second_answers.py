@@ -6,9 +6,9 @@ What must not live here: counting them (`line.duplicates`), and what a stop make
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Final
 
+from lecombus.drive_runtime import LineDrives
 from lecombus.line.duplicates import Found
 from lecombus.store import Store
 
@@ -33,19 +33,20 @@ class SecondAnswers:
     def __init__(self, store: Store) -> None:
         self._store = store
 
-    def look(self, found: Found, addresses: Mapping[str, int]) -> None:
+    def look(self, found: Found, drives: LineDrives) -> None:
         """Say what has come within the last minute; about once a second.
 
         Args:
             found: How many came, and behind whose answers.
-            addresses: The drives.
+            drives: The drives.
         """
         count, alone = found
         told = sum(alone.values())
-        suspects = [name for name in addresses
-                    if alone.get(name, 0) >= LEAST and alone[name] >= PART * told]  # fmt: skip
-        for name, address in addresses.items():
-            text = None
+        suspects = [drive.name for drive in drives
+                    if alone.get(drive.name, 0) >= LEAST
+                    and alone[drive.name] >= PART * told]  # fmt: skip
+        for drive in drives:
+            text, name, address = None, drive.name, drive.entry.address
             if name in suspects:
                 text = (
                     f"two drives at address {address}? second answers came after its own, "

@@ -1,6 +1,6 @@
 """Saying which drives answer slower than their manual: once in the log, and as a remark.
 
-Strategy: the line measures and widens its time-outs by itself; once a second somebody looks here
+Strategy: the line measures and widens its time-outs by itself; once a second it is looked here
 whether that has changed for a drive, so that the path behind an exchange says nothing.
 
 What must not live here: when a drive is slow, and by how much (`drives.measured`).
@@ -9,10 +9,11 @@ What must not live here: when a drive is slow, and by how much (`drives.measured
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
-from lecombus.drives.measured import AnswerRow, SlowAnswers
-from lecombus.line.station import Station
+from lecombus.drive_runtime import Drive
+from lecombus.drives.measured import AnswerRow
+from lecombus.schedule import Schedule
 from lecombus.store import Store
 
 __all__ = ["SlowDrives"]
@@ -29,30 +30,24 @@ class SlowDrives:
 
     Args:
         store: Where remarks stand.
-        changed: Told of the drives that are reckoned with otherwise from now on.
+        schedule: Told which drives' requests cost another time from now on.
     """
 
-    def __init__(self, store: Store, changed: Callable[[str], None]) -> None:
+    def __init__(self, store: Store, schedule: Schedule) -> None:
         self._store = store
-        self._changed = changed
-        self._seen: dict[str, SlowAnswers] = {}
-        self._logged: set[str] = set()
+        self._schedule = schedule
 
-    def look(self, stations: Iterable[Station]) -> None:
+    def look(self, drives: Iterable[Drive]) -> None:
         """Say what has changed."""
-        for station in stations:
-            slow = station.measured.slow
-            if self._seen.get(station.name) is not slow:
-                self._seen[station.name] = slow
-                self._changed(station.name)
-                self._say(station)
+        for drive in drives:
+            slow = drive.station.measured.slow
+            if drive.answer_times.seen is not slow:
+                drive.answer_times.seen = slow
+                self._schedule.costs_changed(drive.name)
+                self._say(drive)
 
-    def forget(self, drive: str) -> None:
-        """The drive has left the roster."""
-        self._seen.pop(drive, None)
-        self._logged.discard(drive)
-
-    def _say(self, station: Station) -> None:
+    def _say(self, drive: Drive) -> None:
+        station = drive.station
         rows = [row for row in station.measured.rows() if row.slow]
         if not rows:
             self._store.note(station.name, KEY, None)
@@ -64,8 +59,8 @@ class SlowDrives:
             f"`lecombus forget-times {station.name}`"
         )
         self._store.note(station.name, KEY, text)
-        if station.name not in self._logged:
-            self._logged.add(station.name)
+        if not drive.answer_times.logged:
+            drive.answer_times.logged = True
             logger.warning(
                 "drive=%s event=slow-drive code=%s measured_s=%.3f manual_s=%.3f",
                 station.name, rows[0].code, rows[0].measured_s, rows[0].manual_s,

@@ -14,9 +14,8 @@ from __future__ import annotations
 import contextlib
 import logging
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
-from lecombus.config import DriveEntry
+from lecombus.drive_runtime import Drive, WatchdogSetting
 from lecombus.drives import WatchdogTraits
 from lecombus.errors import LecombusError, OperationError, UnknownCodeError
 from lecombus.line.station import Station
@@ -26,7 +25,7 @@ from lecombus.protocol.values import Value
 from lecombus.schedule import Outcome, Priority
 from lecombus.store import Store
 
-__all__ = ["DOES_NOT_FIT", "PATIENCE_S", "AuditError", "WatchdogAudit", "WatchdogSetting"]
+__all__ = ["DOES_NOT_FIT", "PATIENCE_S", "AuditError", "WatchdogAudit"]
 
 logger = logging.getLogger(__name__)
 
@@ -46,24 +45,6 @@ DOES_NOT_FIT = "does-not-fit"
 """A module's own code takes so long to read that others' watchdogs would lapse meanwhile."""
 
 
-@dataclass(frozen=True, slots=True)
-class WatchdogSetting:
-    """What a drive's watchdog is set to.
-
-    Args:
-        time_s: After this long without a telegram it acts, seconds.
-        action: What it does, as the drive's number for it; 0 is nothing.
-    """
-
-    time_s: float
-    action: int
-
-    @property
-    def armed(self) -> bool:
-        """Whether it acts at all."""
-        return self.action != 0 and self.time_s > 0.0
-
-
 class WatchdogAudit:
     """Compares and sets the watchdogs of one line's drives.
 
@@ -74,22 +55,13 @@ class WatchdogAudit:
     """
 
     def __init__(
-        self, requests: Requests, store: Store, feed: Callable[[str, float | None], None]
+        self, requests: Requests, store: Store, feed: Callable[[Drive, float | None], None]
     ) -> None:
         self._requests = requests
         self._store = store
         self._feed = feed
-        self._known: dict[str, WatchdogSetting] = {}
 
-    def forget(self, name: str) -> None:
-        """It may be another device now: look at everything again."""
-        self._known.pop(name, None)
-
-    def known(self, name: str) -> WatchdogSetting | None:
-        """Give what a drive's watchdog was set to when it was last put in order."""
-        return self._known.get(name)
-
-    async def changed(self, name: str, station: Station, traits: WatchdogTraits) -> str:
+    async def changed(self, drive: Drive, station: Station, traits: WatchdogTraits) -> str:
         """Look, when the line has time, whether a watchdog is still set as it was.
 
         Returns:
@@ -98,36 +70,36 @@ class WatchdogAudit:
         Raises:
             LecombusError: It could not be read.
         """
-        known = self._known.get(name)
+        known = drive.audit.watchdog
         if known is None:
             return ""
         found = await self._read_setting(station, traits, Priority.BACKGROUND)
-        if found == known or self._known.get(name) != known:
+        if found == known or drive.audit.watchdog != known:
             return ""
         return f"from {describe(traits, known)} to {describe(traits, found)}"
 
-    async def look(self, name: str, station: Station, traits: WatchdogTraits) -> int | None:
+    async def look(self, drive: Drive, station: Station, traits: WatchdogTraits) -> int | None:
         """Read what the watchdog does; None: it cannot be seen, and a remark says so."""
         action: int | None = None
-        with self._remarking(name):
+        with self._remarking(drive.name):
             action = int(number(await self._read(station, traits.action_code)))
             if action == 0:
-                self._feed(name, None)
+                self._feed(drive, None)
         return action
 
     async def settle(
-        self, entry: DriveEntry, station: Station, traits: WatchdogTraits, action: int
+        self, drive: Drive, station: Station, traits: WatchdogTraits, action: int
     ) -> None:
         """Put it in order, or say how it differs; make a remark of what can never be read.
 
         Args:
-            entry: What the roster says.
-            station: The drive.
+            drive: The drive.
+            station: How it is spoken to.
             traits: How its watchdog is set.
             action: What it does now.
         """
-        with self._remarking(entry.name):
-            await self._audit_watchdog(entry, station, traits, action)
+        with self._remarking(drive.name):
+            await self._audit_watchdog(drive, station, traits, action)
 
     async def learn(self, name: str, station: Station, traits: WatchdogTraits) -> None:
         """Look at a watchdog that the roster does not name, so that its user learns of it."""
@@ -147,21 +119,21 @@ class WatchdogAudit:
             self._store.note(name, REMARK, f"its watchdog cannot be checked: {exc}")
 
     async def _audit_watchdog(
-        self, entry: DriveEntry, station: Station, traits: WatchdogTraits, action: int
+        self, drive: Drive, station: Station, traits: WatchdogTraits, action: int
     ) -> None:
-        wanted = entry.watchdog
+        wanted = drive.entry.watchdog
         assert wanted is not None
         target = WatchdogSetting(wanted.time_s, traits.actions[wanted.action])
         found = WatchdogSetting(
-            await self._find_time(entry.name, station, traits, target, action), action
+            await self._find_time(drive, station, traits, target, action), action
         )
-        locked = self._store.drive(entry.name).write_lock is not None
+        locked = self._store.drive(drive.name).write_lock is not None
         if found != target and wanted.configure and not locked:
             logger.info(
                 "drive=%s event=watchdog-configure from=%s to=%s",
-                entry.name, describe(traits, found), describe(traits, target),
+                drive.name, describe(traits, found), describe(traits, target),
             )  # fmt: skip
-            found = await self._configure(station, traits, found, target)
+            found = await self._configure(drive, station, traits, found, target)
         family = station.family
         codes = f"{family.spoken(traits.time_code)} and {family.spoken(traits.action_code)}"
         remedy = f"set configure: true, or {codes} in the drive"
@@ -169,11 +141,11 @@ class WatchdogAudit:
             remedy = "it is set when the drive may be written to again"
         elif wanted.configure:
             remedy = f"look at {codes}: it was written, in vain"
-        self._settle(entry.name, traits, found, target, remedy)
+        self._settle(drive, traits, found, target, remedy)
 
     async def _find_time(
         self,
-        name: str,
+        drive: Drive,
         station: Station,
         traits: WatchdogTraits,
         target: WatchdogSetting,
@@ -184,12 +156,13 @@ class WatchdogAudit:
         A module that lost its settings with its supply has its action back at 0, and reading a
         module's own code keeps everybody else waiting for half a second.
         """
-        if target.armed and action == target.action and self._known.get(name) == target:
+        if target.armed and action == target.action and drive.audit.watchdog == target:
             return target.time_s
         return number(await self._read(station, traits.time_code)) / 1000.0
 
     async def _configure(
         self,
+        drive: Drive,
         station: Station,
         traits: WatchdogTraits,
         found: WatchdogSetting,
@@ -199,30 +172,30 @@ class WatchdogAudit:
         proven = True
         if found.time_s != target.time_s:
             proven &= await self._write(station, traits.time_code, target.time_s * 1000.0)
-        self._feed(station.name, target.time_s)
+        self._feed(drive, target.time_s)
         if found.action != target.action:
             proven &= await self._write(station, traits.action_code, target.action)
         return target if proven else await self._read_setting(station, traits)
 
     def _settle(
         self,
-        name: str,
+        drive: Drive,
         traits: WatchdogTraits,
         found: WatchdogSetting,
         target: WatchdogSetting,
         remedy: str,
     ) -> None:
         """Feed by what the drive really has, and say where that differs from the roster."""
-        self._known[name] = found
+        drive.audit.watchdog = found
         text = None
         if found != target:
             text = (
                 f"the drive's watchdog is {describe(traits, found)}, the roster says "
                 f"{describe(traits, target)}: {remedy}"
             )
-            logger.warning("drive=%s event=watchdog-differs reason=%s", name, text)
-        self._store.note(name, REMARK, text)
-        self._feed(name, max(LEAST_FED_S, found.time_s if found.armed else target.time_s))
+            logger.warning("drive=%s event=watchdog-differs reason=%s", drive.name, text)
+        self._store.note(drive.name, REMARK, text)
+        self._feed(drive, max(LEAST_FED_S, found.time_s if found.armed else target.time_s))
 
     def _remark_unwanted(self, name: str, traits: WatchdogTraits, found: WatchdogSetting) -> None:
         """The roster names no watchdog: feeding one on purpose would go against it."""

@@ -22,12 +22,11 @@ import dataclasses
 import logging
 from collections.abc import Iterable
 
-from lecombus.config import DriveEntry
+from lecombus.drive_runtime import Drive
 from lecombus.drives import SoftwareGate
 from lecombus.drives.identity import identity_codes
 from lecombus.errors import OperationError, UnknownCodeError
 from lecombus.line.station import Station
-from lecombus.operations.control_words import ControlWords
 from lecombus.operations.identities import Identities
 from lecombus.operations.readdress import Readdress
 from lecombus.operations.requests import Requests
@@ -58,7 +57,6 @@ class WritePrechecks:
         requests: Sends requests and waits for their end.
         store: Gets the remarks.
         identities: Judges who they are.
-        words: Their control words, which may be others' codes until addressing is known.
         readdress: Knows which were moved to another address.
     """
 
@@ -67,21 +65,19 @@ class WritePrechecks:
         requests: Requests,
         store: Store,
         identities: Identities,
-        words: ControlWords,
         readdress: Readdress,
     ) -> None:
         self._requests = requests
         self._store = store
         self._identities = identities
-        self._words = words
         self._readdress = readdress
 
-    def passed(self, name: str) -> None:
+    def passed(self, drive: Drive) -> None:
         """A drive was audited to the end where the roster says that it is."""
-        if self._store.drive(name).write_lock is None:
-            self._readdress.seen_at_home(name)
+        if self._store.drive(drive.name).write_lock is None:
+            self._readdress.seen_at_home(drive)
 
-    async def check_addressing(self, entry: DriveEntry, station: Station) -> Station:
+    async def check_addressing(self, drive: Drive, station: Station) -> Station:
         """See that what is asked for is what is answered.
 
         Returns:
@@ -94,23 +90,22 @@ class WritePrechecks:
             return station
         found = await self._read_all(station, (CODE_BANK, INPUT_SELECTION))
         moved = {code: value for code, value in found.items() if value.number != 0}
-        forms = entry.forms
+        forms = drive.entry.forms
         if moved:
-            forms = tuple(form for form in entry.forms if form is Form.EXTENDED)
-        self._remark_addressing(entry, moved, reachable=bool(forms))
+            forms = tuple(form for form in forms if form is Form.EXTENDED)
+        self._remark_addressing(drive.name, moved, reachable=bool(forms))
         if moved:
-            self._words.forget(entry.name)
+            drive.control_word.forget()  # it may have been another code's value
         if not forms or forms == station.forms:
             return station
         changed = dataclasses.replace(station, forms=forms)
-        self._requests.replace_station(station, changed)
+        if drive.station is station:  # no reload came between
+            drive.station = changed
         return changed
 
-    def _remark_addressing(
-        self, entry: DriveEntry, moved: dict[Code, Value], *, reachable: bool
-    ) -> None:
+    def _remark_addressing(self, name: str, moved: dict[Code, Value], *, reachable: bool) -> None:
         told = " and ".join(f"{code} is {value.raw}" for code, value in moved.items())
-        before = self._store.drive(entry.name).remarks
+        before = self._store.drive(name).remarks
         text = (
             f"{told}: standard addressing reaches other codes or subcodes of this drive than it "
             "should; "
@@ -127,14 +122,14 @@ class WritePrechecks:
                 "set them; they are 0 again after switching off and on"
             )
         if moved and not before.keys() & {ADDRESSING_LOCK, MOVED}:
-            logger.warning("drive=%s event=addressing-moved reason=%s", entry.name, lock or note)
-        self._store.note(entry.name, ADDRESSING_LOCK, lock)
-        self._store.note(entry.name, MOVED, note)
+            logger.warning("drive=%s event=addressing-moved reason=%s", name, lock or note)
+        self._store.note(name, ADDRESSING_LOCK, lock)
+        self._store.note(name, MOVED, note)
         if note is not None:
-            for code in self._store.codes(entry.name):
-                self._store.value_failed(entry.name, code, f"{told} when it was read")
+            for code in self._store.codes(name):
+                self._store.value_failed(name, code, f"{told} when it was read")
 
-    async def check_identity(self, entry: DriveEntry, station: Station) -> dict[Code, Value]:
+    async def check_identity(self, drive: Drive, station: Station) -> dict[Code, Value]:
         """Find out who it is.
 
         Returns:
@@ -143,12 +138,12 @@ class WritePrechecks:
         Raises:
             LecombusError: The line was no help; a code that the drive does not know is none.
         """
-        codes = identity_codes(entry.identity, station.family.identity)
+        codes = identity_codes(drive.entry.identity, station.family.identity)
         found = await self._read_identity(station, codes)
-        doubtful = self._identities.differing(entry.name, found)
+        doubtful = self._identities.differing(drive, found)
         found |= await self._read_all(station, doubtful)
         if found:
-            self._identities.judge(entry.name, found)
+            self._identities.judge(drive, found)
         return found
 
     async def _read_identity(self, station: Station, codes: Iterable[Code]) -> dict[Code, Value]:
@@ -170,13 +165,13 @@ class WritePrechecks:
         return found
 
     async def check_software(
-        self, entry: DriveEntry, station: Station, gate: SoftwareGate, known: Value | None
+        self, drive: Drive, station: Station, gate: SoftwareGate, known: Value | None
     ) -> None:
         """A drive whose software the manual does not vouch for is read, and never written to.
 
         Args:
-            entry: What the roster says.
-            station: The drive.
+            drive: The drive.
+            station: How it is spoken to.
             gate: Which software may be written to.
             known: The version, where it was read just now.
 
@@ -184,7 +179,7 @@ class WritePrechecks:
             LecombusError: It could not be read.
         """
         found = known or await self._read(station, gate.code)
-        accepted = (*gate.versions, *entry.accept_software)
+        accepted = (*gate.versions, *drive.entry.accept_software)
         text = None
         if not any(found.raw == one or found.means_same(Value.parse(one)) for one in accepted):
             code = station.family.spoken(gate.code)
@@ -193,8 +188,8 @@ class WritePrechecks:
                 f"{', '.join(gate.versions)}: nothing is written to this drive but stops; if its "
                 f"manual says the same codes, add accept_software: ['{found.raw}'] in the roster"
             )
-            logger.warning("drive=%s event=software-unknown reason=%s", entry.name, text)
-        self._store.note(entry.name, SOFTWARE_LOCK, text)
+            logger.warning("drive=%s event=software-unknown reason=%s", drive.name, text)
+        self._store.note(drive.name, SOFTWARE_LOCK, text)
 
     async def _read_all(self, station: Station, codes: Iterable[Code]) -> dict[Code, Value]:
         """Read codes; those that the drive does not know are left out."""

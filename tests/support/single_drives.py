@@ -1,0 +1,70 @@
+"""Single drives without a line, and what is asked of the line because of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from lecombus.config import parse_roster
+from lecombus.drive_runtime import Drive
+from lecombus.drives import Family, family
+from lecombus.errors import LineLostError
+from lecombus.line.station import Station
+from lecombus.protocol.addressing import Code
+from lecombus.schedule import Settle
+from support.site_host import roster_of
+
+__all__ = ["AskedLine", "drive_of"]
+
+
+def drive_of(
+    name: str = "a", kind: str = "8200vector", clock: Callable[[], float] = lambda: 0.0
+) -> Drive:
+    """A drive of a roster that names it alone."""
+    entry = parse_roster(roster_of([(name, 1, kind)]), "r.yaml").drives[0]
+    described = family(kind)
+    return Drive(entry, Station(name, 1, described, entry.forms), clock)
+
+
+class AskedLine:
+    """Remembers what is asked of the line.
+
+    Attributes:
+        asked: Reads, as drive, code, and `soon` or `later`.
+        settles: How their ends are told.
+        fails: There is no line now.
+        families: Configurations that drives are taken by.
+        early: Whether drives acknowledge early.
+        audits: Drives to be audited, with the doubt about them if there is one.
+    """
+
+    def __init__(self) -> None:
+        self.asked: list[tuple[str, Code, str]] = []
+        self.settles: list[Settle] = []
+        self.fails = False
+        self.families: list[str] = []
+        self.early: list[bool | None] = []
+        self.audits: list[tuple[str, str]] = []
+
+    def read_soon(self, drive: Drive, code: Code, settle: Settle) -> None:
+        self._ask(drive, code, settle, "soon")
+
+    def read_later(self, drive: Drive, code: Code, settle: Settle) -> None:
+        self._ask(drive, code, settle, "later")
+
+    def _ask(self, drive: Drive, code: Code, settle: Settle, how: str) -> None:
+        if self.fails:
+            raise LineLostError("no line")
+        self.asked.append((drive.name, code, how))
+        self.settles.append(settle)
+
+    def audit_soon(self, drive: Drive) -> None:
+        self.audits.append((drive.name, ""))
+
+    def doubt(self, drive: Drive, reason: str) -> None:
+        self.audits.append((drive.name, reason))
+
+    def use_family(self, drive: Drive, family: Family) -> None:
+        self.families.append(family.configuration)
+
+    def use_early_answers(self, drive: Drive, early: bool | None) -> None:
+        self.early.append(early)

@@ -1,0 +1,110 @@
+"""The control word a quick stop changes one bit of: known only while it is certain."""
+
+from __future__ import annotations
+
+from lecombus.control_word import ControlWord, unknown_until_ended
+from lecombus.drives import family
+from lecombus.drives.stops import StopProof, inhibit_proofs
+from lecombus.protocol.addressing import Code
+from lecombus.protocol.values import Value
+from lecombus.schedule import Outcome
+
+WORD, INHIBIT = Code(135), Code(40)
+
+
+def known() -> ControlWord:
+    word = ControlWord(lambda: 0.0, WORD, moved_by=(INHIBIT,))
+    word.seen(WORD, Value.parse("H0204"))
+    return word
+
+
+def test_a_word_read_is_known_until_it_is_forgotten() -> None:
+    word = known()
+    assert word.get() == 0x0204
+    word.forget()
+    assert word.get() is None
+
+
+def test_other_codes_and_drives_without_a_word_say_nothing() -> None:
+    word, none = known(), ControlWord(lambda: 0.0)
+    word.seen(Code(150), Value.parse("H1111"))
+    none.seen(WORD, Value.parse("H1111"))
+    none.written(WORD, Value.parse("H1111"), heard=True)
+    none.inhibiting()
+    assert (word.get(), none.get(), none.last(), none.missing()) == (0x0204, None, None, None)
+    assert (none.moves(WORD), none.inhibited()) == (False, False)
+
+
+def test_a_value_that_is_no_word_is_no_word() -> None:
+    word = ControlWord(lambda: 0.0, WORD)
+    word.seen(WORD, Value.parse("Stext"))
+    assert word.get() is None
+
+
+def test_a_write_makes_the_word_uncertain_until_it_is_acknowledged_or_read() -> None:
+    word = known()
+    word.written(WORD, Value.parse("H0000"), heard=False)
+    assert word.get() is None
+    word.seen(WORD, Value.parse("H0008"))
+    assert word.get() == 8
+
+
+def test_a_write_to_a_code_that_moves_the_word_makes_it_uncertain() -> None:
+    word = known()
+    word.written(Code(46), Value.parse("1"), heard=False)
+    assert word.get() == 0x0204
+    word.written(INHIBIT, Value.parse("0"), heard=False)
+    assert word.get() is None
+
+
+def test_while_a_write_that_moves_the_word_has_not_ended_nothing_read_counts() -> None:
+    word = known()
+    ends: list[Outcome] = []
+    settle = unknown_until_ended(
+        (word, ControlWord(lambda: 0.0)), INHIBIT, lambda outcome, reason: ends.append(outcome)
+    )
+    assert word.get() is None
+    word.seen(WORD, Value.parse("H0008"))
+    assert word.get() is None, "it was read before the write took effect, perhaps"
+    settle(Outcome.DONE, "")
+    assert ends == [Outcome.DONE]
+    assert word.get() is None
+    word.seen(WORD, Value.parse("H0208"))
+    assert word.get() == 0x0208
+
+
+def test_a_word_of_eight_digits_is_no_control_word() -> None:
+    word = ControlWord(lambda: 0.0, WORD)
+    word.seen(WORD, Value.parse("HFFFF0000"))
+    assert word.get() is None
+
+
+def test_a_word_is_forgotten_when_a_status_word_begins_to_show_an_inhibit() -> None:
+    status = Code(150)
+    word = ControlWord(lambda: 0.0, WORD, inhibited_by={status: StopProof(0x0080, 0x0080)})
+    word.seen(status, Value.parse("H0080"))
+    word.seen(WORD, Value.parse("H0200"))
+    word.seen(status, Value.parse("H0080"))
+    assert word.get() == 0x0200, "it lasts: the word is younger"
+    word.seen(status, Value.parse("H0000"))
+    word.seen(WORD, Value.parse("H0000"))
+    assert word.get() == 0
+    word.seen(status, Value.parse("H0080"))
+    assert word.get() is None, "something that is not the line has inhibited it"
+
+
+def test_the_last_known_word_outlasts_a_loss_and_keeps_an_inhibit_in_it() -> None:
+    now = [0.0]
+    word = ControlWord(
+        lambda: now[0], WORD, mask=0x0200, moved_by=[INHIBIT],
+        inhibited_by=inhibit_proofs(family("8200vector")), watchdog_s=2.0, watchdog_inhibits=True,
+    )  # fmt: skip
+    assert word.last() is None, "nothing was ever known"
+    word.heard(0.0)
+    word.seen(WORD, Value.hexadecimal(0x0004, 4))
+    assert word.last() == 0x0204, "whether it is inhibited is not known"
+    word.seen(Code(150), Value.hexadecimal(0x0600, 4))
+    word.forget()
+    assert (word.word(), word.last()) == (None, 0x0004)
+    now[0] = 3.0
+    assert word.last() is None, "its watchdog may have inhibited it"
