@@ -25,11 +25,11 @@ import anyio
 from lecombus.capacity.exchange_costs import watched_s
 from lecombus.control_word import ControlWord, control_word_of
 from lecombus.errors import OperationError, meant
-from lecombus.readings import DriveState
+from lecombus.readings import DriveState, Json, rfc3339
 
 if TYPE_CHECKING:
     from lecombus.config import DriveEntry
-    from lecombus.drives import Family
+    from lecombus.drives import Family, Verb
     from lecombus.drives.faults import FaultKind
     from lecombus.drives.measured import SlowAnswers
     from lecombus.line.station import Station
@@ -41,10 +41,12 @@ __all__ = [
     "AuditRecord",
     "ConfigurationRecord",
     "Drive",
+    "EnableRecord",
     "FaultRecord",
     "FeedRecord",
     "HealthRecord",
     "IdentityRecord",
+    "LastEnable",
     "LastingRecord",
     "LineDrives",
     "RunningAudit",
@@ -220,6 +222,55 @@ class FeedRecord:
     has_lapsed: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class LastEnable:
+    """The last enable of a drive, where it was refused or taken back.
+
+    Args:
+        at_s: When it ended, Unix seconds.
+        outcome: `refused` or `unknown`.
+        taken_back: The drive took it, did not show it, and was stopped again.
+        reason: What happened.
+        cause: Why, probably.
+        remedy: What to do.
+        by_drive: The drive refused or ignored it; else a setting kept it from being sent.
+    """
+
+    at_s: float
+    outcome: str
+    taken_back: bool
+    reason: str
+    cause: str
+    remedy: str
+    by_drive: bool
+
+    def as_json(self) -> dict[str, Json]:
+        """Return the JSON form."""
+        return {
+            "time": rfc3339(self.at_s),
+            "outcome": self.outcome,
+            "taken_back": self.taken_back,
+            "reason": self.reason or None,
+            "cause": self.cause or None,
+            "remedy": self.remedy or None,
+        }
+
+
+@dataclass(slots=True)
+class EnableRecord:
+    """What became of the drive's last enable (`operations.why`).
+
+    Args:
+        failed: The last enable, where it failed and none succeeded since.
+        stops_then: How often the drive was to stop by then.
+        lapses_then: How often its watchdog had run out when it was last enabled.
+    """
+
+    failed: LastEnable | None = None
+    stops_then: int | None = None
+    lapses_then: int = 0
+
+
 @dataclass(slots=True)
 class LastingRecord:
     """What counts for the drive of this name whatever its entry, also when it comes back later.
@@ -230,6 +281,7 @@ class LastingRecord:
         stopped_at_s: When it was last told to stop, monotonic seconds.
         stops_and_writes: How often it was to stop, by a stop or by a plain write.
         lifts: How many plain writes may have lifted its inhibit.
+        verb: The enable or the reset that is under way (`operations.verb_steps`).
         full_at_s: By code that is stored at every write: when its limit of writes is back at a
             whole burst, monotonic seconds (`operations.wear`).
     """
@@ -238,6 +290,7 @@ class LastingRecord:
     stopped_at_s: float = -math.inf
     stops_and_writes: int = 0
     lifts: int = 0
+    verb: Verb | None = None
     full_at_s: dict[Code, float] = field(default_factory=dict)
 
 
@@ -252,7 +305,7 @@ class Drive:
     """
 
     __slots__ = (
-        "_clock", "answer_times", "audit", "configuration", "control_word", "cyclic",
+        "_clock", "answer_times", "audit", "configuration", "control_word", "cyclic", "enable",
         "entry", "fault", "feed", "health", "home", "identity", "lasting", "name", "probe", "speed",
         "station",
     )  # fmt: skip
@@ -267,6 +320,8 @@ class Drive:
         self.name = entry.name
         self._clock = clock
         self.lasting = lasting or LastingRecord()
+        self.enable = EnableRecord()
+        self.entry = entry
         self.home = entry.address
         """The address that the roster's file gives it (`operations.readdress`)."""
         self.feed = FeedRecord()
@@ -278,6 +333,8 @@ class Drive:
 
     def begin(self, entry: DriveEntry, station: Station) -> None:
         """Start with an entry: nothing is known of the device yet that answers there."""
+        if (self.entry.address, self.entry.family) != (entry.address, entry.family):
+            self.enable = EnableRecord()
         self.entry = entry
         self.station = station
         self.health = HealthRecord()

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 __all__ = ["ExchangeEvent", "LineChange", "LineRequests"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class ExchangeEvent:
-    """What one exchange means.
+    """What one exchange means; no subscriber changes it (freezing it would double its cost).
 
     Args:
         report: The exchange as the worker reports it.

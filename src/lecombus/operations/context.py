@@ -64,11 +64,6 @@ class OperationContext:
 
     def set_roster(self, entries: Sequence[DriveEntry], groups: Mapping[str, GroupEntry]) -> None:
         """Take the roster's drives and groups, at the start and at every reload."""
-        now = {entry.name: (entry.address, entry.family) for entry in entries}
-        self.why.forget(
-            name for name, entry in self.entries.items()
-            if now.get(name) != (entry.address, entry.family)
-        )  # fmt: skip
         self.entries = {entry.name: entry for entry in entries}
         self.groups = dict(groups)
         self.permissions.entries = self.entries

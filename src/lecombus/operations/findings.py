@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
+from lecombus.drive_runtime import LastEnable
 from lecombus.drives import Family, Language, Text
 from lecombus.drives.faults import Fault
 from lecombus.drives.faults.reasons import Reason, Weight
@@ -34,7 +35,6 @@ from lecombus.readings import (
 
 __all__ = [
     "Finding",
-    "LastEnable",
     "MemoryEntry",
     "WhyReport",
     "answer_of",
@@ -113,40 +113,6 @@ class MemoryEntry:
             "meaning": None if known is None else known.meaning.in_language(language),
             "age_s": None if self.age_s is None else seconds(self.age_s),
             "stale": self.stale,
-        }
-
-
-@dataclass(frozen=True, slots=True)
-class LastEnable:
-    """The last enable of a drive, where it was refused or taken back.
-
-    Args:
-        at_s: When it ended, Unix seconds.
-        outcome: `refused` or `unknown`.
-        taken_back: The drive took it, did not show it, and was stopped again.
-        reason: What happened.
-        cause: Why, probably.
-        remedy: What to do.
-        by_drive: The drive refused or ignored it; else a setting kept it from being sent.
-    """
-
-    at_s: float
-    outcome: str
-    taken_back: bool
-    reason: str
-    cause: str
-    remedy: str
-    by_drive: bool
-
-    def as_json(self) -> dict[str, Json]:
-        """Return the JSON form."""
-        return {
-            "time": rfc3339(self.at_s),
-            "outcome": self.outcome,
-            "taken_back": self.taken_back,
-            "reason": self.reason or None,
-            "cause": self.cause or None,
-            "remedy": self.remedy or None,
         }
 
 

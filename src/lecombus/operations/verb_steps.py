@@ -90,7 +90,6 @@ class VerbSteps:
         self._writes = writes
         self._stops = stops
         self._restarted = restarted
-        self._busy: dict[str, Verb] = {}
 
     async def carry_out(self, run: Run, steps: Sequence[VerbStep]) -> WriteReport | None:
         """Take steps one after the other; return the report of the one that was not done."""
@@ -229,7 +228,8 @@ class VerbSteps:
         Raises:
             OperationError: `busy`.
         """
-        other = self._busy.get(drive)
+        lasting = self._context.lasting(drive)
+        other = lasting.verb
         if other is not None:
             raise OperationError(
                 f"{other} of {drive} is under way: {verb} was not begun",
@@ -237,11 +237,11 @@ class VerbSteps:
                 drive=drive,
                 remedy="ask again when it has ended; a stop need not wait",
             )
-        self._busy[drive] = verb
+        lasting.verb = verb
         try:
             yield
         finally:
-            del self._busy[drive]
+            lasting.verb = None
 
 
 def words_of(station: Station) -> tuple[Code, ...]:

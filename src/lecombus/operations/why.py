@@ -13,9 +13,10 @@ What must not live here: HTTP, terminals, what a fault number or a bit means.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from typing import Final
 
+from lecombus.drive_runtime import LastEnable
 from lecombus.drives import Family, StopAction, Verb
 from lecombus.drives.faults import NO_FAULT
 from lecombus.drives.faults.reasons import Weight, asked_codes, holding
@@ -25,7 +26,6 @@ from lecombus.drives.verbs import is_enabled, status_shows_quick_stop
 from lecombus.errors import LecombusError, LineError, OperationError, UnknownCodeError
 from lecombus.operations.findings import (
     Finding,
-    LastEnable,
     MemoryEntry,
     WhyReport,
     answer_of,
@@ -88,19 +88,18 @@ class Why:
         self._requests = requests
         self._store = store
         self._clock = clock
-        self._stops_then: dict[str, int] = {}
-        self._enables: dict[str, LastEnable] = {}
-        self._lapses_then: dict[str, int] = {}
+        self._drives = requests.drives
 
     def enable_ended(self, report: VerbReport, *, taken_back: bool) -> None:
         """Remember an enable that failed until one succeeds.
 
         One that a stop ended, or whose client left before anything was sent, says nothing.
         """
-        drive = report.drive
         if report.outcome in (Outcome.DONE, Outcome.VERIFIED):
-            self._enables.pop(drive, None)
-            self._lapses_then[drive] = self._lapses(drive)
+            drive = self._drives.find(report.drive)
+            if drive is not None:
+                drive.enable.failed = None
+                drive.enable.lapses_then = self._lapses(drive.name)
         elif report.outcome is not Outcome.SUPERSEDED and report.kind != "client-gone":
             self._remember(report, taken_back=taken_back, by_drive=True)
 
@@ -111,17 +110,13 @@ class Why:
         )
         self._remember(report, taken_back=False, by_drive=False)
 
-    def forget(self, drives: Iterable[str]) -> None:
-        """Forget what was remembered of drives that are others now."""
-        for drive in drives:
-            self._enables.pop(drive, None)
-            self._lapses_then.pop(drive, None)
-            self._stops_then.pop(drive, None)
-
     def _remember(self, report: VerbReport, *, taken_back: bool, by_drive: bool) -> None:
-        self._stops_then[report.drive] = self._stops(report.drive)
+        drive = self._drives.find(report.drive)
+        if drive is None:
+            return  # it has left the roster
+        drive.enable.stops_then = drive.lasting.stops_and_writes
         remedy = TAKEN_BACK_REMEDY if taken_back else report.remedy
-        self._enables[report.drive] = LastEnable(
+        drive.enable.failed = LastEnable(
             self._store.time_of_day(), report.outcome.value, taken_back, report.reason,
             report.cause, remedy, by_drive,
         )  # fmt: skip
@@ -150,7 +145,8 @@ class Why:
         last_enable = self._last_enable(drive, values)
         findings = self._own(info)
         if last_enable is not None:
-            stopped_since = self._stops(drive) != self._stops_then.get(drive)
+            found = self._drives.get(drive)
+            stopped_since = found.lasting.stops_and_writes != found.enable.stops_then
             findings.append(enable_finding(last_enable, stopped_since=stopped_since))
         absent = self._absent(drive, family)
         known = {code: one.value for code, one in values.items() if one.value is not None}
@@ -176,17 +172,16 @@ class Why:
 
     def _last_enable(self, drive: str, values: Mapping[Code, Reading]) -> LastEnable | None:
         """Give the last enable if it failed, unless the drive shows now that it is enabled."""
-        last = self._enables.get(drive)
+        enable = self._drives.get(drive).enable
         family = self._store.family(drive)
         good = {
             code: one.value
             for code, one in values.items()
             if one.value is not None and one.quality is Quality.GOOD
         }
-        if last is not None and family.verbs and is_enabled(Known(drive, family, good)):
-            del self._enables[drive]
-            return None
-        return last
+        if enable.failed and family.verbs and is_enabled(Known(drive, family, good)):
+            enable.failed = None
+        return enable.failed
 
     # -- what is asked -----------------------------------------------------------------------------
 
@@ -279,14 +274,10 @@ class Why:
         found = [lock_finding(info.remarks[lock]) for lock in WRITE_LOCKS if lock in info.remarks]
         lapses = self._lapses(info.name)
         if lapses:
-            since = lapses > self._lapses_then.get(info.name, 0)
+            since = lapses > self._drives.get(info.name).enable.lapses_then
             seen = status_shows_quick_stop(self._store.family(info.name))
             found.append(lapse_finding(lapses, unseen=since and not seen))
         return found
-
-    def _stops(self, drive: str) -> int:
-        """How often a drive was to stop, also by plain writes."""
-        return self._requests.drives.lasting(drive).stops_and_writes
 
     def _lapses(self, drive: str) -> int:
         feed = self._requests.worker.schedule.stats(self._clock()).feeds.get(drive)
