@@ -190,7 +190,7 @@ class Daemon:
             runtime.recorded,
             runtime.store,
             runtime.metrics,
-            custody=runtime.recorded_maintenance,
+            maintenance=runtime.recorded_maintenance,
             plan_facts=runtime.plan_facts,
             line_name=self._roster.line.name,
             port=self._roster.line.port,

@@ -137,15 +137,9 @@ class LineRuntime:
         )
         self.supervisor = self._make_supervisor()
         self._changes = self._make_changes()
-        context = OperationContext(
-            self.requests, self.store, self.wear, clock, lambda: self._recorder.disturbances
-        )
-        self.operations = Operations(context, self.health.restarted)
+        self.operations = self._make_operations()
         self._slow = SlowDrives(self.store, self.schedule)
-        self.maintenance = Maintenance(
-            self.identities, self.wear, self.readdress, self.drives,
-            lambda drive: self._slow.look([drive]),
-        )  # fmt: skip
+        self.maintenance = self._make_maintenance()
         self.actions, self.recorded, self.recorded_maintenance = self._make_recorded()
         self._overload = PollOverload(self.store)
         self._second_answers = SecondAnswers(self.store)
@@ -174,6 +168,18 @@ class LineRuntime:
             ),
             changes=(store.line_changed, self.health.line_changed, counts.line_changed),
         )
+
+    def _make_operations(self) -> Operations:
+        context = OperationContext(
+            self.requests, self.store, self.wear, self._clock, lambda: self._recorder.disturbances
+        )
+        return Operations(context, self.health.restarted)
+
+    def _make_maintenance(self) -> Maintenance:
+        return Maintenance(
+            self.identities, self.wear, self.readdress, self.drives,
+            lambda drive: self._slow.look([drive]),
+        )  # fmt: skip
 
     def _make_recorded(self) -> tuple[Actions, RecordedOperations, RecordedMaintenance]:
         actions = Actions(self._clock)

@@ -99,14 +99,14 @@ def recorded(actions: Actions, drives: Drives) -> RecordedOperations:
 
 async def everything(actions: Actions, drives: Drives) -> None:
     ops = recorded(actions, drives)
-    custody = RecordedMaintenance(cast(Any, drives), actions)
+    maintenance = RecordedMaintenance(cast(Any, drives), actions)
     await ops.write("feeder", FREQUENCY, 20, expires_s=None, verify=False)
     await ops.write_group("line", FREQUENCY, 20, expires_s=None, verify=False)
     await ops.verb("feeder", Verb.RESET_FAULT)
     await ops.verb("feeder", Verb.QUICK_STOP)
     await ops.stop(StopAction.QUICK_STOP, "line")
-    await custody.readdress("feeder", 12)
-    custody.accept("feeder", {})
+    await maintenance.readdress("feeder", 12)
+    maintenance.accept("feeder", {})
 
 
 @pytest.mark.anyio

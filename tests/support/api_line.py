@@ -158,7 +158,7 @@ class FakeOperations:
         return GroupReport(target, "one-by-one", outcome, members)
 
 
-class FakeCustody:
+class FakeMaintenance:
     """Maintenance that answers from one identity."""
 
     def identity(self, drive: str) -> IdentityReport:
@@ -207,7 +207,7 @@ def make_line() -> Line:
         ops,
         store,
         metrics,
-        custody=FakeCustody(),
+        maintenance=FakeMaintenance(),
         plan_facts=lambda: {
             "roster": {},
             "measured": {},

@@ -26,7 +26,7 @@ from starlette.routing import Match, Route
 from lecombus.api.answers import JSON_TYPE, status_response
 from lecombus.api.decimal_json import short
 from lecombus.api.idempotency import Idempotency
-from lecombus.api.operations_protocol import CustodyProtocol, OperationsProtocol
+from lecombus.api.operations_protocol import MaintenanceProtocol, OperationsProtocol
 from lecombus.api.problems import Problem, problem_of
 from lecombus.api.read_routes import ReadRoutes
 from lecombus.api.stop_routes import StopPaths, StopRoutes
@@ -47,7 +47,7 @@ def create_app(
     store: Store,
     metrics: Metrics,
     *,
-    custody: CustodyProtocol,
+    maintenance: MaintenanceProtocol,
     plan_facts: Callable[[], dict[str, Json]],
     line_name: str,
     ready: Check,
@@ -63,7 +63,7 @@ def create_app(
         ops: What is done on the line.
         store: What is known.
         metrics: The metrics page.
-        custody: Identities, counts of writes, addresses and measured times of drives.
+        maintenance: Identities, counts of writes, addresses and measured times of drives.
         plan_facts: What a plan is made from, and what the last minutes showed.
         line_name: The line's name.
         ready: Whether the line is open and every drive was tried once.
@@ -77,8 +77,8 @@ def create_app(
     app = Starlette(
         routes=[
             *StopRoutes(ops).routes(),
-            *ReadRoutes(ops, custody, store, facts, plan_facts, clock).routes(),
-            *WriteRoutes(ops, custody, Idempotency(clock)).routes(),
+            *ReadRoutes(ops, maintenance, store, facts, plan_facts, clock).routes(),
+            *WriteRoutes(ops, maintenance, Idempotency(clock)).routes(),
             *ServiceRoutes(metrics, ready, healthy, version or "0").routes(),
         ],
         middleware=[Middleware(StopPaths)],

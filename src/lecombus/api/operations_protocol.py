@@ -28,9 +28,9 @@ from lecombus.schedule.request import Priority
 from lecombus.store import Reading
 
 __all__ = [
-    "CustodyProtocol",
     "GroupInfo",
     "GroupReport",
+    "MaintenanceProtocol",
     "OperationsProtocol",
     "Reading",
     "RestoreRights",
@@ -40,7 +40,7 @@ __all__ = [
 ]
 
 
-class CustodyProtocol(Protocol):
+class MaintenanceProtocol(Protocol):
     """Identities, counts of writes, addresses and measured times of drives."""
 
     def identity(self, drive: str) -> IdentityReport:

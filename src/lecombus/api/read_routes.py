@@ -22,7 +22,7 @@ from starlette.routing import Route
 from lecombus.api.answers import group_json, json_response, text_response
 from lecombus.api.bodies import AddressQuery, ValueQuery, WhyQuery
 from lecombus.api.decimal_json import encode
-from lecombus.api.operations_protocol import CustodyProtocol, OperationsProtocol
+from lecombus.api.operations_protocol import MaintenanceProtocol, OperationsProtocol
 from lecombus.api.page_cache import PageCache
 from lecombus.api.problems import Problem, ProblemError
 from lecombus.api.request_checks import code_of, read_query, refuse_query
@@ -47,7 +47,7 @@ class ReadRoutes:
 
     Args:
         ops: What reads from the line.
-        custody: What knows identities and counts writes.
+        maintenance: What knows identities and counts writes.
         store: What is known.
         facts: The line's name, port and baud rate.
         plan_facts: What a plan is made from, and what the last minutes showed.
@@ -57,14 +57,14 @@ class ReadRoutes:
     def __init__(
         self,
         ops: OperationsProtocol,
-        custody: CustodyProtocol,
+        maintenance: MaintenanceProtocol,
         store: Store,
         facts: Mapping[str, Json],
         plan_facts: Callable[[], dict[str, Json]],
         clock: Callable[[], float],
     ) -> None:
         self._ops = ops
-        self._custody = custody
+        self._maintenance = maintenance
         self._store = store
         self._facts = facts
         self._plan_facts = plan_facts
@@ -177,12 +177,12 @@ class ReadRoutes:
     async def identity(self, request: Request) -> Response:
         """Who a drive is by its own word, by the record, and by the roster."""
         refuse_query(request)
-        return json_response(self._custody.identity(request.path_params["drive"]).as_json())
+        return json_response(self._maintenance.identity(request.path_params["drive"]).as_json())
 
     async def wear(self, request: Request) -> Response:
         """How often the codes that wear a drive's memory were written, for ever."""
         refuse_query(request)
-        return json_response(self._custody.wear(request.path_params["drive"]).as_json())
+        return json_response(self._maintenance.wear(request.path_params["drive"]).as_json())
 
     async def why(self, request: Request) -> Response:
         """Why a drive does not turn: what is known to keep it from that, and what to do next."""

@@ -27,7 +27,7 @@ from lecombus.api.bodies import (
 )
 from lecombus.api.decimal_json import short
 from lecombus.api.idempotency import Idempotency
-from lecombus.api.operations_protocol import CustodyProtocol, OperationsProtocol
+from lecombus.api.operations_protocol import MaintenanceProtocol, OperationsProtocol
 from lecombus.api.problems import Problem, ProblemError
 from lecombus.api.request_checks import code_of, read_body, refuse_query
 from lecombus.drives import Verb
@@ -48,15 +48,15 @@ class WriteRoutes:
 
     Args:
         ops: What writes to drives.
-        custody: What gives a drive another address or another identity.
+        maintenance: What gives a drive another address or another identity.
         keys: The idempotency keys used.
     """
 
     def __init__(
-        self, ops: OperationsProtocol, custody: CustodyProtocol, keys: Idempotency
+        self, ops: OperationsProtocol, maintenance: MaintenanceProtocol, keys: Idempotency
     ) -> None:
         self._ops = ops
-        self._custody = custody
+        self._maintenance = maintenance
         self._keys = keys
 
     def routes(self) -> list[Route]:
@@ -145,7 +145,7 @@ class WriteRoutes:
 
         async def act() -> Response:
             refuse_for_gone_client(drive)
-            return write_response(await self._custody.readdress(drive, body.address))
+            return write_response(await self._maintenance.readdress(drive, body.address))
 
         return await self._keys.run(request, raw, act)
 
@@ -160,7 +160,7 @@ class WriteRoutes:
 
         async def act() -> Response:
             refuse_for_gone_client(drive)
-            return json_response(self._custody.accept(drive, body.identity).as_json())
+            return json_response(self._maintenance.accept(drive, body.identity).as_json())
 
         return await self._keys.run(request, raw, act)
 
@@ -174,7 +174,7 @@ class WriteRoutes:
         _, raw = await read_body(request, NoKeysBody, may_be_empty=True)
 
         async def act() -> Response:
-            return json_response(self._custody.forget_times(drive).as_json())
+            return json_response(self._maintenance.forget_times(drive).as_json())
 
         return await self._keys.run(request, raw, act)
 
