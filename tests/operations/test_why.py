@@ -486,11 +486,15 @@ def test_another_drive_of_the_same_name_has_no_last_enable() -> None:
         plant.line["vector"].model.set_terminal(high=False)
         assert (await enable(plant, "vector")).outcome is Outcome.REFUSED
         operations, roster = plant.site.operations, plant.site.roster
-        operations.set_roster(roster.drives, roster.groups)
+        plant.site.apply(roster)
         assert (await operations.why("vector")).last_enable is not None
-        other = roster.drives[0].model_copy(update={"address": 15})
-        operations.set_roster([other], roster.groups)
-        operations.set_roster(roster.drives, roster.groups)
+        here = roster.drives[0]
+        patient = here.model_copy(update={"answer_time_s": 0.5})
+        plant.site.apply(roster.model_copy(update={"drives": (patient,)}))
+        assert (await operations.why("vector")).last_enable is not None, "it is the same drive"
+        other = here.model_copy(update={"address": 15})
+        plant.site.apply(roster.model_copy(update={"drives": (other,)}))
+        plant.site.apply(roster)
         assert (await operations.why("vector")).last_enable is None
 
     at("vector", test)
