@@ -17,7 +17,7 @@ from cli.conftest import Run
 from cli.daemon_stub import DaemonStub
 from lecombus.backups import Restored, make_plan, wanted_codes
 from lecombus.cli.backup_files import Notes
-from lecombus.cli.restore_reports import result_json, show_result
+from lecombus.cli.restore import result_json, show_result
 from lecombus.drives import family
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value

@@ -10,7 +10,7 @@ import pytest
 
 from cli.conftest import Run
 from cli.daemon_stub import DaemonStub
-from lecombus.cli import accept, readdress
+from lecombus.cli import drive_commands
 
 OLD, NEW = {"C1810": "OLD", "C1811": "x"}, {"C1810": "NEW", "C1811": "x"}
 
@@ -67,7 +67,7 @@ def test_what_is_no_code_and_value_is_said(run: Run, swapped: DaemonStub, seen: 
 def test_accept_asks_whoever_can_be_asked(
     run: Run, swapped: DaemonStub, monkeypatch: pytest.MonkeyPatch, answer: bool, status: int
 ) -> None:
-    monkeypatch.setattr(accept, "on_terminal", lambda: True)
+    monkeypatch.setattr(drive_commands, "on_terminal", lambda: True)
     monkeypatch.setattr(click, "confirm", lambda text: answer)
     assert run("accept", "feeder").status == status
     assert bool(posted(swapped)) is answer
@@ -144,7 +144,7 @@ def test_readdress_says_how_it_ended_and_what_to_do(run: Run, movable: DaemonStu
 def test_readdress_asks_whoever_can_be_asked(
     run: Run, movable: DaemonStub, monkeypatch: pytest.MonkeyPatch, answer: bool, status: int
 ) -> None:
-    monkeypatch.setattr(readdress, "on_terminal", lambda: True)
+    monkeypatch.setattr(drive_commands, "on_terminal", lambda: True)
     monkeypatch.setattr(click, "confirm", lambda text: answer)
     ran = run("readdress", "feeder", "35")
     assert ran.status == status

@@ -265,7 +265,7 @@ def test_a_confirmed_stop_raises_no_alarm(run: Run, daemon: DaemonStub) -> None:
 def test_on_a_terminal_the_alarm_is_red_and_alike_reasons_stand_once(
     run: Run, daemon: DaemonStub, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("lecombus.cli.reports.on_terminal", lambda: True)
+    monkeypatch.setattr("lecombus.cli.document_rows.on_terminal", lambda: True)
     monkeypatch.setattr("click.utils.should_strip_ansi", lambda *_: False)
     answer_stop(
         daemon,

@@ -9,7 +9,7 @@ import pytest
 from cli.conftest import Run
 from lecombus.backups.document import wanted_codes
 from lecombus.cli import describe
-from lecombus.cli.describe_words import GERMAN
+from lecombus.cli.describe import GERMAN
 from lecombus.drives import FAMILY_NAMES, family
 from lecombus.protocol import Code
 

@@ -321,7 +321,7 @@ def test_asking_for_help_imports_nothing_heavy() -> None:
 
 def test_a_stop_does_not_wait_for_the_server_s_libraries() -> None:
     script = (
-        "import sys; import lecombus.cli.stop; "
+        "import sys; import lecombus.cli.verb_commands; "
         "print([name for name in ('starlette', 'uvicorn', 'serial') if name in sys.modules])"
     )
     done = subprocess.run(
@@ -330,11 +330,11 @@ def test_a_stop_does_not_wait_for_the_server_s_libraries() -> None:
     assert done.stdout == "[]\n"
 
 
-@pytest.mark.parametrize("command", ["stop", "status", "read", "write", "group"])
-def test_a_command_for_the_daemon_imports_nothing_heavy(command: str) -> None:
+@pytest.mark.parametrize("module", ["verb_commands", "status", "read", "write", "drive_commands"])
+def test_a_command_for_the_daemon_imports_nothing_heavy(module: str) -> None:
     heavy = "{'pydantic', 'rich', 'yaml', 'starlette', 'anyio', 'serial', 'lecombus.config'}"
     program = (
-        f"import sys, lecombus.cli.entry, lecombus.cli.{command}; "
+        f"import sys, lecombus.cli.entry, lecombus.cli.{module}; "
         f"print(sorted({heavy} & set(sys.modules)), None in sys.modules.values())"
     )
     done = subprocess.run(

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from lecombus.cli import reports, screen
-from lecombus.cli.reports import show_reading
+from lecombus.cli import document_rows, screen
+from lecombus.cli.document_rows import show_reading
 from lecombus.cli.screen import age, show_rows
 
 
 @pytest.fixture(autouse=True)
 def _terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(screen, "on_terminal", lambda: True)
-    monkeypatch.setattr(reports, "on_terminal", lambda: True)
+    monkeypatch.setattr(document_rows, "on_terminal", lambda: True)
     monkeypatch.setenv("COLUMNS", "80")
 
 

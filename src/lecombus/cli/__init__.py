@@ -1,12 +1,14 @@
-"""The command line: one file a command, and no logic in any of them.
+"""The command line. A command is a function NAME_command; related commands share a module.
 
-`entry` finds the command and turns every error into a line and an exit status (`exits`). Commands
-that work on a roster call `config`, `simulator` or `daemon`; commands that talk to a running
-daemon go through `client`, which is HTTP and nothing else. What is printed goes through `screen`:
-tables on a terminal, tab-separated text in a pipe, the daemon's own documents with `--json`.
+`entry` finds the command by name and turns errors into lines on standard error and an exit status
+(`exits`). Commands on a roster call `config`, `simulator` or `daemon`. Commands to a running daemon
+use its HTTP API through `client`. Output goes through `screen`: tables on a terminal, tab-separated
+text in a pipe, the daemon's documents with `--json`.
 
-Nothing heavy is imported before the command that needs it: `lecombus run` shall reach its first
-telegram within a second.
+A command's module is imported only when the command is called, and imports heavy libraries only
+where it needs them: `lecombus run` must send its first telegram within a second.
+
+What must not live here: protocol, scheduling, and rules about drives.
 """
 
 from __future__ import annotations

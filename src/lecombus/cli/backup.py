@@ -33,7 +33,7 @@ from lecombus.drives import family
 from lecombus.protocol import Code
 from lecombus.readings import Json
 
-__all__ = ["command", "entry_json", "read_drive"]
+__all__ = ["backup_command", "entry_json", "read_drive"]
 
 
 @click.command("backup")
@@ -55,7 +55,7 @@ __all__ = ["command", "entry_json", "read_drive"]
 @wait_option
 @click.option("--partial", is_flag=True, help="Also write what is not complete.")
 @daemon_options
-def command(
+def backup_command(
     drive: str,
     output: Path | None,
     also: tuple[tuple[Code, ...], ...],

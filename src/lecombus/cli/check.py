@@ -14,13 +14,13 @@ from lecombus.cli.screen import on_terminal, show_rows
 from lecombus.config import RosterError, load_roster
 from lecombus.config.describing import COLUMNS, Description, describe
 
-__all__ = ["command"]
+__all__ = ["check_command"]
 
 
 @click.command("check")
 @roster_option
 @json_option
-def command(roster: Path, as_json: bool) -> int:
+def check_command(roster: Path, as_json: bool) -> int:
     """List all mistakes of a roster, or show what the roster means.
 
     Mistakes go to standard error, one a line as FILE:LINE:COLUMN, and the exit status is 2.

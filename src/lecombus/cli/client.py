@@ -20,8 +20,8 @@ from typing import Any
 
 import httpx2
 
+from lecombus.cli.document_rows import kind_of
 from lecombus.cli.exits import CommandError, Exit, Problem
-from lecombus.cli.reports import kind_of
 from lecombus.readings import Json
 
 __all__ = [

@@ -2,22 +2,57 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Final
 
 import click
 
 from lecombus.api.decimal_json import encode
 from lecombus.cli.arguments import CODE, json_option
-from lecombus.cli.describe_words import Say, words_in
+from lecombus.cli.document_rows import Document
 from lecombus.cli.exits import CommandError, Exit, Problem
-from lecombus.cli.reports import Document
 from lecombus.cli.screen import on_terminal, show_rows
 from lecombus.descriptions import bits_document, code_document, family_document
 from lecombus.drives import FAMILY_NAMES, CodeInfo, Family, Language, WriteClass, family
 from lecombus.drives.codes import BY_OWN_MANUAL, OTHERS
 from lecombus.protocol import Code
 
-__all__ = ["command"]
+__all__ = ["GERMAN", "describe_command"]
+
+Say = Callable[[str], str]
+"""Gives an English word in the language asked for."""
+
+GERMAN: Final[Mapping[str, str]] = {
+    "code": "Code",
+    "name": "Name",
+    "format": "Format",
+    "hexadecimal digits": "Hexadezimalziffern",
+    "unit": "Einheit",
+    "values": "Werte",
+    "value": "Wert",
+    "default": "Werkseinstellung",
+    "access": "Zugriff",
+    "kept": "Speicherort",
+    "parameter set": "Parametersatz",
+    "subcodes": "Subcodes",
+    "source": "Quelle",
+    "bit": "Bit",
+    "bits": "Bits",
+    "to": "bis",
+    "read": "lesen",
+    "write": "schreiben",
+    "while inhibited": "bei Reglersperre",
+    "edge": "Flanke",
+    "step": "Schritt",
+    "save": "Speichern",
+    "address": "Adresse",
+    "reset": "Rücksetzen",
+    "stored": "dauerhaft",
+    "module": "im Modul",
+    "volatile": "flüchtig",
+    "reserved": "reserviert",
+    "free: its meaning is set in the drive": "frei: die Bedeutung wird im Antrieb eingestellt",
+}
 
 FAULT_RESET = Code(43)
 HEADINGS = ("code", "name", "format", "values", "access", "kept", "source")
@@ -40,7 +75,7 @@ HEADINGS = ("code", "name", "format", "values", "access", "kept", "source")
     help="The words of a 93XX with this signal configuration, such as 1011.",
 )
 @json_option
-def command(
+def describe_command(
     family_name: str, code: Code | None, lang: str, configuration: int | None, as_json: bool
 ) -> int:
     """Show what is known of the codes of FAMILY, or all that is known of one CODE.
@@ -183,3 +218,8 @@ def neighbours(described: Family, code: Code) -> Sequence[CodeInfo]:
     """Give the described codes nearest to one that is not."""
     nearest = sorted(described.described(), key=lambda one: abs(one.code.number - code.number))
     return sorted(nearest[:3], key=lambda one: one.code)
+
+
+def words_in(language: Language) -> Say:
+    """Return what gives words in a language."""
+    return GERMAN.__getitem__ if language is Language.DE else str

@@ -20,7 +20,7 @@ from lecombus.cli.progress_bar import progress
 from lecombus.cli.screen import show_rows
 from lecombus.readings import Json
 
-__all__ = ["command"]
+__all__ = ["diff_command"]
 
 SUFFIXES = (".yaml", ".yml")
 
@@ -36,7 +36,7 @@ SUFFIXES = (".yaml", ".yml")
 )
 @wait_option
 @daemon_options
-def command(
+def diff_command(
     one: str,
     other: str,
     everything: bool,

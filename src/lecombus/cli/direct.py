@@ -7,9 +7,9 @@ import time
 import anyio.to_thread
 
 from lecombus.api.decimal_json import encode
+from lecombus.cli.document_rows import Document
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.own_line import own_line
-from lecombus.cli.reports import Document
 from lecombus.drives import LineTiming, family
 from lecombus.errors import ExchangeError, NoReplyError
 from lecombus.line.loop import run

@@ -21,8 +21,8 @@ import httpx2
 
 from lecombus.backups import ReadResult, WriteResult
 from lecombus.cli.client import answer_of, body_text, unreachable
+from lecombus.cli.document_rows import kind_of
 from lecombus.cli.exits import CommandError, Exit, Problem
-from lecombus.cli.reports import kind_of
 from lecombus.errors import CodeValueError
 from lecombus.protocol import Code, Value
 from lecombus.readings import Json

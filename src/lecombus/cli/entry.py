@@ -12,8 +12,9 @@ import json
 import logging
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module
+from typing import Final
 
 import click
 
@@ -29,34 +30,35 @@ from lecombus.errors import (
 
 __all__ = ["COMMANDS", "lecombus", "main"]
 
-COMMANDS = {
-    "demo": "Watch simulated drives of five families, without any hardware.",
-    "run": "Run the line that a roster describes.",
-    "check": "List the mistakes of a roster, or show what it means.",
-    "plan": "Say what a line can hold and how long requests wait, before it runs.",
-    "simulate": "Simulate a roster's drives, on a pty or a TCP port.",
-    "read": "Read one code of one drive.",
-    "write": "Write one code of one drive.",
-    "group": "Write one code of every drive of a group.",
-    "enable": "Release quick stop and inhibit of one drive: its motor may turn.",
-    "set-speed": "Give one drive its speed, in Hz or %.",
-    "reset-fault": "Reset the fault of one drive, which stays inhibited.",
-    "quick-stop": "Stop drives along their ramp, before everything else.",
-    "inhibit": "Inhibit drives, before everything else: no torque.",
-    "stop": "Stop drives, before everything else; all of them if none is named.",
-    "readdress": "Give a drive another address, and use it from then on.",
-    "rebaud": "Give all drives of a line another baud rate, with the daemon stopped.",
-    "wear": "Show how often a drive's memory was written.",
-    "accept": "Accept another drive in the place of the one that was there.",
-    "forget-times": "Drop the measured answer times of a drive.",
-    "describe": "Say what is known of the codes of a family of drives.",
-    "backup": "Read all parameters of a drive into a file.",
-    "diff": "Show the differences of two backups or drives.",
-    "restore": "Write a backup back into a drive, after showing what that changes.",
-    "status": "Show the line and its drives, or one drive with its values.",
-    "scan": "Find the drives on a line, and propose a roster.",
-    "why": "Say why a drive does not turn, and what to do next.",
+COMMANDS: Final[Mapping[str, tuple[str, str]]] = {
+    "demo": ("run", "Watch simulated drives of five families, without any hardware."),
+    "run": ("run", "Run the line that a roster describes."),
+    "check": ("check", "List the mistakes of a roster, or show what it means."),
+    "plan": ("line_plan", "Say what a line can hold and how long requests wait, before it runs."),
+    "simulate": ("simulate", "Simulate a roster's drives, on a pty or a TCP port."),
+    "read": ("read", "Read one code of one drive."),
+    "write": ("write", "Write one code of one drive."),
+    "group": ("write", "Write one code of every drive of a group."),
+    "enable": ("verb_commands", "Release quick stop and inhibit of one drive: its motor may turn."),
+    "set-speed": ("verb_commands", "Give one drive its speed, in Hz or %."),
+    "reset-fault": ("verb_commands", "Reset the fault of one drive, which stays inhibited."),
+    "quick-stop": ("verb_commands", "Stop drives along their ramp, before everything else."),
+    "inhibit": ("verb_commands", "Inhibit drives, before everything else: no torque."),
+    "stop": ("verb_commands", "Stop drives, before everything else; all of them if none is named."),
+    "readdress": ("drive_commands", "Give a drive another address, and use it from then on."),
+    "rebaud": ("rebaud", "Give all drives of a line another baud rate, with the daemon stopped."),
+    "wear": ("drive_commands", "Show how often a drive's memory was written."),
+    "accept": ("drive_commands", "Accept another drive in the place of the one that was there."),
+    "forget-times": ("drive_commands", "Drop the measured answer times of a drive."),
+    "describe": ("describe", "Say what is known of the codes of a family of drives."),
+    "backup": ("backup", "Read all parameters of a drive into a file."),
+    "diff": ("diff", "Show the differences of two backups or drives."),
+    "restore": ("restore", "Write a backup back into a drive, after showing what that changes."),
+    "status": ("status", "Show the line and its drives, or one drive with its values."),
+    "scan": ("scan", "Find the drives on a line, and propose a roster."),
+    "why": ("diagnosis", "Say why a drive does not turn, and what to do next."),
 }
+"""By name, in the order of the help: the module in `cli/` with its `NAME_command`, and the help."""
 
 
 COMPLETION = "_LECOMBUS_COMPLETE"
@@ -64,7 +66,7 @@ COMPLETION = "_LECOMBUS_COMPLETE"
 
 
 class _Commands(click.Group):
-    """Finds a command in the module of its name."""
+    """Finds a command in its module, which is imported then."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -73,14 +75,14 @@ class _Commands(click.Group):
         if cmd_name not in COMMANDS:
             remedy = meant(cmd_name, COMMANDS, "the commands")
             raise CommandError(Exit.USAGE, Problem(f"there is no command `{cmd_name}`", remedy))
-        module = import_module(f"lecombus.cli.{cmd_name.replace('-', '_')}")
-        command: click.Command = module.command
+        module = import_module(f"lecombus.cli.{COMMANDS[cmd_name][0]}")
+        command: click.Command = getattr(module, f"{cmd_name.replace('-', '_')}_command")
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List them without importing any."""
         with formatter.section("Commands"):
-            formatter.write_dl(list(COMMANDS.items()))
+            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
 
 
 @click.group(

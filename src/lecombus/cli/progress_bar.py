@@ -1,7 +1,7 @@
-"""How long work goes on: a bar on a terminal, silence in a pipe.
+"""The bar on standard error that shows how far long work has come.
 
-The bar goes to standard error, so that standard output stays what a command was asked for. Lines
-worth reading (a line that was lost, a code that was refused) are shown in both, but not in JSON.
+It is shown on a terminal only. Standard output stays the command's result. Lines for the user, such
+as a lost line or a refused code, are shown in a pipe too, except with JSON.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import click
 
@@ -18,16 +18,14 @@ if TYPE_CHECKING:
 
 __all__ = ["Bar", "progress"]
 
-WIDTH: Final = 30
-
 
 class Bar:
     """A listener that shows how far the work is.
 
     Args:
-        bar: The bar; None: nothing is shown.
+        bar: The bar; None: it is not shown.
         task: Its one task.
-        quiet: Say nothing at all.
+        quiet: Do not print lines either.
     """
 
     def __init__(self, bar: Progress | None, task: TaskID | None, *, quiet: bool) -> None:
@@ -35,28 +33,29 @@ class Bar:
         self._task = task
         self._quiet = quiet
 
-    def advance(self, done: int, total: int) -> None:
-        """Move the bar."""
+    def advance(self, done: int, total: int, title: str | None = None) -> None:
+        """Move the bar; `title`: change the text beside it."""
         if self._bar is not None and self._task is not None:
-            self._bar.update(self._task, completed=done, total=total)
+            self._bar.update(self._task, completed=done, total=total, description=title)
 
     def say(self, text: str) -> None:
-        """Say a line above the bar."""
+        """Print a line above the bar."""
         if self._quiet:
             return
         if self._bar is not None:
-            self._bar.console.print(text, markup=False, highlight=False)
+            self._bar.console.print(text, markup=False, highlight=False, soft_wrap=True)
         else:
             click.echo(text, err=True)
 
 
 @contextmanager
-def progress(title: str, *, quiet: bool = False) -> Iterator[Bar]:
-    """Show a bar while the block runs, where somebody looks.
+def progress(title: str, *, quiet: bool = False, counts: bool = True) -> Iterator[Bar]:
+    """Show a bar on a terminal while the block runs.
 
     Args:
-        title: What is going on.
-        quiet: Say nothing at all, as for JSON.
+        title: What the work is.
+        quiet: Print nothing at all, as for JSON.
+        counts: Show `3/20` behind the bar; otherwise the title stands there.
     """
     if quiet or not sys.stderr.isatty():
         yield Bar(None, None, quiet=quiet)
@@ -64,6 +63,7 @@ def progress(title: str, *, quiet: bool = False) -> Iterator[Bar]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(WIDTH), MofNCompleteColumn())
+    text = TextColumn("{task.description}", markup=False)
+    columns = (text, BarColumn(30), MofNCompleteColumn()) if counts else (BarColumn(24), text)
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         yield Bar(bar, bar.add_task(title, total=None), quiet=False)

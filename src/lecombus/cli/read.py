@@ -9,12 +9,12 @@ import click
 
 from lecombus.cli.arguments import CODE, daemon_options
 from lecombus.cli.client import connect
+from lecombus.cli.document_rows import show_reading
 from lecombus.cli.exits import CommandError, Exit, Problem
-from lecombus.cli.reports import show_reading
 from lecombus.protocol import BAUDS as ALL_BAUDS
 from lecombus.protocol import Code, is_drive_address
 
-__all__ = ["command"]
+__all__ = ["read_command"]
 
 BAUDS = [str(baud) for baud in ALL_BAUDS]
 
@@ -27,7 +27,7 @@ BAUDS = [str(baud) for baud in ALL_BAUDS]
 @click.option("--family", default="generic", show_default=True, help="The drive's family.")
 @click.option("--baud", type=click.Choice(BAUDS), default="9600", show_default=True)
 @daemon_options
-def command(
+def read_command(
     words: Sequence[str],
     stored: bool,
     port: str | None,

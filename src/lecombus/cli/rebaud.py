@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import socket
 import sys
 from collections.abc import Awaitable, Callable
@@ -16,18 +17,27 @@ from lecombus.cli.arguments import json_option, roster_option
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.progress_bar import progress
 from lecombus.cli.rebaud_line import carry_out, form_of
-from lecombus.cli.rebaud_reports import show_end, show_plan
-from lecombus.cli.screen import on_terminal
+from lecombus.cli.screen import on_terminal, show_rows
 from lecombus.config import DriveEntry, Roster, load_roster
-from lecombus.drives import family
+from lecombus.drives import family, saving_rule
 from lecombus.drives.identity import identity_codes
 from lecombus.errors import LecombusError
 from lecombus.line.loop import run
 from lecombus.protocol import BAUDS, Code
-from lecombus.rebaud import Drive, DrivePlace, LineAccess, Rebaud, RebaudEnd, Subject, ending_of
+from lecombus.rebaud import (
+    Drive,
+    DrivePlace,
+    LineAccess,
+    Rebaud,
+    RebaudEnd,
+    Subject,
+    ending_of,
+    situation,
+    what_to_do,
+)
 from lecombus.state import State
 
-__all__ = ["command"]
+__all__ = ["rebaud_command"]
 
 Procedure = Callable[[LineAccess], Awaitable[None]]
 
@@ -35,7 +45,7 @@ RATES = [str(baud) for baud in BAUDS]
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class RebaudOptions:
     """What the command line asks for.
 
     Args:
@@ -63,7 +73,7 @@ class Wish:
 @click.option("--generic-c0125", "generic", is_flag=True,
               help="Generic drives are stopped, and their C0125 is like a 2102's.")  # fmt: skip
 @json_option
-def command(
+def rebaud_command(
     rate: str,
     roster: Path,
     origin: str | None,
@@ -98,19 +108,19 @@ def command(
     _check_rates(subjects, old, new)
     work = Rebaud(subjects, old, new)
     _ask_drives(work, read, quiet=as_json)
-    wish = Wish(read, yes or dry_run, back, as_json)
-    if _shows_plan(work, wish, dry_run=dry_run):
+    options = RebaudOptions(read, yes or dry_run, back, as_json)
+    if _shows_plan(work, options, dry_run=dry_run):
         show_plan(work, read, as_json=as_json)
     if work.obstacles:
         raise CommandError(Exit.FAILED, *_problems(work))
-    return Exit.DONE if dry_run else _do(work, wish)
+    return Exit.DONE if dry_run else _do(work, options)
 
 
-def _shows_plan(work: Rebaud, wish: Wish, *, dry_run: bool) -> bool:
+def _shows_plan(work: Rebaud, options: RebaudOptions, *, dry_run: bool) -> bool:
     """Whether the plan is told: not beside the one JSON document, or the one list of a pipe."""
-    if wish.as_json:
+    if options.as_json:
         return dry_run and not work.obstacles
-    return dry_run or not wish.yes or on_terminal()
+    return dry_run or not options.yes or on_terminal()
 
 
 def _problems(work: Rebaud) -> list[Problem]:
@@ -231,15 +241,19 @@ def _ask_drives(work: Rebaud, roster: Roster, *, quiet: bool) -> None:
 # ---- doing it -----------------------------------------------------------------------------------
 
 
-def _do(work: Rebaud, wish: Wish) -> int:
+def _do(work: Rebaud, options: RebaudOptions) -> int:
     """Ask, move, offer the way back, and say how it came out."""
-    _make_sure(work, wish)
-    trouble = _try(work, work.move, wish, DrivePlace.NEW, work.new)
+    _make_sure(work, options)
+    trouble = _try(work, work.move, options, DrivePlace.NEW, work.new)
     went_back = False
-    if ending_of(work) is RebaudEnd.MIXED and not work.line.interrupted and _wants_back(work, wish):
+    if (
+        ending_of(work) is RebaudEnd.MIXED
+        and not work.line.interrupted
+        and _wants_back(work, options)
+    ):
         went_back = True
-        trouble = _try(work, work.back, wish, DrivePlace.OLD, work.old)
-    show_end(work, wish.roster, trouble, as_json=wish.as_json)
+        trouble = _try(work, work.back, options, DrivePlace.OLD, work.old)
+    show_end(work, options.roster, trouble, as_json=options.as_json)
     if work.line.interrupted:
         return Exit.INTERRUPTED
     unsaved = any(drive.saved is False for drive in work.drives)
@@ -277,43 +291,45 @@ def _carry(work: Rebaud, procedure: Procedure, roster: Roster, shown: Shown) -> 
         run(carry_out, procedure, roster, subjects, interrupt, watch)
 
 
-def _try(work: Rebaud, procedure: Procedure, wish: Wish, aim: DrivePlace, baud: int) -> str:
+def _try(
+    work: Rebaud, procedure: Procedure, options: RebaudOptions, aim: DrivePlace, baud: int
+) -> str:
     """Carry out a procedure; return what ended it early, empty where nothing did.
 
     After an error the user must still see where the drives are.
     """
-    shown = Shown(f"to {baud} baud", lambda drive: drive.place is aim, quiet=wish.as_json)
+    shown = Shown(f"to {baud} baud", lambda drive: drive.place is aim, quiet=options.as_json)
     try:
-        _carry(work, procedure, wish.roster, shown)
+        _carry(work, procedure, options.roster, shown)
     except LecombusError as exc:
         return str(exc)
     return ""
 
 
-def _can_be_asked(wish: Wish) -> bool:
-    return not wish.as_json and sys.stdin.isatty() and sys.stdout.isatty()
+def _can_be_asked(options: RebaudOptions) -> bool:
+    return not options.as_json and sys.stdin.isatty() and sys.stdout.isatty()
 
 
-def _make_sure(work: Rebaud, wish: Wish) -> None:
+def _make_sure(work: Rebaud, options: RebaudOptions) -> None:
     """Ask, unless the command line has answered already.
 
     Raises:
         CommandError: Nobody can be asked, or the answer was no.
     """
-    if wish.yes:
+    if options.yes:
         return
-    if not _can_be_asked(wish):
+    if not _can_be_asked(options):
         problem = Problem("nobody can be asked here; nothing was written", "repeat it with --yes")
         raise CommandError(Exit.USAGE, problem)
     if not click.confirm(f"Change the line from {work.old} to {work.new} baud?"):
         raise CommandError(Exit.FAILED, Problem("nothing was written"))
 
 
-def _wants_back(work: Rebaud, wish: Wish) -> bool:
+def _wants_back(work: Rebaud, options: RebaudOptions) -> bool:
     """Ask whether drives are to be brought back; who says nothing wants them to stay."""
-    if wish.back:
+    if options.back:
         return True
-    if wish.yes or not _can_be_asked(wish):
+    if options.yes or not _can_be_asked(options):
         return False
     for drive in work.drives:
         if drive.why:
@@ -321,3 +337,84 @@ def _wants_back(work: Rebaud, wish: Wish) -> bool:
     with suppress(click.Abort):
         return click.confirm(f"Not every drive came over. Bring all back to {work.old} baud?")
     return False
+
+
+def show_plan(work: Rebaud, roster: Roster, *, as_json: bool) -> None:
+    """Say what would be written to whom, and what happens besides."""
+    if as_json:
+        click.echo(json.dumps({**_head(work, roster), "ending": "planned", "remedies": []}))
+        return
+    rows = [
+        (one.name, str(one.subject.address), one.subject.family.name, _now(one), _step(one, work),
+         one.motion, one.note)
+        for one in work.drives
+    ]  # fmt: skip
+    show_rows(("drive", "address", "family", "now", "write", "motion", "watchdog"), rows)
+    if on_terminal():
+        click.echo(
+            "A drive that is on this line and not in the roster stays where it is, out of reach."
+        )
+
+
+def _now(drive: Drive) -> str:
+    return f"{drive.rate} baud" if drive.rate is not None else "silent"
+
+
+def _step(drive: Drive, work: Rebaud) -> str:
+    if drive.place is DrivePlace.NEW or drive.rate is None:
+        return ""
+    subject = drive.subject
+    rule = saving_rule(subject.family)
+    saving = f", then {rule.codes[0]} = {rule.value}" if rule is not None else ""
+    return f"{subject.spoken} = {subject.number(work.new)}{saving}"
+
+
+def show_end(work: Rebaud, roster: Roster, trouble: str, *, as_json: bool) -> None:
+    """Say where every drive is, and what to do.
+
+    Args:
+        work: What came out.
+        roster: The roster.
+        trouble: What ended it early; empty where nothing did.
+        as_json: Print one JSON document.
+    """
+    remedies = what_to_do(work, roster.file, roster.line.baud)
+    if as_json:
+        document = {**_head(work, roster), "ending": ending_of(work).value, "remedies": remedies}
+        click.echo(json.dumps({**document, "trouble": trouble or None}))
+        return
+    if trouble:
+        click.echo(f"ended early: {trouble}", err=True)
+    if work.line.interrupted:
+        click.echo("interrupted: nothing further was sent", err=True)
+    rows = [
+        (one.name, str(one.subject.address), situation(one, work), one.why) for one in work.drives
+    ]
+    show_rows(("drive", "address", "where", "why"), rows)
+    for remedy in remedies:
+        click.echo(remedy)
+
+
+def _head(work: Rebaud, roster: Roster) -> dict[str, object]:
+    return {
+        "line": roster.line.name,
+        "from": work.old,
+        "to": work.new,
+        "interrupted": work.line.interrupted,
+        "trouble": None,
+        "drives": [_as_json(one, work) for one in work.drives],
+    }
+
+
+def _as_json(drive: Drive, work: Rebaud) -> dict[str, object]:
+    return {
+        "drive": drive.name,
+        "address": drive.subject.address,
+        "family": drive.subject.family.name,
+        "place": drive.place.value,
+        "baud": drive.rate,
+        "shows": situation(drive, work),
+        "why": drive.why or None,
+        "motion": drive.motion or None,
+        "watchdog": drive.note or None,
+    }

@@ -1,4 +1,4 @@
-"""`lecombus restore`: a backup back into a drive."""
+"""`lecombus restore`: a backup is written back into a drive."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ from lecombus.backups import (
     Progress,
     Restored,
     RestorePlan,
+    RestoreStep,
+    Skip,
     is_inhibited,
     make_plan,
     read_backup,
@@ -33,22 +35,16 @@ from lecombus.cli.client import connect_async
 from lecombus.cli.drive_access import HttpDrive, RestoreRights, Whose
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.progress_bar import progress
-from lecombus.cli.restore_reports import (
-    plan_json,
-    result_json,
-    show_interrupted,
-    show_plan,
-    show_result,
-)
-from lecombus.cli.screen import counted
+from lecombus.cli.screen import counted, on_terminal, show_rows
 from lecombus.drives import family
 from lecombus.protocol import Code, Value
+from lecombus.readings import Json
 
-__all__ = ["command"]
+__all__ = ["restore_command", "result_json", "show_result"]
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class RestoreOptions:
     """What the command line asks for.
 
     Args:
@@ -109,7 +105,7 @@ class Seen:
 )
 @wait_option
 @daemon_options
-def command(
+def restore_command(
     file: Path,
     drive: str,
     dry_run: bool,
@@ -133,19 +129,21 @@ def command(
     """
     text = read_text(file)
     backup = read_backup(text, str(file))
-    wish = Wish(backup, digest_of(text), drive, other_drive, dry_run, yes or dry_run, enable,
-                patience_s, as_json)  # fmt: skip
+    options = RestoreOptions(
+        backup, digest_of(text), drive, other_drive, dry_run, yes or dry_run, enable, patience_s,
+        as_json,
+    )  # fmt: skip
     with said_when_interrupted("nothing was written"):
-        seen = anyio.run(look, wish, socket, url)
+        seen = anyio.run(look, options, socket, url)
     if dry_run:
         if as_json:
             click.echo(json.dumps(plan_json(seen.plan, drive)))
         else:
             show_plan(seen.plan, drive, enabled=seen.enabled, enable=enable)
-        check(wish, seen)
+        check(options, seen)
         return Exit.DONE
     with Notes.opened(seen.whose.line, drive) as notes:
-        return carry_out(wish, seen, notes, socket, url)
+        return carry_out(options, seen, notes, socket, url)
 
 
 @contextlib.contextmanager
@@ -158,96 +156,100 @@ def said_when_interrupted(what: str) -> Iterator[None]:
         raise
 
 
-async def look(wish: Wish, socket: str | None, url: str | None) -> Seen:
+async def look(options: RestoreOptions, socket: str | None, url: str | None) -> Seen:
     """Read what a plan is made from, and make it.
 
     Raises:
         CommandError: The drive could not be read.
     """
     async with connect_async(socket, url) as (client, where):
-        drive = HttpDrive(client, where, wish.drive)
+        drive = HttpDrive(client, where, options.drive)
         whose, rights = await drive.whose(), await drive.restore_rights()
         kind = family(whose.family)
-        codes = codes_to_read(wish.backup, rights.owned) if kind is wish.backup.family else ()
-        with progress(f"reading {wish.drive}", quiet=wish.as_json) as bar:
-            taken = await take(drive, codes, patience_s=wish.patience_s, listener=bar)
+        codes = codes_to_read(options.backup, rights.owned) if kind is options.backup.family else ()
+        with progress(f"reading {options.drive}", quiet=options.as_json) as bar:
+            taken = await take(drive, codes, patience_s=options.patience_s, listener=bar)
         if taken.unsettled:
-            raise incomplete(wish.drive, taken.unsettled, None)
-        plan = make_plan(wish.backup, kind, taken.answers, owned=rights.owned,
-                         other_drive=wish.other_drive)  # fmt: skip
+            raise incomplete(options.drive, taken.unsettled, None)
+        plan = make_plan(options.backup, kind, taken.answers, owned=rights.owned,
+                         other_drive=options.other_drive)  # fmt: skip
         inhibited = await is_inhibited(drive, kind)
         return Seen(whose, rights, plan, None if inhibited is None else not inhibited)
 
 
-def check(wish: Wish, seen: Seen) -> None:
+def check(options: RestoreOptions, seen: Seen) -> None:
     """Refuse what must not be restored.
 
     Raises:
         CommandError: The plan says that it is wrong, or the roster does not permit it.
     """
     if seen.plan.blockers:
-        strange = wish.backup.family is seen.plan.family and not wish.other_drive
+        strange = options.backup.family is seen.plan.family and not options.other_drive
         remedy = "with --to-other-drive, if it is meant for it" if strange else ""
-        problems = [Problem(text, remedy, drive=wish.drive) for text in seen.plan.blockers]
+        problems = [Problem(text, remedy, drive=options.drive) for text in seen.plan.blockers]
         raise CommandError(Exit.USAGE, *problems)
     if seen.rights.reason:
-        problem = Problem(seen.rights.reason, seen.rights.remedy, "not-permitted", wish.drive)
+        problem = Problem(seen.rights.reason, seen.rights.remedy, "not-permitted", options.drive)
         raise CommandError(Exit.FORBIDDEN, problem)
 
 
-def carry_out(wish: Wish, seen: Seen, notes: Notes, socket: str | None, url: str | None) -> int:
+def carry_out(
+    options: RestoreOptions, seen: Seen, notes: Notes, socket: str | None, url: str | None
+) -> int:
     """Show the plan, ask, and do it."""
-    before = left_by(notes, wish)
+    before = left_by(notes, options)
     plan = seen.plan
     unsaved = plan.save is not None and before is not None and bool(before.done)
-    if not wish.as_json:
-        show_plan(plan, wish.drive, enabled=seen.enabled, enable=wish.enable)
-        tell_before(before, notes, wish)
-    check(wish, seen)
+    if not options.as_json:
+        show_plan(plan, options.drive, enabled=seen.enabled, enable=options.enable)
+        tell_before(before, notes, options)
+    check(options, seen)
     if not plan.steps and not unsaved:
         notes.finish()
-        if wish.as_json:
-            click.echo(json.dumps(result_json(plan, Restored(), wish.drive)))
+        if options.as_json:
+            click.echo(json.dumps(result_json(plan, Restored(), options.drive)))
         return Exit.DONE
-    make_sure(wish)
+    make_sure(options)
     enabled = seen.enabled is True or (before is not None and before.enabled)
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    begun = before or Progress(wish.backup.name, wish.digest, now, enabled)
+    begun = before or Progress(options.backup.name, options.digest, now, enabled)
     notes.begin(replace(begun, enabled=enabled))
     result = Restored()
     try:
-        with progress(wish.drive, quiet=wish.as_json) as bar:
+        with progress(options.drive, quiet=options.as_json) as bar:
             result, stops = anyio.run(
-                work, wish, plan, notes, unsaved, socket, url, bar, result.written
+                work, options, plan, notes, unsaved, socket, url, bar, result.written
             )
     except KeyboardInterrupt:
         result.stopped = "interrupted"
-        if wish.as_json:
-            click.echo(json.dumps(result_json(plan, result, wish.drive)))
+        if options.as_json:
+            click.echo(json.dumps(result_json(plan, result, options.drive)))
         else:
-            show_interrupted(plan, result, wish.drive)
+            show_interrupted(plan, result, options.drive)
         raise
     if result.complete:
         notes.finish()
     enabling = ""
-    if wish.enable and enabled and result.complete:
-        enabling = enable_again(wish, stops, socket, url)
-    if wish.as_json:
-        click.echo(json.dumps(result_json(plan, result, wish.drive)))
+    if options.enable and enabled and result.complete:
+        enabling = enable_again(options, stops, socket, url)
+    if options.as_json:
+        click.echo(json.dumps(result_json(plan, result, options.drive)))
     else:
-        show_result(plan, result, wish.drive, enabled=enabled and wish.enable and not enabling)
+        show_result(
+            plan, result, options.drive, enabled=enabled and options.enable and not enabling
+        )
     if enabling:
-        raise CommandError(Exit.FAILED, Problem(f"{wish.drive} stays inhibited: {enabling}"))
+        raise CommandError(Exit.FAILED, Problem(f"{options.drive} stays inhibited: {enabling}"))
     return Exit.DONE if result.complete else Exit.FAILED
 
 
-def left_by(notes: Notes, wish: Wish) -> Progress | None:
+def left_by(notes: Notes, options: RestoreOptions) -> Progress | None:
     """Give what an earlier try of this very restore left; another file's is not taken for it."""
     left = notes.left
-    return left if left is not None and left.digest == wish.digest else None
+    return left if left is not None and left.digest == options.digest else None
 
 
-def tell_before(before: Progress | None, notes: Notes, wish: Wish) -> None:
+def tell_before(before: Progress | None, notes: Notes, options: RestoreOptions) -> None:
     """Say that a restore was interrupted before."""
     if before is not None:
         codes = counted(len(before.done), "code")
@@ -255,29 +257,29 @@ def tell_before(before: Progress | None, notes: Notes, wish: Wish) -> None:
     elif notes.left is not None:
         click.echo(
             f"a restore of {notes.left.file}, begun at {notes.left.begun}, was not finished: "
-            f"{wish.drive} may hold a part of it"
+            f"{options.drive} may hold a part of it"
         )
 
 
-def make_sure(wish: Wish) -> None:
+def make_sure(options: RestoreOptions) -> None:
     """Ask, unless the command line has answered already.
 
     Raises:
         CommandError: Nobody can be asked, or the answer was no.
     """
-    if wish.yes:
+    if options.yes:
         return
-    if wish.as_json or not (sys.stdin.isatty() and sys.stdout.isatty()):
+    if options.as_json or not (sys.stdin.isatty() and sys.stdout.isatty()):
         problem = Problem("nobody can be asked here; nothing was written", "repeat it with --yes")
         raise CommandError(Exit.USAGE, problem)
     with said_when_interrupted("nothing was written"):
-        sure = click.confirm(f"Restore {wish.drive}?")
+        sure = click.confirm(f"Restore {options.drive}?")
     if not sure:
         raise CommandError(Exit.FAILED, Problem("nothing was written"))
 
 
 async def work(
-    wish: Wish,
+    options: RestoreOptions,
     plan: RestorePlan,
     notes: Notes,
     unsaved: bool,
@@ -297,26 +299,173 @@ async def work(
         kept[code] = value
 
     async with connect_async(socket, url) as (client, where):
-        drive = HttpDrive(client, where, wish.drive)
+        drive = HttpDrive(client, where, options.drive)
         with contextlib.suppress(CommandError):  # a daemon that is away is waited for
             drive.stops = (await drive.restore_rights()).stops
         result = await restore(
-            drive, plan, patience_s=wish.patience_s, listener=listener, written=written,
+            drive, plan, patience_s=options.patience_s, listener=listener, written=written,
             unsaved=unsaved,
         )  # fmt: skip
         return result, drive.stops
 
 
-def enable_again(wish: Wish, stops: str, socket: str | None, url: str | None) -> str:
+def enable_again(options: RestoreOptions, stops: str, socket: str | None, url: str | None) -> str:
     """Lift the inhibit; give why it could not be, empty when it was."""
-    left = (
-        f"{wish.drive} is restored, and stays inhibited unless `lecombus status` shows it enabled"
-    )
+    drive = options.drive
+    left = f"{drive} is restored, and stays inhibited unless `lecombus status` shows it enabled"
 
     async def enable() -> str:
         async with connect_async(socket, url) as (client, where):
-            said = await HttpDrive(client, where, wish.drive, stops=stops).enable()
+            said = await HttpDrive(client, where, drive, stops=stops).enable()
             return "" if said.done else said.text or said.kind
 
     with said_when_interrupted(left):
         return anyio.run(enable)
+
+
+def show_plan(plan: RestorePlan, drive: str, *, enabled: bool | None, enable: bool) -> None:
+    """Print what would be written, what is left out, and what should be known before.
+
+    Args:
+        plan: The plan.
+        drive: The drive's name.
+        enabled: It is enabled now; None where it does not say.
+        enable: It shall be enabled again at the end.
+    """
+    if on_terminal():
+        click.echo(headline(plan, drive))
+    rows = [
+        (
+            "write", str(step.code), step.name, told(step.now, step.now_means),
+            told(step.value, step.value_means), step.unit or "", step.because,
+        )
+        for step in plan.steps
+    ]  # fmt: skip
+    rows += [
+        ("skip", str(skip.code), skip.name, "", "", "", skip.why) for skip in worth_telling(plan)
+    ]
+    if rows:
+        show_rows(("", "code", "name", "now", "then", "unit", "why"), rows)
+    for remark in plan.remarks:
+        click.echo(remark, err=True)
+    if plan.steps and enabled:
+        after = "enabled again at the end: the motor may turn" if enable else "stays so"
+        click.echo(f"{drive} is enabled: it will be inhibited, and {after}", err=True)
+    if plan.save is not None and plan.steps:
+        click.echo(f"at the end {plan.save[0]} = {plan.save[1]} saves it all", err=True)
+
+
+def headline(plan: RestorePlan, drive: str) -> str:
+    """Return the plan in one line."""
+    expected = sum(skip.expected for skip in plan.skips)
+    parts = [f"{len(plan.steps)} to write", f"{len(plan.same)} right already"]
+    if others := len(plan.skips) - expected:
+        parts.append(f"{others} left out")
+    if expected:
+        parts.append(f"{expected} process values and the like")
+    return f"{drive}: " + ", ".join(parts)
+
+
+def worth_telling(plan: RestorePlan) -> list[Skip]:
+    """Give what is left out and somebody might miss: not every process value."""
+    return [skip for skip in plan.skips if not skip.expected]
+
+
+def told(value: Value, meaning: str) -> str:
+    """Return a value with its meaning."""
+    return f"{value} ({meaning})" if meaning else value.raw
+
+
+def show_result(plan: RestorePlan, result: Restored, drive: str, *, enabled: bool) -> None:
+    """Print how it ended."""
+    rows = [
+        (str(code), "refused", plan.wanted[code].raw, "", why)
+        for code, why in result.refused.items()
+    ]
+    rows += [
+        (
+            str(code), "changed", value.raw, answer.value.raw if answer.value else "",
+            answer.text or "somebody else wrote it, or the drive did not keep it",
+        )
+        for code, (value, answer) in result.changed.items()
+    ]  # fmt: skip
+    if rows:
+        show_rows(("code", "outcome", "wanted", "reads", "why"), rows)
+    if result.stopped:
+        click.echo(f"stopped: {result.stopped}", err=True)
+        if result.written:
+            click.echo(f"written: {', '.join(map(str, result.written))}", err=True)
+    written = counted(len(result.written), "code")
+    if result.complete:
+        saved = " and saved" if result.saved else ""
+        click.echo(f"{drive}: {written} written and read back{saved}, all as in the file")
+    else:
+        rest = "run it again: it goes on with what is missing"
+        click.echo(f"{drive}: {written} written, not complete; {rest}", err=True)
+        if result.saved is False:
+            click.echo("not saved: what was written is lost at power-off", err=True)
+    if enabled:
+        click.echo(f"{drive} is enabled again")
+    elif result.inhibited_here and result.inhibited_now:
+        click.echo(f"{drive} is inhibited: enable it yourself, when it may move")
+    elif result.inhibited_now is not True:
+        told = "is not" if result.inhibited_now is False else "does not say whether it is"
+        click.echo(f"{drive} {told} inhibited now: take it for one that may start", err=True)
+
+
+def show_interrupted(plan: RestorePlan, result: Restored, drive: str) -> None:
+    """Say what a restore that was cut short by Ctrl-C has done, and how to go on."""
+    written = len(result.written)
+    of = f"{written} of {counted(len(plan.steps), 'code')}"
+    more = "" if written == len(plan.steps) else "; the one under way may have been written too"
+    holds = "stays inhibited and holds" if written else "may be inhibited and hold"
+    click.echo(
+        f"interrupted: {of} written to {drive} and read back{more}; it {holds} a part of the "
+        "backup. Run the same command again: it goes on with what is missing",
+        err=True,
+    )
+
+
+def plan_json(plan: RestorePlan, drive: str) -> dict[str, Json]:
+    """Return the plan's JSON form."""
+    return {
+        "drive": drive,
+        "blockers": list(plan.blockers),
+        "remarks": list(plan.remarks),
+        "write": [step_json(step) for step in plan.steps],
+        "same": [str(code) for code in plan.same],
+        "skip": [{"code": str(s.code), "name": s.name, "reason": s.why} for s in plan.skips],
+    }
+
+
+def step_json(step: RestoreStep) -> dict[str, Json]:
+    """Return the JSON form of one write."""
+    return {
+        "code": str(step.code),
+        "name": step.name,
+        "unit": step.unit,
+        "now": step.now.raw,
+        "then": step.value.raw,
+        "reason": step.because or None,
+    }
+
+
+def result_json(plan: RestorePlan, result: Restored, drive: str) -> dict[str, Json]:
+    """Return the result's JSON form, with the plan it came from."""
+    return {
+        **plan_json(plan, drive),
+        "complete": result.complete,
+        "written": [str(code) for code in result.written],
+        "refused": [{"code": str(code), "reason": why} for code, why in result.refused.items()],
+        "changed": [
+            {
+                "code": str(code),
+                "wanted": value.raw,
+                "reads": None if answer.value is None else answer.value.raw,
+            }
+            for code, (value, answer) in result.changed.items()
+        ],
+        "stopped": result.stopped or None,
+        "inhibited": result.inhibited_here and result.inhibited_now is True,
+        "saved": result.saved,
+    }

@@ -1,4 +1,4 @@
-"""`lecombus run`: the daemon."""
+"""`lecombus run` and `lecombus demo`: the daemon, for a roster or for simulated drives."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from pathlib import Path
 
 import click
 
-from lecombus.cli.arguments import roster_option
+from lecombus.cli.arguments import DURATION, roster_option
 from lecombus.cli.logs import FORMATS, LEVELS, set_up_logging
 
-__all__ = ["command"]
+__all__ = ["demo_command", "run_command"]
 
 
 @click.command("run")
@@ -30,7 +30,7 @@ __all__ = ["command"]
     default="logfmt",
     show_default=True,
 )
-def command(roster: Path, log_level: str, log_format: str) -> int:
+def run_command(roster: Path, log_level: str, log_format: str) -> int:
     """Run the line that a roster describes, until SIGTERM or Ctrl-C.
 
     Logs go to standard error, one event a line; nothing goes to standard output. SIGHUP reads the
@@ -44,3 +44,25 @@ def command(roster: Path, log_level: str, log_format: str) -> int:
         return run(roster, log_format=log_format)
     finally:
         gc.enable()
+
+
+@click.command("demo")
+@click.option(
+    "--for", "seconds", type=DURATION, help="End after this time, such as 30s; default: at Ctrl-C."
+)
+@click.option(
+    "--http",
+    default=None,
+    metavar="HOST:PORT",
+    help="Where the API and /metrics are served; default: 127.0.0.1:9740, or another "
+    "port where that is in use.",
+)
+def demo_command(seconds: float | None, http: str | None) -> int:
+    """Watch simulated drives of five families, without any hardware.
+
+    Values are live and go through the whole daemon, from the serial line to HTTP. On a terminal
+    they stand in a table that is redrawn; in a pipe each round is a few plain lines.
+    """
+    from lecombus.demo import run_demo
+
+    return run_demo(seconds, http)

@@ -1,31 +1,41 @@
-"""`lecombus scan`: what is on a line, and a roster for it."""
+"""`lecombus scan`: the drives on a line, and a roster for them."""
 
 from __future__ import annotations
 
 import json
 import os
+import sys
 import tempfile
-from dataclasses import dataclass
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import anyio
 import click
 
 from lecombus.cli import client
 from lecombus.cli.arguments import daemon_options
 from lecombus.cli.client import Daemon, connect
 from lecombus.cli.exits import CommandError, Exit, Problem
-from lecombus.cli.scan_lines import scan_by_daemon, scan_own_port
-from lecombus.cli.scan_progress import ScanProgress
+from lecombus.cli.own_line import OwnPort, own_port
+from lecombus.cli.progress_bar import Bar, progress
 from lecombus.cli.screen import on_terminal, show_rows
 from lecombus.config import LineEntry, line_timing
 from lecombus.config.building import STATE_DIR
 from lecombus.drives import family, read_cost
 from lecombus.line.loop import run
 from lecombus.line.unheard import END_IT, others_at, shared
+from lecombus.operations.address_reads import read_address
 from lecombus.protocol import BAUDS, Code, Form, is_drive_address
+from lecombus.protocol.values import Value
 from lecombus.scanning import (
+    Ask,
     Finding,
+    Heard,
+    HeardKind,
     ProposedLine,
     Scan,
     ScanPlan,
@@ -34,15 +44,21 @@ from lecombus.scanning import (
     propose,
     why_nothing,
 )
+from lecombus.schedule import Priority
 
-__all__ = ["command"]
+__all__ = ["scan_command"]
+
+Watch = Callable[[], None]
+
+MEASURED = 5
+"""From this number of addresses on, the measured time of an address replaces the computed one."""
 
 ALL_BAUDS = (9600, 19200, 4800, 2400, 1200)
 """Ex works first, then the one people change to."""
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class ScanOptions:
     """What the command line asks for, besides where.
 
     Args:
@@ -109,7 +125,7 @@ def _bauds(ctx: click.Context, param: click.Parameter, text: str | None) -> tupl
               help="Write the roster there instead of showing it.")  # fmt: skip
 @click.option("--force", is_flag=True, help="Overwrite FILE.")
 @daemon_options
-def command(
+def scan_command(
     port: str | None,
     bauds: tuple[int, ...],
     all_bauds: bool,
@@ -142,8 +158,8 @@ def command(
     "why", "says", "watchdog", "remarks"}], "unclear", "roster"}. Exit status 1: no drive found.
     """
     rates = ALL_BAUDS if all_bauds else bauds or (9600,)
-    wish = Wish(addresses, rates, thorough, output, force, as_json)
-    _check_output(wish)
+    options = ScanOptions(addresses, rates, thorough, output, force, as_json)
+    _check_output(options)
     if all_bauds and bauds:
         raise CommandError(
             Exit.USAGE, Problem("--bauds and --all-bauds are both given", "leave one of them out")
@@ -153,24 +169,25 @@ def command(
             what = "a daemon scans at its line's baud rate only"
             remedy = "leave the rates out, or stop the daemon and scan with --port"
             raise CommandError(Exit.USAGE, Problem(what, remedy))
-        return _through_daemon(wish, socket, url)
+        return _through_daemon(options, socket, url)
     if socket or url:
         raise CommandError(
             Exit.USAGE, Problem("--port and a daemon are both given", "leave one of them out")
         )
     line = LineEntry(name=name, port=port, parity=parity, direction=direction)  # type: ignore[arg-type]
-    return _on_own_port(wish, line)
+    return _on_own_port(options, line)
 
 
-def _on_own_port(wish: Wish, line: LineEntry) -> int:
+def _on_own_port(options: ScanOptions, line: LineEntry) -> int:
     place = ProposedLine(
         line.name, line.port, line.parity, line.direction, _socket(line.name),
-        _state(line.name, wish.output),
+        _state(line.name, options.output),
     )  # fmt: skip
     check_place(place)
-    scan = Scan(ScanPlan(wish.addresses, wish.bauds, wish.thorough))
-    with ScanProgress(scan, _look_s(line, wish.bauds[0])) as progress:
-        bytes_heard = run(scan_own_port, scan, line, progress.watch)
+    scan = Scan(ScanPlan(options.addresses, options.bauds, options.thorough))
+    with _scan_bar() as bar:
+        watch = _ScanProgress(scan, _look_s(line, options.bauds[0]), bar).watch
+        bytes_heard = run(scan_own_port, scan, line, watch)
     others = others_at(line.port)
     if others and scan.found:
         click.echo(f"{shared(line.port, others)}: {END_IT}, and scan again", err=True)
@@ -181,28 +198,28 @@ def _on_own_port(wish: Wish, line: LineEntry) -> int:
         echo = bytes_heard > 0 and not scan.samples  # all that was heard is what was sent
         what, remedy = why_nothing(
             scan.samples, scan.unclear, echo=echo, parity=line.parity,
-            bauds=wish.bauds,
+            bauds=options.bauds,
         )  # fmt: skip
         raise CommandError(Exit.FAILED, Problem(what, remedy, "no-drive"))
     baud = _commonest(scan.found)
     text, _ = propose(place, baud, scan.found, scan.unclear)
-    _give(wish, scan, text, {"port": line.port, "baud": baud})
+    _give(options, scan, text, {"port": line.port, "baud": baud})
     return Exit.DONE
 
 
-def _through_daemon(wish: Wish, socket: str | None, url: str | None) -> int:
+def _through_daemon(options: ScanOptions, socket: str | None, url: str | None) -> int:
     with connect(socket, url) as daemon:
         line = _line_of(daemon)
         known = {int(one["address"]) for one in daemon.get("/v1/drives").data["drives"]}
-        addresses = tuple(one for one in wish.addresses if one not in known)
+        addresses = tuple(one for one in options.addresses if one not in known)
         if not addresses:
             raise CommandError(
                 Exit.USAGE, Problem("the roster has all of these addresses", "name others")
             )
         baud = line.baud
-        scan = Scan(ScanPlan(addresses, (baud,), wish.thorough, listen_s=0.0))
-        with ScanProgress(scan, _look_s(line, baud)) as progress:
-            scan_by_daemon(scan, daemon, progress.watch)
+        scan = Scan(ScanPlan(addresses, (baud,), options.thorough, listen_s=0.0))
+        with _scan_bar() as bar:
+            scan_by_daemon(scan, daemon, _ScanProgress(scan, _look_s(line, baud), bar).watch)
         silence = daemon.get("/v1/line").data.get("remarks", {}).get("silence")
     if not scan.found:
         what = f"no drive answers at an address that the roster does not have, at {baud} baud"
@@ -216,8 +233,59 @@ def _through_daemon(wish: Wish, socket: str | None, url: str | None) -> int:
     added = "\n".join(
         ["# To be added under `drives:` of the roster:", *entries(scan.found, {}), ""]
     )
-    _give(wish, scan, added, here)
+    _give(options, scan, added, here)
     return Exit.DONE
+
+
+def _scan_bar() -> AbstractContextManager[Bar]:
+    """Show a bar on a terminal; a pipe gets nothing on standard error."""
+    return progress("listening", quiet=not sys.stderr.isatty(), counts=False)
+
+
+class _ScanProgress:
+    """Shows how far a scan is, how long it may take, and each drive when it is found.
+
+    Args:
+        scan: The scan.
+        look_s: Computed time of an address without a drive, seconds.
+        bar: Where it is shown.
+    """
+
+    def __init__(self, scan: Scan, look_s: float, bar: Bar) -> None:
+        self._scan = scan
+        self._look_s = look_s
+        self._bar = bar
+        self._shown = 0
+        self._looks, self._spent_s, self._looked = 0, 0.0, 0
+        self._watched_s = time.monotonic()
+
+    def watch(self) -> None:
+        """Show the state of the scan."""
+        scan, now_s = self._scan, time.monotonic()
+        if scan.looks > self._looks:
+            self._looks, self._looked = scan.looks, self._looked + 1
+            self._spent_s += now_s - self._watched_s
+        self._watched_s = now_s
+        for one in scan.found[self._shown :]:
+            self._bar.say(_found_line(one))
+        self._shown = len(scan.found)
+        title = f"address {scan.address} at {scan.baud} baud, {self._found()}, {self._left()}"
+        self._bar.advance(scan.looks, scan.looks + scan.looks_left, title)
+
+    def _found(self) -> str:
+        count = len(self._scan.found)
+        return "1 drive found" if count == 1 else f"{count or 'no'} drives found"
+
+    def _left(self) -> str:
+        """Say how long it may still take, from the measured time of an address."""
+        per_look_s = self._look_s if self._looked < MEASURED else self._spent_s / self._looked
+        return f"about {self._scan.looks_left * per_look_s:.0f} s left"
+
+
+def _found_line(one: Finding) -> str:
+    sure = "" if one.certain or one.family == "generic" else " (probably)"
+    labels = f" ({', '.join(text for _, text in one.labels)})" if one.labels else ""
+    return f"{one.address} at {one.baud} baud: {one.family}{sure}{labels}"
 
 
 def _line_of(daemon: Daemon) -> LineEntry:
@@ -260,31 +328,32 @@ def _state(name: str, roster: Path | None) -> str:
 # ---- what comes of it ---------------------------------------------------------------------------
 
 
-def _check_output(wish: Wish) -> None:
+def _check_output(options: ScanOptions) -> None:
     """Say before a scan, and not after it, that its result cannot be kept."""
-    if wish.output is None:
+    if options.output is None:
         return
-    if wish.output.exists() and not wish.force:
-        problem = f"{wish.output} exists"
+    if options.output.exists() and not options.force:
+        problem = f"{options.output} exists"
         raise CommandError(
             Exit.USAGE, Problem(problem, "name another file, or overwrite it with --force")
         )
-    if not wish.output.parent.is_dir():
+    if not options.output.parent.is_dir():
         raise CommandError(
-            Exit.USAGE, Problem(f"{wish.output.parent} is no directory", "make it first")
+            Exit.USAGE, Problem(f"{options.output.parent} is no directory", "make it first")
         )
-    if not os.access(wish.output.parent, os.W_OK):
+    if not os.access(options.output.parent, os.W_OK):
         raise CommandError(
-            Exit.FORBIDDEN, Problem(f"{wish.output.parent} may not be written to", "name another")
+            Exit.FORBIDDEN,
+            Problem(f"{options.output.parent} may not be written to", "name another"),
         )
 
 
-def _give(wish: Wish, scan: Scan, text: str, line: dict[str, Any]) -> None:
+def _give(options: ScanOptions, scan: Scan, text: str, line: dict[str, Any]) -> None:
     """Show what was found, and give the roster to whom it was wanted for."""
-    if wish.output is not None:
-        with wish.output.open("w" if wish.force else "x", encoding="utf-8") as file:
+    if options.output is not None:
+        with options.output.open("w" if options.force else "x", encoding="utf-8") as file:
             file.write(text)
-    if wish.as_json:
+    if options.as_json:
         document = {
             **line,
             "drives": [_as_json(one) for one in scan.found],
@@ -293,7 +362,7 @@ def _give(wish: Wish, scan: Scan, text: str, line: dict[str, Any]) -> None:
         }
         click.echo(json.dumps(document, ensure_ascii=False))
         return
-    if wish.output is None:
+    if options.output is None:
         click.echo(text, nl=False)
         return
     rows = [
@@ -303,7 +372,7 @@ def _give(wish: Wish, scan: Scan, text: str, line: dict[str, Any]) -> None:
     show_rows(("address", "baud", "family", "says", "note"), rows)
     if on_terminal():
         click.echo(
-            f"{wish.output} is written: read it through, then lecombus check -c {wish.output}"
+            f"{options.output} is written: read it through, then lecombus check -c {options.output}"
         )
 
 
@@ -324,3 +393,99 @@ def _as_json(one: Finding) -> dict[str, Any]:
         "watchdog": None if dog is None else {"time_s": dog.time_s, "action": dog.action},
         "remarks": list(one.remarks),
     }
+
+
+async def scan_own_port(scan: Scan, line: LineEntry, watch: Watch) -> int:
+    """Scan on a port of our own, reopened for every baud rate.
+
+    Args:
+        scan: The search.
+        line: Port, parity and direction; its baud rate is not used.
+        watch: Called before every question and at the end.
+
+    Returns:
+        How many bytes were received, echoes included.
+
+    Raises:
+        LineError: The port cannot be used, or another master speaks on the line.
+    """
+    async with own_port(line, retries=0) as port:
+        try:
+            await scan.run(_OnOwnPort(port, watch))
+        finally:
+            watch()
+        return port.bytes_heard
+
+
+def scan_by_daemon(scan: Scan, daemon: Daemon, watch: Watch) -> None:
+    """Scan through a running daemon, which asks in its background class.
+
+    Raises:
+        CommandError: The daemon cannot be reached, or does not ask.
+    """
+    work = scan.run(_ByDaemon(daemon, watch))
+    try:
+        work.send(None)  # its questions block in HTTP, so that no event loop is needed
+    except StopIteration:
+        return
+    finally:
+        watch()
+
+
+@dataclass(frozen=True, slots=True)
+class _OnOwnPort:
+    """`AddressAccess` on a port of our own."""
+
+    port: OwnPort
+    watch: Watch
+
+    async def ask(self, ask: Ask) -> Heard:
+        """Read a code at an address, once."""
+        self.watch()
+        own = await self.port.at(ask.baud)
+        heard = await read_address(
+            own.requests,
+            ask.address,
+            ask.code,
+            form=ask.form,
+            family_name=ask.family,
+            patient=ask.patient,
+            priority=Priority.INTERACTIVE,
+            disturbances=lambda: own.disturbances,
+        )
+        return replace(heard, received=own.take_strays() + heard.received)
+
+    async def listen(self, baud: int, for_s: float) -> Heard:
+        """Send nothing for some seconds; return what was heard."""
+        own = await self.port.at(baud)
+        await anyio.sleep(for_s)
+        return Heard(HeardKind.SILENCE, received=own.take_strays(), disturbances=own.disturbances)
+
+
+@dataclass(frozen=True, slots=True)
+class _ByDaemon:
+    """`AddressAccess` through a running daemon."""
+
+    daemon: Daemon
+    watch: Watch
+
+    async def ask(self, ask: Ask) -> Heard:
+        """Read a code at an address, once."""
+        self.watch()
+        answer: dict[str, Any] = self.daemon.get(
+            f"/v1/line/addresses/{ask.address}/codes/{ask.code}",
+            addressing=ask.form.value,
+            family=ask.family,
+            patient="true" if ask.patient else "false",
+        ).data
+        raw = answer.get("raw")
+        return Heard(
+            HeardKind(answer["heard"]),
+            None if raw is None else Value.parse(str(raw)),
+            bytes.fromhex(answer.get("received") or ""),
+            int(answer.get("disturbances") or 0),
+        )
+
+    async def listen(self, baud: int, for_s: float) -> Heard:
+        """A daemon has listened to its line already."""
+        return Heard(HeardKind.SILENCE)

@@ -1,10 +1,13 @@
-"""`lecombus simulate`: a roster's drives without the drives."""
+"""`lecombus simulate`: simulated drives for a roster, and commands to a running simulator."""
 
 from __future__ import annotations
 
 import json
 import os
 import signal
+import sys
+import threading
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -12,20 +15,21 @@ import click
 
 from lecombus.cli.arguments import json_option
 from lecombus.cli.exits import CommandError, Exit, Problem
-from lecombus.cli.simulator_talk import control_path, listen_to_terminal, tell_simulator
 from lecombus.config import Roster, load_roster
 from lecombus.simulator import (
     LONGEST_PATH,
     Control,
+    ControlError,
     ControlSocket,
     PtyEnd,
     SimLine,
     TcpEnd,
     build,
     parse_faults,
+    tell,
 )
 
-__all__ = ["command"]
+__all__ = ["simulate_command"]
 
 _ENDS = {signal.SIGINT, signal.SIGTERM}
 
@@ -51,7 +55,7 @@ _ENDS = {signal.SIGINT, signal.SIGTERM}
 @click.option("--tell", "lines", multiple=True, metavar="LINE",
               help="Send a command to a running simulator, such as help, and end.")  # fmt: skip
 @json_option
-def command(
+def simulate_command(
     roster: Path | None, pty: Path | None, tcp: str | None, faults: str, seed: int,
     control: Path | None, lines: tuple[str, ...], as_json: bool, control_word: str,
     fault_digit: str,
@@ -74,9 +78,9 @@ def command(
     In a pipe the first line is the port and nothing else. With --json: {"port", "line", "baud",
     "drives": [{"drive", "address", "family"}]}; with --tell [{"told", "answer"}], one a LINE.
     """
-    where = control_path(pty, control)
+    where = _control_path(pty, control)
     if lines:
-        tell_simulator(where, lines, as_json=as_json)
+        _tell_simulator(where, lines, as_json=as_json)
         return Exit.DONE
     _check_ends(roster, pty, tcp)
     assert roster is not None
@@ -95,7 +99,7 @@ def command(
             told = Control(line, end.lock, end)
             if where is not None:
                 _serve_control(stack, where, told, wanted=control is not None)
-            typed = listen_to_terminal(told.do)
+            typed = _listen_to_terminal(told.do)
             port = end.path if isinstance(end, PtyEnd) else end.url
             _announce(wanted, port, typed=typed, as_json=as_json)
             signal.sigwait(_ENDS)
@@ -194,3 +198,79 @@ def _announce(roster: Roster, port: str, *, typed: bool, as_json: bool) -> None:
     text = f"{what} of {roster.line.name} at {roster.line.baud} baud; Ctrl-C ends this"
     more = "\nType help for what can happen to them, such as trip, unplug, swap." if typed else ""
     click.echo(text + more, err=True)
+
+
+def _control_path(pty: Path | None, control: Path | None) -> Path | None:
+    """Where a simulator is told: as given, or beside its link; None where there is neither."""
+    if control is not None:
+        return control
+    return pty.with_name(pty.name + ".control") if pty is not None else None
+
+
+def _tell_simulator(path: Path | None, lines: tuple[str, ...], *, as_json: bool) -> None:
+    """Tell a running simulator lines, one after another, and print what it answers.
+
+    As JSON it is printed when all of them are done, or when one is wrong.
+
+    Raises:
+        CommandError: It is not there, or says that a line is wrong.
+    """
+    if path is None:
+        remedy = "give the --pty or the --control that the simulator was started with"
+        raise CommandError(Exit.USAGE, Problem("--tell does not know whom to tell", remedy))
+    told: list[dict[str, str]] = []
+    try:
+        for line in lines:
+            answer = _send_line(path, line)
+            told.append({"told": line, "answer": answer})
+            if answer and not as_json:
+                click.echo(answer)
+    finally:
+        if as_json:
+            click.echo(json.dumps(told, ensure_ascii=False))
+
+
+def _send_line(path: Path, line: str) -> str:
+    """Tell one line and give the answer.
+
+    Raises:
+        CommandError: The simulator is not there, or says that the line is wrong.
+    """
+    try:
+        return tell(path, line)
+    except ControlError as exc:
+        raise CommandError(Exit.FAILED, Problem(str(exc))) from exc
+    except OSError as exc:
+        problem = f"no simulator is told through {path}: {exc.strerror or exc}"
+        remedy = "start it with `lecombus simulate`, and name its --pty or --control here"
+        raise CommandError(Exit.UNREACHABLE, Problem(problem, remedy)) from exc
+
+
+def _listen_to_terminal(do: Callable[[str], str]) -> bool:
+    """Do lines typed into the terminal, if this process is in front of one.
+
+    Args:
+        do: Does a line, see `Control.do`.
+
+    Returns:
+        Whether there is such a terminal.
+    """
+    if not sys.stdin.isatty() or os.tcgetpgrp(sys.stdin.fileno()) != os.getpgrp():
+        return False
+    # Sent to the background later, reading fails instead of stopping the whole simulator.
+    signal.signal(signal.SIGTTIN, signal.SIG_IGN)
+    threading.Thread(target=_do_typed_lines, args=(do,), name="sim-terminal", daemon=True).start()
+    return True
+
+
+def _do_typed_lines(do: Callable[[str], str]) -> None:
+    try:
+        for line in sys.stdin:
+            try:
+                answer = do(line)
+            except ControlError as exc:
+                answer = f"lecombus: {exc}"
+            if answer:
+                click.echo(answer, err=True)
+    except OSError:
+        return

@@ -9,11 +9,11 @@ import click
 
 from lecombus.cli.arguments import daemon_options
 from lecombus.cli.client import connect
+from lecombus.cli.document_rows import Document, code_of, quality_of, shown_value
 from lecombus.cli.exits import Exit
-from lecombus.cli.reports import Document, code_of, quality_of, shown_value
 from lecombus.cli.screen import Styled, age, on_terminal, show_rows, table_text
 
-__all__ = ["command"]
+__all__ = ["status_command"]
 
 _TRIPS = ("trip", "fault")
 
@@ -21,7 +21,7 @@ _TRIPS = ("trip", "fault")
 @click.command("status")
 @click.argument("drive", required=False)
 @daemon_options
-def command(drive: str | None, socket: str | None, url: str | None, as_json: bool) -> int:
+def status_command(drive: str | None, socket: str | None, url: str | None, as_json: bool) -> int:
     """Show the line and all its drives, or DRIVE with every value that is known of it.
 
     Nothing is sent to the line. MOTOR says whether a drive runs or what stops it, by every word

@@ -9,11 +9,11 @@ import click
 
 from lecombus.cli.arguments import daemon_options
 from lecombus.cli.client import connect
+from lecombus.cli.document_rows import Document
 from lecombus.cli.exits import Exit
-from lecombus.cli.reports import Document
 from lecombus.cli.screen import age, on_terminal, show_rows, table_text
 
-__all__ = ["command"]
+__all__ = ["why_command"]
 
 WORDS: Mapping[str, Mapping[str, str]] = {
     "en": {
@@ -41,7 +41,7 @@ HEADINGS = (("reason", "also"), ("hint", "may"), ("note", "note"))
     help="The language of findings and faults.",
 )  # fmt: skip
 @daemon_options
-def command(
+def why_command(
     drive: str, stored: bool, lang: str, socket: str | None, url: str | None, as_json: bool
 ) -> int:
     """Say why DRIVE does not turn, or why it has stopped, and what to do next.

@@ -1,0 +1,228 @@
+"""Commands on one drive of a running daemon: wear, forget-times, accept and readdress."""
+
+from __future__ import annotations
+
+from urllib.parse import quote
+
+import click
+
+from lecombus.cli.arguments import CODE, daemon_options
+from lecombus.cli.client import Daemon, connect
+from lecombus.cli.document_rows import Document, show_write, status_of
+from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.cli.screen import age, on_terminal, show_rows, table_text
+from lecombus.protocol import Code
+
+__all__ = ["accept_command", "forget_times_command", "readdress_command", "wear_command"]
+
+
+class _SeenType(click.ParamType[tuple[str, str]]):
+    name = "seen"
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, str]:
+        if isinstance(value, tuple):
+            return value
+        code, equals, text = str(value).partition("=")
+        if not equals or not text:
+            self.fail(f"`{value}` is no CODE=VALUE, such as C1810=33S2102I_10000", param, ctx)
+        found = CODE.convert(code, param, ctx)
+        assert isinstance(found, Code)
+        return str(found), text
+
+
+@click.command("accept")
+@click.argument("drive")
+@click.option(
+    "--seen", type=_SeenType(), multiple=True, metavar="CODE=VALUE",
+    help="What differs, as you have seen it; instead of being asked. Once for each code.",
+)  # fmt: skip
+@daemon_options
+def accept_command(
+    drive: str,
+    seen: tuple[tuple[str, str], ...],
+    socket: str | None,
+    url: str | None,
+    as_json: bool,
+) -> int:
+    """Accept the device that answers at DRIVE's address as DRIVE, after a replacement.
+
+    Shows the old and the new identity, and asks. Until then only stops are sent to it. In a
+    pipe, or with --json, there is no question: repeat every value that differs with --seen.
+    """
+    with connect(socket, url) as daemon:
+        path = f"/v1/drives/{quote(drive, safe='')}"
+        known: Document = daemon.get(f"{path}/identity").data
+        found, accepted = dict(known.get("found") or {}), dict(known.get("accepted") or {})
+        differing = {code: text for code, text in found.items() if accepted.get(code) != text}
+        if not seen and not as_json:
+            rows = [
+                (code, accepted.get(code, ""), found.get(code, ""))
+                for code in dict.fromkeys((*accepted, *found))
+            ]
+            show_rows(("code", "was", "is"), rows, title=drive)
+        if not differing and found:
+            if not known.get("problem"):
+                _ask_again(daemon, drive, found)
+            if as_json:
+                click.echo(daemon.get(f"{path}/identity").text)
+            else:
+                click.echo(table_text(known.get("problem")) or f"{drive} is the drive it was")
+            return Exit.FAILED if known.get("problem") else Exit.DONE
+        _confirm_identity(drive, differing, dict(seen), may_ask=on_terminal() and not as_json)
+        answer = daemon.post(f"{path}/accept", {"identity": found})
+    if as_json:
+        click.echo(answer.text)
+    else:
+        click.echo(f"{drive} is accepted; it is audited now, then it may be written to")
+    return Exit.DONE
+
+
+def _ask_again(daemon: Daemon, drive: str, found: dict[str, str]) -> None:
+    """Ask the drive itself before it is called the one it was: its audit may be long ago."""
+    path = f"/v1/drives/{quote(drive, safe='')}"
+    for code in found:
+        daemon.get(f"{path}/codes/{code}", fresh="true")
+    known = dict(daemon.get(f"{path}/identity").data.get("found") or {})
+    state: Document = daemon.get(path).data
+    if known != found or state.get("state") != "online":
+        what = f"{drive} is {table_text(state.get('state'))}: {table_text(state.get('reason'))}"
+        raise CommandError(Exit.FAILED, Problem(what, "repeat this when it is online"))
+
+
+def _confirm_identity(
+    drive: str, differing: dict[str, str], seen: dict[str, str], *, may_ask: bool
+) -> None:
+    """See that whoever accepts has seen what is accepted."""
+    if not differing:
+        return  # nothing was read of it: the daemon says why
+    if seen:
+        wrong = [code for code in {**differing, **seen} if differing.get(code) != seen.get(code)]
+        if wrong:
+            right = " ".join(f"--seen {code}={text}" for code, text in differing.items())
+            what = f"what was seen of {', '.join(sorted(wrong))} is not what differs"
+            raise CommandError(Exit.USAGE, Problem(what, f"look again: it is {right}"))
+        return
+    if not may_ask:
+        right = " ".join(f"--seen {code}={text}" for code, text in differing.items())
+        what = f"{drive} is not accepted without being looked at"
+        raise CommandError(Exit.USAGE, Problem(what, f"if this is right: {right}"))
+    if not click.confirm(f"Is this the drive that {drive} shall be from now on?"):
+        raise CommandError(Exit.FAILED, Problem("nothing was accepted"))
+
+
+@click.command("readdress")
+@click.argument("drive")
+@click.argument("address", type=click.IntRange(1, 99), metavar="NEW")
+@click.option("--yes", is_flag=True, help="Do it without asking.")
+@daemon_options
+def readdress_command(
+    drive: str, address: int, yes: bool, socket: str | None, url: str | None, as_json: bool
+) -> int:
+    """Give DRIVE the address NEW, find it there, and use that address from then on.
+
+    The roster must say `allow_address_change: true` for it, the drive must be inhibited or stopped,
+    and nothing may answer at NEW. Afterwards write the new address into the roster.
+
+    Exit status 0 only if it was found at NEW. If it is not found at either address, the answer
+    says what is known.
+    """
+    if address % 10 == 0:
+        what = f"{address} is no drive's address"
+        raise CommandError(Exit.USAGE, Problem(what, "1 to 99 without 10, 20 .. 90 would be right"))
+    with connect(socket, url) as daemon:
+        path = f"/v1/drives/{quote(drive, safe='')}"
+        if not yes:
+            known: Document = daemon.get(path).data
+            _confirm_address(known, address, may_ask=on_terminal() and not as_json)
+        answer = daemon.post(f"{path}/address", {"address": address})
+    if as_json:
+        click.echo(answer.text)
+        return status_of(answer.data)
+    return show_write(answer.data)
+
+
+def _confirm_address(known: Document, address: int, *, may_ask: bool) -> None:
+    drive, old = table_text(known.get("drive")), table_text(known.get("address"))
+    if not may_ask:
+        raise CommandError(
+            Exit.USAGE, Problem(f"the address of {drive} is not changed unasked", "add --yes")
+        )
+    told = ", ".join(f"{code} {text}" for code, text in dict(known.get("identity") or {}).items())
+    click.echo(f"{drive} at address {old} ({known.get('family')}), which is {told or 'unknown'}")
+    states = known.get("states")
+    if states is not None:
+        named = ", ".join(state.replace("_", " ") for state in states)
+        click.echo(f"its status words show: {named or 'nothing of note'}")
+    if "zero_speed" not in (states or ()):
+        click.echo("it does not say that its motor has come to rest: look at the machine")
+    if not click.confirm(f"Give it address {address}?"):
+        raise CommandError(Exit.FAILED, Problem("nothing was changed"))
+
+
+@click.command("wear")
+@click.argument("drive")
+@daemon_options
+def wear_command(drive: str, socket: str | None, url: str | None, as_json: bool) -> int:
+    """Show how often each code that wears DRIVE's memory was written, the highest count first.
+
+    Every write that may have reached the memory counts, since counting began; "this device":
+    since this device was accepted. In a pipe: code, name, writes, to this device, and how long
+    until it may be written again. With --json: the daemon's document.
+    """
+    with connect(socket, url) as daemon:
+        answer = daemon.get(f"/v1/drives/{quote(drive, safe='')}/wear")
+    if as_json:
+        click.echo(answer.text)
+        return Exit.DONE
+    codes = answer.data.get("codes") or []
+    if not codes and on_terminal():
+        click.echo(f"nothing that wears its memory was written to {drive} yet")
+        return Exit.DONE
+    rows = [
+        (
+            table_text(one.get("code")),
+            table_text(one.get("name")),
+            table_text(one.get("writes")),
+            table_text(one.get("to_this_device")),
+            age(one["wait_s"]) if one.get("wait_s") else "",
+        )
+        for one in codes
+    ]
+    show_rows(("code", "name", "writes", "this device", "again in"), rows)
+    return Exit.DONE
+
+
+@click.command("forget-times")
+@click.argument("drive")
+@daemon_options
+def forget_times_command(drive: str, socket: str | None, url: str | None, as_json: bool) -> int:
+    """Drop the measured answer times of DRIVE.
+
+    Time-outs and plans then use its manual and the roster, until most of its answers are late
+    again. Shows what is dropped. In a pipe: code, read or write, the manual's longest time and
+    the time measured, in seconds; if there is nothing, a message on standard error says so.
+    With --json: the daemon's document.
+    """
+    with connect(socket, url) as daemon:
+        answer = daemon.post(f"/v1/drives/{quote(drive, safe='')}/forget-times", {})
+    if as_json:
+        click.echo(answer.text)
+        return Exit.DONE
+    forgotten = answer.data.get("forgotten") or []
+    if not forgotten:
+        text = f"nothing was measured of {drive} that is later than its manual says"
+        click.echo(text, err=not on_terminal())
+        return Exit.DONE
+    rows = [
+        (
+            table_text(one.get("code")),
+            "write" if one.get("write") else "read",
+            f"{float(one.get('manual_s') or 0.0):.3f}",
+            f"{float(one.get('measured_s') or 0.0):.3f}",
+        )
+        for one in forgotten
+    ]
+    show_rows(("code", "as", "manual, s", "measured, s"), rows, title=f"forgotten of {drive}")
+    return Exit.DONE

@@ -1,0 +1,231 @@
+"""The commands of the verbs: enable, set-speed, reset-fault, quick-stop, inhibit and stop.
+
+A stop that is not confirmed begins with one sentence on standard error: how many drives did not
+confirm it, that motors may still turn, and what to use then.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from urllib.parse import quote
+
+import click
+
+from lecombus.cli.arguments import EXPIRY, NUMBER, CommandWithNumbers, daemon_options
+from lecombus.cli.client import connect
+from lecombus.cli.document_rows import (
+    Document,
+    is_done,
+    members_of,
+    show_members,
+    show_verb,
+    status_of,
+)
+from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.cli.write import write_document
+from lecombus.readings import Json
+
+__all__ = [
+    "enable_command",
+    "inhibit_command",
+    "quick_stop_command",
+    "reset_fault_command",
+    "set_speed_command",
+    "stop_command",
+]
+
+_SPEED = re.compile(r"\0?([+-]?[0-9.,]+(?:[eE][+-]?[0-9]+)?)\s*(.*)", re.DOTALL)
+"""A number, right or not, and a unit; before a negative one stands what hides it from click."""
+
+
+def _run_verb(
+    drive: str,
+    verb: str,
+    document: Mapping[str, Json],
+    *,
+    socket: str | None,
+    url: str | None,
+    as_json: bool,
+) -> Exit:
+    """Have a drive do something and show how it ended."""
+    with connect(socket, url) as daemon:
+        answer = daemon.post(f"/v1/drives/{quote(drive, safe='')}/verbs/{verb}", document)
+    if as_json:
+        click.echo(answer.text)
+        return status_of(answer.data)
+    return show_verb(answer.data)
+
+
+def _send_stop(
+    target: str, action: str, *, socket: str | None, url: str | None, as_json: bool
+) -> Exit:
+    """Stop a drive or a group and show how it ended, member by member.
+
+    Raises:
+        CommandError: No drive was reached, or none is meant.
+    """
+    try:
+        with connect(socket, url) as daemon:
+            answer = daemon.post("/v1/stop", {"action": action, "target": target})
+    except (CommandError, KeyboardInterrupt):
+        if not as_json:
+            _alarm(f"no drive has confirmed the {_words(action)}: motors may still turn")
+        raise
+    if as_json:
+        click.echo(answer.text)
+        return status_of(answer.data)
+    doubtful = _not_confirmed(answer.data, action)
+    if doubtful:
+        _alarm(doubtful)
+    show_members(answer.data, said_once=("remedy",))
+    return status_of(answer.data)
+
+
+def _not_confirmed(report: Document, action: str) -> str:
+    """Say how many drives did not confirm a stop; nothing where all did."""
+    members = members_of(report)
+    count = sum(not is_done(one) for one in members)
+    if not count:
+        return ""
+    motors = "its motor" if count == 1 else "their motors"
+    drives = "drive" if len(members) == 1 else "drives"
+    return (
+        f"{count} of {len(members)} {drives} did not confirm the {_words(action)}: {motors} may "
+        "still turn"
+    )
+
+
+def _alarm(text: str) -> None:
+    """Print what is wrong with a stop, red on a terminal, before everything else."""
+    click.secho(f"{text}, use the emergency stop circuit", fg="red", bold=True, err=True)
+
+
+def _words(action: str) -> str:
+    return action.replace("-", " ")
+
+
+@click.command("enable")
+@click.argument("drive")
+@daemon_options
+def enable_command(drive: str, socket: str | None, url: str | None, as_json: bool) -> int:
+    """Release quick stop and inhibit of DRIVE. Its motor turns if it has a setpoint.
+
+    It is refused while a fault is active (`lecombus reset-fault`), and where a setting of the
+    drive prevents control over the line; the setting is named. The drive's status words must
+    show the enable; if they do not, because its enable terminal is open, it is inhibited again.
+
+    In a pipe: drive, verb, outcome, what the drive shows, value read back, reason. With --json: the
+    daemon's document, {"drive", "verb", "outcome", "reason", "states", "written"}.
+    """
+    return _run_verb(drive, "enable", {}, socket=socket, url=url, as_json=as_json)
+
+
+@click.command("set-speed", cls=CommandWithNumbers)
+@click.argument("drive")
+@click.argument("speed", nargs=-1, required=True, metavar="VALUE UNIT")
+@click.option("--verify", is_flag=True, help="Read it back afterwards.")
+@click.option("--expires", type=EXPIRY, help="Not sent any more after this time, such as 2s.")
+@daemon_options
+@click.pass_context
+def set_speed_command(
+    ctx: click.Context,
+    drive: str,
+    speed: tuple[str, ...],
+    verify: bool,
+    expires: float | None,
+    socket: str | None,
+    url: str | None,
+    as_json: bool,
+) -> int:
+    """Give DRIVE its speed: `set-speed belt 35 Hz`, `set-speed belt 70%`.
+
+    % refers to the drive's highest frequency or speed. The setpoint is written to the code that
+    the drive's family and settings require. Out of its range, it is refused with the range. It
+    does not enable the drive.
+
+    In a pipe and with --json: as for enable.
+    """
+    match = _SPEED.fullmatch(" ".join(speed))
+    if match is None:
+        raise click.UsageError(f"`{' '.join(speed)}` is no speed, write it like 35 Hz or 70%", ctx)
+    value = NUMBER.convert(match[1], None, ctx)
+    if not match[2]:
+        raise click.UsageError(f"{match[1]} has no unit, write {match[1]} Hz or {match[1]}%", ctx)
+    document = {**write_document(value, expires, verify or None), "unit": match[2]}
+    return _run_verb(drive, "set-speed", document, socket=socket, url=url, as_json=as_json)
+
+
+@click.command("reset-fault")
+@click.argument("drive")
+@daemon_options
+def reset_fault_command(drive: str, socket: str | None, url: str | None, as_json: bool) -> int:
+    """Reset the active fault of DRIVE, by its family's own way. It never starts the motor.
+
+    The drive is inhibited first and stays so: `lecombus enable` lets it run again. Without a
+    fault nothing is sent. An 820X and its module restart, which takes about ten seconds: its
+    watchdog is set again before it is called online.
+
+    In a pipe and with --json: as for enable.
+    """
+    return _run_verb(drive, "reset-fault", {}, socket=socket, url=url, as_json=as_json)
+
+
+@click.command("quick-stop")
+@click.argument("target")
+@daemon_options
+def quick_stop_command(target: str, socket: str | None, url: str | None, as_json: bool) -> int:
+    """Stop TARGET, a drive or a group, along its ramp by quick stop, before everything else.
+
+    The same as `lecombus stop TARGET --action quick-stop`: it is sent before all other
+    requests, and also where writes are refused. It is read back. It is not a safety function.
+    """
+    return _send_stop(target, "quick-stop", socket=socket, url=url, as_json=as_json)
+
+
+@click.command("inhibit")
+@click.argument("target")
+@daemon_options
+def inhibit_command(target: str, socket: str | None, url: str | None, as_json: bool) -> int:
+    """Inhibit TARGET, a drive or a group, before everything else: no torque, the motor coasts.
+
+    The same as `lecombus stop TARGET --action inhibit`: it is sent before all other requests,
+    and also where writes are refused. It is read back. It is not a safety function.
+    """
+    return _send_stop(target, "inhibit", socket=socket, url=url, as_json=as_json)
+
+
+@click.command("stop")
+@click.argument("target", required=False)
+@click.option("--all", "everything", is_flag=True, help="All drives; the same as no TARGET.")
+@click.option(
+    "--action",
+    type=click.Choice(["quick-stop", "inhibit"]),
+    default="quick-stop",
+    show_default=True,
+    help="quick-stop: down its ramp; inhibit: no torque at once, the motor coasts.",
+)
+@daemon_options
+def stop_command(
+    target: str | None,
+    everything: bool,
+    action: str,
+    socket: str | None,
+    url: str | None,
+    as_json: bool,
+) -> int:
+    """Stop TARGET, a drive or a group, before everything else that waits.
+
+    Without TARGET all drives of the line are stopped: there is no question, because a stop may
+    be urgent. It is read back from every drive. It is not a safety function.
+
+    Exit status 0 only if every drive is known to have taken the stop. If not, the first line, on
+    standard error, says how many drives did not confirm it, that motors may still turn, and to use
+    the emergency stop circuit. In a pipe: one line a drive with drive, code, outcome, value read
+    back, reason. With --json: the daemon's document, as for group.
+    """
+    if target and everything:
+        raise CommandError(
+            Exit.USAGE, Problem("a target and --all are both given", "leave one of them out")
+        )
+    return _send_stop(target or "all", action, socket=socket, url=url, as_json=as_json)
