@@ -1,7 +1,7 @@
 """Another baud rate for a whole line: checked, written drive by drive, confirmed, or taken back.
 
 `checking` holds the conditions before the first write, `moving` the procedure and its way back,
-`drives` what is known of each drive, `telling` the report. Why it is done so: docs/adr/0024.
+`drives` what is known of each drive, `report` the end. Why it is done so: docs/adr/0024.
 
 Pure: coroutines here await nothing but `access`, which the command carries out on a port of its own
 and tests on a simulated line. No daemon may be on the line: all drives share one rate, and drives
@@ -14,7 +14,7 @@ from lecombus.rebaud.access import LineAccess
 from lecombus.rebaud.checking import Obstacle, check
 from lecombus.rebaud.drives import Drive, DrivePlace, Subject
 from lecombus.rebaud.moving import Rebaud
-from lecombus.rebaud.telling import RebaudEnd, ending_of, situation, what_to_do
+from lecombus.rebaud.report import RebaudEnd, ending_of, situation, what_to_do
 
 __all__ = [
     "Drive",

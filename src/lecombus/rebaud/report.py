@@ -1,4 +1,4 @@
-"""The report at the end: where every drive is, and what to do then.
+"""The report of a change: where every drive is, and what to do then.
 
 A drive is reported at a rate only if it was seen there. The remedies are whole command lines, in
 the order in which they are to be done.
