@@ -40,6 +40,8 @@ LOOKED_AT = 8
 """Values looked at each time: all in turn."""
 LEAST_TRIED_S = 1.5
 """A stop without proof is sent again for at least this long. Source: docs/troubleshooting.md."""
+TRIED_S = 5.0
+"""For so long a stop of a drive that is online is tried. Source: docs/troubleshooting.md."""
 PERIODS, STRETCH_MOST, GRACE_S = 2.0, 4.0, 1.0
 """A cyclic value is good for two periods, as stretched, and this. Source: docs/operations.md."""
 
@@ -67,8 +69,8 @@ class Shown:
         self._site = site
         self._clock = clock
         self._say = say
-        many = isinstance(line, TolerantLine) and line.losses > 1  # a proof takes several answers
-        self._clean = line.kind != "faulty" and not many
+        self._clean = line.kind != "faulty"
+        self._loses_many = isinstance(line, TolerantLine) and line.losses > 1
         self._names = {drive.address: drive.name for drive in line.roster.drives}
         self._silent = dict.fromkeys(self._names.values(), 0)
         self._guards = {
@@ -127,7 +129,9 @@ class Shown:
             self._say(f"the stop of {drive} is called verified, and was not read back")
         if outcome == Outcome.VERIFIED and not standing and not self._is_enabled(drive):
             self._say(f"the stop of {drive} is called verified, and it is not stopped")
-        if self._clean and drive not in self._left and outcome != Outcome.VERIFIED:
+        # Of a drive that was silent a proof takes several answers: with many lost, too long.
+        tried = self._loses_many and outcome == Outcome.UNKNOWN and tried_s >= TRIED_S
+        if self._clean and drive not in self._left and outcome != Outcome.VERIFIED and not tried:
             self._say(f"the stop of {drive} ended as {outcome}, and it answers")
 
     # -- what passes -------------------------------------------------------------------------
