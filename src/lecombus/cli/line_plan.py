@@ -50,7 +50,7 @@ SILENCE = (
 @click.option(
     "--from-daemon",
     is_flag=True,
-    help="LinePlan with the answer times that the running daemon has measured.",
+    help="Plan with the answer times that the running daemon has measured.",
 )
 @daemon_options
 @click.option(
