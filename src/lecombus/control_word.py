@@ -12,7 +12,7 @@ that would lift the inhibit. So the inhibit is kept apart from the word, and a w
 written gets its bit whenever the drive is inhibited:
 
 * An inhibit that went out over the line counts until the drive has shown it and shows it no more.
-* An inhibit that a code shows counts until that code, or one that tells more, shows none.
+* An inhibit that a code shows counts until that code, or one that is more exact, shows none.
 * That there is none counts for `FRESH_S`, and not beyond a silence in which the drive's watchdog
   may have acted. After that it is not known, and must be read before a quick stop is said.
 

@@ -273,12 +273,12 @@ class EnableRecord:
 
 @dataclass(slots=True)
 class LastingRecord:
-    """What counts for the drive of this name whatever its entry, also when it comes back later.
+    """What counts for the drive of this name with any entry, also when it comes back later.
 
     Args:
-        stops: How often it was told to stop, for work of several steps: what is not in the
+        stops: How often a stop was sent to it, for work of several steps: what is not in the
             schedule yet when a stop comes must not be written either.
-        stopped_at_s: When it was last told to stop, monotonic seconds.
+        stopped_at_s: When a stop was last sent to it, monotonic seconds.
         stops_and_writes: How often it was to stop, by a stop or by a plain write.
         lifts: How many plain writes may have lifted its inhibit.
         verb: The enable or the reset that is under way (`operations.verb_steps`).

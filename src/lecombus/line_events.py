@@ -39,7 +39,7 @@ class ExchangeEvent:
         is_write: A write may have taken effect.
         acknowledged: The drive acknowledged the write.
         to_all: It was a multicast, and it was sent.
-        answered: The drive answered, whatever it said.
+        answered: The drive answered, with a value, an acknowledgement or a refusal.
     """
 
     report: ExchangeReport

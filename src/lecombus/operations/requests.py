@@ -121,13 +121,13 @@ class Requests:
         self._clock = clock
 
     def note_stop(self, name: str) -> None:
-        """Count that a drive is told to stop now."""
+        """Count a stop of a drive, at this moment."""
         lasting = self.drives.lasting(name)
         lasting.stops += 1
         lasting.stopped_at_s = self._clock()
 
     def stops_said(self, name: str) -> int:
-        """Return how often a drive was told to stop, also if it left the roster since."""
+        """Return how many stops of a drive there were, also if it left the roster since."""
         return self.drives.lasting(name).stops
 
     def stopped_since_asked(self, name: str) -> bool:

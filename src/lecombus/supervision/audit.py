@@ -5,7 +5,7 @@ quick stop needs; is it to be written to (`write_prechecks`); what is its own wa
 does the roster want something else (`watchdogs`). Asked after, when the line has time: what need
 not be waited for.
 
-When an audit is due, and what is fed meanwhile, is the supervisor's.
+When an audit is due, and what is fed until then, is the supervisor's.
 """
 
 from __future__ import annotations

@@ -9,8 +9,8 @@ Two things call for it:
   only the slow second status word (C0068) shows: that is read in the background class, and no more
   often than every `ZERO_GAP_S`.
 
-Of each kind one read is in the schedule at a time, whatever the number of drives: a read that
-somebody waits for has at most one of these in front of it, and what `plan` promises holds.
+Of each kind one read is in the schedule at a time, for any number of drives: a read that a user
+waits for has at most one of these in front of it, and what `plan` promises holds.
 
 What must not live here: what a word means (`motion`), who goes first (`schedule`).
 """
@@ -116,7 +116,7 @@ class CommandEffects:
                 self._after_command.want(drive, one)
 
     def seen(self, drive: Drive, code: Code, value: Value) -> None:
-        """Take a value that was read: the speed, or a status word that tells that it is 0."""
+        """Take a value that was read: the speed, or a status word that shows that it is 0."""
         if code not in SPEED_CODES or drive.speed.raw.get(code) == value.raw:
             return
         drive.speed.raw[code] = value.raw

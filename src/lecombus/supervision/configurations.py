@@ -3,12 +3,12 @@
 *Signal configuration.* On a 93XX most bits of C0135 and C0150 mean what the signal configuration
 C0005 makes of them. It is read at every audit; until it is known, and whenever it was written and
 not yet read again, a drive is taken by what holds for every configuration. Once known it is kept
-while the drive is away: the audit that brings the drive back reads it anew.
+while the drive is away: the audit that brings the drive back reads it again.
 
 *Shortened response time.* With C1921 = 1 a module acknowledges a write before it has passed it on,
-and must be left alone meanwhile. Until it is known, and after it was written, it is taken to.
+and must be left alone until then. Until it is known, and after it was written, it is taken to.
 
-Strategy: as in `fault_watch`, no task and no timer: `seen` is told every value read and `written`
+Strategy: as in `fault_watch`, no task and no timer: `seen` gets every value read and `written`
 every write, and both cost one look-up where a drive's family has no such codes.
 Source: EDB2102EN 8.2 (C0135, C0150), 6.3.2 (C1921).
 """

@@ -1,7 +1,7 @@
 """What is read of each drive all the time, as the roster has it, at the start and at every reload.
 
 Schedule, store and measures must agree on which codes these are and how often each is read: this
-is where they are told. A reload exchanges only what differs, so that the reads that stayed keep
+is where they are set. A reload exchanges only what differs, so that the reads that stayed keep
 their place in the cadence, and values known keep standing. Feeding is not touched by any of it.
 
 What must not live here: when each read goes (`schedule`), when a value is stale (`judging`).
@@ -24,8 +24,8 @@ class CyclicReads:
     Args:
         requests: Makes them.
         schedule: Runs them.
-        store: Told how often a code is read.
-        minutes: Told which codes are read.
+        store: Keeps how often a code is read.
+        minutes: Keeps which codes are read.
     """
 
     def __init__(

@@ -53,10 +53,10 @@ class DriveSupervisor:
 
     Args:
         requests: Sends requests and waits for their end.
-        schedule: Told which drives to feed.
+        schedule: Feeds the drives.
         store: Gets the remarks.
         clock: Monotonic time, seconds.
-        health: Told when a drive has been audited.
+        health: Takes the end of each audit.
         audits: The audits that were asked for.
         prechecks: What decides whether a drive may be written to.
     """
@@ -84,7 +84,7 @@ class DriveSupervisor:
         self._health = health
 
     async def run(self) -> None:
-        """Audit whatever asks for it, for as long as the daemon lives.
+        """Make the audits that are asked for, until the daemon ends.
 
         What follows the line's events asks for audits; it is no task and cannot start one.
         """
@@ -139,8 +139,8 @@ class DriveSupervisor:
     async def _audit(self, drive: Drive) -> None:
         """Audit one drive once.
 
-        First contact is made with all drives at once, and so is the rest where it is quick. Where
-        reading a module's own codes takes up to 500 ms each, drives come online one by one.
+        First contact is made with all drives in parallel, and so is the rest where it is quick.
+        Where reading a module's own codes takes up to 500 ms each, drives come online one by one.
         """
         if drive.health.state is not DriveState.DEGRADED:
             drive.audit.watchdog = None  # it may be another device: look at everything again

@@ -1,6 +1,6 @@
 """What exchanges do to the store, to the control words and to the metrics.
 
-These know no drives as objects or no events, so that their part of an event is written here.
+Store and metrics know no events, and a control word is one drive's; so their part stands here.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ class StoreRecord:
             return
         # Which line it is need not be said to the line's own store.
         reason = change.reason
-        told = reason.partition(": ")[2] if reason.startswith("line ") else reason
-        self._store.line_state(LineState.LOST, told)
+        text = reason.partition(": ")[2] if reason.startswith("line ") else reason
+        self._store.line_state(LineState.LOST, text)
 
 
 def record_control_words(event: ExchangeEvent) -> None:

@@ -1,6 +1,6 @@
 """What each exchange means: one event in plain words, given to all that follow the line.
 
-The worker tells one observer what happened; this is it. It runs while the drive that was asked next
+The worker has one observer; this is it. It runs while the drive that was asked next
 is already thinking. The order of the subscribers stands in one place, in `line_runtime`.
 """
 
@@ -40,7 +40,7 @@ _OUTCOMES: Final[Mapping[ResultKind, str]] = {
 
 
 class ExchangeRecorder:
-    """Says what happened on the line to its subscribers, in their order.
+    """Gives what happened on the line to its subscribers, in their order.
 
     Args:
         drives: The drives of the line.
@@ -62,7 +62,7 @@ class ExchangeRecorder:
     def subscribe(
         self, *, exchanges: tuple[ExchangeSubscriber, ...], changes: tuple[LineSubscriber, ...]
     ) -> None:
-        """Set who is told of exchanges and of changes of the line, in this order."""
+        """Set who gets exchanges and changes of the line, in this order."""
         self._on_exchange, self._on_change = exchanges, changes
 
     def exchange_ended(self, report: ExchangeReport) -> None:
@@ -126,7 +126,7 @@ class ExchangeRecorder:
         )
 
     def _multicast(self, report: ExchangeReport) -> ExchangeEvent:
-        """A multicast may have reached its members, whatever became of it."""
+        """A multicast may have reached its members, however it ended."""
         result, step = report.result, report.step
         members = tuple(filter(None, map(self._drives.find, report.members)))
         outcome = "answered" if result.answer is not None else _OUTCOMES[result.kind]

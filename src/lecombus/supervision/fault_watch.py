@@ -1,15 +1,15 @@
 """Which fault each drive has now: shown by its status words, named by its fault memory.
 
 A fault is active only when a status word says so; what stands in the fault memory may be years
-old. So the words decide whether there is one, and when one rises the memory is read at once, for
-its number: whoever looks shall not wait for the memory's own slow turn. The number is taken only
+old. So the words decide whether there is one, and when one rises the memory is read soon, for
+its number: a user need not wait for the memory's own slow turn. The number is taken only
 if it agrees with what the words say (the kind; where the memory holds LECOM numbers, C0068's tens
 digit). A value that is no whole number is none: nothing says how it would be read.
 
 Strategy: no task and no timer. `seen` is called with every value read, costs two look-ups when
 nothing changed, and asks for the few reads that a change calls for; their values come back the
 same way. A word that shows a fault holds it until that word itself shows it gone: when another
-word shows that first, the one left over is read again at once. Source: EDB2102EN 8.2 (C0068,
+word shows that first, the one left over is read again soon. Source: EDB2102EN 8.2 (C0068,
 C0150, C0161..C0168); CMVLC401A table 9, 9.1.
 
 What must not live here: what a number means (`drives.faults`), who shows it (store, faces).
@@ -167,7 +167,7 @@ class FaultWatch:
         fault = drive.fault
         table = family.fault_table
         if table is None or not (table.lecom_numbers or before):
-            return  # of numbers of its own, the first digit of a fault says nothing
+            return  # of numbers that are not LECOM's, the first digit of a fault says nothing
         candidate = fault.candidate if table.lecom_numbers else None
         if candidate is not None and fits_digit(candidate, fault.digit):
             self._name(drive, family, table)
@@ -263,4 +263,4 @@ def number_text(number: int | None) -> str:
 
 
 def ignore_end(outcome: Outcome, reason: str) -> None:
-    """The end of a read nobody waits for: its value comes to `FaultWatch.seen`."""
+    """The end of a read without a waiter: its value comes to `FaultWatch.seen`."""

@@ -38,13 +38,13 @@ OFFLINE_AFTER = 4
 
 OFFLINE_AFTER_UNHEARD = 1
 """A drive that has not answered since the line was opened is probably not there, and others wait
-behind it; if it is, the probe that follows at once finds it."""
+behind it; if it is, the probe that follows finds it."""
 
 AUDIT_AFTER = 2
 """Failures in a row after which a drive is audited again when it answers."""
 
 SWAP_S = 5.0
-"""Nobody puts another drive in a drive's place faster than this, seconds. One that was silent for
+"""No person replaces a drive by another faster than this, seconds. One that was silent for
 longer and is not offline only because it is seldom asked is not written to before its audit."""
 
 
@@ -53,7 +53,7 @@ UNAUDITED_S = 10.0
 this, seconds: what it may have lost with its supply, its watchdog's settings, is not known."""
 
 AGAIN_S = 60.0
-"""A line that is opened again so soon flaps: that its drives start anew each time is not logged."""
+"""A line that is opened again so soon flaps: that its drives start again is not logged then."""
 
 
 class Health:
@@ -62,7 +62,7 @@ class Health:
     Args:
         drives: The drives.
         schedule: Parks the drives that are offline.
-        store: Told the states.
+        store: Keeps the states.
         audits: Takes drives that must be audited before they are called online.
         clock: Monotonic time, seconds.
     """

@@ -25,9 +25,9 @@ class RequestsToLine:
 
     Args:
         requests: Sends requests.
-        store: Told which family a drive is.
+        store: Keeps which family a drive is.
         audits: Takes audits.
-        health: Told of drives that are to be audited before they are online.
+        health: Takes doubts about drives.
         clock: Monotonic time, seconds.
     """
 

@@ -42,7 +42,7 @@ class Rechecks:
     Args:
         requests: Sends requests and waits for their end.
         watchdogs: Knows what was set.
-        health: Knows who is online; told who must be audited.
+        health: Takes doubts about drives.
     """
 
     def __init__(

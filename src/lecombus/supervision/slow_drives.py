@@ -30,7 +30,7 @@ class SlowDrives:
 
     Args:
         store: Where remarks stand.
-        schedule: Told which drives' requests cost another time from now on.
+        schedule: Calculates the costs of a drive's requests again.
     """
 
     def __init__(self, store: Store, schedule: Schedule) -> None:

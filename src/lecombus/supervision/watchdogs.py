@@ -42,7 +42,7 @@ LEAST_FED_S = 0.05
 this kind; trying to would take the line from everybody else."""
 
 DOES_NOT_FIT = "does-not-fit"
-"""A module's own code takes so long to read that others' watchdogs would lapse meanwhile."""
+"""A module's own code takes so long to read that others' watchdogs would lapse during it."""
 
 
 class WatchdogAudit:
@@ -51,7 +51,7 @@ class WatchdogAudit:
     Args:
         requests: Sends requests and waits for their end.
         store: Gets the remarks.
-        feed: Told how often a drive must be spoken to, seconds; None: not on purpose.
+        feed: Sets how often a drive must be spoken to, seconds; None: not on purpose.
     """
 
     def __init__(
