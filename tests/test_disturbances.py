@@ -93,7 +93,7 @@ def test_a_value_that_lay_in_the_kernel_is_not_shown_as_fresh() -> None:
         reading = asyncio.ensure_future(site.operations.read("d1", Code(46)))
 
         def is_asked() -> bool:
-            saying = site.worker.talk._under_way
+            saying = site.worker.exchange_loop._under_way
             return saying is not None and (saying[0].drive, saying[1].step.code) == ("d1", Code(46))
 
         await until(is_asked)

@@ -42,7 +42,7 @@ def misses(plant: Plant, drive: str, since_s: float) -> int:
 
 
 def is_listening(plant: Plant) -> bool:
-    awaited = plant.site.worker.talk._listening._awaited
+    awaited = plant.site.worker.exchange_loop._idle_receive._awaited
     return awaited is not None and awaited.since_s < plant.now_s < awaited.until_s - 0.2
 
 
@@ -122,7 +122,7 @@ def test_a_stop_waits_for_a_slow_drive_s_reading_no_longer_than_for_a_quick_one_
         waited, worker = [], plant.site.worker
 
         def asks_b() -> bool:
-            under_way = worker.talk._under_way
+            under_way = worker.exchange_loop._under_way
             return under_way is not None and under_way[1].station is station
 
         for tenth in range(10):

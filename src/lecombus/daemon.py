@@ -36,7 +36,7 @@ from lecombus.config import Roster, RosterError, load_roster
 from lecombus.drives import StopAction
 from lecombus.errors import LecombusError
 from lecombus.line.loop import run as run_loop
-from lecombus.line.unheard import others_at
+from lecombus.line.no_answers import others_at
 from lecombus.line_runtime import LineRuntime
 from lecombus.operations.reports import GroupReport
 from lecombus.schedule import Outcome

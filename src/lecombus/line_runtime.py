@@ -265,7 +265,7 @@ class LineRuntime:
         now_s = self._clock()
         stats = self._gather(now_s)
         self._slow.look(self.drives)
-        self._second_answers.look(self.worker.talk.duplicates.found(now_s), self.drives)
+        self._second_answers.look(self.worker.exchange_loop.duplicates.found(now_s), self.drives)
         self.health.check_overdue()
         self.supervisor.note_lapses(stats.feeds)
         starting = any(drive.health.state is DriveState.STARTING for drive in self.drives)

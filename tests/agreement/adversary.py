@@ -114,7 +114,7 @@ class Adversary:
         self._turn = 0
         self._others_s = math.inf  # when somebody else asked for something
         self._ahead = work_ahead_on(site.roster, line_timing(site.roster.line))
-        site.worker.talk.observer = _Told(site.worker.talk.observer, self)
+        site.worker.exchange_loop.observer = _Told(site.worker.exchange_loop.observer, self)
 
     def _late_s(self) -> float:
         """How late this machine has been in all."""
@@ -124,10 +124,10 @@ class Adversary:
 
     def telegram(self) -> None:
         """A telegram has gone out."""
-        under_way = self._worker.talk._under_way
+        under_way = self._worker.exchange_loop._under_way
         if under_way is None:
             return
-        request, exchange = under_way[0], self._worker.talk._exchange
+        request, exchange = under_way[0], self._worker.exchange_loop._exchange
         found = self._asked.pop(request, None)
         if found is not None:
             what, since_s, late_s = found

@@ -31,7 +31,7 @@ class Watching(Recorder):
 
 
 def watched(rig: Rig) -> Watching:
-    seen = rig.worker.talk.observer = Watching(rig)
+    seen = rig.worker.exchange_loop.observer = Watching(rig)
     return seen
 
 
@@ -85,7 +85,9 @@ def test_a_stop_goes_out_at_the_very_moment_at_which_the_answer_is_complete() ->
         await anyio.sleep(0.010)
         said = len(rig.sent)
         ended = stop(rig, "a")
-        assert rig.worker.talk._ready is not None, "it was written out while the exchange lasts"
+        assert rig.worker.exchange_loop._ready is not None, (
+            "it was written out while the exchange lasts"
+        )
         await until(lambda: len(rig.sent) > said)
         assert rig.sent[said].data.startswith(b"\x0401\x02400\x03")
         assert rig.sent[said].at_s == rig.end.heard[-1].at_s
@@ -106,7 +108,7 @@ def test_a_quick_stop_waits_for_the_recorder_and_uses_the_word_the_answer_brough
                 if report.step.code == WORD and value is not None:
                     words.append(value.number)
 
-        rig.worker.talk.observer = Keeping()
+        rig.worker.exchange_loop.observer = Keeping()
         rig.line["a"].model.control = 0x0204
         rig.read("a", 135)
         await anyio.sleep(0.010)
@@ -131,7 +133,7 @@ def test_a_line_lost_at_that_moment_loses_neither_the_answer_nor_the_next_reques
         await until(lambda: len(rig.sent) == 1)
         port = rig.worker._connection.port
         assert port is not None
-        assert rig.worker.talk._ready is not None
+        assert rig.worker.exchange_loop._ready is not None
 
         def write(data: bytes) -> None:
             raise LineLostError("pulled")

@@ -12,8 +12,8 @@ from lecombus.drives.stops import STOP_PAUSE_S
 from lecombus.errors import ExchangeError, NakError, NoReplyError, UnknownCodeError
 from lecombus.line.duplicates import Duplicates
 from lecombus.line.jobs import MulticastJob, ReadBackJob, ReadJob, WriteJob
-from lecombus.line.proving import Written
-from lecombus.line.station import Job, Station, Step, StepKind
+from lecombus.line.read_back_proof import WrittenValue
+from lecombus.line.station import Job, JobStep, Station, StepKind
 from lecombus.line.stop_job import StopJob
 from lecombus.protocol.addressing import Code, Form, encode_code
 from lecombus.protocol.exchange import Result, ResultKind
@@ -484,7 +484,7 @@ def test_a_word_that_may_not_be_read_now_makes_an_inhibit_of_the_quick_stop() ->
     job = StopJob(STATION, StopAction.QUICK_STOP, word=lambda: None, retries=1)
     assert job.step.kind is StepKind.READ
     assert [job.cannot_read(), job.cannot_read()] == [True, False]
-    assert job.step == Step(StepKind.WRITE, Code(40), Value.parse("0"))
+    assert job.step == JobStep(StepKind.WRITE, Code(40), Value.parse("0"))
 
 
 def test_a_quick_stop_is_said_directly_after_its_word_was_read_but_else_lets_others_go() -> None:
@@ -599,7 +599,7 @@ def test_proofs_of_several_drives_take_turns_with_the_form() -> None:
 
 
 def test_what_was_written_is_not_read_twice_in_a_form_in_which_it_was_shown() -> None:
-    duplicates, written = doubted(), Written(CODE, Value.decimal(7))
+    duplicates, written = doubted(), WrittenValue(CODE, Value.decimal(7))
     for form in Form:
         duplicates.asked(encode_code(CODE, form), "b", 0.0)
     job = ReadBackJob(STATION, written, 2, duplicates)

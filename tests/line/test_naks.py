@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lecombus.line.doubts import Doubts
+from lecombus.line.late_replies import PendingLateReplies
 from lecombus.line.station import StepKind
 from lecombus.protocol.exchange import ACK_FIELD, ResultKind
 from lecombus.protocol.telegrams import NakAnswer
@@ -110,12 +110,12 @@ def test_a_late_nak_to_a_write_is_no_answer_to_the_next_read() -> None:
 
 
 def test_after_a_nak_its_value_may_still_come_but_no_further_nak() -> None:
-    doubts = Doubts(0.5)
-    doubts.refused(FIELD, 10.0)
-    assert doubts.blocked_until_s(FIELD, 10.1) == 10.5
-    assert not doubts.nak_may_come(10.1)
-    doubts.refused(ACK_FIELD, 10.0)
-    assert doubts.blocked_until_s(ACK_FIELD, 10.1) == 10.1
-    doubts.add(b"56", 11.0)
-    assert doubts.nak_may_come(11.4)
-    assert not doubts.nak_may_come(11.5)
+    late_replies = PendingLateReplies(0.5)
+    late_replies.refused(FIELD, 10.0)
+    assert late_replies.blocked_until_s(FIELD, 10.1) == 10.5
+    assert not late_replies.nak_may_come(10.1)
+    late_replies.refused(ACK_FIELD, 10.0)
+    assert late_replies.blocked_until_s(ACK_FIELD, 10.1) == 10.1
+    late_replies.add(b"56", 11.0)
+    assert late_replies.nak_may_come(11.4)
+    assert not late_replies.nak_may_come(11.5)

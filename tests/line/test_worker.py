@@ -53,7 +53,9 @@ def test_a_stop_goes_out_right_after_the_exchange_it_was_submitted_in() -> None:
             rig.read("b", 150)
         await anyio.sleep(0.010)
         said = len(rig.sent)
-        assert rig.worker.talk._under_way is not None, "it must be submitted during an exchange"
+        assert rig.worker.exchange_loop._under_way is not None, (
+            "it must be submitted during an exchange"
+        )
         ended = stop(rig, "a")
         await until(lambda: len(rig.sent) > said)
         telegram = rig.sent[said]
@@ -89,7 +91,9 @@ def test_a_stop_breaks_the_silence_after_a_failed_exchange_and_nothing_else_does
     async def test(rig: Rig) -> None:
         rig.line.drive_faults[2] = Faults(unheard=1.0)
         failed = rig.read("b", 150, Priority.INTERACTIVE)
-        await until(lambda: bool(rig.seen.reports) or len(rig.worker.talk._aftermath.reports) > 0)
+        await until(
+            lambda: bool(rig.seen.reports) or len(rig.worker.exchange_loop._deferred.reports) > 0
+        )
         given_up_s = rig.now_s
         other = rig.read("a", 50)
         await anyio.sleep(0.004)
@@ -356,7 +360,7 @@ def test_an_observer_that_fails_ends_the_worker_loudly() -> None:
 
     async def main() -> None:
         async with Rig() as rig:
-            rig.worker.talk.observer = Broken()
+            rig.worker.exchange_loop.observer = Broken()
             rig.read("a", 150)
             await anyio.sleep(5.0)
 
@@ -431,7 +435,7 @@ def test_debug_logs_say_what_did_not_come_and_what_nobody_asked_for(
 @pytest.mark.parametrize("level", ["DEBUG", "INFO"])
 def test_without_debug_nothing_is_collected(caplog: pytest.LogCaptureFixture, level: str) -> None:
     async def test(rig: Rig) -> None:
-        assert (rig.worker.talk._tap is None) is (level == "INFO")
+        assert (rig.worker.exchange_loop._telegram_log is None) is (level == "INFO")
         await rig.read("a", 150).done.wait()
 
     with caplog.at_level(level, logger="lecombus.line"):

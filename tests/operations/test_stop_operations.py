@@ -385,7 +385,7 @@ def test_a_quick_stop_whose_word_may_not_be_read_now_becomes_an_inhibit_and_does
         await anyio.sleep(5.0)  # no module's own code, which holds the line for half a second
         plant.site.drives.get("c").control_word.forget()
         for form in Form:
-            plant.site.worker.talk._doubts.add(encode_code(WORD, form), plant.now_s)
+            plant.site.worker.exchange_loop._late_replies.add(encode_code(WORD, form), plant.now_s)
         said, since_s = len(plant.end.sent), plant.now_s
         report = await plant.site.operations.stop(QUICK, "c")
         assert (report.outcome, report.members[0].code) == (Outcome.VERIFIED, ENABLE)

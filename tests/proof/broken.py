@@ -15,8 +15,8 @@ from typing import Any
 
 from lecombus.capacity.plan import Promises, make_promises
 from lecombus.config import Roster
-from lecombus.line.silence import Silence
-from lecombus.line.talk import Talk
+from lecombus.line.bus_idle import BusIdleTimer
+from lecombus.line.exchange_loop import ExchangeLoop
 from lecombus.protocol.exchange import Ask, Exchange, Result
 from lecombus.protocol.telegrams import ValueAnswer
 from lecombus.protocol.values import Value
@@ -48,27 +48,27 @@ def _impatient() -> list[Patch]:
             **keys,
         )
 
-    def leave_no_quarantine(self: Silence, ended_s: float, quarantine_s: float) -> None:
+    def leave_no_quarantine(self: BusIdleTimer, ended_s: float, quarantine_s: float) -> None:
         self.quiet_until_s = ended_s
 
     return [
         (Exchange, "begin", begin_impatiently),
-        (Silence, "answer_missing", leave_no_quarantine),
+        (BusIdleTimer, "answer_missing", leave_no_quarantine),
     ]
 
 
 def _twice() -> list[Patch]:
     """Says a second telegram while an exchange is open."""
-    begin = Talk._begin
+    begin = ExchangeLoop._begin
 
-    def begin_twice(self: Talk, question: Any, now: float, loss: Any) -> None:
-        begin(self, question, now, loss)
+    def begin_twice(self: ExchangeLoop, prepared: Any, now: float, loss: Any) -> None:
+        begin(self, prepared, now, loss)
         if self.exchanges % EVERY == 0 and self._connection.port is not None:
             asyncio.get_running_loop().call_later(
-                question.ask.request_s + IMPATIENCE_S, self._connection.say, question.ask.sent
+                prepared.ask.request_s + IMPATIENCE_S, self._connection.say, prepared.ask.sent
             )
 
-    return [(Talk, "_begin", begin_twice)]
+    return [(ExchangeLoop, "_begin", begin_twice)]
 
 
 def _old_answers() -> list[Patch]:

@@ -130,7 +130,7 @@ class Losses:
         return needed_s > feeds.most_s(under_way[0].drive)[0] + LAST_PART * feeds.shortest_s()
 
     def _is_worst(self, now_s: float) -> bool:
-        under_way = self._site.worker.talk._under_way
+        under_way = self._site.worker.exchange_loop._under_way
         if under_way is None or not self._count:
             return False
         request = under_way[0]

@@ -18,13 +18,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from lecombus.judging import Judge
-from lecombus.line.doubts import Doubts
+from lecombus.line.bus_idle import BusIdleTimer
+from lecombus.line.exchange_loop import ExchangeLoop
 from lecombus.line.jobs import ReadJob, WriteJob
-from lecombus.line.proving import Proving
-from lecombus.line.questions import Questions
-from lecombus.line.silence import Silence
+from lecombus.line.late_replies import PendingLateReplies
+from lecombus.line.prepared_telegrams import TelegramPreparer
+from lecombus.line.read_back_proof import ReadBackProof
 from lecombus.line.stop_job import StopJob
-from lecombus.line.talk import Talk
 from lecombus.protocol.exchange import Exchange
 from lecombus.schedule.feeds import Feeds
 from lecombus.schedule.schedule import Schedule
@@ -150,7 +150,7 @@ MUTANTS: dict[str, Mutant] = {
     ),
     # -- the wire -------------------------------------------------------------------------------
     "the turnaround is forgotten": Mutant(
-        Silence,
+        BusIdleTimer,
         "exchange_ended",
         "ended_s + self._turnaround_s",
         "ended_s",
@@ -158,14 +158,14 @@ MUTANTS: dict[str, Mutant] = {
         quick=True,
     ),
     "the turnaround is forgotten where the next telegram is ready": Mutant(
-        Talk,
+        ExchangeLoop,
         "_follow",
         "result.ended_s + self._options.turnaround_s",
         "result.ended_s",
         (0,),
     ),
     "the quarantine is a tenth shorter": Mutant(
-        Silence,
+        BusIdleTimer,
         "answer_missing",
         "quarantine_s)",
         "0.9 * quarantine_s)",
@@ -173,15 +173,15 @@ MUTANTS: dict[str, Mutant] = {
         quick=True,
     ),
     "no hold after a write": Mutant(
-        Talk,
+        ExchangeLoop,
         "_conclude",
-        "if question.hold_s and result.kind is not ResultKind.LOST:",
+        "if prepared.hold_s and result.kind is not ResultKind.LOST:",
         "if False:",
         (18, 107),
         quick=True,
     ),
     "a multicast leaves its members no time": Mutant(
-        Questions,
+        TelegramPreparer,
         "_multicast",
         "self._timing.adapter_latency_s + job.processing_s",
         "self._timing.adapter_latency_s",
@@ -197,7 +197,7 @@ MUTANTS: dict[str, Mutant] = {
         quick=True,
     ),
     "a late answer is forgotten": Mutant(
-        Doubts,
+        PendingLateReplies,
         "blocked_until_s",
         "return until",
         "return now_s",
@@ -205,7 +205,7 @@ MUTANTS: dict[str, Mutant] = {
         quick=True,
     ),
     "the addressing form does not alternate": Mutant(
-        Questions,
+        TelegramPreparer,
         "_free",
         "if until_s <= now_s:",
         "if True:",
@@ -229,7 +229,7 @@ MUTANTS: dict[str, Mutant] = {
         quick=True,
     ),
     "a proof is not compared": Mutant(
-        Proving,
+        ReadBackProof,
         "take",
         "if not _shows(",
         "if type(what) is not Written and not _shows(",

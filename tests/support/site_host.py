@@ -348,7 +348,7 @@ class Plant:
         self.end.watch = watch
 
     async def __aenter__(self) -> Plant:
-        talk, watch = self.site.worker.talk, self.end.watch
+        talk, watch = self.site.worker.exchange_loop, self.end.watch
         ended = self.reports.append if watch is None else watch.ended
         talk.observer = ObserverTap(talk.observer, ended)
         self._running = running(self.site)

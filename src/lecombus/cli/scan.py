@@ -227,7 +227,7 @@ def _through_daemon(options: ScanOptions, socket: str | None, url: str | None) -
             what, _ = why_nothing(
                 scan.samples, scan.unclear, echo=None, parity="line", bauds=(baud,)
             )
-        what = "; ".join(filter(None, (what, silence)))
+        what = "; ".join(filter(None, (what, bus_idle)))
         raise CommandError(Exit.FAILED, Problem(what, "", "no-drive"))
     here = {"port": line.port, "baud": baud}
     added = "\n".join(

@@ -2,9 +2,9 @@
 
 An answer carries no address. Where answers are delivered twice, or two drives have one address, the
 second answer comes when another drive may have been asked for the same, and passes for its own.
-Doubts (`doubts`) are about answers that are missing; a second one is missed by nobody. What can be
-known is that such answers come at all, and how long ago another drive was asked for an answer that
-looks the same. From these two follows how much a proof is worth (`proving`).
+Doubts (`late_replies`) are about answers that are missing; a second one is missed by nobody. What
+can be known is that such answers come at all, and how long ago another drive was asked for an
+answer that looks the same. From these two follows how much a proof is worth (`read_back_proof`).
 
 What must not live here: what is done about it.
 """

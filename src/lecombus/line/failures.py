@@ -20,7 +20,7 @@ from ..errors import (
 )
 from ..protocol.exchange import Result, ResultKind
 from ..protocol.telegrams import NakAnswer, TransmissionErrorAnswer, UnknownCodeAnswer
-from .station import Station, Step, StepKind
+from .station import JobStep, Station, StepKind
 
 __all__ = ["error_of"]
 
@@ -44,7 +44,7 @@ _BY_KIND: dict[ResultKind, type[ExchangeError]] = {
 }
 
 
-def error_of(station: Station, step: Step, result: Result, attempt: int) -> ExchangeError:
+def error_of(station: Station, step: JobStep, result: Result, attempt: int) -> ExchangeError:
     """Make the error for an exchange that did not give what was asked for.
 
     Args:

@@ -9,7 +9,7 @@ Rules held here (EDB2102EN 8.3.5; CMVLC401A 6):
   (EDB2102EN 8.3.1; CMVLC401A 6.1), so a plain value is written once more, and a read is asked once
   more; never an edge, a step or a save. That counts as one of the repetitions;
 * what was written is proven by reading it back: an answer that may be another drive's, because it
-  was asked for the same, takes more readings (`proving`).
+  was asked for the same, takes more readings (`read_back_proof`).
 
 What must not live here: telegrams, time-outs, who goes first.
 """
@@ -28,8 +28,8 @@ from ..protocol.values import Value
 from ..schedule.request import Outcome
 from .duplicates import Duplicates
 from .failures import error_of
-from .proving import Proving, Written
-from .station import Station, Step, StepKind, Verdict
+from .read_back_proof import ReadBackProof, WrittenValue
+from .station import JobStep, Station, StepKind, Verdict
 
 __all__ = ["MulticastJob", "ReadBackJob", "ReadJob", "WriteJob"]
 
@@ -63,7 +63,7 @@ class ReadJob:
     ) -> None:
         self.station = station
         self.instead = instead
-        self.step = Step(StepKind.READ, code, form=form, only=only)
+        self.step = JobStep(StepKind.READ, code, form=form, only=only)
         self.retries = retries
         self.attempts = 0
         self.value: Value | None = None
@@ -111,7 +111,7 @@ class ReadBackJob:
     def __init__(
         self,
         station: Station,
-        written: Written,
+        written: WrittenValue,
         retries: int,
         duplicates: Duplicates | None = None,
     ) -> None:
@@ -121,7 +121,7 @@ class ReadBackJob:
         self.value: Value | None = None
         self.is_shown = False
         self._retries = retries
-        self._proving = Proving(duplicates, silent=False)
+        self._proving = ReadBackProof(duplicates, silent=False)
         self._begin()
 
     @property
@@ -228,7 +228,7 @@ class WriteJob:
         self.write_class = write_class
         self.retries = retries
         self.verify = verify
-        self.step = Step(StepKind.WRITE, code, value)
+        self.step = JobStep(StepKind.WRITE, code, value)
         self.proof: Value | None = None
         self.error: ExchangeError | None = None
         self.attempts = 0
@@ -274,7 +274,7 @@ class WriteJob:
 
     def _prove(self) -> Verdict:
         if self._back is None:
-            written = Written(self.code, self.value)
+            written = WrittenValue(self.code, self.value)
             self._back = ReadBackJob(self.station, written, self.retries, self._duplicates)
         self._back.said(answered=self._acknowledged)
         self._proving = True
@@ -318,7 +318,7 @@ class WriteJob:
 
     def _again(self) -> Verdict:
         self._proving = False
-        self.step = Step(StepKind.WRITE, self.code, self.value)
+        self.step = JobStep(StepKind.WRITE, self.code, self.value)
         return None
 
 
@@ -347,7 +347,7 @@ class MulticastJob:
         self.station = station
         self.processing_s = processing_s
         self.holds = holds or {}
-        self.step = Step(StepKind.MULTICAST, code, value)
+        self.step = JobStep(StepKind.MULTICAST, code, value)
         self.error: ExchangeError | None = None
 
     @property

@@ -10,7 +10,7 @@ from typing import Protocol
 
 from ..protocol.exchange import Result
 from ..schedule import Priority
-from .station import Step
+from .station import JobStep
 
 __all__ = ["ExchangeReport", "Observer"]
 
@@ -32,7 +32,7 @@ class ExchangeReport:
     """
 
     drive: str
-    step: Step
+    step: JobStep
     result: Result
     priority: Priority
     waited_s: float

@@ -21,7 +21,7 @@ from ..protocol.exchange import Result
 from ..protocol.values import Value
 from ..schedule.request import Outcome
 
-__all__ = ["Job", "Station", "Step", "StepKind", "Verdict"]
+__all__ = ["Job", "JobStep", "Station", "StepKind", "Verdict"]
 
 Verdict = tuple[Outcome, str] | None
 """How a request ended and why, or None when another step is wanted."""
@@ -59,7 +59,7 @@ class Station:
             self.family, code, write=write, answer_time_s=self.answer_time_s
         )
 
-    def told_s(self, code: Code, *, write: bool = False) -> float:
+    def documented_s(self, code: Code, *, write: bool = False) -> float:
         """Give the longest that manual and roster let it think, seconds."""
         return manual_s(self.family, code, write=write, answer_time_s=self.answer_time_s)
 
@@ -72,7 +72,7 @@ class StepKind(StrEnum):
     MULTICAST = "multicast"
 
 
-class Step(NamedTuple):
+class JobStep(NamedTuple):
     """One exchange to be run: read `code`, in `form` if that is free, or write `value` to it.
 
     Where `only` is set the read waits until its `form` is free.
@@ -92,7 +92,7 @@ class Job(Protocol):
     error: ExchangeError | None
 
     @property
-    def step(self) -> Step:
+    def step(self) -> JobStep:
         """The next exchange to run."""
 
     @property

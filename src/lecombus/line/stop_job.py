@@ -52,8 +52,8 @@ from ..protocol.values import Value
 from ..schedule.request import Outcome
 from .duplicates import Duplicates
 from .failures import error_of
-from .proving import Proving
-from .station import Station, Step, StepKind, Verdict
+from .read_back_proof import ReadBackProof
+from .station import JobStep, Station, StepKind, Verdict
 
 __all__ = ["StopJob"]
 
@@ -151,7 +151,7 @@ class StopJob:
         self.may_inhibit = may_inhibit
         self.proof: Value | None = None
         self.proof_code: Code | None = None
-        self._proving = Proving(duplicates, silent=silent)
+        self._proving = ReadBackProof(duplicates, silent=silent)
         self.error: ExchangeError | None = None
         self._since_s: float | None = None
         self._checking = said
@@ -166,10 +166,10 @@ class StopJob:
         self._why = ""  # a quick stop became an inhibit, or was made from the last known word
         self._unread_word: int | None = None  # what it is made from where nothing can be read
         self._turned = False  # it is being said in the other addressing form
-        self._step: Step | None = None
+        self._step: JobStep | None = None
 
     @property
-    def step(self) -> Step:
+    def step(self) -> JobStep:
         """What is to be said now; it stays the same from the first look until its result."""
         if self._step is None:
             self._step = self._made()
@@ -263,7 +263,7 @@ class StopJob:
             self.station = replace(self.station, forms=(*forms[1:], forms[0]))
             self._turned = not self._turned
 
-    def _made(self) -> Step:
+    def _made(self) -> JobStep:
         family = self.station.family
         if self._checking:
             return self._proving.step(self.station, self.action)
@@ -286,13 +286,13 @@ class StopJob:
         self._read_word = self._read_inhibit = None
         return self._saying(word)
 
-    def _to_learn(self, code: Code) -> Step:
+    def _to_learn(self, code: Code) -> JobStep:
         self._learning = True
-        return Step(StepKind.READ, code)
+        return JobStep(StepKind.READ, code)
 
-    def _saying(self, word: int | None) -> Step:
+    def _saying(self, word: int | None) -> JobStep:
         code, value = stop_value(self.station.family, self.action, word)
-        return Step(StepKind.WRITE, code, value)
+        return JobStep(StepKind.WRITE, code, value)
 
     @property
     def _can_inhibit(self) -> bool:
@@ -311,7 +311,7 @@ class StopJob:
         if now_s is not None and self._since_s is not None:
             self._since_s = max(self._since_s, now_s - STOP_PATIENCE_S + LEAST_INHIBIT_S)
 
-    def _learnt(self, step: Step, result: Result, over: bool) -> Verdict:
+    def _learnt(self, step: JobStep, result: Result, over: bool) -> Verdict:
         """Keep what the stop is made of: the word, or whether the drive is inhibited.
 
         A drive that was told to stop already is asked more than once before it is inhibited: the
@@ -362,7 +362,7 @@ class StopJob:
         self._read_inhibit = inhibit_proofs(family)[code].shown_by(value)
         return self._read_inhibit is not None
 
-    def _unreadable(self, step: Step, result: Result, value: Value | None) -> str:
+    def _unreadable(self, step: JobStep, result: Result, value: Value | None) -> str:
         """Say why a control word, or whether the drive is inhibited, could not be learnt."""
         if value is not None:
             what = (
@@ -372,7 +372,7 @@ class StopJob:
         error = error_of(self.station, step, result, max(1, self._failed_reads))
         return f"needs {step.code}, which could not be read: {error}"
 
-    def _checked(self, step: Step, result: Result, over: bool) -> Verdict:
+    def _checked(self, step: JobStep, result: Result, over: bool) -> Verdict:
         self._checking = False
         self._unheard = 0
         answer = result.answer
@@ -406,7 +406,7 @@ class StopJob:
             return None
         return self._not_shown(step, reads)
 
-    def _not_shown(self, step: Step, reads: str) -> Verdict:
+    def _not_shown(self, step: JobStep, reads: str) -> Verdict:
         """Say that a stop was said for as long as it is tried, and does not show."""
         family, more = self.station.family, ""
         if self.action is StopAction.QUICK_STOP and not self.may_inhibit:
@@ -432,7 +432,7 @@ class StopJob:
         enough = self.attempts and self._unshown > max(1, self.retries)
         return bool(self._can_inhibit and waited and enough)
 
-    def _unread(self, step: Step, result: Result, over: bool) -> Verdict:
+    def _unread(self, step: JobStep, result: Result, over: bool) -> Verdict:
         """Say it again; in the end, or where the drive does not know the code, say so."""
         self._failed_reads += 1
         self.error = error_of(self.station, step, result, self._failed_reads)

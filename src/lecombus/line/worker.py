@@ -1,7 +1,7 @@
 """The worker: it owns the port of one line for as long as the daemon lives.
 
-Theory of operation. One task opens the port, lets the talk run on it (talk.py: one exchange after
-the other), and opens it again, with backoff, whenever it was lost.
+Theory of operation. One task opens the port, lets the talk run on it (exchange_loop.py: one
+exchange after the other), and opens it again, with backoff, whenever it was lost.
 
 * Cancelling a caller never reaches the wire: callers wait on futures, the worker runs in a shield
   and ends only between two exchanges.
@@ -20,12 +20,12 @@ import anyio
 from ..drives import LineTiming
 from ..errors import LineClosedError, LineLostError
 from ..schedule import Priority, Request, Schedule
-from .connection import Connection
+from .exchange_loop import ExchangeLoop
 from .observer import ExchangeReport, Observer
 from .options import WorkerOptions
 from .port import PortOpener, PortSettings
-from .talk import Talk
-from .waits import Lateness, Nap
+from .port_connection import PortConnection
+from .timers import Lateness, WakeableSleep
 
 __all__ = ["ExchangeReport", "LineWorker", "Observer", "WorkerOptions"]
 
@@ -42,7 +42,7 @@ class LineWorker:
         observer: Told what happens.
 
     Attributes:
-        talk: What is said and heard.
+        exchange_loop: What is said and heard.
         lateness: How late the line was woken.
     """
 
@@ -58,11 +58,11 @@ class LineWorker:
         self.schedule = schedule
         self.options = options
         self.lateness = Lateness()
-        self._connection = Connection(settings, opener)
-        self.talk = Talk(
+        self._connection = PortConnection(settings, opener)
+        self.exchange_loop = ExchangeLoop(
             schedule, timing, options, self._connection, settings.line, observer, self.lateness
         )
-        self._nap = Nap(self.lateness)
+        self._nap = WakeableSleep(self.lateness)
         self._retries = 0
         self._closing = False
 
@@ -76,12 +76,12 @@ class LineWorker:
     @property
     def exchanges(self) -> int:
         """Exchanges so far."""
-        return self.talk.exchanges
+        return self.exchange_loop.exchanges
 
     @property
     def rests(self) -> int:
         """How often it looked round with nothing to say, or without a port: its sign of life."""
-        return self.talk.rests + self._retries
+        return self.exchange_loop.rests + self._retries
 
     def describe_port(self) -> str:
         """Name the port for people."""
@@ -101,18 +101,18 @@ class LineWorker:
             raise LineLostError(f"{self._connection.why_not()}: nothing was sent")
         self.schedule.submit(request, asyncio.get_running_loop().time())
         if request.priority is Priority.STOP:
-            self.talk.stop_came()
-        self.talk.nudge()
+            self.exchange_loop.stop_came()
+        self.exchange_loop.nudge()
 
     def nudge(self) -> None:
         """Look round: something changed in the schedule, or a lost port may be there again."""
-        self.talk.nudge()
+        self.exchange_loop.nudge()
         self._nap.nudge()
 
     def close(self) -> None:
         """End after the exchange under way."""
         self._closing = True
-        self.talk.end()
+        self.exchange_loop.end()
         self.nudge()
 
     async def run(self) -> None:
@@ -137,32 +137,32 @@ class LineWorker:
     async def _work(self) -> None:
         loop = asyncio.get_running_loop()
         while not self._closing:
-            if await self._connection.open(self.talk):
-                if not await self._talk():
+            if await self._connection.open(self.exchange_loop):
+                if not await self._exchange_loop():
                     return
                 self._line_lost()
             else:
                 reason = self._connection.why_not()
-                self.talk.observer.line_changed(False, reason)
+                self.exchange_loop.observer.line_changed(False, reason)
                 self.schedule.fail_all(loop.time(), reason)
             self._retries += 1
             # Also after a loss: a port may open well and fail at once, again and again.
             await self._nap.until(loop.time() + self._connection.backoff_s())
             self._retries += 1
 
-    async def _talk(self) -> bool:
+    async def _exchange_loop(self) -> bool:
         """Run exchanges until the port is lost (True) or the worker is closed (False)."""
         port = self._connection.port
         assert port is not None
-        self.talk.observer.line_changed(True, port.describe())
-        await self.talk.start(port)
+        self.exchange_loop.observer.line_changed(True, port.describe())
+        await self.exchange_loop.start(port)
         return not self._closing
 
     def _line_lost(self) -> None:
         """End all that waits; a port that is opened again, for it was silent, keeps the stops."""
         reason = self._connection.why_not()
         self._connection.drop()
-        self.talk.observer.line_changed(False, reason)
+        self.exchange_loop.observer.line_changed(False, reason)
         self.schedule.fail_all(
             asyncio.get_running_loop().time(), reason, stops=not self._connection.is_reopened
         )
@@ -171,5 +171,5 @@ class LineWorker:
         """Close the port and leave nobody waiting."""
         self._closing = True
         self._connection.drop()
-        self.talk.clear()
+        self.exchange_loop.clear()
         self.schedule.fail_all(asyncio.get_running_loop().time(), "the line is being closed")

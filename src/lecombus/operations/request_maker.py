@@ -27,7 +27,7 @@ from lecombus.drives.stops import STOP_PATIENCE_S
 from lecombus.errors import OperationError
 from lecombus.line.duplicates import Duplicates
 from lecombus.line.jobs import MulticastJob, ReadBackJob, ReadJob, WriteJob
-from lecombus.line.proving import Written
+from lecombus.line.read_back_proof import WrittenValue
 from lecombus.line.station import Station
 from lecombus.line.stop_job import StopJob
 from lecombus.protocol.addressing import Code, Form
@@ -258,7 +258,7 @@ class RequestMaker:
     ) -> Request:
         """Make a request that reads whether a code holds a value, and whose answer that is."""
         cost = self._read_cost(station, code)
-        job = ReadBackJob(station, Written(code, value), self.retries, duplicates)
+        job = ReadBackJob(station, WrittenValue(code, value), self.retries, duplicates)
         return Request(
             station.name,
             priority,

@@ -202,7 +202,7 @@ class Requests:
         ending = Ending()
         request = self.maker.write(
             station, code, value, settle=ending.settle, verify=verify, expires_at_s=expires_at_s,
-            duplicates=self.worker.talk.duplicates,
+            duplicates=self.worker.exchange_loop.duplicates,
         )  # fmt: skip
         self.worker.submit(request)
         return await ending.wait()
@@ -230,7 +230,7 @@ class Requests:
         ending = Ending()
         request = self.maker.read_back(
             station, code, value, priority, settle=ending.settle,
-            expires_at_s=self._clock() + timeout_s, duplicates=self.worker.talk.duplicates,
+            expires_at_s=self._clock() + timeout_s, duplicates=self.worker.exchange_loop.duplicates,
         )  # fmt: skip
         self.worker.submit(request)
         outcome, reason = await ending.wait()

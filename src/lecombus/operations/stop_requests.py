@@ -14,7 +14,7 @@ from lecombus.drives import StopAction, knows_stop, needs_control_word, stop_val
 from lecombus.drives.stops import STOP_PATIENCE_S, usable_word
 from lecombus.errors import OperationError
 from lecombus.line.jobs import MulticastJob
-from lecombus.line.station import Station, Step
+from lecombus.line.station import JobStep, Station
 from lecombus.line.stop_job import StopJob
 from lecombus.operations.context import OperationContext
 from lecombus.operations.failure_kinds import kind_of
@@ -209,7 +209,7 @@ class Stops:
             last_word=lambda: self._context.control_word(name).last(), said=said, settle=settle,
             silent=bool(self._context.silence_of(station)),
             may_inhibit=entry is None or entry.stop_fallback == "inhibit",
-            duplicates=self._context.requests.worker.talk.duplicates,
+            duplicates=self._context.requests.worker.exchange_loop.duplicates,
             patience_s=ABSENT_PATIENCE_S if absent else STOP_PATIENCE_S,
         )  # fmt: skip
         self._context.requests.worker.submit(request)
@@ -223,7 +223,7 @@ def station_of(request: Request) -> Station:
     return job.station
 
 
-def telegram_of(request: Request) -> Step:
+def telegram_of(request: Request) -> JobStep:
     """The telegram of a multicast."""
     job = request.work
     assert isinstance(job, MulticastJob)

@@ -176,7 +176,7 @@ class Writes:
         settle = unknown_until_ended((word,), code, ending.settle)
         ending.request = request = self._context.requests.maker.write(
             station, code, wire, settle=settle, verify=verify, expires_at_s=expires_at_s,
-            urgency=urgency, duplicates=self._context.requests.worker.talk.duplicates,
+            urgency=urgency, duplicates=self._context.requests.worker.exchange_loop.duplicates,
         )  # fmt: skip
         request.is_gone = None if goes_on else client_check(station, code, wire)
         try:

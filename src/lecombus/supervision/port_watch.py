@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from lecombus.config import LineEntry
-from lecombus.line.unheard import END_IT, shared, unheard_remedy
+from lecombus.line.no_answers import END_IT, shared, unheard_remedy
 from lecombus.store import Store
 
 __all__ = ["SILENCE", "PortWatch"]

@@ -25,34 +25,34 @@ from ..protocol.addressing import Code, Form, encode_code
 from ..protocol.telegrams import UnknownCodeAnswer, ValueAnswer
 from ..protocol.values import Value
 from .duplicates import COPY_S, Duplicates
-from .station import Station, Step, StepKind
+from .station import JobStep, Station, StepKind
 
-__all__ = ["Proving", "Written"]
+__all__ = ["ReadBackProof", "WrittenValue"]
 
 WANTED = 2
 """Readings that it takes in two forms where one may be another drive's."""
 
 
-class Written(NamedTuple):
+class WrittenValue(NamedTuple):
     """What a code should read as after a write."""
 
     code: Code
     value: Value
 
 
-def _codes(family: Family, what: StopAction | Written) -> tuple[Code, ...]:
+def _codes(family: Family, what: StopAction | WrittenValue) -> tuple[Code, ...]:
     """Name the codes that show it, the most telling first."""
-    return (what.code,) if isinstance(what, Written) else confirm_codes(family, what)
+    return (what.code,) if isinstance(what, WrittenValue) else confirm_codes(family, what)
 
 
-def _shows(family: Family, what: StopAction | Written, code: Code, value: Value) -> bool:
+def _shows(family: Family, what: StopAction | WrittenValue, code: Code, value: Value) -> bool:
     """Say whether a reading shows it."""
-    if isinstance(what, Written):
+    if isinstance(what, WrittenValue):
         return value.means_same(what.value)
     return stop_confirmed(family, what, code, value)
 
 
-class Proving:
+class ReadBackProof:
     """What has been shown of one stop or one write.
 
     Args:
@@ -85,7 +85,7 @@ class Proving:
             self.acknowledged = acknowledged
             self._shown.clear()
 
-    def step(self, station: Station, what: StopAction | Written) -> Step:
+    def step(self, station: Station, what: StopAction | WrittenValue) -> JobStep:
         """Give the next reading."""
         other_s = self._duplicates.other_s
         fields = [one for one in self._fields(station, what) if one[0] not in self._shown]
@@ -94,14 +94,14 @@ class Proving:
             forms = [form for form in self._forms(station) if code.knows(form)]
             forms.sort(key=lambda form: other_s(encode_code(code, form), station.name))
             form = forms[self._asked_itself % len(forms)] if forms else None
-            return Step(StepKind.READ, code, form=form)
+            return JobStep(StepKind.READ, code, form=form)
         if not fields:
             fields = list(self._fields(station, what))
         _, code, form = min(fields, key=lambda one: other_s(one[0], station.name))
-        return Step(StepKind.READ, code, form=form)
+        return JobStep(StepKind.READ, code, form=form)
 
     def take(
-        self, station: Station, what: StopAction | Written, answer: ValueAnswer, code: Code
+        self, station: Station, what: StopAction | WrittenValue, answer: ValueAnswer, code: Code
     ) -> bool:
         """Take a reading; say whether it shows what it should."""
         self.repeated = answer.field in self._shown
@@ -154,7 +154,7 @@ class Proving:
         self.acknowledged = False
         self._shown.clear()
 
-    def is_enough(self, station: Station, what: StopAction | Written, now_s: float) -> bool:
+    def is_enough(self, station: Station, what: StopAction | WrittenValue, now_s: float) -> bool:
         """Whether the stop is shown."""
         if not (self.silent or self._duplicates.doubtful(now_s)):
             return bool(self._shown)
@@ -164,7 +164,7 @@ class Proving:
             self.has_no_address and any(self._is_old(one, station, now_s) for one in self._shown)
         )
 
-    def is_written(self, station: Station, what: Written, now_s: float) -> bool:
+    def is_written(self, station: Station, what: WrittenValue, now_s: float) -> bool:
         """Whether a write is shown, acknowledged or not."""
         own = any(not self._is_old(one, station, now_s) for one in self._shown)
         if own or not (self.silent or self._duplicates.doubtful(now_s)):
@@ -193,7 +193,7 @@ class Proving:
     def _forms(self, station: Station) -> tuple[Form, ...]:
         return tuple(form for form in station.forms if form not in self._led_astray)
 
-    def _has_enough(self, station: Station, what: StopAction | Written) -> bool:
+    def _has_enough(self, station: Station, what: StopAction | WrittenValue) -> bool:
         there = sum(1 for _ in self._fields(station, what))
         return len(self._shown) >= min(WANTED, there)
 
@@ -201,7 +201,7 @@ class Proving:
         return now_s - self._duplicates.other_s(field, station.name) < COPY_S
 
     def _fields(
-        self, station: Station, what: StopAction | Written
+        self, station: Station, what: StopAction | WrittenValue
     ) -> Iterator[tuple[bytes, Code, Form]]:
         """Name the answers that may show it: the most telling code's in every form.
 

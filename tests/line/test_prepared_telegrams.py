@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from lecombus.drives import LineTiming, StopAction, WriteClass, family, read_cost
-from lecombus.line.doubts import Doubts
 from lecombus.line.jobs import MulticastJob, ReadJob, WriteJob
-from lecombus.line.questions import Question, Questions
+from lecombus.line.late_replies import PendingLateReplies
+from lecombus.line.prepared_telegrams import PreparedTelegram, TelegramPreparer
 from lecombus.line.station import Job, Station
 from lecombus.line.stop_job import StopJob
 from lecombus.protocol.addressing import Code, Form, encode_code
@@ -24,17 +24,19 @@ def station(kind: str = "8200vector", **more: object) -> Station:
     return Station("a", 1, described, described.forms, **more)  # type: ignore[arg-type]
 
 
-def questions(*doubtful: bytes) -> Questions:
-    doubts = Doubts(0.5)
+def preparer(*doubtful: bytes) -> TelegramPreparer:
+    late_replies = PendingLateReplies(0.5)
     for field in doubtful:
-        doubts.add(field, 0.0)
-    return Questions(TIMING, doubts)
+        late_replies.add(field, 0.0)
+    return TelegramPreparer(TIMING, late_replies)
 
 
-def ask(where: Questions, job: Job, now_s: float = 0.1, *, urgent: bool = False) -> Question:
-    question = where.ask(job, now_s, urgent=urgent)
-    assert isinstance(question, Question), f"it may not be said before {question}"
-    return question
+def ask(
+    where: TelegramPreparer, job: Job, now_s: float = 0.1, *, urgent: bool = False
+) -> PreparedTelegram:
+    prepared = where.ask(job, now_s, urgent=urgent)
+    assert isinstance(prepared, PreparedTelegram), f"it may not be said before {prepared}"
+    return prepared
 
 
 def field(code: Code, form: Form = Form.STANDARD) -> bytes:
@@ -46,7 +48,7 @@ def writing() -> WriteJob:
 
 
 def test_a_read_carries_parity_where_we_make_it_and_not_where_a_device_does() -> None:
-    where = questions()
+    where = preparer()
     assert ask(where, ReadJob(station(), STATUS, 0)).ask.sent == b"\x84\x30\xb1\x3f\x30\x05"
     where.parity = False
     assert ask(where, ReadJob(station(), STATUS, 0)).ask.sent == b"\x0401?0\x05"
@@ -58,7 +60,7 @@ def test_the_time_outs_are_those_the_cost_model_gives_for_drive_code_and_form(
     kind: str, number: int
 ) -> None:
     one, code = station(kind), Code(number)
-    made = ask(questions(), ReadJob(one, code, 0)).ask
+    made = ask(preparer(), ReadJob(one, code, 0)).ask
     cost = read_cost(TIMING, one.family, code, Form.STANDARD)
     assert (made.request_s, made.first_byte_s, made.whole_s, made.gap_s) == (
         cost.request_s, cost.first_byte_s, cost.whole_s, cost.gap_s,
@@ -68,72 +70,72 @@ def test_the_time_outs_are_those_the_cost_model_gives_for_drive_code_and_form(
 
 
 def test_the_roster_s_word_on_the_answer_time_goes_before_the_family_s() -> None:
-    made = ask(questions(), ReadJob(station(answer_time_s=0.3), STATUS, 0)).ask
+    made = ask(preparer(), ReadJob(station(answer_time_s=0.3), STATUS, 0)).ask
     assert made.first_byte_s == pytest.approx(made.request_s + 0.6 + 0.036)
 
 
 def test_a_read_in_doubt_is_said_in_the_other_form_and_then_waits() -> None:
-    one = questions(field(STATUS))
+    one = preparer(field(STATUS))
     assert ask(one, ReadJob(station(), STATUS, 0)).ask.field == field(STATUS, Form.EXTENDED)
     sole = ReadJob(station(), STATUS, 0, form=Form.STANDARD, only=True)
     assert one.ask(sole, 0.1, urgent=False) == 0.5, "that one form is wanted"
-    assert ask(questions(field(STATUS, Form.EXTENDED)), sole).ask.field == field(STATUS)
-    both = questions(field(STATUS), field(STATUS, Form.EXTENDED))
+    assert ask(preparer(field(STATUS, Form.EXTENDED)), sole).ask.field == field(STATUS)
+    both = preparer(field(STATUS), field(STATUS, Form.EXTENDED))
     assert both.ask(ReadJob(station(), STATUS, 0), 0.1, urgent=False) == 0.5
     assert both.ask(ReadJob(station(), STATUS, 0), 0.1, urgent=True) == 0.5, "a stop's read too"
 
 
 def test_a_read_waits_for_the_form_that_is_free_first_and_no_longer() -> None:
-    doubts = Doubts(0.5)
-    where, job = Questions(TIMING, doubts), ReadJob(station(), STATUS, 0)
-    doubts.add(field(STATUS), 0.0)
+    late_replies = PendingLateReplies(0.5)
+    where, job = TelegramPreparer(TIMING, late_replies), ReadJob(station(), STATUS, 0)
+    late_replies.add(field(STATUS), 0.0)
     assert ask(where, ReadJob(station(), Code(50), 0)).ask.field == field(Code(50))
-    doubts.add(field(STATUS, Form.EXTENDED), 0.2)
+    late_replies.add(field(STATUS, Form.EXTENDED), 0.2)
     assert where.ask(job, 0.3, urgent=False) == 0.5
     assert ask(where, job, 0.5).ask.field == field(STATUS)
 
 
 def test_a_code_only_the_extended_form_can_say_waits_for_that() -> None:
-    where, code = questions(field(Code(39, 1), Form.EXTENDED)), Code(39, 1)
+    where, code = preparer(field(Code(39, 1), Form.EXTENDED)), Code(39, 1)
     assert where.ask(ReadJob(station(), code, 0), 0.1, urgent=False) == 0.5
     assert ask(where, ReadJob(station(), code, 0), 0.5).ask.field == field(code, Form.EXTENDED)
 
 
 def test_a_drive_found_slow_is_given_longer_at_its_next_read() -> None:
-    one, where = station(), questions()
+    one, where = station(), preparer()
     before = ask(where, ReadJob(one, STATUS, 0))
     assert ask(where, ReadJob(one, STATUS, 0)) is before, "made once"
     for at_s in (1.0, 2.0):
-        one.measured.note(STATUS, before.told_s, before.told_s + 0.1, at_s, write=False)
+        one.measured.note(STATUS, before.documented_s, before.documented_s + 0.1, at_s, write=False)
     after = ask(where, ReadJob(one, STATUS, 0))
     assert after.ask.first_byte_s > before.ask.first_byte_s + 0.1
-    assert after.told_s == before.told_s == one.told_s(STATUS)
+    assert after.documented_s == before.documented_s == one.documented_s(STATUS)
 
 
 def test_a_device_with_one_form_waits_at_once() -> None:
-    where = questions(field(STATUS))
+    where = preparer(field(STATUS))
     assert where.ask(ReadJob(station("generic"), STATUS, 0), 0.1, urgent=False) == 0.5
 
 
 def test_a_feed_takes_another_code_instead() -> None:
-    where = questions(field(STATUS), field(STATUS, Form.EXTENDED))
+    where = preparer(field(STATUS), field(STATUS, Form.EXTENDED))
     job = ReadJob(station(), STATUS, 0, instead=(STATUS, Code(50)))
     assert ask(where, job).ask.field == field(Code(50))
     assert job.step.code == Code(50), "the answer is booked under the code that was asked for"
 
 
 def test_a_write_waits_while_an_old_acknowledgement_may_come_and_a_stop_does_not() -> None:
-    where = questions(ACK_FIELD)
+    where = preparer(ACK_FIELD)
     assert where.ask(writing(), 0.1, urgent=False) == 0.5
     stop = StopJob(station(), StopAction.INHIBIT, word=lambda: None, retries=0)
     assert ask(where, stop, urgent=True).ask.field == ACK_FIELD
-    assert isinstance(where.ask(writing(), 0.5, urgent=False), Question)
+    assert isinstance(where.ask(writing(), 0.5, urgent=False), PreparedTelegram)
 
 
 def test_a_multicast_waits_for_nothing_and_expects_nothing() -> None:
     group = Station("g", 10, VECTOR, VECTOR.forms)
     job = MulticastJob(group, SETPOINT, Value.decimal(20), processing_s=0.2)
-    made = ask(questions(ACK_FIELD), job)
+    made = ask(preparer(ACK_FIELD), job)
     assert (made.ask.field, made.hold_s, made.quarantine_s) == (b"", 0.0, 0.0)
     assert made.ask.whole_s >= made.ask.request_s + 0.2
 
@@ -141,13 +143,13 @@ def test_a_multicast_waits_for_nothing_and_expects_nothing() -> None:
 def test_a_write_holds_its_drive_off_and_a_read_does_not() -> None:
     held = station("820x", hold_s=0.23)
     job = WriteJob(held, SETPOINT, Value.decimal(20), write_class=WriteClass.PLAIN, retries=0)
-    assert ask(questions(), job).hold_s == 0.23
-    assert ask(questions(), ReadJob(held, STATUS, 0)).hold_s == 0.0
+    assert ask(preparer(), job).hold_s == 0.23
+    assert ask(preparer(), ReadJob(held, STATUS, 0)).hold_s == 0.0
 
 
 def test_stations_with_the_same_address_do_not_share_telegrams_made_before() -> None:
     """A reloaded roster makes a new station: its answer time must count."""
-    where = questions()
+    where = preparer()
     before = ask(where, ReadJob(station(), STATUS, 0))
     after = ask(where, ReadJob(station(answer_time_s=1.0), STATUS, 0))
     assert after.ask.first_byte_s > before.ask.first_byte_s

@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 from lecombus.drives import family
-from lecombus.line.patience import Patience
+from lecombus.line.extended_listen import ExtendedListen
 from lecombus.line.station import Station
 from lecombus.protocol.addressing import Code
 from lecombus.schedule.shares import LISTEN_EVERY_S
@@ -19,7 +19,7 @@ def station(name: str = "a") -> Station:
 
 
 def test_only_misses_in_a_row_make_the_line_listen() -> None:
-    patience, drive = Patience(), station()
+    patience, drive = ExtendedListen(), station()
     assert [patience.wanted(drive, STATUS, at_s) for at_s in (1.0, 2.0, 3.0)] == [
         False,
         False,
@@ -34,7 +34,7 @@ def test_only_misses_in_a_row_make_the_line_listen() -> None:
 
 
 def test_a_code_that_never_answers_is_listened_for_more_and_more_seldom() -> None:
-    patience, drive, listened = Patience(), station(), list[float]()
+    patience, drive, listened = ExtendedListen(), station(), list[float]()
     for second in range(36_000):
         if patience.wanted(drive, STATUS, float(second)):
             listened.append(float(second))
@@ -45,7 +45,11 @@ def test_a_code_that_never_answers_is_listened_for_more_and_more_seldom() -> Non
 
 
 def test_a_line_with_many_absent_drives_listens_once_a_minute_at_most() -> None:
-    patience, drives, listened = Patience(), [station(str(one)) for one in range(31)], list[float]()
+    patience, drives, listened = (
+        ExtendedListen(),
+        [station(str(one)) for one in range(31)],
+        list[float](),
+    )
     for second in range(3600):
         for drive in drives:
             if patience.wanted(drive, STATUS, float(second)):
@@ -56,7 +60,7 @@ def test_a_line_with_many_absent_drives_listens_once_a_minute_at_most() -> None:
 
 
 def test_an_answer_is_followed_by_one_more_try_and_then_by_a_minute() -> None:
-    patience, drive, listened = Patience(), station(), list[float]()
+    patience, drive, listened = ExtendedListen(), station(), list[float]()
     for second in range(600):
         if patience.wanted(drive, OTHER, float(second)):
             listened.append(float(second))
@@ -67,7 +71,7 @@ def test_an_answer_is_followed_by_one_more_try_and_then_by_a_minute() -> None:
 
 
 def test_what_was_cut_short_is_tried_again_soon_but_not_at_once() -> None:
-    patience, drive = Patience(), station()
+    patience, drive = ExtendedListen(), station()
     for at_s in (1.0, 2.0, 3.0):
         patience.wanted(drive, STATUS, at_s)
     patience.cut(3.0)

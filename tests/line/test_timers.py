@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
-from lecombus.line.waits import Lateness, Nap, Pause
+from lecombus.line.timers import Lateness, WakeableSleep, WakeableTimer
 from support.virtual_loop import run
 
 
@@ -18,7 +18,7 @@ def test_the_most_is_taken_once() -> None:
 def test_who_is_nudged_early_or_woken_in_time_is_not_late() -> None:
     async def main() -> None:
         lateness, loop = Lateness(), asyncio.get_running_loop()
-        nap = Nap(lateness)
+        nap = WakeableSleep(lateness)
         loop.call_later(1.0, nap.nudge)
         await nap.until(loop.time() + 5.0)
         await nap.until(loop.time() + 0.5)
@@ -34,7 +34,7 @@ class Paused:
 
     def __init__(self) -> None:
         self.lateness = Lateness()
-        self.pause = Pause(self._over, self.lateness)
+        self.pause = WakeableTimer(self._over, self.lateness)
         self.at_s: list[float] = []
 
     def _over(self) -> None:

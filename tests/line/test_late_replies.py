@@ -61,7 +61,9 @@ def test_a_stop_whose_acknowledgement_is_an_old_one_is_believed_only_when_read_b
         rig.line["a"].model.preset(40, "1")
         rig.line.drive_faults[2] = Faults(late=1.0, late_s=(0.2, 0.2))
         rig.write("b", 12, "7")
-        await until(lambda: bool(rig.worker.talk._aftermath.reports) or bool(rig.seen.reports))
+        await until(
+            lambda: bool(rig.worker.exchange_loop._deferred.reports) or bool(rig.seen.reports)
+        )
         rig.line.drive_faults[1] = Faults(unheard=1.0)
         ended = stop(rig, "a")
         await ended.done.wait()
@@ -76,7 +78,9 @@ def test_an_acknowledgement_believed_by_a_stop_leaves_the_doubt_alive() -> None:
     async def test(rig: Rig) -> None:
         rig.line.drive_faults[2] = Faults(late=1.0, late_s=(0.45, 0.45))
         rig.write("b", 12, "7")
-        await until(lambda: bool(rig.worker.talk._aftermath.reports) or bool(rig.seen.reports))
+        await until(
+            lambda: bool(rig.worker.exchange_loop._deferred.reports) or bool(rig.seen.reports)
+        )
         rig.line.drive_faults[1] = Faults(late=1.0, late_s=(0.4, 0.4))
         await anyio.sleep(0.35)
         ended = stop(rig, "a")
@@ -96,9 +100,9 @@ def test_a_late_answer_frees_its_code_for_everybody() -> None:
     async def test(rig: Rig) -> None:
         rig.line.drive_faults[1] = Faults(late=1.0, late_s=(0.15, 0.15))
         await rig.read("a", 150).done.wait()
-        assert len(rig.worker.talk._doubts) == 1
+        assert len(rig.worker.exchange_loop._late_replies) == 1
         await until(lambda: any(late for _, late in rig.seen.strays))
-        assert len(rig.worker.talk._doubts) == 0
+        assert len(rig.worker.exchange_loop._late_replies) == 0
         said = len(rig.sent)
         await rig.read("b", 150).done.wait()
         assert rig.sent[said].data == b"\x0402?0\x05", "the preferred form is free again"

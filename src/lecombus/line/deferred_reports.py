@@ -16,32 +16,39 @@ from __future__ import annotations
 from ..protocol.exchange import Result, ResultKind
 from ..schedule import Request
 from .observer import ExchangeReport, Observer
-from .questions import Question
+from .prepared_telegrams import PreparedTelegram
 from .station import Job, StepKind
 
-__all__ = ["Aftermath"]
+__all__ = ["DeferredReports"]
 
 
-class Aftermath:
+class DeferredReports:
     """Keeps what is to be told of the exchanges of one line."""
 
     __slots__ = ("_unsettled", "reports")
 
     def __init__(self) -> None:
         self.reports: list[ExchangeReport] = []
-        self._unsettled: tuple[Request, Job, Question, Result] | None = None
+        self._unsettled: tuple[Request, Job, PreparedTelegram, Result] | None = None
 
     def report(
-        self, request: Request, job: Job, question: Question, result: Result, quarantined_s: float
+        self,
+        request: Request,
+        job: Job,
+        prepared: PreparedTelegram,
+        result: Result,
+        quarantined_s: float,
     ) -> None:
         """Keep the report of an exchange whose request is seen to."""
         self._settle()
-        self._keep(request, job, question, result, quarantined_s)
+        self._keep(request, job, prepared, result, quarantined_s)
 
-    def put_off(self, request: Request, job: Job, question: Question, result: Result) -> None:
+    def put_off(
+        self, request: Request, job: Job, prepared: PreparedTelegram, result: Result
+    ) -> None:
         """Settle a read that brought its value later."""
         self._settle()
-        self._unsettled = (request, job, question, result)
+        self._unsettled = (request, job, prepared, result)
 
     def publish(self, observer: Observer) -> None:
         """Settle the read that was put off, and tell the observer of every exchange since."""
@@ -55,21 +62,26 @@ class Aftermath:
     def _settle(self) -> None:
         if self._unsettled is None:
             return
-        request, job, question, result = self._unsettled
+        request, job, prepared, result = self._unsettled
         self._unsettled = None
-        self._keep(request, job, question, result, 0.0)
+        self._keep(request, job, prepared, result, 0.0)
         outcome = job.advance(result)
         assert outcome is not None, "a value ends a read"
         request.end(*outcome)
 
     def _keep(
-        self, request: Request, job: Job, question: Question, result: Result, quarantined_s: float
+        self,
+        request: Request,
+        job: Job,
+        prepared: PreparedTelegram,
+        result: Result,
+        quarantined_s: float,
     ) -> None:
         station, step = job.station, job.step
         is_write = step.kind is StepKind.WRITE
         if result.thought_s is not None and result.clean:
             station.measured.note(
-                step.code, question.told_s, result.thought_s, result.ended_s, write=is_write
+                step.code, prepared.documented_s, result.thought_s, result.ended_s, write=is_write
             )
         elif result.kind is ResultKind.NO_REPLY:
             station.measured.missed(step.code, result.ended_s, write=is_write)

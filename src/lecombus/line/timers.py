@@ -1,10 +1,10 @@
 """What the worker waits for besides bytes: a time, a nudge, a deadline that moves.
 
-All belong to one line and its event loop thread. `Nap` lets the worker's task sleep until a time or
-until somebody has something for it, and `Pause` is the same for whoever lives in callbacks: waking
-a task costs twice as much. `Deadline` calls back at a time that moves on with every exchange: its
-timer is left alone as long as it is early enough and looks again when it fires, because making and
-cancelling one timer for each exchange costs more than the rare look.
+All belong to one line and its event loop thread. `WakeableSleep` lets the worker's task sleep until
+a time or until somebody has something for it, and `WakeableTimer` is the same for whoever lives in
+callbacks: waking a task costs twice as much. `Deadline` calls back at a time that moves on with
+every exchange: its timer is left alone as long as it is early enough and looks again when it fires,
+because making and cancelling one timer for each exchange costs more than the rare look.
 
 What must not live here: what is waited for, and why.
 """
@@ -14,7 +14,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
-__all__ = ["Deadline", "Lateness", "Nap", "Pause"]
+__all__ = ["Deadline", "Lateness", "WakeableSleep", "WakeableTimer"]
 
 
 class Lateness:
@@ -36,7 +36,7 @@ class Lateness:
         return most_s
 
 
-class Nap:
+class WakeableSleep:
     """Lets one task sleep until a time, or until nudged.
 
     Args:
@@ -69,7 +69,7 @@ class Nap:
             timer.cancel()
 
 
-class Pause:
+class WakeableTimer:
     """Calls back once: at a time, or when nudged before it.
 
     Args:

@@ -19,7 +19,7 @@ from ..protocol.telegrams import (
 )
 from .station import Job
 
-__all__ = ["Wiretap"]
+__all__ = ["TelegramLog"]
 
 logger = logging.getLogger(__name__)
 
@@ -35,7 +35,7 @@ KINDS: Final = {
 }
 
 
-class Wiretap:
+class TelegramLog:
     """Tells the telegrams of one line.
 
     Args:

@@ -1,12 +1,12 @@
 """What is heard when nobody was asked, and for how long the line is kept silent to hear it.
 
-After an exchange without its answer there is a quarantine in any case (`silence`). Where patience
-asks for it (`patience`) the silence is drawn out until the answer of a very slow drive would have
-come. That costs others' cyclic reads up to a second; nothing else waits for it. It is not begun
-unless every watchdog can be fed in time after it, and it is over as soon as anything but cyclic and
-background work wants the line: a stop, a control word, a feed that presses, somebody who asks. The
-next telegram begins with EOT, which makes a drive drop what it was about to say (EDB2102EN 8.3);
-doubts and quarantine last as long as without it.
+After an exchange without its answer there is a quarantine in any case (`bus_idle`). Where patience
+asks for it (`extended_listen`) the silence is drawn out until the answer of a very slow drive would
+have come. That costs others' cyclic reads up to a second; nothing else waits for it. It is not
+begun unless every watchdog can be fed in time after it, and it is over as soon as anything but
+cyclic and background work wants the line: a stop, a control word, a feed that presses, somebody who
+asks. The next telegram begins with EOT, which makes a drive drop what it was about to say
+(EDB2102EN 8.3); doubts and quarantine last as long as without it.
 
 What must not live here: exchanges, and what their answers mean.
 """
@@ -20,16 +20,16 @@ from ..protocol.addressing import Code
 from ..protocol.exchange import Result, ResultKind
 from ..schedule import Priority, Request, Schedule
 from ..schedule.shares import LISTEN_S
-from .doubts import Doubts
+from .bus_idle import BusIdleTimer
 from .duplicates import Duplicates
+from .extended_listen import ExtendedListen
 from .jobs import ReadJob
-from .patience import Patience
-from .questions import Question
-from .silence import Silence
+from .late_replies import PendingLateReplies
+from .prepared_telegrams import PreparedTelegram
 from .station import Station
-from .strays import Strays
+from .unsolicited_bytes import UnsolicitedBytes
 
-__all__ = ["Listening"]
+__all__ = ["IdleReceive"]
 
 LEAST_S = 0.02
 """Less than this on top of the quarantine is not worth it, seconds."""
@@ -45,13 +45,13 @@ class _Awaited:
     until_s: float
 
 
-class Listening:
+class IdleReceive:
     """Listens between the exchanges of one line.
 
     Args:
         schedule: Asked what wants the line.
-        silence: Keeps the pauses.
-        doubts: Which answers may still come.
+        bus_idle: Keeps the pauses.
+        late_replies: Which answers may still come.
         over: Called when the silence is over sooner than was told.
         duplicates: Told of answers that no question is open for.
     """
@@ -59,17 +59,17 @@ class Listening:
     def __init__(
         self,
         schedule: Schedule,
-        silence: Silence,
-        doubts: Doubts,
+        bus_idle: BusIdleTimer,
+        late_replies: PendingLateReplies,
         over: Callable[[], None],
         duplicates: Duplicates,
     ) -> None:
         self._over = over
         self._schedule = schedule
-        self._silence = silence
-        self._doubts = doubts
-        self._strays = Strays(doubts, duplicates.came)
-        self._patience = Patience()
+        self._bus_idle = bus_idle
+        self._late_replies = late_replies
+        self._unsolicited = UnsolicitedBytes(late_replies, duplicates.came)
+        self._extended_listen = ExtendedListen()
         self._awaited: _Awaited | None = None
 
     @property
@@ -80,70 +80,72 @@ class Listening:
     def opened(self, now_s: float, *, parity: bool) -> None:
         """A port was opened; bytes carry even parity in bit 7 if `parity`."""
         self._awaited = None
-        self._strays.parity = parity
-        self._silence.opened(now_s)
+        self._unsolicited.parity = parity
+        self._bus_idle.opened(now_s)
 
     def stray(self, data: bytes, now_s: float, gap_s: float) -> bool:
         """Take bytes nobody asked for; say whether they completed a whole old answer."""
         awaited = self._awaited
-        late = self._strays.feed(data, now_s)
+        late = self._unsolicited.feed(data, now_s)
         if late and awaited is not None:
-            self._patience.heard(now_s)
+            self._extended_listen.heard(now_s)
             self._end(now_s)
             self._over()
-        over = late and not self._doubts.any(now_s)
-        self._silence.heard(now_s, gap_s, nothing_in_doubt=over)
-        if self._strays.is_endless:
-            self._strays.begin()
-            self._silence.give_up(now_s)
+        over = late and not self._late_replies.any(now_s)
+        self._bus_idle.heard(now_s, gap_s, nothing_in_doubt=over)
+        if self._unsolicited.is_endless:
+            self._unsolicited.begin()
+            self._bus_idle.give_up(now_s)
             self._over()
         return late
 
-    def missed(self, request: Request, job: object, question: Question, result: Result) -> None:
+    def missed(
+        self, request: Request, job: object, prepared: PreparedTelegram, result: Result
+    ) -> None:
         """Keep the quarantine after an answer that did not come, or listen longer.
 
         Args:
             request: What was asked for.
             job: Its job.
-            question: How it was asked.
+            prepared: How it was asked.
             result: How the exchange ended.
         """
         now_s, until_s = result.ended_s, result.started_s + LISTEN_S
-        self._strays.begin()
-        self._silence.answer_missing(now_s, question.quarantine_s)
+        self._unsolicited.begin()
+        self._bus_idle.answer_missing(now_s, prepared.quarantine_s)
         if result.kind is not ResultKind.NO_REPLY or type(job) is not ReadJob:
             return
         if request.source is None and request.priority is not Priority.INTERACTIVE:
             return
-        if not self._patience.wanted(job.station, job.step.code, now_s):
+        if not self._extended_listen.wanted(job.station, job.step.code, now_s):
             return
-        since_s = now_s + question.quarantine_s
-        asked = self._doubts.asked(question.ask.field, now_s)
+        since_s = now_s + prepared.quarantine_s
+        asked = self._late_replies.asked(prepared.ask.field, now_s)
         if asked is None or until_s < since_s + LEAST_S:
             return
         if self._schedule.may_idle(now_s, until_s - now_s):
             self._awaited = _Awaited(job.station, job.step.code, since_s, until_s)
-            self._strays.awaited = (question.ask.field, asked)
-            self._silence.draw_out(until_s)
+            self._unsolicited.awaited = (prepared.ask.field, asked)
+            self._bus_idle.draw_out(until_s)
 
     def quiet_until_s(self, now_s: float, *, stop_goes: bool) -> float:
         """Tell until when to be silent, or when to ask again whether something presses."""
         awaited = self._awaited
         if awaited is None:
-            return self._silence.quiet_until_s
+            return self._bus_idle.quiet_until_s
         if now_s < awaited.since_s and not stop_goes:
             return awaited.since_s
         if now_s >= awaited.until_s:
-            self._patience.in_vain(awaited.station, awaited.code, now_s)
+            self._extended_listen.in_vain(awaited.station, awaited.code, now_s)
         elif not stop_goes:
             presses_s = self._schedule.presses_at_s(now_s)
             if presses_s > now_s:
                 return min(presses_s, awaited.until_s)
-            self._patience.cut(now_s)
+            self._extended_listen.cut(now_s)
         self._end(now_s)
-        return self._silence.quiet_until_s
+        return self._bus_idle.quiet_until_s
 
     def _end(self, now_s: float) -> None:
         assert self._awaited is not None
-        self._silence.cut_short(now_s)
-        self._awaited = self._strays.awaited = None
+        self._bus_idle.cut_short(now_s)
+        self._awaited = self._unsolicited.awaited = None

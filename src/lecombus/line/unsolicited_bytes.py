@@ -18,27 +18,31 @@ from ..protocol.telegrams import (
     ValueAnswer,
 )
 from ..protocol.timing import MAX_ANSWER_CHARS
-from .doubts import Asked, Doubts
+from .late_replies import PendingLateReplies, UnansweredRead
 
-__all__ = ["Strays"]
+__all__ = ["UnsolicitedBytes"]
 
 
-class Strays:
+class UnsolicitedBytes:
     """Listens between exchanges.
 
     Args:
-        doubts: Told when a late answer has come.
+        late_replies: Told when a late answer has come.
         second: Told of an answer that nobody misses, by its code field, and when it came.
     """
 
     def __init__(
-        self, doubts: Doubts, second: Callable[[bytes, float], None] = lambda field, now_s: None
+        self,
+        late_replies: PendingLateReplies,
+        second: Callable[[bytes, float], None] = lambda field, now_s: None,
     ) -> None:
-        self._doubts = doubts
+        self._late_replies = late_replies
         self._second = second
         self._parser = AnswerParser(parity=True)
         self._parity = True
-        self.awaited: tuple[bytes, Asked] | None = None  # asked last, and listened for since
+        self.awaited: tuple[bytes, UnansweredRead] | None = (
+            None  # asked last, and listened for since
+        )
         self.bytes_total = 0
         self.late_answers_total = 0
         self._begun_at = 0
@@ -83,9 +87,9 @@ class Strays:
         self.late_answers_total += 1
         if isinstance(answer, ValueAnswer | UnknownCodeAnswer | TransmissionErrorAnswer):
             self._measure(answer.field, now_s)
-            if not self._doubts.resolve(answer.field):
+            if not self._late_replies.resolve(answer.field):
                 self._second(answer.field, now_s)
-        elif self._doubts.blocked_until_s(ACK_FIELD, now_s) <= now_s:
+        elif self._late_replies.blocked_until_s(ACK_FIELD, now_s) <= now_s:
             self._second(ACK_FIELD, now_s)
         return True
 
@@ -94,10 +98,10 @@ class Strays:
 
         The end of the answer is taken for its beginning: a time-out may rather be too long.
         """
-        asked = self._doubts.sole(field, now_s)
+        asked = self._late_replies.sole(field, now_s)
         if self.awaited is not None:  # nothing was said since, however long ago that was
             asked = self.awaited[1] if self.awaited[0] == field else None
         if asked is not None:
             station, code = asked.station, asked.code
             late_s = now_s - asked.said_s
-            station.measured.note_late(code, station.told_s(code), late_s, now_s)
+            station.measured.note_late(code, station.documented_s(code), late_s, now_s)

@@ -73,7 +73,7 @@ def test_a_write_cut_off_before_its_proof_is_not_called_unsent() -> None:
         ended = rig.write("a", 11, "60", verify=True)
         await until(lambda: rig.line["a"].text(11) == "60")
         await until(lambda: rig.worker.exchanges == 1)
-        waits = rig.worker.talk._under_way is None
+        waits = rig.worker.exchange_loop._under_way is None
         assert waits, "the acknowledgement is here, the proof has not been asked for"
         rig.end.unplug()
         await ended.done.wait()

@@ -24,11 +24,11 @@ from ..protocol.addressing import Code
 from ..protocol.exchange import ACK_FIELD
 from .station import Station
 
-__all__ = ["Asked", "Doubts"]
+__all__ = ["PendingLateReplies", "UnansweredRead"]
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class UnansweredRead:
     """A read whose answer did not come in time.
 
     Args:
@@ -42,7 +42,7 @@ class Asked:
     said_s: float
 
 
-class Doubts:
+class PendingLateReplies:
     """The answers that may still arrive from exchanges given up.
 
     Args:
@@ -53,10 +53,10 @@ class Doubts:
     def __init__(self, window_s: float) -> None:
         self.window_s = window_s
         self._until_s: dict[bytes, float] = {}
-        self._asked: dict[bytes, Asked] = {}
+        self._asked: dict[bytes, UnansweredRead] = {}
         self._nak_until_s = -math.inf
 
-    def add(self, field: bytes, now_s: float, asked: Asked | None = None) -> None:
+    def add(self, field: bytes, now_s: float, asked: UnansweredRead | None = None) -> None:
         """Note that the answer with this code field (or `ACK_FIELD`) did not come in time."""
         if self.window_s > 0.0 and field:
             again = self.blocked_until_s(field, now_s) > now_s
@@ -74,7 +74,7 @@ class Doubts:
         """Say whether an exchange given up may still be answered by NAK."""
         return now_s < self._nak_until_s
 
-    def sole(self, field: bytes, now_s: float) -> Asked | None:
+    def sole(self, field: bytes, now_s: float) -> UnansweredRead | None:
         """Tell what an old answer answers, if only one may still come and it is that one.
 
         For measuring how late it came, and for nothing else: its value is never used.
@@ -83,7 +83,7 @@ class Doubts:
             return None
         return self._asked.get(field)
 
-    def asked(self, field: bytes, now_s: float) -> Asked | None:
+    def asked(self, field: bytes, now_s: float) -> UnansweredRead | None:
         """Tell what an old answer with this code field answers; None: not known for certain."""
         return self._asked.get(field) if self.blocked_until_s(field, now_s) > now_s else None
 

@@ -10,7 +10,7 @@ Pure: the time is an argument. Source: EDB2102EN 8.3.5 (time monitoring).
 
 from __future__ import annotations
 
-__all__ = ["Silence"]
+__all__ = ["BusIdleTimer"]
 
 AFTER_OPEN_S = 0.05
 """Silence kept after opening a port: what an adapter had buffered comes out and is dropped."""
@@ -19,7 +19,7 @@ LONGEST_CHATTER_S = 1.0
 """For so long bytes nobody asked for put off the next telegram; longer than any late answer."""
 
 
-class Silence:
+class BusIdleTimer:
     """Keeps the pauses of one line.
 
     Args:

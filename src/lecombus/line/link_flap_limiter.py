@@ -9,7 +9,7 @@
 Every change of a steady port is told at once. What the line's state is does not depend on it: that
 stands in the store whatever is told here.
 
-What must not live here: logging itself, clocks, ports (`connection`).
+What must not live here: logging itself, clocks, ports (`port_connection`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from collections import deque
 from enum import StrEnum
 from typing import Final
 
-__all__ = ["Steadiness", "Tell"]
+__all__ = ["FlapMessage", "LinkFlapLimiter"]
 
 FEW: Final = 3
 """Losses that are told one by one, or a little less: the last of them opens the first sum."""
@@ -30,7 +30,7 @@ FIRST_PAUSE_S: Final = 60.0
 LONGEST_PAUSE_S: Final = 3600.0
 
 
-class Tell(StrEnum):
+class FlapMessage(StrEnum):
     """What to say of a change."""
 
     NOTHING = "nothing"
@@ -40,7 +40,7 @@ class Tell(StrEnum):
     """The port has been as it is for a while, after losses that were only counted."""
 
 
-class Steadiness:
+class LinkFlapLimiter:
     """Decides what is told. Times are in seconds of any one clock that never goes back.
 
     Attributes:
@@ -58,7 +58,7 @@ class Steadiness:
         self._changed_s = 0.0
         self._next_s = 0.0
 
-    def lost(self, now_s: float) -> Tell:
+    def lost(self, now_s: float) -> FlapMessage:
         """Take note that the port was lost."""
         self._changed_s = now_s
         self._latest.append(now_s)
@@ -66,30 +66,30 @@ class Steadiness:
         if not self.is_steady:
             return self._sum(now_s)
         if len(self._latest) < FEW or now_s - self._latest[0] > WHILE_S:
-            return Tell.CHANGE
+            return FlapMessage.CHANGE
         self.is_steady = False
         self.since_s, self.losses = self._latest[0], FEW
         self._next_s, self.pause_s = now_s, FIRST_PAUSE_S / 2.0
         return self._sum(now_s)
 
-    def opened(self, now_s: float) -> Tell:
+    def opened(self, now_s: float) -> FlapMessage:
         """Take note that the port is open."""
         self._changed_s = now_s
-        return Tell.CHANGE if self.is_steady else self._sum(now_s)
+        return FlapMessage.CHANGE if self.is_steady else self._sum(now_s)
 
-    def looked(self, now_s: float) -> Tell:
+    def looked(self, now_s: float) -> FlapMessage:
         """Take note that the port is as it was: open or away."""
         if self.is_steady:
-            return Tell.CHANGE
+            return FlapMessage.CHANGE
         if now_s - self._changed_s < WHILE_S:
             return self._sum(now_s)
         self.is_steady = True
         self._latest.clear()
-        return Tell.STEADY
+        return FlapMessage.STEADY
 
-    def _sum(self, now_s: float) -> Tell:
+    def _sum(self, now_s: float) -> FlapMessage:
         if now_s < self._next_s:
-            return Tell.NOTHING
+            return FlapMessage.NOTHING
         self.pause_s = min(2.0 * self.pause_s, LONGEST_PAUSE_S)
         self._next_s = now_s + self.pause_s
-        return Tell.SUM
+        return FlapMessage.SUM

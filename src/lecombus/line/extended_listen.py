@@ -10,7 +10,8 @@ How often is bounded: once a minute on a line, once in five minutes for a code o
 more seldom where nothing comes, because it mostly is not there. Once a minute it may be twice, if
 the first time something came: one late answer alone proves nothing.
 
-Pure: the time is an argument. What must not live here: what cuts the listening short (`listening`).
+Pure: the time is an argument. What must not live here: what cuts the listening short
+  (`idle_receive`).
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from ..protocol.addressing import Code
 from ..schedule.shares import LISTEN_EVERY_S
 from .station import Station
 
-__all__ = ["Patience"]
+__all__ = ["ExtendedListen"]
 
 CUT_S: Final = 2.0
 """After listening that was cut short it is not begun again sooner, seconds."""
@@ -42,7 +43,7 @@ class _Run:
     every_s: float = CODE_EVERY_S
 
 
-class Patience:
+class ExtendedListen:
     """Keeps count of what was not answered, and of what was listened to."""
 
     def __init__(self) -> None:

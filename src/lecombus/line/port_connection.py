@@ -1,8 +1,8 @@
 """The port's coming and going: opening with backoff, and the reason it is not there.
 
 Opened always by the name the roster gives (a stable one, if its writer was wise), never by the
-device number it happened to have. Its changes are logged as far as `steadiness` says. What a loss
-means for requests is the worker's business.
+device number it happened to have. Its changes are logged as far as `link_flap_limiter` says. What a
+loss means for requests is the worker's business.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ import asyncio
 import logging
 
 from ..errors import LineLostError
+from .link_flap_limiter import FlapMessage, LinkFlapLimiter
 from .port import Port, PortOpener, PortSettings, Receiver
-from .steadiness import Steadiness, Tell
 
-__all__ = ["Connection"]
+__all__ = ["PortConnection"]
 
 logger = logging.getLogger(__name__)
 
@@ -22,7 +22,7 @@ FIRST_BACKOFF_S = 0.1
 LONGEST_BACKOFF_S = 5.0
 
 
-class Connection:
+class PortConnection:
     """One port, opened again whenever it is lost.
 
     Args:
@@ -36,7 +36,7 @@ class Connection:
         self._failures = 0
         self._reason = "the port has not been opened yet"
         self._last_logged = ""
-        self._steadiness = Steadiness()
+        self._flap_limiter = LinkFlapLimiter()
         self.port: Port | None = None
         self.is_lost = False
         self.is_reopened = False  # it was given up here, and no error of it is known
@@ -49,7 +49,7 @@ class Connection:
         except LineLostError as exc:
             self._failures += 1
             self._reason = str(exc)
-            self._tell_not_open(self._steadiness.looked(now_s()))
+            self._tell_not_open(self._flap_limiter.looked(now_s()))
             return False
         if self.is_lost:
             port.abort()
@@ -57,14 +57,14 @@ class Connection:
         port.discard_input()
         self.port = port
         self._last_logged = ""
-        self._tell_open(self._steadiness.opened(now_s()))
+        self._tell_open(self._flap_limiter.opened(now_s()))
         return True
 
     def say(self, telegram: bytes) -> LineLostError | None:
         """Hand a telegram to the port; gives the loss, if that is how it is found out."""
         assert self.port is not None
-        if not self._steadiness.is_steady:
-            self._tell_open(self._steadiness.looked(now_s()))
+        if not self._flap_limiter.is_steady:
+            self._tell_open(self._flap_limiter.looked(now_s()))
         try:
             self.port.write(telegram)
         except LineLostError as exc:
@@ -86,7 +86,7 @@ class Connection:
         self.is_lost = True
         self._failures += 1
         self._reason = str(exc) if exc is not None else "the port was closed at the other end"
-        self._tell_not_open(self._steadiness.lost(now_s()))
+        self._tell_not_open(self._flap_limiter.lost(now_s()))
 
     def reopen(self, why: str) -> None:
         """Give up a port of which no error is known, to open it again."""
@@ -107,39 +107,41 @@ class Connection:
         """Name the port for people."""
         return self.port.describe() if self.port is not None else self._settings.url
 
-    def _tell_not_open(self, tell: Tell) -> None:
+    def _tell_not_open(self, tell: FlapMessage) -> None:
         """Log why there is no port, once per reason, not at every try."""
-        if tell is Tell.SUM:
+        if tell is FlapMessage.SUM:
             self._tell_sum()
-        elif tell is Tell.STEADY or (tell is Tell.CHANGE and self._reason != self._last_logged):
+        elif tell is FlapMessage.STEADY or (
+            tell is FlapMessage.CHANGE and self._reason != self._last_logged
+        ):
             self._last_logged = self._reason
             logger.warning(
                 "line=%s event=port-lost reason=%s%s",
                 self._settings.line, self._reason, self._losses(tell),
             )  # fmt: skip
 
-    def _tell_open(self, tell: Tell) -> None:
+    def _tell_open(self, tell: FlapMessage) -> None:
         """Log that the port is open."""
         assert self.port is not None
-        if tell is Tell.SUM:
+        if tell is FlapMessage.SUM:
             self._tell_sum()
-        elif tell is not Tell.NOTHING:
+        elif tell is not FlapMessage.NOTHING:
             logger.info(
                 "line=%s event=port-open port=%s%s",
                 self._settings.line, self.port.describe(), self._losses(tell),
             )  # fmt: skip
 
-    def _losses(self, tell: Tell) -> str:
+    def _losses(self, tell: FlapMessage) -> str:
         """Say what was left out before, where something was."""
-        return f", after {self._steadiness.losses} losses" if tell is Tell.STEADY else ""
+        return f", after {self._flap_limiter.losses} losses" if tell is FlapMessage.STEADY else ""
 
     def _tell_sum(self) -> None:
         """Log how often the port was lost, and for how long nothing more is said of it."""
-        steadiness = self._steadiness
+        flap_limiter = self._flap_limiter
         logger.warning(
             "line=%s event=port-unsteady losses=%d in_s=%.0f silent_for_s=%.0f reason=%s",
-            self._settings.line, steadiness.losses, now_s() - steadiness.since_s,
-            steadiness.pause_s, self._reason,
+            self._settings.line, flap_limiter.losses, now_s() - flap_limiter.since_s,
+            flap_limiter.pause_s, self._reason,
         )  # fmt: skip
 
 

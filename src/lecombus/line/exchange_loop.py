@@ -8,7 +8,7 @@ back at the time when that changes, or when nudged.
 
 Only after the next telegram is out the result of the one before is published, so that bookkeeping
 runs while a drive thinks and costs the line nothing. While it thinks the next choice is made and
-its telegram written out (`_rehearse`); when a read's value has come that telegram goes out before
+its telegram written out (`_look_ahead`); when a read's value has come that telegram goes out before
 anything else is done about either (`_follow`). Whatever is out of the ordinary is concluded first.
 
 * An exchange is fed by the receive path and watched by one timer. When that fires the port is
@@ -17,8 +17,8 @@ anything else is done about either (`_follow`). Whatever is out of the ordinary 
   telegram goes out: an old answer that came meanwhile could be taken for that telegram's.
 * After an exchange without its answer the line is left alone until it has been silent for the time
   in which the old answer could still come (quarantine); what comes then is counted and thrown away,
-  and the doubt about it lives on in `doubts`. A stop breaks a quarantine: it begins with EOT, which
-  silences a drive, and its acknowledgement is proven by reading back.
+  and the doubt about it lives on in `late_replies`. A stop breaks a quarantine: it begins with EOT,
+  which silences a drive, and its acknowledgement is proven by reading back.
 
 What must not live here: opening and losing ports (worker), who goes first (schedule), what a
 result means (jobs), what is known about the drives (store).
@@ -38,24 +38,24 @@ from ..protocol.exchange import Exchange, Result, ResultKind
 from ..protocol.telegrams import NakAnswer, ValueAnswer
 from ..schedule import Outcome, Priority, Request, Schedule
 from ..schedule.request import CLIENT_GONE
-from .aftermath import Aftermath
-from .connection import Connection
-from .doubts import Asked, Doubts
+from .bus_idle import BusIdleTimer
+from .deferred_reports import DeferredReports
 from .duplicates import Duplicates
+from .idle_receive import IdleReceive
 from .jobs import MulticastJob, ReadJob
-from .listening import Listening
+from .late_replies import PendingLateReplies, UnansweredRead
 from .observer import Observer
 from .options import WorkerOptions
 from .port import Port
-from .questions import Question, Questions
-from .silence import Silence
+from .port_connection import PortConnection
+from .prepared_telegrams import PreparedTelegram, TelegramPreparer
 from .stall import StallWatch
 from .station import Job
 from .stop_job import StopJob
-from .waits import Deadline, Lateness, Pause
-from .wiretap import Wiretap
+from .telegram_log import TelegramLog
+from .timers import Deadline, Lateness, WakeableTimer
 
-__all__ = ["Talk"]
+__all__ = ["ExchangeLoop"]
 
 logger = logging.getLogger(__name__)
 
@@ -65,7 +65,7 @@ LATE_S: Final = 0.002
 LONGEST_REST_S: Final = 1.0
 """Who has nothing to say looks round at least this often: that is its sign of life."""
 
-Saying = tuple[Request, Job, Question]
+PreparedStep = tuple[Request, Job, PreparedTelegram]
 """A request, what it knows of the protocol, and the telegram of its next step."""
 
 
@@ -74,7 +74,7 @@ def _loop_time() -> float:
     return asyncio.get_running_loop().time()
 
 
-class Talk:
+class ExchangeLoop:
     """Speaks and listens on the port of one line.
 
     Args:
@@ -98,7 +98,7 @@ class Talk:
         schedule: Schedule,
         timing: LineTiming,
         options: WorkerOptions,
-        connection: Connection,
+        connection: PortConnection,
         line: str,
         observer: Observer,
         lateness: Lateness,
@@ -109,21 +109,23 @@ class Talk:
         self._schedule = schedule
         self._options = options
         self._connection = connection
-        self._tap = Wiretap(line) if logger.isEnabledFor(logging.DEBUG) else None
+        self._telegram_log = TelegramLog(line) if logger.isEnabledFor(logging.DEBUG) else None
         self.duplicates = Duplicates()
-        self._doubts = Doubts(options.late_answer_s if options.quarantine else 0.0)
-        self._questions = Questions(timing, self._doubts)
+        self._late_replies = PendingLateReplies(
+            options.late_answer_s if options.quarantine else 0.0
+        )
+        self._preparer = TelegramPreparer(timing, self._late_replies)
         self._exchange = Exchange(parity=True, echo=options.echo)
-        self._aftermath = Aftermath()
-        self._silence = Silence(options.turnaround_s)
-        self._listening = Listening(
-            schedule, self._silence, self._doubts, self.nudge, self.duplicates
+        self._deferred = DeferredReports()
+        self._bus_idle = BusIdleTimer(options.turnaround_s)
+        self._idle_receive = IdleReceive(
+            schedule, self._bus_idle, self._late_replies, self.nudge, self.duplicates
         )
         self._stall = StallWatch(options.stall_s)
-        self._under_way: Saying | None = None
-        self._ready: Saying | None = None
+        self._under_way: PreparedStep | None = None
+        self._ready: PreparedStep | None = None
         self._deadline = Deadline(self._on_deadline)
-        self._pause = Pause(self._wake, lateness)
+        self._pause = WakeableTimer(self._wake, lateness)
         self._ended: asyncio.Future[None] | None = None
         self._time: Callable[[], float] = _loop_time
         self._looked_s = 0.0  # when nothing lay in the port last
@@ -141,9 +143,9 @@ class Talk:
         loop = asyncio.get_running_loop()
         self._time = loop.time
         self._exchange = Exchange(parity=port.carries_parity, echo=self._options.echo)
-        self._questions.parity = port.carries_parity
+        self._preparer.parity = port.carries_parity
         self._stall.opened()
-        self._listening.opened(loop.time(), parity=port.carries_parity)
+        self._idle_receive.opened(loop.time(), parity=port.carries_parity)
         self._ended = ended = loop.create_future()
         self._wake()
         return ended
@@ -166,12 +168,12 @@ class Talk:
         """A stop was submitted: have its telegram ready when the exchange under way ends."""
         if self._under_way is not None:
             self._hasten(*self._under_way)
-            self._rehearse(self._time())
+            self._look_ahead(self._time())
 
-    def _hasten(self, request: Request, job: Job, question: Question) -> None:
+    def _hasten(self, request: Request, job: Job, prepared: PreparedTelegram) -> None:
         """Wait for a slow drive's reading no longer than its manual says: a stop is there."""
-        if question.in_haste is not None and request.priority is not Priority.STOP:
-            self._exchange.hasten(question.in_haste)
+        if prepared.documented_ask is not None and request.priority is not Priority.STOP:
+            self._exchange.hasten(prepared.documented_ask)
             self._deadline.set(self._exchange.deadline_s())
 
     # ---- what the port calls --------------------------------------------------------------------
@@ -179,8 +181,10 @@ class Talk:
     def received(self, data: bytes) -> None:
         """Take bytes from the port."""
         now = self._time()
-        if self._tap is not None:
-            (self._tap.stray if self._under_way is None else self._tap.heard)(data)
+        if self._telegram_log is not None:
+            (self._telegram_log.stray if self._under_way is None else self._telegram_log.heard)(
+                data
+            )
         if self._under_way is not None:
             result = self._exchange.feed(data, now, self._looked_s)
             if result is not None:
@@ -188,7 +192,7 @@ class Talk:
             elif self._exchange.disturbed:  # until there was a pause: look for that
                 self._deadline.set(self._exchange.look_s())
             return
-        late = self._listening.stray(data, now, self._questions.gap_s)
+        late = self._idle_receive.stray(data, now, self._preparer.gap_s)
         self.observer.stray_bytes(data, late)
 
     def lost(self, exc: Exception | None) -> None:
@@ -229,10 +233,10 @@ class Talk:
         """Say what comes next, or come back when it may be said."""
         while not self._ending and not self._connection.is_lost:
             now, self._nudged = self._time(), False
-            if now < self._silence.free_at_s:
+            if now < self._bus_idle.free_at_s:
                 self._turn_round(now)
                 return
-            silent = now < self._silence.quiet_until_s or self._listening.is_on
+            silent = now < self._bus_idle.quiet_until_s or self._idle_receive.is_on
             if silent and self._stay_quiet(now):
                 return
             request = self._schedule.next(now)
@@ -249,15 +253,15 @@ class Talk:
     def _turn_round(self, now: float) -> None:
         """Leave the drives their turnaround, whatever comes."""
         self._publish()
-        if not self._is_ready(self._silence.free_at_s) and self._silence.is_over(now):
-            self._rehearse(now)
-        self._pause.until(self._silence.free_at_s, deaf=True)
+        if not self._is_ready(self._bus_idle.free_at_s) and self._bus_idle.is_over(now):
+            self._look_ahead(now)
+        self._pause.until(self._bus_idle.free_at_s, deaf=True)
 
     def _stay_quiet(self, now: float) -> bool:
         """Keep the quarantine, or listen for longer, unless a stop goes now; False: it is over."""
         stop_goes = self._schedule.stop_goes(now)
-        look_at_s = self._listening.quiet_until_s(now, stop_goes=stop_goes)
-        if stop_goes or self._silence.is_over(now):
+        look_at_s = self._idle_receive.quiet_until_s(now, stop_goes=stop_goes)
+        if stop_goes or self._bus_idle.is_over(now):
             return False
         self._publish()
         self._pause.until(now if self._nudged else look_at_s)
@@ -281,50 +285,50 @@ class Talk:
         job: Job = request.work  # type: ignore[assignment]
         ready, self._ready = self._ready, None
         is_ready = ready is not None and ready[0] is request
-        question = ready[2] if ready and is_ready else self._ask(request, job, now)
-        if not isinstance(question, Question):
-            self._postpone(request, question, now)
+        prepared = ready[2] if ready and is_ready else self._ask(request, job, now)
+        if not isinstance(prepared, PreparedTelegram):
+            self._postpone(request, prepared, now)
             return
         if request.cut_by_s:
-            question = question.cut_by(request.cut_by_s)
-        self._under_way = (request, job, question)
-        self._begin(question, now, self._connection.say(question.ask.sent))
+            prepared = prepared.cut_by(request.cut_by_s)
+        self._under_way = (request, job, prepared)
+        self._begin(prepared, now, self._connection.say(prepared.ask.sent))
 
-    def _ask(self, request: Request, job: Job, now: float) -> Question | float:
+    def _ask(self, request: Request, job: Job, now: float) -> PreparedTelegram | float:
         """Put the next step of a request into a telegram; or the time before which it must not."""
         if type(job) is not StopJob:
-            return self._questions.ask(job, now, urgent=request.priority is Priority.STOP)
+            return self._preparer.ask(job, now, urgent=request.priority is Priority.STOP)
         if job.asks_for_word:
             self._publish()  # it takes the control word as the last exchange left it
-        question = self._questions.ask(job, now, urgent=True)
-        if type(question) is float and job.cannot_read():
-            question = self._questions.ask(job, now, urgent=True)
-        return question
+        prepared = self._preparer.ask(job, now, urgent=True)
+        if type(prepared) is float and job.cannot_read():
+            prepared = self._preparer.ask(job, now, urgent=True)
+        return prepared
 
-    def _begin(self, question: Question, now: float, loss: LineLostError | None) -> None:
+    def _begin(self, prepared: PreparedTelegram, now: float, loss: LineLostError | None) -> None:
         """Begin the exchange of a telegram that was handed over, and use the time it takes."""
         self._looked_s = self._time()
-        takes_nak = not self._doubts.nak_may_come(now)
-        self._exchange.begin(question.ask, now, self._looked_s, takes_nak=takes_nak)
+        takes_nak = not self._late_replies.nak_may_come(now)
+        self._exchange.begin(prepared.ask, now, self._looked_s, takes_nak=takes_nak)
         if loss is not None:
             self._connection.note_loss(loss)
             self._end_exchange(self._exchange.lost(now))
             return
-        if self._tap is not None and self._under_way is not None:
-            self._tap.sent(self._under_way[1], question.ask.sent)
-        ask = question.ask
+        if self._telegram_log is not None and self._under_way is not None:
+            self._telegram_log.sent(self._under_way[1], prepared.ask.sent)
+        ask = prepared.ask
         if self._under_way is not None and ask.field:
             self.duplicates.asked(ask.field, self._under_way[1].station.name, now)
         self._deadline.set(self._looked_s + min(ask.late_s, ask.first_byte_s))
         self._publish()
-        self._rehearse(now)
-        self.observer.thinking(question.thinking_s)
+        self._look_ahead(now)
+        self.observer.thinking(prepared.thinking_s)
 
-    def _rehearse(self, now: float) -> None:
+    def _look_ahead(self, now: float) -> None:
         """Choose the next request, and write out its telegram, while nothing can be sent."""
         self._ready = None
         if self._under_way is None:
-            request = self._schedule.rehearse(None, now, max(now, self._silence.free_at_s))
+            request = self._schedule.rehearse(None, now, max(now, self._bus_idle.free_at_s))
         else:
             under_way, started_s = self._under_way[0], self._exchange.started_s
             expected_s = started_s + under_way.cost_s - self._options.turnaround_s
@@ -332,11 +336,11 @@ class Talk:
         if request is None:
             return
         job: Job = request.work  # type: ignore[assignment]
-        if (type(job) is StopJob and job.asks_for_word) or self._doubts.any(now):
+        if (type(job) is StopJob and job.asks_for_word) or self._late_replies.any(now):
             return  # that depends on what the exchange under way brings
-        question = self._questions.ask(job, now, urgent=request.priority is Priority.STOP)
-        if isinstance(question, Question):
-            self._ready = (request, job, question)
+        prepared = self._preparer.ask(job, now, urgent=request.priority is Priority.STOP)
+        if isinstance(prepared, PreparedTelegram):
+            self._ready = (request, job, prepared)
 
     def _is_ready(self, at_s: float) -> bool:
         """Whether the telegram that was written out is the one to be said at that time."""
@@ -384,8 +388,8 @@ class Talk:
         done, self._under_way = self._under_way, None
         if done is None:
             return
-        if self._tap is not None:
-            self._tap.ended(done[1], result)
+        if self._telegram_log is not None:
+            self._telegram_log.ended(done[1], result)
         try:
             if not self._follow(done, result):
                 self._conclude(*done, result)
@@ -394,7 +398,7 @@ class Talk:
             if not self._ends_by(exc):
                 raise
 
-    def _follow(self, done: Saying, result: Result) -> bool:
+    def _follow(self, done: PreparedStep, result: Result) -> bool:
         """Say what was made ready, and only then look at what the exchange before it brought.
 
         Only after a read that brought its value, for that changes nothing about what comes next.
@@ -405,7 +409,7 @@ class Talk:
         if ready[0].is_unwanted:
             return False
         now = self._time()
-        if now < max(result.ended_s + self._options.turnaround_s, self._silence.quiet_until_s):
+        if now < max(result.ended_s + self._options.turnaround_s, self._bus_idle.quiet_until_s):
             return False
         if self._ending or self._connection.is_lost or not self._is_ready(now):
             return False
@@ -414,15 +418,17 @@ class Talk:
         if result.others:
             self._note_others(result)
         self.exchanges += 1
-        self._silence.exchange_ended(result.ended_s)
+        self._bus_idle.exchange_ended(result.ended_s)
         self._heard()
-        self._aftermath.put_off(*done, result)
+        self._deferred.put_off(*done, result)
         self._schedule.follow(done[0], result.started_s, result.ended_s, now)
         self._under_way = ready
         self._begin(ready[2], now, loss)
         return True
 
-    def _conclude(self, request: Request, job: Job, question: Question, result: Result) -> None:
+    def _conclude(
+        self, request: Request, job: Job, prepared: PreparedTelegram, result: Result
+    ) -> None:
         """Tell schedule, doubts and job; the observer is told after the next telegram.
 
         A read that brought its value has nothing more to say: it is settled after that, too.
@@ -434,16 +440,16 @@ class Talk:
             self._note_others(result)
         if type(result.answer) is not ValueAnswer:
             self._ready = None  # a doubt, an echo, a lost line: look at it anew
-        quarantined_s = self._after(request, job, question, result)
+        quarantined_s = self._after(request, job, prepared, result)
         self._schedule.finished(request, result.started_s, ended + quarantined_s, answered)
         if type(result.answer) is ValueAnswer and type(job) is ReadJob:
-            self._aftermath.put_off(request, job, question, result)
+            self._deferred.put_off(request, job, prepared, result)
             return
-        self._aftermath.report(request, job, question, result, quarantined_s)
-        if question.hold_s and result.kind is not ResultKind.LOST:
+        self._deferred.report(request, job, prepared, result, quarantined_s)
+        if prepared.hold_s and result.kind is not ResultKind.LOST:
             # Its acknowledgement may have come though it was not understood, or not heard at all.
-            taken_s = ended if answered else min(ended, result.started_s + question.ask.late_s)
-            self._schedule.hold(request.drive, taken_s + question.hold_s, ended)
+            taken_s = ended if answered else min(ended, result.started_s + prepared.ask.late_s)
+            self._schedule.hold(request.drive, taken_s + prepared.hold_s, ended)
         if type(job) is MulticastJob:
             for drive, hold_s in job.holds.items():
                 self._schedule.hold(drive, ended + hold_s, ended)
@@ -462,23 +468,27 @@ class Talk:
     def _note_others(self, result: Result) -> None:
         """Take note of whole answers to something else, unless one of them is missing."""
         for field in result.others:
-            if self._doubts.blocked_until_s(field, result.started_s) <= result.started_s:
+            if self._late_replies.blocked_until_s(field, result.started_s) <= result.started_s:
                 self.duplicates.came(field, result.ended_s)
 
-    def _after(self, request: Request, job: Job, question: Question, result: Result) -> float:
+    def _after(
+        self, request: Request, job: Job, prepared: PreparedTelegram, result: Result
+    ) -> float:
         """Set from when the line is free again; returns the quarantine in seconds."""
         ended = result.ended_s
-        self._silence.exchange_ended(ended)
+        self._bus_idle.exchange_ended(ended)
         if result.kind is ResultKind.ANSWERED:
             self._heard()
             if type(result.answer) is NakAnswer:
-                self._doubts.refused(question.ask.field, ended)
-            self._doubts.answered(question.ask.field, ended)
+                self._late_replies.refused(prepared.ask.field, ended)
+            self._late_replies.answered(prepared.ask.field, ended)
             return 0.0
         if result.kind is ResultKind.SENT:
             return 0.0
-        asked = Asked(job.station, job.step.code, result.started_s + question.ask.request_s)
-        self._doubts.add(question.ask.field, ended, asked)
+        asked = UnansweredRead(
+            job.station, job.step.code, result.started_s + prepared.ask.request_s
+        )
+        self._late_replies.add(prepared.ask.field, ended, asked)
         silent_s = self._stall.failed(result)
         if silent_s is not None:
             self._connection.reopen(
@@ -486,12 +496,12 @@ class Talk:
             )
         if not self._options.quarantine or result.kind is ResultKind.LOST:
             return 0.0
-        self._listening.missed(request, job, question, result)
-        return question.quarantine_s
+        self._idle_receive.missed(request, job, prepared, result)
+        return prepared.quarantine_s
 
     def _heard(self) -> None:
         if self._stall.answered():
             self._connection.settled()
 
     def _publish(self) -> None:
-        self._aftermath.publish(self.observer)
+        self._deferred.publish(self.observer)
