@@ -28,7 +28,7 @@ from lecombus.protocol.addressing import Code
 from lecombus.protocol.exchange import ResultKind
 from lecombus.protocol.values import Value
 from lecombus.schedule import Outcome, Priority, Request
-from lecombus.schedule.cadence import Entry
+from lecombus.schedule.polling import PollingEntry
 
 __all__ = ["Adversary", "Measured"]
 
@@ -254,7 +254,7 @@ class Adversary:
     async def run(self, length_s: float) -> Measured:
         """Attack for so long, and say what came of it."""
         self.measured = Measured()
-        for feed in self._schedule._feeds.by_drive.values():
+        for feed in self._schedule._watchdogs.by_drive.values():
             feed.margin_least_s = math.inf
         over_s = asyncio.get_running_loop().time() + length_s
         attacks = [
@@ -363,16 +363,16 @@ class Adversary:
         for _ in self._site.roster.drives:
             self._ask(Priority.CONTROL, "")
         await self._until_nothing_waits()
-        due_s = min((one.due_s for one in self._schedule._feeds.by_drive.values()), default=0.0)
+        due_s = min((one.due_s for one in self._schedule._watchdogs.by_drive.values()), default=0.0)
         await anyio.sleep(max(0.0, due_s - loop.time() - JUST_BEFORE_S))
 
     def _feeds_last_s(self) -> float:
-        return 0.5 + 2.0 * sum(one.cost_s for one in self._schedule._feeds.by_drive.values())
+        return 0.5 + 2.0 * sum(one.cost_s for one in self._schedule._watchdogs.by_drive.values())
 
     def _forced_s(self, at_s: float) -> float:
         """How long feeds must go first, for want of slack, before a request may begin."""
         worst_s = self._ahead.control.times.worst_s
-        ordered = sorted(self._schedule._feeds.by_drive.values(), key=lambda feed: feed.hard_s)
+        ordered = sorted(self._schedule._watchdogs.by_drive.values(), key=lambda feed: feed.hard_s)
         total_s = forced_s = 0.0
         for feed in ordered:
             total_s += feed.cost_s
@@ -384,7 +384,7 @@ class Adversary:
         """Everybody asks, and an answer is lost when feeds have the least slack."""
         self._saturate(Priority.CONTROL, Priority.INTERACTIVE, Priority.BACKGROUND)
         await anyio.sleep(1.0)
-        feeds = self._schedule._feeds
+        feeds = self._schedule._watchdogs
         least = [math.inf]
 
         def wanted(request: Request, now_s: float) -> bool:
@@ -411,7 +411,7 @@ class Adversary:
 
     async def _lose_before_all(self, strike: Callable[[], None]) -> bool:
         """Let all slots be due at once, but for one that comes just before and is lost."""
-        cadence = self._schedule._cadence
+        cadence = self._schedule._polling
         entries = [one for found in cadence.by_drive.values() for one in found if one.version >= 0]
         if not entries:
             return False
@@ -420,7 +420,7 @@ class Adversary:
         for entry in entries:
             entry.due_v = at_s - cadence.offset_s - (JUST_BEFORE_S if entry is first else 0.0)
             cadence._push(entry)
-        self._schedule._rehearsal.spoil()
+        self._schedule._lookahead.invalidate()
         self._worker.nudge()
         self._late_before_s = self._late_s()
         return await self._lose(lambda request, now_s: request.source is first, strike)
@@ -431,7 +431,10 @@ class Adversary:
         began_s = asyncio.get_running_loop().time()
 
         def wanted(request: Request, now_s: float) -> bool:
-            if type(request.source) is not Entry and request.priority is not Priority.WATCHDOG:
+            if (
+                type(request.source) is not PollingEntry
+                and request.priority is not Priority.WATCHDOG
+            ):
                 return False
             learning = now_s < began_s + PATIENCE_S / 2
             if learning:
@@ -465,7 +468,7 @@ class Adversary:
 
     def _note_feeds(self) -> None:
         stats = self._schedule.stats(asyncio.get_running_loop().time())
-        for name, feed in self._schedule._feeds.by_drive.items():
+        for name, feed in self._schedule._watchdogs.by_drive.items():
             assert name in stats.feeds
             self.measured.fed[name] = feed.time_s - feed.margin_least_s
 
@@ -492,7 +495,7 @@ class _Told:
         self._inner.stray_bytes(data, late_answer)
 
 
-def _saved_by_losing(entry: Entry) -> float:
+def _saved_by_losing(entry: PollingEntry) -> float:
     return entry.made().worst_s - entry.made().cost_s
 
 

@@ -15,7 +15,7 @@ from lecombus.config import Roster
 from lecombus.drives import family
 from lecombus.line_runtime import LineRuntime
 from lecombus.readings import DriveState
-from lecombus.schedule.feed import HARD_PART
+from lecombus.schedule.watchdog_deadline import HARD_PART
 from support.site_host import Plant, until
 from support.taps import running
 from support.virtual_loop import run

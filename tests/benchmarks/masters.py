@@ -129,11 +129,11 @@ class Again:
         """There is none."""
         return False
 
-    def rehearse(self, under_way: Request | None, started_s: float, at_s: float) -> Request:
+    def look_ahead(self, under_way: Request | None, started_s: float, at_s: float) -> Request:
         """It is always the same."""
         return self._request
 
-    def foreseen(self, now_s: float) -> Request:
+    def planned(self, now_s: float) -> Request:
         """It is always the same."""
         return self._request
 

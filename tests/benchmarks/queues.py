@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 from statistics import median
 
-from lecombus.schedule import Cyclic, Feeding, Outcome, Priority, Request, Schedule
+from lecombus.schedule import Cyclic, Outcome, Priority, Request, Schedule, WatchdogFeeding
 
 from .table import Row, spread
 
@@ -51,7 +51,7 @@ def operations_per_s(waiting: int) -> float:
     for name in DRIVES:
         schedule.add_drive(name)
         schedule.add_cyclic(Cyclic(name, 1.0, lambda name=name: request(name, Priority.CYCLIC)), 0)  # type: ignore[misc]
-        feeding = Feeding(2.0, lambda name=name: request(name, Priority.WATCHDOG))  # type: ignore[misc]
+        feeding = WatchdogFeeding(2.0, lambda name=name: request(name, Priority.WATCHDOG))  # type: ignore[misc]
         schedule.set_feeding(name, feeding, 0.0)
     for number in range(waiting):
         schedule.submit(waiting_one(number), 0.0)

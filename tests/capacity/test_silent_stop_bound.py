@@ -13,8 +13,8 @@ from lecombus.drives import StopAction, family
 from lecombus.drives.stops import STOP_PATIENCE_S
 from lecombus.line.station import Station
 from lecombus.operations.request_maker import RequestMaker, ignore_end
-from lecombus.schedule.feed import Feed, Feeding
-from lecombus.schedule.feeds import Feeds
+from lecombus.schedule.watchdog_deadline import WatchdogDeadline, WatchdogFeeding
+from lecombus.schedule.watchdog_set import WatchdogSet
 
 from .rosters import roster_of
 
@@ -51,13 +51,13 @@ def test_the_round_is_that_of_the_running_schedule() -> None:
     roster = roster_of(7, time="4s", baud=19200)
     timing = line_timing(roster.line)
     maker = RequestMaker(timing, 2, lambda priority, outcome: None)
-    feeds = Feeds()
+    feeds = WatchdogSet()
     for drive in roster.drives:
         of = family(drive.family)
         station = Station(drive.name, drive.address, of, drive.forms)
         make = partial(maker.feed, station, ())
-        feeding = Feeding(4.0, make)
-        feeds.by_drive[drive.name] = Feed(drive.name, feeding, 0.0)
+        feeding = WatchdogFeeding(4.0, make)
+        feeds.by_drive[drive.name] = WatchdogDeadline(drive.name, feeding, 0.0)
     planned_s = sum(dearest_feed_times(drive, timing).usual_s for drive in roster.drives)
     assert feeds.round_s() == pytest.approx(planned_s)
 

@@ -15,7 +15,7 @@ from lecombus.capacity.work_ahead import NO_EXCHANGE
 from lecombus.config import Roster, line_timing
 from lecombus.drives.measured import SlowAnswers
 from lecombus.protocol.addressing import Code
-from lecombus.schedule import Cyclic, Feeding, Outcome, Priority, Request, Schedule
+from lecombus.schedule import Cyclic, Outcome, Priority, Request, Schedule, WatchdogFeeding
 
 from .rosters import roster_of
 
@@ -48,7 +48,7 @@ class Run:
             if time_s := watched_s(drive):
                 times = feed_times(drive, self.timing)
                 make = self.maker(drive.name, Priority.WATCHDOG, times)
-                self.schedule.set_feeding(drive.name, Feeding(time_s, make), 0.0)
+                self.schedule.set_feeding(drive.name, WatchdogFeeding(time_s, make), 0.0)
 
     def maker(self, drive: str, priority: Priority, times: Times):  # type: ignore[no-untyped-def]
         return lambda: Request(drive, priority, times.usual_s, times.worst_s, ended)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import anyio
 
 from lecombus.line.worker import WorkerOptions
-from lecombus.schedule import Feeding, Outcome, Priority
+from lecombus.schedule import Outcome, Priority, WatchdogFeeding
 from lecombus.simulator.faults import Faults
 from support.site_host import Rig, reader, stop, until, with_rig
 
@@ -116,7 +116,7 @@ def test_a_feed_that_may_not_be_said_yet_does_not_stop_the_line() -> None:
     async def test(rig: Rig) -> None:
         make = reader(rig, "a", 150, Priority.WATCHDOG)
         rig.line.drive_faults[1] = Faults(lost=1.0)
-        rig.schedule.set_feeding("a", Feeding(0.6, make), rig.now_s)
+        rig.schedule.set_feeding("a", WatchdogFeeding(0.6, make), rig.now_s)
         for _ in range(3):
             await rig.read("a", 150).done.wait()
         ended = rig.read("b", 50)

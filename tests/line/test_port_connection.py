@@ -10,7 +10,7 @@ import pytest
 from lecombus.errors import LineClosedError, LineLostError
 from lecombus.line.port import Port, PortSettings, Receiver
 from lecombus.line.worker import WorkerOptions
-from lecombus.schedule import Cyclic, Feeding, Outcome, Priority
+from lecombus.schedule import Cyclic, Outcome, Priority, WatchdogFeeding
 from lecombus.simulator.faults import Faults
 from support.site_host import Rig, reader, stop, until, with_rig
 
@@ -25,7 +25,7 @@ def test_losing_the_line_ends_every_waiting_request_at_once_and_replays_nothing(
         make = reader(rig, "c", 61, Priority.CYCLIC)
         rig.schedule.add_cyclic(Cyclic("c", 1.0, make), rig.now_s)
         feed = reader(rig, "b", 52, Priority.WATCHDOG)
-        rig.schedule.set_feeding("b", Feeding(2.0, feed), rig.now_s)
+        rig.schedule.set_feeding("b", WatchdogFeeding(2.0, feed), rig.now_s)
         ends = [rig.read("a", 150) for _ in range(5)]
         ends += [rig.write("a", 12, str(n)) for n in range(1, 5)]
         ends += [stop(rig, "a"), stop(rig, "b")]

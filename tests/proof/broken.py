@@ -20,7 +20,15 @@ from lecombus.line.exchange_loop import ExchangeLoop
 from lecombus.protocol.exchange import Ask, Exchange, Result
 from lecombus.protocol.telegrams import ValueAnswer
 from lecombus.protocol.values import Value
-from lecombus.schedule import Cyclic, Outcome, Priority, Request, Schedule, feed, feeds
+from lecombus.schedule import (
+    Cyclic,
+    Outcome,
+    Priority,
+    Request,
+    Schedule,
+    watchdog_deadline,
+    watchdog_set,
+)
 from lecombus.supervision import cyclic_reads
 from proof import invariants
 
@@ -73,7 +81,7 @@ def _twice() -> list[Patch]:
 
 def _old_answers() -> list[Patch]:
     """Takes the value before for the one that has come, now and then."""
-    feed = Exchange.feed
+    feed = Exchange.watchdog_deadline
     before: list[Value] = []
 
     def feed_old(self: Exchange, data: bytes, now_s: float, *more: Any) -> Result | None:
@@ -127,7 +135,7 @@ def _late_stops() -> list[Patch]:
 
 def _falling() -> list[Patch]:
     """Falls over in the middle of its work."""
-    feed, count = Exchange.feed, iter(range(10_000))
+    feed, count = Exchange.watchdog_deadline, iter(range(10_000))
 
     def feed_and_fall(self: Exchange, data: bytes, now_s: float, *more: Any) -> Result | None:
         if next(count) == FALLS_AT:
@@ -173,10 +181,10 @@ def _seldom() -> list[Patch]:
 def _last_moment() -> list[Patch]:
     """Feeds at the very end of a watchdog's time."""
     return [
-        (feed, "SOFT_PART", 0.97),
-        (feed, "HARD_PART", 0.99),
-        (feeds, "HARD_PART", 0.99),
-        (feeds, "SPARE_PART", 0.0),
+        (watchdog_deadline, "SOFT_PART", 0.97),
+        (watchdog_deadline, "HARD_PART", 0.99),
+        (watchdog_set, "HARD_PART", 0.99),
+        (watchdog_set, "SPARE_PART", 0.0),
     ]
 
 

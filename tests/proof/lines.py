@@ -22,7 +22,7 @@ from lecombus.capacity.watchdog_demand import demand_of, smallest, under_way_s
 from lecombus.capacity.watchdog_feasibility import AWAY_ATTEMPTS
 from lecombus.config import DriveEntry, Roster, line_timing, parse_roster
 from lecombus.drives import family
-from lecombus.schedule.feed import HARD_PART
+from lecombus.schedule.watchdog_deadline import HARD_PART
 
 FAMILIES = ("820x", "821x", "822x", "824x", "8200vector", "93xx", "smvector")
 BAUDS = (1200, 2400, 4800, 9600, 19200, 19200, 19200)

@@ -136,7 +136,7 @@ class Losses:
         request = under_way[0]
         if request.priority is Priority.STOP:
             return self._random.random() < 0.3
-        left_s = self._site.schedule._feeds.slack_s(now_s) - request.worst_s
+        left_s = self._site.schedule._watchdogs.slack_s(now_s) - request.worst_s
         if now_s > self._least_at_s + LEARNT_IN * self._time_s:
             self._least_s = float("inf")
         if left_s < self._least_s:

@@ -26,11 +26,11 @@ from lecombus.line.prepared_telegrams import TelegramPreparer
 from lecombus.line.read_back_proof import ReadBackProof
 from lecombus.line.stop_job import StopJob
 from lecombus.protocol.exchange import Exchange
-from lecombus.schedule.feeds import Feeds
 from lecombus.schedule.schedule import Schedule
 from lecombus.schedule.shares import Shares
 from lecombus.schedule.silent_stops import SilentStops
 from lecombus.schedule.waiting import Waiting
+from lecombus.schedule.watchdog_set import WatchdogSet
 from lecombus.supervision.health import Health
 from lecombus.supervision.watchdogs import WatchdogAudit
 
@@ -61,7 +61,7 @@ class Mutant:
 MUTANTS: dict[str, Mutant] = {
     # -- watchdogs: what may stand before a feed ------------------------------------------------
     "no slack check": Mutant(
-        Feeds,
+        WatchdogSet,
         "_fit",
         "return end_s <= others_s",
         "return True",
@@ -69,7 +69,7 @@ MUTANTS: dict[str, Mutant] = {
         quick=True,
     ),
     "an exchange that is begun is reckoned to take no time": Mutant(
-        Feeds,
+        WatchdogSet,
         "fits",
         "end_s = now_s + worst_s",
         "end_s = now_s",
@@ -111,7 +111,7 @@ MUTANTS: dict[str, Mutant] = {
         Schedule,
         "next",
         "if stop is not None:",
-        "if stop is not None and self._choice.first(now_s)[0] is None:",
+        "if stop is not None and self._arbiter.first(now_s)[0] is None:",
         (15, 18),
         quick=True,
     ),

@@ -26,7 +26,7 @@ from lecombus.protocol.addressing import Code
 from lecombus.protocol.exchange import ResultKind
 from lecombus.protocol.telegrams import ValueAnswer
 from lecombus.schedule import Priority
-from lecombus.schedule.feed import HARD_PART
+from lecombus.schedule.watchdog_deadline import HARD_PART
 from lecombus.simulator.line import SimLine
 from proof.lines import QUICK_ADAPTER_S, RandomLine
 

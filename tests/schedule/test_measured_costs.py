@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from lecombus.schedule import Feeding, Outcome, Priority, Request
+from lecombus.schedule import Outcome, Priority, Request, WatchdogFeeding
 from schedule.world import COST_S, WORST_S, World
 
 P = Priority
@@ -103,7 +103,7 @@ def test_what_feeding_costs_is_reckoned_anew_when_it_changes() -> None:
     def make() -> Request:
         return world.request("a", P.WATCHDOG, **costs)
 
-    world.schedule.set_feeding("a", Feeding(4.0, make), 0.0)
+    world.schedule.set_feeding("a", WatchdogFeeding(4.0, make), 0.0)
     world.cyclic("a", 0.2)
     world.run(2.0)
     slack_s = world.schedule.stats(world.now_s).slack_s

@@ -7,8 +7,8 @@ from itertools import pairwise
 import pytest
 
 from lecombus.schedule import Priority, Request
-from lecombus.schedule.faults import Faults
-from lecombus.schedule.feed import HARD_PART
+from lecombus.schedule.fault_hypothesis import FaultHypothesis
+from lecombus.schedule.watchdog_deadline import HARD_PART
 from schedule.world import COST_S, WORST_S, World
 
 P = Priority
@@ -210,7 +210,7 @@ def test_a_multicast_is_no_drive_and_never_silent() -> None:
 
 def test_the_feed_of_a_held_drive_is_not_waited_for_until_the_own_watchdog_acts() -> None:
     world = World().drives("a", "b")
-    world.schedule.expect(Faults(1))
+    world.schedule.expect(FaultHypothesis(1))
     world.feed("a", 1.0)
     world.feed("b", 1.2)
     world.now_s = 0.3
@@ -226,7 +226,7 @@ def test_a_drive_that_missed_what_is_tolerated_is_stopped_before_its_watchdog_ac
     is_gone: bool,
 ) -> None:
     world = World().drives("a", *(names := [f"d{number}" for number in range(20)]))
-    world.schedule.expect(Faults(1))
+    world.schedule.expect(FaultHypothesis(1))
     world.feed("a", 1.0)
     for name in names:
         world.feed(name, 2.0)
@@ -255,7 +255,7 @@ def lose_one(world: World, drive: str, worst_s: float) -> Request:
 
 def test_what_is_due_before_the_drive_that_is_stopped_goes_before_its_stop() -> None:
     world = World().drives("a", "b")
-    world.schedule.expect(Faults(1))
+    world.schedule.expect(FaultHypothesis(1))
     world.feed("b", 1.0)
     world.now_s = 0.05
     world.feed("a", 1.0)
@@ -275,7 +275,7 @@ def test_more_proof_of_a_stop_waits_for_feeds_though_its_drive_answers() -> None
     assert world.schedule.stop_goes(world.now_s)
     stop.yields = True
     assert not world.schedule.stop_goes(world.now_s)
-    assert world.schedule.rehearse(None, world.now_s, world.now_s) is None
+    assert world.schedule.look_ahead(None, world.now_s, world.now_s) is None
     first, second, third = world.step(), world.step(), world.step()
     assert first is not None
     assert second is not None

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from lecombus.errors import QueueFullError
 from lecombus.schedule import Outcome, Priority, Request, Schedule
-from lecombus.schedule.feed import HARD_PART
+from lecombus.schedule.watchdog_deadline import HARD_PART
 from schedule.world import World
 
 P = Priority

@@ -10,9 +10,9 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from lecombus.capacity.demand_bound import Stream, load_of, response_s
-from lecombus.schedule import Feeding, Priority, Request
-from lecombus.schedule.feed import HARD_PART, Feed
-from lecombus.schedule.feeds import Feeds
+from lecombus.schedule import Priority, Request, WatchdogFeeding
+from lecombus.schedule.watchdog_deadline import HARD_PART, WatchdogDeadline
+from lecombus.schedule.watchdog_set import WatchdogSet
 from schedule.world import World
 
 P = Priority
@@ -40,7 +40,7 @@ def _line(name: str) -> World:
 def _ask(world: World, priority: Priority, drive: str = "asked") -> Request:
     if priority is P.CYCLIC:
         world.cyclic(drive, 1000.0)
-        (entry,) = world.schedule._cadence.by_drive[drive]
+        (entry,) = world.schedule._polling.by_drive[drive]
         return entry.made()
     return world.submit(drive, priority)
 
@@ -107,9 +107,9 @@ def test_slots_run_early_to_feed_do_not_cost_cyclic_its_share() -> None:
     assert begun[0] - 10.0 < 8.0
 
 
-def _any_feasible(random: Random, count: int, *, alike: bool) -> tuple[Feeds, float] | None:
+def _any_feasible(random: Random, count: int, *, alike: bool) -> tuple[WatchdogSet, float] | None:
     """Draw feeds, each fed at some time, that can all still be in time."""
-    feeds, now_s = Feeds(), 100.0
+    feeds, now_s = WatchdogSet(), 100.0
     base_s = random.uniform(0.5, 3.0)
     for number in range(count):
         cost_s = random.choice((0.03, 0.05))
@@ -117,8 +117,8 @@ def _any_feasible(random: Random, count: int, *, alike: bool) -> tuple[Feeds, fl
             f"d{number}", Priority.WATCHDOG, cost_s, 2.5 * cost_s, lambda outcome, reason: None
         )
         time_s = base_s if alike else base_s * random.choice((1, 1.3, 2, 4, 8))
-        feeding = Feeding(time_s, partial(_same, request))
-        feed = feeds.by_drive[f"d{number}"] = Feed(f"d{number}", feeding, 0.0)
+        feeding = WatchdogFeeding(time_s, partial(_same, request))
+        feed = feeds.by_drive[f"d{number}"] = WatchdogDeadline(f"d{number}", feeding, 0.0)
         feed._count_from(now_s - time_s * HARD_PART * random.random() ** 0.5)
     for _ in range(count):  # whoever is late already is as late as may be
         total_s = 0.0

@@ -8,7 +8,15 @@ from heapq import heappop, heappush
 from itertools import count
 from typing import Any
 
-from lecombus.schedule import Cyclic, Entry, Feeding, Outcome, Priority, Request, Schedule
+from lecombus.schedule import (
+    Cyclic,
+    Outcome,
+    PollingEntry,
+    Priority,
+    Request,
+    Schedule,
+    WatchdogFeeding,
+)
 
 COST_S = 0.02
 WORST_S = 0.1
@@ -75,10 +83,10 @@ class World:
         return request
 
     def feed(self, drive: str, time_s: float, **more: Any) -> None:
-        feeding = Feeding(time_s, lambda: self.request(drive, Priority.WATCHDOG, **more))
+        feeding = WatchdogFeeding(time_s, lambda: self.request(drive, Priority.WATCHDOG, **more))
         self.schedule.set_feeding(drive, feeding, self.now_s)
 
-    def cyclic(self, drive: str, period_s: float, **more: Any) -> Entry:
+    def cyclic(self, drive: str, period_s: float, **more: Any) -> PollingEntry:
         cyclic = Cyclic(drive, period_s, lambda: self.request(drive, Priority.CYCLIC, **more))
         return self.schedule.add_cyclic(cyclic, self.now_s)
 
@@ -103,13 +111,13 @@ class World:
         assert not request.settled
         started_s, silent = self.now_s, frozenset(self.schedule._waiting.silent)
         if self.rehearses:
-            self.schedule.rehearse(request, started_s, started_s + request.cost_s)
+            self.schedule.look_ahead(request, started_s, started_s + request.cost_s)
         reached = request.drive not in self.silent
         cost_s = request.cost_s if self.lasts_s is None else self.lasts_s
         self.now_s += cost_s if reached else request.worst_s
         self.sent.append(Sent(started_s, self.now_s, request, reached, silent))
         self._happen()  # what comes in during the exchange comes before its end is known
-        self._begun = self.schedule.foreseen(self.now_s) if self.follows and reached else None
+        self._begun = self.schedule.planned(self.now_s) if self.follows and reached else None
         if self._begun is not None:
             self.followed += 1
             self.schedule.follow(request, started_s, self.now_s, self.now_s)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lecombus.schedule.cadence import STRETCH_WINDOW_S
+from lecombus.schedule.polling import STRETCH_WINDOW_S
 from lecombus.store import Store
 from lecombus.supervision.poll_overload import PollOverload
 

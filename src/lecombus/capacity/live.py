@@ -19,7 +19,7 @@ from lecombus.capacity.exchange_costs import line_timing, read_times, watched_s
 from lecombus.capacity.plan import LinePlan, make_plan
 from lecombus.capacity.waits import ClassWait
 from lecombus.roster import Roster
-from lecombus.schedule.feed import HARD_PART
+from lecombus.schedule.watchdog_deadline import HARD_PART
 
 __all__ = ["LiveClass", "LiveCode", "LiveDrive", "LivePlan", "compare"]
 

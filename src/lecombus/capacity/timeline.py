@@ -20,8 +20,8 @@ from lecombus.capacity.load import load_on
 from lecombus.capacity.watchdog_demand import faults_of
 from lecombus.drives import LineTiming
 from lecombus.roster import Roster
-from lecombus.schedule import Cyclic, Feeding, Outcome, Priority, Request, Schedule
-from lecombus.schedule.feed import HARD_PART
+from lecombus.schedule import Cyclic, Outcome, Priority, Request, Schedule, WatchdogFeeding
+from lecombus.schedule.watchdog_deadline import HARD_PART
 
 __all__ = ["Preview", "Span", "hyperperiod_s", "picture", "preview"]
 
@@ -100,7 +100,7 @@ def preview(roster: Roster, timing: LineTiming) -> Preview:
         time_s = watched_s(drive)
         if time_s is not None:
             make = _maker(drive.name, Priority.WATCHDOG, feed_times(drive, timing), "feed")
-            schedule.set_feeding(drive.name, Feeding(time_s, make), 0.0)
+            schedule.set_feeding(drive.name, WatchdogFeeding(time_s, make), 0.0)
     stretch = load_on(roster.drives, timing).stretch
     whole_s = hyperperiod_s(roster) * stretch
     length_s = min(max(whole_s, SHORTEST_S), LONGEST_S)

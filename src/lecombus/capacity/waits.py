@@ -57,10 +57,10 @@ from lecombus.drives import LineTiming, family
 from lecombus.drives.stops import LEAST_STOP_ATTEMPTS, STOP_PATIENCE_S, STOP_PAUSE_S
 from lecombus.roster import Roster
 from lecombus.schedule import Priority
-from lecombus.schedule.feed import HARD_PART, SPARE_ATTEMPTS
 from lecombus.schedule.schedule import ROOMS_PER_FEED
 from lecombus.schedule.shares import CLASS_SHARES, CREDIT_EXCHANGES
 from lecombus.schedule.waiting import KEPT_AFTER_S
+from lecombus.schedule.watchdog_deadline import HARD_PART, SPARE_ATTEMPTS
 
 __all__ = ["LATENESS_S", "ClassWait", "SilentStop", "class_waits", "silent_stop"]
 

@@ -46,8 +46,8 @@ from lecombus.capacity.exchange_costs import (
 )
 from lecombus.drives import LineTiming, family
 from lecombus.roster import DriveEntry, Roster
-from lecombus.schedule.faults import Faults
-from lecombus.schedule.feed import HARD_PART
+from lecombus.schedule.fault_hypothesis import FaultHypothesis
+from lecombus.schedule.watchdog_deadline import HARD_PART
 
 __all__ = [
     "LONGEST_S",
@@ -238,9 +238,9 @@ def demand_of(roster: Roster, timing: LineTiming | None = None) -> WatchdogDeman
     )
 
 
-def faults_of(roster: Roster, timing: LineTiming) -> Faults:
+def faults_of(roster: Roster, timing: LineTiming) -> FaultHypothesis:
     """Give the lost answers and stops for which the schedule keeps room, as the test does."""
-    return Faults(
+    return FaultHypothesis(
         roster.line.tolerate,
         max((stop_s(drive, timing) for drive in roster.drives), default=0.0),
         max((stop_attempt_s(drive, timing) for drive in roster.drives), default=0.0),

@@ -36,7 +36,7 @@ from lecombus.drives import LineTiming
 from lecombus.durations import format_duration
 from lecombus.protocol.timing import BAUDS
 from lecombus.roster import DriveEntry, Roster
-from lecombus.schedule.feed import HARD_PART
+from lecombus.schedule.watchdog_deadline import HARD_PART
 
 __all__ = [
     "AWAY_ATTEMPTS",

@@ -34,9 +34,14 @@ from lecombus.drives import CodeInfo, LineTiming, family, stop_value
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Format, Value
 from lecombus.roster import DriveEntry, Roster
-from lecombus.schedule import Feeding, Outcome, Priority, Request
-from lecombus.schedule.feed import HARD_PART, SOFT_PART, SPARE_ATTEMPTS, Feed
-from lecombus.schedule.feeds import Feeds
+from lecombus.schedule import Outcome, Priority, Request, WatchdogFeeding
+from lecombus.schedule.watchdog_deadline import (
+    HARD_PART,
+    SOFT_PART,
+    SPARE_ATTEMPTS,
+    WatchdogDeadline,
+)
+from lecombus.schedule.watchdog_set import WatchdogSet
 
 __all__ = ["Blocking", "Longest", "Room", "WorkAhead", "work_ahead_on"]
 
@@ -198,7 +203,7 @@ def work_ahead_on(roster: Roster, timing: LineTiming) -> WorkAhead:
     )
 
 
-def _longest(feeds: Feeds, found: Iterable[Longest]) -> Longest:
+def _longest(feeds: WatchdogSet, found: Iterable[Longest]) -> Longest:
     """Find the longest exchange that is ever begun: there is room for it, or it goes as a feed."""
     most_s: dict[str, float] = {}
     begun = []
@@ -210,16 +215,16 @@ def _longest(feeds: Feeds, found: Iterable[Longest]) -> Longest:
     return max(begun, key=_worst, default=NO_EXCHANGE)
 
 
-def _is_feed(feeds: Feeds, one: Longest) -> bool:
+def _is_feed(feeds: WatchdogSet, one: Longest) -> bool:
     """Whether it stands for a feed of its drive, for which no room is asked."""
     feed = feeds.by_drive.get(one.drive)
     longest_s = (0.0, 0.0) if feed is None else (feed.cost_s, feed.worst_s)
     return one.times.usual_s <= longest_s[0] and one.times.worst_s <= longest_s[1]
 
 
-def _feeds_of(roster: Roster, timing: LineTiming) -> Feeds:
+def _feeds_of(roster: Roster, timing: LineTiming) -> WatchdogSet:
     """Put the watchdogs into the schedule's own sums."""
-    feeds = Feeds(faults_of(roster, timing))
+    feeds = WatchdogSet(faults_of(roster, timing))
     for drive in roster.drives:
         time_s = watched_s(drive)
         if time_s is not None:
@@ -227,13 +232,13 @@ def _feeds_of(roster: Roster, timing: LineTiming) -> Feeds:
             request = Request(
                 drive.name, Priority.WATCHDOG, times.usual_s, times.worst_s, _never_ended
             )
-            feeds.by_drive[drive.name] = Feed(
-                drive.name, Feeding(time_s, partial(_same, request)), 0.0
+            feeds.by_drive[drive.name] = WatchdogDeadline(
+                drive.name, WatchdogFeeding(time_s, partial(_same, request)), 0.0
             )
     return feeds
 
 
-def _room(feeds: Feeds) -> Room:
+def _room(feeds: WatchdogSet) -> Room:
     times = {feed.time_s for feed in feeds.by_drive.values()}
     return Room(feeds.most_s("")[0], feeds.round_s(), len(times) < 2)
 

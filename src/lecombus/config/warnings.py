@@ -26,7 +26,7 @@ from lecombus.drives import LineTiming, Verb, WriteClass, family
 from lecombus.durations import format_duration
 from lecombus.protocol.addressing import Code
 from lecombus.roster import DriveEntry, LineEntry, Roster, is_network_port
-from lecombus.schedule.feed import HARD_PART
+from lecombus.schedule.watchdog_deadline import HARD_PART
 
 __all__ = ["counted", "cyclic_load", "find_warnings"]
 

@@ -328,11 +328,11 @@ class ExchangeLoop:
         """Choose the next request, and write out its telegram, while nothing can be sent."""
         self._ready = None
         if self._under_way is None:
-            request = self._schedule.rehearse(None, now, max(now, self._bus_idle.free_at_s))
+            request = self._schedule.look_ahead(None, now, max(now, self._bus_idle.free_at_s))
         else:
             under_way, started_s = self._under_way[0], self._exchange.started_s
             expected_s = started_s + under_way.cost_s - self._options.turnaround_s
-            request = self._schedule.rehearse(under_way, started_s, expected_s)
+            request = self._schedule.look_ahead(under_way, started_s, expected_s)
         if request is None:
             return
         job: Job = request.work  # type: ignore[assignment]
@@ -344,7 +344,7 @@ class ExchangeLoop:
 
     def _is_ready(self, at_s: float) -> bool:
         """Whether the telegram that was written out is the one to be said at that time."""
-        return self._ready is not None and self._schedule.foreseen(at_s) is self._ready[0]
+        return self._ready is not None and self._schedule.planned(at_s) is self._ready[0]
 
     def _withdraw(self, request: Request, now: float) -> None:
         """End a write that was chosen and not sent: no motor starts for a client that has left."""

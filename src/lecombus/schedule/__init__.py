@@ -5,24 +5,24 @@ every call is given `now_s`; and no word of any line protocol: a request is a dr
 work, a cost in seconds and a deadline.
 """
 
-from lecombus.schedule.cadence import Cyclic, Entry
-from lecombus.schedule.faults import Faults
-from lecombus.schedule.feed import Feed, Feeding
+from lecombus.schedule.fault_hypothesis import FaultHypothesis
+from lecombus.schedule.polling import Cyclic, PollingEntry
 from lecombus.schedule.request import Outcome, Priority, Request, Settle
 from lecombus.schedule.schedule import Schedule
-from lecombus.schedule.stats import FeedStats, ScheduleStats
+from lecombus.schedule.stats import ScheduleStats, WatchdogStats
+from lecombus.schedule.watchdog_deadline import WatchdogDeadline, WatchdogFeeding
 
 __all__ = [
     "Cyclic",
-    "Entry",
-    "Faults",
-    "Feed",
-    "FeedStats",
-    "Feeding",
+    "FaultHypothesis",
     "Outcome",
+    "PollingEntry",
     "Priority",
     "Request",
     "Schedule",
     "ScheduleStats",
     "Settle",
+    "WatchdogDeadline",
+    "WatchdogFeeding",
+    "WatchdogStats",
 ]

@@ -20,11 +20,11 @@ __all__ = [
     "QUEUED",
     "STOPPED",
     "UNDER_WAY",
+    "DispatchReason",
     "Outcome",
     "Priority",
     "Request",
     "Settle",
-    "Turn",
 ]
 
 # Where a request is: not in a schedule, in its lane, waiting for a time, or on the line.
@@ -52,7 +52,7 @@ class Priority(IntEnum):
     BACKGROUND = 5
 
 
-class Turn(IntEnum):
+class DispatchReason(IntEnum):
     """By what an exchange went when it did.
 
     `RIGHT`: it was the first of the highest class. `CREDIT`: by its class's share, before a higher
@@ -143,7 +143,9 @@ class Request:
     fed_first: int = field(default=0, init=False, repr=False)  # feeds run first, though it fits
     latest_s: float | None = field(default=None, init=False, repr=False)  # no feed before it then
     cut_by_s: float = field(default=0.0, init=False, repr=False)  # taken off its time-outs
-    turn: Turn = field(default=Turn.RIGHT, init=False, repr=False)  # by what it went
+    turn: DispatchReason = field(
+        default=DispatchReason.RIGHT, init=False, repr=False
+    )  # by what it went
     source: object = field(default=None, init=False, repr=False)  # the entry or probe behind it
 
     def shorten(self, worst_s: float) -> None:

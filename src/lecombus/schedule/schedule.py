@@ -28,16 +28,24 @@ import math
 from collections.abc import Mapping
 from typing import Final
 
-from lecombus.schedule.cadence import Entry
-from lecombus.schedule.choice import Choice, to_feed
-from lecombus.schedule.feed_choice import FeedChoice
-from lecombus.schedule.idling import presses_at_s
-from lecombus.schedule.members import Members
-from lecombus.schedule.rehearsal import Foreseen, Rehearsal
-from lecombus.schedule.request import OUT, QUEUED, UNDER_WAY, Outcome, Priority, Request, Turn
+from lecombus.schedule.arbiter import Arbiter, to_feed
+from lecombus.schedule.drive_table import DriveTable
+from lecombus.schedule.idle_time import presses_at_s
+from lecombus.schedule.lookahead import Lookahead, PlannedChoice
+from lecombus.schedule.polling import PollingEntry
+from lecombus.schedule.request import (
+    OUT,
+    QUEUED,
+    UNDER_WAY,
+    DispatchReason,
+    Outcome,
+    Priority,
+    Request,
+)
 from lecombus.schedule.shares import Probe, Shares
 from lecombus.schedule.silent_stops import SilentStops
 from lecombus.schedule.stats import ScheduleStats, snapshot
+from lecombus.schedule.watchdog_arbiter import WatchdogArbiter
 
 __all__ = ["Schedule"]
 
@@ -53,7 +61,7 @@ MEASURED_PART: Final = 0.5
 BY_MANUAL_PART: Final = 0.5  # of the shortest watchdog time: see `_admit_by_manual`
 
 
-class Schedule(Members):
+class Schedule(DriveTable):
     """Everything that waits for one line.
 
     Args:
@@ -67,20 +75,20 @@ class Schedule(Members):
     ) -> None:
         super().__init__(limits, absent_share)
         self._shares = Shares()
-        self._feed_choice = FeedChoice(self._waiting, self._feeds, self._cadence)
-        self._choice = Choice(
-            self._waiting, self._feed_choice, self._cadence, self._probes, self._shares
+        self._watchdog_arbiter = WatchdogArbiter(self._waiting, self._watchdogs, self._polling)
+        self._arbiter = Arbiter(
+            self._waiting, self._watchdog_arbiter, self._polling, self._probes, self._shares
         )
-        self._silent_stops = SilentStops(self._waiting, self._feeds, self._feed_choice)
-        self._rehearsal = Rehearsal(
-            self._waiting, self._feeds, self._cadence, self._probes, self._shares
+        self._silent_stops = SilentStops(self._waiting, self._watchdogs, self._watchdog_arbiter)
+        self._lookahead = Lookahead(
+            self._waiting, self._watchdogs, self._polling, self._probes, self._shares
         )
         self._speaking_to: str | None = None
         self._by_manual_from_s = -math.inf
         self._more = False  # the last choice stopped early: there is more to do at once
 
-    def _spoil(self) -> None:
-        self._rehearsal.spoil()
+    def _invalidate(self) -> None:
+        self._lookahead.invalidate()
 
     # -- requests coming in -----------------------------------------------------------------------
 
@@ -92,7 +100,7 @@ class Schedule(Members):
         Raises:
             QueueFullError: Its class is full; the request has not been taken.
         """
-        self._rehearsal.spoil()
+        self._lookahead.invalidate()
         self._waiting.submit(request, now_s)
 
     def again(
@@ -103,34 +111,34 @@ class Schedule(Members):
         Call it directly after `finished`. It is ended instead if a stop, a later request or
         parking came meanwhile. Its expiry no longer counts: it has begun.
         """
-        self._rehearsal.spoil()
+        self._lookahead.invalidate()
         self._waiting.place(request, behind=behind)
         self._waiting.take_back(request, not_before_s, now_s)
 
     def defer(self, request: Request, until_s: float, now_s: float) -> None:
         """Take back, to its old place, a request that may not be sent before a time."""
         self._speaking_to = None
-        self._rehearsal.spoil()
+        self._lookahead.invalidate()
         self._waiting.take_back(request, until_s, now_s)
 
     def join(self, stop: Request) -> bool:
         """Let a stop that waits unsaid stand for a new one like it; say whether it can."""
-        self._rehearsal.spoil()
+        self._lookahead.invalidate()
         return self._waiting.join(stop)
 
     def withdraw(self, request: Request, outcome: Outcome, reason: str) -> bool:
         """End a request if it still waits; say whether it did."""
-        self._rehearsal.spoil()
+        self._lookahead.invalidate()
         return self._waiting.withdraw(request, outcome, reason)
 
     # -- the choice -------------------------------------------------------------------------------
 
     def next(self, now_s: float) -> Request | None:
         """Choose what goes now, and mark it as under way; None if nothing may go yet."""
-        foreseen = self._rehearsal.holding(now_s)
-        self._rehearsal.spoil()
-        if foreseen is not None:
-            return self._begin(foreseen, now_s)
+        planned = self._lookahead.holding(now_s)
+        self._lookahead.invalidate()
+        if planned is not None:
+            return self._begin(planned, now_s)
         waiting = self._waiting
         if waiting.timers and waiting.timers[0][0] <= now_s:
             self._run_timers(now_s)
@@ -142,7 +150,7 @@ class Schedule(Members):
             first = self._silent_stops.turn(stop, now_s)
             return None if first is None else self._start(first, now_s)
         for _ in range(REFUSE_BATCH):
-            request, feeding = self._choice.first(now_s)
+            request, feeding = self._arbiter.first(now_s)
             if request is None:
                 return None
             admitted = request if feeding else self._admit(request, now_s)
@@ -151,7 +159,9 @@ class Schedule(Members):
         self._more = True
         return None
 
-    def rehearse(self, under_way: Request | None, started_s: float, at_s: float) -> Request | None:
+    def look_ahead(
+        self, under_way: Request | None, started_s: float, at_s: float
+    ) -> Request | None:
         """Make the next choice beforehand, if it is a plain one: call it while the line is busy.
 
         Args:
@@ -162,22 +172,22 @@ class Schedule(Members):
         Returns:
             What `next` will give at that time unless something changes; None: not to be told.
         """
-        found = self._rehearsal.make(under_way, started_s, at_s)
+        found = self._lookahead.make(under_way, started_s, at_s)
         if found is None:
-            self._cadence.prepare()
+            self._polling.prepare()
         return found
 
     def stop_goes(self, now_s: float) -> bool:
         """Tell whether `next` would give a stop at this moment."""
         if self._waiting.timers and self._waiting.timers[0][0] <= now_s:
-            self._rehearsal.spoil()  # another stop may be the first from now on
+            self._lookahead.invalidate()  # another stop may be the first from now on
             self._run_timers(now_s)
         stop = self._waiting.stop()
         return stop is not None and self._silent_stops.goes(stop, now_s)
 
-    def foreseen(self, now_s: float) -> Request | None:
+    def planned(self, now_s: float) -> Request | None:
         """Tell what was chosen beforehand, if that still holds."""
-        found = self._rehearsal.holding(now_s)
+        found = self._lookahead.holding(now_s)
         return None if found is None else found.request
 
     def follow(self, done: Request, started_s: float, ended_s: float, now_s: float) -> None:
@@ -187,54 +197,54 @@ class Schedule(Members):
             done: The request whose exchange it was.
             started_s: When its first character went out.
             ended_s: When its answer was complete.
-            now_s: When the request given by `foreseen` was begun.
+            now_s: When the request given by `planned` was begun.
         """
-        found = self._rehearsal.holding(now_s)
+        found = self._lookahead.holding(now_s)
         assert found is not None, "nothing was foreseen"
-        self._rehearsal.spoil()
+        self._lookahead.invalidate()
         self.finished(done, started_s, ended_s, reached=True)
         self._begin(found, now_s)
 
-    def _begin(self, found: Foreseen, now_s: float) -> Request:
+    def _begin(self, found: PlannedChoice, now_s: float) -> Request:
         """Mark what was chosen beforehand as under way."""
         request = found.request
         if request.priority is not Priority.STOP:
             self._more = False
-            self._choice.took(request, found.waiting, ahead=found.ahead)
+            self._arbiter.took(request, found.waiting, ahead=found.ahead)
         return self._start(request, now_s)
 
     def _run_timers(self, now_s: float) -> None:
         for what in self._waiting.run_timers(now_s):
-            if isinstance(what, Entry):
-                self._cadence.rejoin(what, now_s)
+            if isinstance(what, PollingEntry):
+                self._polling.rejoin(what, now_s)
             elif what.held and what.held_until_s > now_s:  # it was held on meanwhile
                 self._waiting.at(what.held_until_s, what)
             elif what.held:
-                slots = self._cadence.is_due(what.name, now_s)
+                slots = self._polling.is_due(what.name, now_s)
                 self._waiting.keep(what, slots=slots, now_s=now_s)
                 self._release(what, now_s)
 
     def _admit(self, request: Request, now_s: float) -> Request | None:
         """Let a request go if no watchdog can suffer; else run what must go first, or end it."""
-        feeds = self._feeds
+        feeds = self._watchdogs
         own = feeds.own_first(now_s, request.worst_s, request.drive)
         if own is not None and request.fed_first < FEEDS_FIRST:
             request.fed_first += 1
-            return to_feed(self._feed_choice.plain(own))
+            return to_feed(self._watchdog_arbiter.plain(own))
         need_s = feeds.need_s(request.cost_s, request.worst_s)
         fits = feeds.fits(now_s, need_s, request.drive)
         late = feeds.late(now_s)
         count = 1 if late is not None and late.drive == request.drive else len(feeds.by_drive)
         if late is not None and request.fed_first < FEEDS_FIRST * count:
             request.fed_first += 1
-            return to_feed(self._feed_choice.telegram(late, now_s))
+            return to_feed(self._watchdog_arbiter.telegram(late, now_s))
         if fits:
             return request
         return self._make_room(request, now_s)
 
     def _make_room(self, request: Request, now_s: float) -> Request | None:
         """Run what must go before a request that does not fit now, or end it if it never will."""
-        feeds = self._feeds
+        feeds = self._watchdogs
         reason = feeds.never(request.worst_s, request.drive)
         if reason and request.told is not None:
             request.shorten(feeds.most_s(request.drive)[0] * MEASURED_PART)
@@ -250,7 +260,7 @@ class Schedule(Members):
             if feed is not None:
                 request.rooms += 1
                 own = feeds.own_before(now_s, feed, request.drive)
-                return to_feed(self._feed_choice.telegram(own or feed, now_s))
+                return to_feed(self._watchdog_arbiter.telegram(own or feed, now_s))
         self._put_off(request, feeds.retry_s(now_s))
         return None
 
@@ -261,7 +271,7 @@ class Schedule(Members):
         watchdog may be fed late because of this: so it is one exchange in half the time of the
         shortest watchdog, and no more.
         """
-        feeds = self._feeds
+        feeds = self._watchdogs
         if now_s < self._by_manual_from_s:
             self._put_off(request, self._by_manual_from_s)
             return None
@@ -280,8 +290,8 @@ class Schedule(Members):
             self._waiting.end_waiting(request, Outcome.REFUSED, reason)
             return
         source = request.source
-        if isinstance(source, Entry):
-            self._cadence.drop(source, now_s)
+        if isinstance(source, PollingEntry):
+            self._polling.drop(source, now_s)
         elif isinstance(source, Probe):
             self._probes.drop(source, now_s)
         self._waiting.end(request, Outcome.REFUSED, reason)
@@ -293,8 +303,8 @@ class Schedule(Members):
         source = request.source
         if request.state == QUEUED:
             self._waiting.put_off(request, until_s)
-        elif isinstance(source, Entry):
-            self._cadence.set_apart(source)
+        elif isinstance(source, PollingEntry):
+            self._polling.set_apart(source)
             self._waiting.at(until_s, source)
         elif isinstance(source, Probe):
             self._probes.schedule(source, until_s)
@@ -307,8 +317,8 @@ class Schedule(Members):
             self._waiting.number(request)
             request.submitted_at_s = now_s
             source = request.source
-            if type(source) is Entry:
-                self._cadence.take(source, now_s)
+            if type(source) is PollingEntry:
+                self._polling.take(source, now_s)
             elif type(source) is Probe:
                 self._probes.take(source, now_s)
         request.state = UNDER_WAY
@@ -332,22 +342,22 @@ class Schedule(Members):
             times = (
                 timer_s,
                 waiting.expiries.next_s(),
-                self._cadence.next_s(),
-                self._feeds.next_s(now_s),
+                self._polling.next_s(),
+                self._watchdogs.next_s(now_s),
                 self._probes.next_s(now_s),
             )
         return min((at_s for at_s in times if at_s is not None), default=None)
 
     def may_idle(self, now_s: float, for_s: float) -> bool:
         """Whether the line may be left idle for so long: no watchdog suffers, nothing presses."""
-        return self._feeds.fits(now_s, for_s, "") and self.presses_at_s(now_s) > now_s
+        return self._watchdogs.fits(now_s, for_s, "") and self.presses_at_s(now_s) > now_s
 
     def presses_at_s(self, now_s: float) -> float:
-        """Tell when anything but cyclic and background work may want the line (`idling`)."""
-        self._rehearsal.spoil()
+        """Tell when anything but cyclic and background work may want the line (`idle_time`)."""
+        self._lookahead.invalidate()
         if self._waiting.timers and self._waiting.timers[0][0] <= now_s:
             self._run_timers(now_s)
-        return presses_at_s(self._waiting, self._feeds, self._feed_choice, now_s)
+        return presses_at_s(self._waiting, self._watchdogs, self._watchdog_arbiter, now_s)
 
     # -- what the line reports --------------------------------------------------------------------
 
@@ -361,7 +371,7 @@ class Schedule(Members):
             reached: The drive answered: its watchdog counts as fed at `started_s`.
         """
         if not reached:
-            self._rehearsal.spoil()
+            self._lookahead.invalidate()
             if request.priority is Priority.STOP and not request.members:
                 self._waiting.set_silent(request.drive, silent=True)
         elif self._waiting.silent:
@@ -372,20 +382,20 @@ class Schedule(Members):
         self._waiting.forget_key(request)
         duration_s = now_s - started_s
         self._shares.book(request.priority, request.turn, duration_s)
-        request.turn = Turn.RIGHT
+        request.turn = DispatchReason.RIGHT
         if type(request.source) is Probe:
             self._probes.paid(duration_s, now_s)
-        feed = self._feeds.by_drive.get(request.drive)
+        feed = self._watchdogs.by_drive.get(request.drive)
         if feed is not None and feed.active and not request.members:
             if not reached:
                 feed.failed(now_s, self._feeds.faults.tolerate)
             elif started_s >= feed.fed_at_s:
                 feed.reached(started_s)
                 if feed.left_out:  # it counts in the slack check again
-                    self._feeds.changed()
+                    self._watchdogs.changed()
 
     def stats(self, now_s: float) -> ScheduleStats:
         """Take a snapshot; it begins new measures (see `stats`)."""
         return snapshot(
-            self._waiting, self._feeds, self._cadence, self._probes, self._speaking_to, now_s
+            self._waiting, self._watchdogs, self._polling, self._probes, self._speaking_to, now_s
         )

@@ -28,7 +28,7 @@ from collections.abc import Callable, Container, Mapping, Sequence
 from heapq import heappop, heappush
 from typing import Final
 
-from lecombus.schedule.request import Priority, Request, Turn
+from lecombus.schedule.request import DispatchReason, Priority, Request
 
 __all__ = ["CLASS_SHARES", "LISTEN_EVERY_S", "LISTEN_S", "Probe", "Probes", "Shares"]
 
@@ -111,7 +111,7 @@ class Shares:
         """Note that a request was put off: feeds have gone for it, and it is the turn of others."""
         self._last = _last(self._last, request.priority, request.turn)
 
-    def book(self, used_by: Priority, turn: Turn, duration_s: float) -> None:
+    def book(self, used_by: Priority, turn: DispatchReason, duration_s: float) -> None:
         """Book the line time of one exchange.
 
         Args:
@@ -121,10 +121,12 @@ class Shares:
         """
         self._credit_s = self._booked(used_by, turn, duration_s)
         self._last = _last(self._last, used_by, turn)
-        if turn is Turn.CREDIT or turn is Turn.KEPT:
+        if turn is DispatchReason.CREDIT or turn is DispatchReason.KEPT:
             self._order = (*(one for one in self._order if one is not used_by), used_by)
 
-    def _booked(self, used_by: Priority, turn: Turn, duration_s: float) -> dict[Priority, float]:
+    def _booked(
+        self, used_by: Priority, turn: DispatchReason, duration_s: float
+    ) -> dict[Priority, float]:
         waiting = self._waiting
         booked: dict[Priority, float] = {}
         for priority, credit_s in self._credit_s.items():
@@ -136,7 +138,11 @@ class Shares:
                 # The cap never takes away credit: heads of different size follow each other.
                 earned_s = credit_s + CLASS_SHARES[priority] * duration_s
                 credit_s = min(earned_s, max(credit_s, CREDIT_EXCHANGES * cost_s))
-            if priority is used_by and turn is not Turn.FEED and turn is not Turn.FEED_AHEAD:
+            if (
+                priority is used_by
+                and turn is not DispatchReason.FEED
+                and turn is not DispatchReason.FEED_AHEAD
+            ):
                 # Whoever went by right of its class starts at nothing when it falls behind.
                 credit_s = max(credit_s - duration_s, 0.0)
             booked[priority] = credit_s
@@ -147,11 +153,11 @@ def _had_its_turn(top: Priority, last: Priority | None) -> bool:
     return last is not None and last <= top
 
 
-def _last(last: Priority | None, used_by: Priority, turn: Turn) -> Priority | None:
+def _last(last: Priority | None, used_by: Priority, turn: DispatchReason) -> Priority | None:
     """Tell who has gone last by right after one more exchange; stops and feeds do not count."""
-    if turn is Turn.FEED or used_by is Priority.STOP:
+    if turn is DispatchReason.FEED or used_by is Priority.STOP:
         return last
-    return used_by if turn is Turn.RIGHT else None
+    return used_by if turn is DispatchReason.RIGHT else None
 
 
 def _entitled(

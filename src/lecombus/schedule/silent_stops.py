@@ -28,11 +28,11 @@ from __future__ import annotations
 
 import math
 
-from lecombus.schedule.feed import Feed
-from lecombus.schedule.feed_choice import FeedChoice
-from lecombus.schedule.feeds import ROUNDING_S, Feeds
 from lecombus.schedule.request import Request
 from lecombus.schedule.waiting import Waiting
+from lecombus.schedule.watchdog_arbiter import WatchdogArbiter
+from lecombus.schedule.watchdog_deadline import WatchdogDeadline
+from lecombus.schedule.watchdog_set import ROUNDING_S, WatchdogSet
 
 __all__ = ["SilentStops"]
 
@@ -46,12 +46,12 @@ class SilentStops:
         choice: Makes the telegrams that feed.
     """
 
-    __slots__ = ("_choice", "_feeds", "_waiting", "wake_at_s")
+    __slots__ = ("_arbiter", "_waiting", "_watchdogs", "wake_at_s")
 
-    def __init__(self, waiting: Waiting, feeds: Feeds, choice: FeedChoice) -> None:
+    def __init__(self, waiting: Waiting, feeds: WatchdogSet, choice: WatchdogArbiter) -> None:
         self._waiting = waiting
-        self._feeds = feeds
-        self._choice = choice
+        self._watchdogs = feeds
+        self._arbiter = choice
         self.wake_at_s = math.inf  # a stop waits until then for a drive that is left alone
 
     def held(self, stop: Request) -> bool:
@@ -62,7 +62,7 @@ class SilentStops:
         """Tell whether a stop may go now; changes nothing."""
         if not self.held(stop):
             return True
-        feeds = self._feeds
+        feeds = self._watchdogs
         fits = feeds.fits(now_s, self._needed_s(stop), stop.drive)
         return fits and self._late(now_s) is None
 
@@ -75,7 +75,7 @@ class SilentStops:
         self.wake_at_s = math.inf
         if self.goes(stop, now_s):
             return stop
-        feeds = self._feeds
+        feeds = self._watchdogs
         if stop.latest_s is None:
             stop.latest_s = now_s + self._longest_wait_s(stop) - ROUNDING_S
         if now_s >= stop.latest_s:
@@ -84,9 +84,9 @@ class SilentStops:
         if feed is not None:
             own = feeds.own_before(now_s, feed, stop.drive)
             if own is not None:
-                return self._choice.plain(own)
+                return self._arbiter.plain(own)
             own = feeds.own_late(now_s + feed.cost_s, stop.drive)
-            return self._choice.plain(feed) if own is None or feed.hard_s < own.hard_s else stop
+            return self._arbiter.plain(feed) if own is None or feed.hard_s < own.hard_s else stop
         held = feeds.first_held(now_s, stop.drive)
         if held is None or feeds.fits(now_s, stop.worst_s, stop.drive):
             return stop
@@ -96,13 +96,13 @@ class SilentStops:
         stop.latest_s = max(stop.latest_s, held.held_until_s + held.cost_s - ROUNDING_S)
         return None
 
-    def _late(self, now_s: float) -> Feed | None:
+    def _late(self, now_s: float) -> WatchdogDeadline | None:
         """Find a drive that is fed too late, if it is not one that stays silent anyhow."""
-        return self._feeds.late(now_s, lapsed=True, but=self._waiting.silent)
+        return self._watchdogs.late(now_s, lapsed=True, but=self._waiting.silent)
 
     def _longest_wait_s(self, stop: Request) -> float:
         """Tell after how long it goes whatever comes of that: a round if no slack will do."""
-        feeds = self._feeds
+        feeds = self._watchdogs
         never = stop.worst_s > feeds.most_s(stop.drive)[0]
         return feeds.round_s() + (0.0 if never else feeds.lost_s())
 
@@ -111,7 +111,7 @@ class SilentStops:
 
         Of a drive that answers no more than of any other exchange.
         """
-        feeds = self._feeds
+        feeds = self._watchdogs
         if stop.drive not in self._waiting.silent:
             return feeds.need_s(stop.cost_s, stop.worst_s)
         most_s, _ = feeds.most_s(stop.drive)

@@ -10,18 +10,18 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from lecombus.schedule.cadence import Cadence
-from lecombus.schedule.feed import Feed
-from lecombus.schedule.feeds import Feeds
+from lecombus.schedule.polling import Polling
 from lecombus.schedule.request import Outcome, Priority
 from lecombus.schedule.shares import Probes
 from lecombus.schedule.waiting import Waiting
+from lecombus.schedule.watchdog_deadline import WatchdogDeadline
+from lecombus.schedule.watchdog_set import WatchdogSet
 
-__all__ = ["FeedStats", "ScheduleStats", "snapshot"]
+__all__ = ["ScheduleStats", "WatchdogStats", "snapshot"]
 
 
 @dataclass(frozen=True, slots=True)
-class FeedStats:
+class WatchdogStats:
     """How one drive's watchdog is kept.
 
     Args:
@@ -73,7 +73,7 @@ class ScheduleStats:
     cyclic_late_most_s: float
     cyclic_skipped: int
     cyclic_dropped: int
-    feeds: Mapping[str, FeedStats]
+    feeds: Mapping[str, WatchdogStats]
     feeds_due: int
     refused: Mapping[Priority, int]
     expired: Mapping[Priority, int]
@@ -84,8 +84,8 @@ class ScheduleStats:
 
 def snapshot(
     waiting: Waiting,
-    feeds: Feeds,
-    cadence: Cadence,
+    feeds: WatchdogSet,
+    cadence: Polling,
     probes: Probes,
     speaking_to: str | None,
     now_s: float,
@@ -124,9 +124,9 @@ def snapshot(
     )
 
 
-def _feed_stats(feed: Feed, now_s: float) -> FeedStats:
+def _feed_stats(feed: WatchdogDeadline, now_s: float) -> WatchdogStats:
     since_s, feed.margin_since_s = feed.margin_since_s, math.inf
-    return FeedStats(
+    return WatchdogStats(
         time_s=feed.time_s,
         age_s=now_s - feed.fed_at_s,
         margin_last_s=feed.margin_last_s,

@@ -22,7 +22,7 @@ from heapq import heappop, heappush
 from typing import Final
 
 from lecombus.errors import QueueFullError
-from lecombus.schedule.cadence import Entry
+from lecombus.schedule.polling import PollingEntry
 from lecombus.schedule.queues import ClassQueue, Expiries, Lane
 from lecombus.schedule.request import (
     DEFERRED,
@@ -36,7 +36,7 @@ from lecombus.schedule.request import (
 )
 from lecombus.schedule.shares import CLASS_SHARES, Probe
 
-__all__ = ["DEFAULT_LIMITS", "DriveState", "Waiting"]
+__all__ = ["DEFAULT_LIMITS", "QueuedDrive", "Waiting"]
 
 DEFAULT_LIMITS: Final[Mapping[Priority, int]] = {
     Priority.CONTROL: 1000,
@@ -55,7 +55,7 @@ _REPLACED: Final = "a later request took its place"
 _TOO_LATE: Final = "it was too late to begin"
 
 
-class DriveState:
+class QueuedDrive:
     """What a schedule keeps for one drive."""
 
     __slots__ = (
@@ -77,7 +77,7 @@ class DriveState:
         self.held = False
         self.held_until_s = 0.0
         self.lanes: list[tuple[ClassQueue, Lane]] = []  # kept from their queues while held
-        self.entries: list[Entry] = []  # kept from the cadence while held
+        self.entries: list[PollingEntry] = []  # kept from the cadence while held
         # Classes that waited for the end of the last hold, each since the end of its first ..
         self.kept: dict[Priority, float] = {}
         self.kept_until_s = 0.0  # .. and until when that counts
@@ -87,7 +87,7 @@ class DriveState:
         self.stopped_at = 0  # serial of the last stop
 
 
-Timed = Request | DriveState | Entry
+Timed = Request | QueuedDrive | PollingEntry
 
 
 class Waiting:
@@ -98,7 +98,7 @@ class Waiting:
     """
 
     def __init__(self, limits: Mapping[Priority, int] | None = None) -> None:
-        self.drives: dict[str, DriveState] = {}
+        self.drives: dict[str, QueuedDrive] = {}
         self.silent: set[str] = set()  # drives that did not answer a stop, or are offline
         self.queues = tuple(ClassQueue() for _ in Priority)
         self.expiries = Expiries()
@@ -290,7 +290,7 @@ class Waiting:
 
     # -- bookkeeping ------------------------------------------------------------------------------
 
-    def _reached(self, request: Request) -> list[DriveState]:
+    def _reached(self, request: Request) -> list[QueuedDrive]:
         names = request.members or (request.drive,)
         return [self.drives[name] for name in names if name in self.drives]
 
@@ -379,10 +379,10 @@ class Waiting:
         self._serial += 1
         heappush(self.timers, (at_s, self._serial, what))
 
-    def run_timers(self, now_s: float) -> list[DriveState | Entry]:
+    def run_timers(self, now_s: float) -> list[QueuedDrive | PollingEntry]:
         """Put requests whose time has come into their lanes; give what else has come due."""
         timers = self.timers
-        others: list[DriveState | Entry] = []
+        others: list[QueuedDrive | PollingEntry] = []
         while timers and timers[0][0] <= now_s:
             what = heappop(timers)[2]
             if not isinstance(what, Request):
@@ -403,7 +403,7 @@ class Waiting:
         """Tell whether feeds may go before a stop (silent_stops.py)."""
         return stop.yields or stop.drive in self.silent
 
-    def keep(self, drive: DriveState, *, slots: bool, now_s: float) -> None:
+    def keep(self, drive: QueuedDrive, *, slots: bool, now_s: float) -> None:
         """Note what waited for the end of a drive's hold.
 
         Args:
@@ -446,7 +446,7 @@ class Waiting:
             self.end_waiting(request, Outcome.EXPIRED, _TOO_LATE)
         return None  # `expire` goes on with the rest
 
-    def _holder(self, request: Request) -> DriveState | None:
+    def _holder(self, request: Request) -> QueuedDrive | None:
         """Find the held drive that keeps a request from going."""
         if not request.members:
             drive = self.drives.get(request.drive)

@@ -28,7 +28,7 @@ from lecombus.errors import LecombusError
 from lecombus.line.station import Station
 from lecombus.operations.requests import Requests, is_of_the_line
 from lecombus.readings import DriveState
-from lecombus.schedule import Feeding, FeedStats, Schedule
+from lecombus.schedule import Schedule, WatchdogFeeding, WatchdogStats
 from lecombus.store import Store
 from lecombus.supervision.audit import Audit
 from lecombus.supervision.audit_queue import AuditQueue
@@ -156,7 +156,7 @@ class DriveSupervisor:
     async def _learn_the_rest(self, drive: Drive) -> None:
         await self._audits.learn_the_rest(drive, drive.station)
 
-    def note_lapses(self, feeds: Mapping[str, FeedStats]) -> None:
+    def note_lapses(self, feeds: Mapping[str, WatchdogStats]) -> None:
         """Log each watchdog whose time ran out unfed, once per lapse.
 
         Args:
@@ -187,7 +187,7 @@ class DriveSupervisor:
     def _feed(self, drive: Drive, time_s: float | None) -> None:
         feeding = None
         if time_s is not None:
-            feeding = Feeding(time_s, self._requests.feed_maker(drive.name))
+            feeding = WatchdogFeeding(time_s, self._requests.feed_maker(drive.name))
         self._schedule.set_feeding(drive.name, feeding, self._clock())
 
 

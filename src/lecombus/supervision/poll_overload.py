@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from lecombus.schedule.cadence import STRETCH_WINDOW_S
+from lecombus.schedule.polling import STRETCH_WINDOW_S
 from lecombus.store import Store
 
 __all__ = ["PollOverload"]

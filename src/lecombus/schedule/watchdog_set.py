@@ -34,10 +34,10 @@ from collections.abc import Collection
 from operator import attrgetter, itemgetter
 from typing import Final
 
-from lecombus.schedule.faults import Faults
-from lecombus.schedule.feed import HARD_PART, SPARE_ATTEMPTS, Feed
+from lecombus.schedule.fault_hypothesis import FaultHypothesis
+from lecombus.schedule.watchdog_deadline import HARD_PART, SPARE_ATTEMPTS, WatchdogDeadline
 
-__all__ = ["Feeds"]
+__all__ = ["WatchdogSet"]
 
 ROUNDING_S: Final = 1e-9  # a feed that is just in time must not be late by a rounding error
 WAKE_S: Final = 1e-6
@@ -46,7 +46,7 @@ _first = itemgetter(0)
 SPARE_PART: Final = 0.5  # of the best slack: more is not kept for failed attempts
 
 
-class Feeds:
+class WatchdogSet:
     """The watchdogs of all drives of a line."""
 
     __slots__ = (
@@ -54,10 +54,10 @@ class Feeds:
         "faults",
     )  # fmt: skip
 
-    def __init__(self, faults: Faults | None = None) -> None:
-        self.faults = faults or Faults()
+    def __init__(self, faults: FaultHypothesis | None = None) -> None:
+        self.faults = faults or FaultHypothesis()
         self._lost: tuple[float, float, float] | None = None  # see `need_s`; None: to be computed
-        self.by_drive: dict[str, Feed] = {}
+        self.by_drive: dict[str, WatchdogDeadline] = {}
         self._latest_end_s = math.inf  # a lower bound of L, see above
         self._due_from_s = math.inf  # a lower bound: no feed is due before
         self._left_out = False  # some feeds were left out of the last sums
@@ -126,7 +126,7 @@ class Feeds:
             return True
         return self._fit(self._in_order(now_s), end_s, drive)
 
-    def _fit(self, feeds: list[Feed], end_s: float, drive: str) -> bool:
+    def _fit(self, feeds: list[WatchdogDeadline], end_s: float, drive: str) -> bool:
         """Tell whether all feeds still fit behind an exchange; keeps the bound for all drives."""
         latest_s = others_s = math.inf
         total_s = 0.0
@@ -140,7 +140,7 @@ class Feeds:
         self._latest_end_s = latest_s
         return end_s <= others_s
 
-    def _in_order(self, now_s: float) -> list[Feed]:
+    def _in_order(self, now_s: float) -> list[WatchdogDeadline]:
         """Sort the feeds that can still be in time by hard deadline, and count those too late."""
         found = []
         self._left_out = False
@@ -161,7 +161,7 @@ class Feeds:
         found.sort(key=_hard)
         return found
 
-    def due(self, now_s: float) -> list[Feed]:
+    def due(self, now_s: float) -> list[WatchdogDeadline]:
         """List the feeds that are due, the earliest hard deadline first."""
         if now_s < self._due_from_s:
             return []
@@ -180,7 +180,7 @@ class Feeds:
         found.sort(key=_hard)
         return found
 
-    def own_first(self, now_s: float, worst_s: float, drive: str) -> Feed | None:
+    def own_first(self, now_s: float, worst_s: float, drive: str) -> WatchdogDeadline | None:
         """Find the drive's own feed if it goes before a longer exchange with that drive.
 
         Not answered, the exchange would make it late.
@@ -190,7 +190,7 @@ class Feeds:
             return None
         return None if own.outlasts(now_s, worst_s) or own.free_s() > now_s else own
 
-    def own_late(self, from_s: float, drive: str) -> Feed | None:
+    def own_late(self, from_s: float, drive: str) -> WatchdogDeadline | None:
         """Find the feed of a drive if it would be late, were it spoken to only from a time on.
 
         One that has lost more answers than are tolerated is not counted: it may be gone.
@@ -200,7 +200,9 @@ class Feeds:
             return None
         return own if from_s + own.cost_s > own.hard_s else None
 
-    def own_before(self, now_s: float, other: Feed, drive: str) -> Feed | None:
+    def own_before(
+        self, now_s: float, other: WatchdogDeadline, drive: str
+    ) -> WatchdogDeadline | None:
         """Find a drive's own feed if it goes before another's that makes room for that drive.
 
         The exchange that room is made for feeds the drive only if it is answered. Behind one more
@@ -239,7 +241,7 @@ class Feeds:
         worst_s = max((feed.worst_s for feed in self.by_drive.values() if feed.active), default=0.0)
         return SPARE_ATTEMPTS * worst_s
 
-    def pressing(self, now_s: float, spare_s: float) -> Feed | None:
+    def pressing(self, now_s: float, spare_s: float) -> WatchdogDeadline | None:
         """Find the feed to run first if less than so much slack is left, whether due or not.
 
         It is the earliest deadline of those past half their time; before that, whichever helps.
@@ -255,7 +257,7 @@ class Feeds:
                 return feed
         return _room(feeds, now_s, spare_s, "")
 
-    def first(self, now_s: float) -> Feed | None:
+    def first(self, now_s: float) -> WatchdogDeadline | None:
         """Find the earliest hard deadline of all drives that answer and may be spoken to.
 
         One that is past it counts until its watchdog fires: the last tenth is there to be used.
@@ -270,7 +272,9 @@ class Feeds:
         ]
         return min(found, key=_hard, default=None)
 
-    def late(self, now_s: float, *, lapsed: bool = False, but: Collection[str] = ()) -> Feed | None:
+    def late(
+        self, now_s: float, *, lapsed: bool = False, but: Collection[str] = ()
+    ) -> WatchdogDeadline | None:
         """Find a feed that is too late to be in time, though not for its watchdog, and may run.
 
         It is left out of the slack check, so that nothing else would bring it forward. While its
@@ -285,7 +289,7 @@ class Feeds:
             return None
         tenth_s = (1.0 - HARD_PART) * self.shortest_s()
 
-        def may_go(feed: Feed) -> bool:
+        def may_go(feed: WatchdogDeadline) -> bool:
             if now_s + feed.cost_s <= feed.fed_at_s + feed.time_s:
                 return self.fits(now_s, feed.cost_s - tenth_s, feed.drive)
             return lapsed and self.fits(now_s, feed.cost_s, feed.drive)
@@ -333,7 +337,7 @@ class Feeds:
                 latest_s = min(latest_s, feed.hard_s - total_s)
         return latest_s - now_s
 
-    def room(self, now_s: float, worst_s: float, drive: str) -> Feed | None:
+    def room(self, now_s: float, worst_s: float, drive: str) -> WatchdogDeadline | None:
         """Choose the feed to run first so that an exchange that does not fit may follow.
 
         Only feeding a drive whose own bound is broken helps: any other feed moves the clock by
@@ -346,7 +350,7 @@ class Feeds:
         """Tell how long it takes to feed every drive once, seconds."""
         return sum(feed.cost_s for feed in self.by_drive.values())
 
-    def first_held(self, now_s: float, drive: str) -> Feed | None:
+    def first_held(self, now_s: float, drive: str) -> WatchdogDeadline | None:
         """Find the feed of another drive that is left alone now, and the first that no longer is.
 
         Those that can no longer be in time, or fail to answer, do not count.
@@ -369,7 +373,7 @@ class Feeds:
 
         At best is right after all drives have been fed in one go, the longest watchdog first.
         """
-        hard_at: list[tuple[float, Feed]] = []
+        hard_at: list[tuple[float, WatchdogDeadline]] = []
         clock_s = 0.0
         feeds = [feed for feed in self.by_drive.values() if feed.active]
         for feed in sorted(feeds, key=_time, reverse=True):
@@ -384,14 +388,16 @@ class Feeds:
         return most_s, whose
 
 
-def _room(feeds: list[Feed], now_s: float, worst_s: float, drive: str) -> Feed | None:
-    """See `Feeds.room`; the feeds are in the order of their hard deadlines."""
+def _room(
+    feeds: list[WatchdogDeadline], now_s: float, worst_s: float, drive: str
+) -> WatchdogDeadline | None:
+    """See `WatchdogSet.room`; the feeds are in the order of their hard deadlines."""
     end_s = now_s + worst_s
     total_s = 0.0
     earlier_s = math.inf  # by when the line must be free for the feeds before this one
     broken = False  # a bound that can be mended
-    first: Feed | None = None
-    best: Feed | None = None
+    first: WatchdogDeadline | None = None
+    best: WatchdogDeadline | None = None
     for feed in feeds:
         total_s += feed.cost_s
         end_by_s = feed.hard_s - total_s

@@ -9,7 +9,7 @@ Lanes of held drives leave their queue when they come to the head, and are given
 ends; cyclic entries likewise leave the cadence.
 
 What must not live here: who speaks next, and requests coming in (schedule.py). Whatever changes
-here spoils a choice made beforehand, and says so through `_spoil`.
+here spoils a choice made beforehand, and says so through `_invalidate`.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 
-from lecombus.schedule.cadence import Cadence, Cyclic, Entry
-from lecombus.schedule.faults import Faults
-from lecombus.schedule.feed import Feed, Feeding
-from lecombus.schedule.feeds import Feeds
+from lecombus.schedule.fault_hypothesis import FaultHypothesis
+from lecombus.schedule.polling import Cyclic, Polling, PollingEntry
 from lecombus.schedule.request import Outcome, Priority, Request
 from lecombus.schedule.shares import Probe, Probes
-from lecombus.schedule.waiting import DriveState, Waiting
+from lecombus.schedule.waiting import QueuedDrive, Waiting
+from lecombus.schedule.watchdog_deadline import WatchdogDeadline, WatchdogFeeding
+from lecombus.schedule.watchdog_set import WatchdogSet
 
-__all__ = ["Members"]
+__all__ = ["DriveTable"]
 
 
-class Members(ABC):
+class DriveTable(ABC):
     """The drives of one line, as the schedule sees them; `Schedule` is made of it.
 
     Args:
@@ -40,49 +40,51 @@ class Members(ABC):
     def __init__(self, limits: Mapping[Priority, int] | None, absent_share: float) -> None:
         self._waiting = Waiting(limits)
         self._drives = self._waiting.drives
-        self._feeds = Feeds()
-        self._cadence = Cadence()
+        self._watchdogs = WatchdogSet()
+        self._polling = Polling()
         self._probes = Probes(absent_share)
-        self._fed_before: dict[str, Feed] = {}  # drives that are not fed at present, for the counts
+        self._fed_before: dict[
+            str, WatchdogDeadline
+        ] = {}  # drives that are not fed at present, for the counts
 
     @abstractmethod
-    def _spoil(self) -> None:
+    def _invalidate(self) -> None:
         """Forget a choice made beforehand: something changed."""
 
     # -- what the line has ------------------------------------------------------------------------
 
-    def expect(self, faults: Faults) -> None:
+    def expect(self, faults: FaultHypothesis) -> None:
         """Keep room for such faults from now on, beside the exchange that is begun."""
-        self._spoil()
-        self._feeds.faults = faults
-        self._feeds.changed()
+        self._invalidate()
+        self._watchdogs.faults = faults
+        self._watchdogs.changed()
 
     def add_drive(self, name: str) -> None:
         """Make a drive known."""
         assert name not in self._drives, f"{name} is known already"
-        self._drives[name] = DriveState(name)
+        self._drives[name] = QueuedDrive(name)
         self._waiting.set_silent(name, silent=False)
 
-    def remove_drive(self, name: str, now_s: float, reason: str) -> Feed | None:
+    def remove_drive(self, name: str, now_s: float, reason: str) -> WatchdogDeadline | None:
         """Forget a drive: its waiting requests end as refused; stops still go out.
 
         Returns:
             How it was fed, for `resume_feeding` if it comes back; None: it was not.
         """
         silent = name in self._waiting.silent
-        fed = self._feeds.by_drive.pop(name, None)  # before parking, which would pause it
+        fed = self._watchdogs.by_drive.pop(name, None)  # before parking, which would pause it
         left = fed or self._fed_before.get(name)
         self._fed_before.pop(name, None)
         self.park(name, now_s, reason)
         self._waiting.set_silent(name, silent=silent)
         self.set_feeding(name, None, now_s)
         self.set_probe(name, None, now_s)
-        for entry in list(self._cadence.by_drive.pop(name, ())):
-            self._cadence.leave(entry)
+        for entry in list(self._polling.by_drive.pop(name, ())):
+            self._polling.leave(entry)
         self._release(self._drives.pop(name), now_s)
         return left
 
-    def resume_feeding(self, name: str, left: Feed, *, is_same: bool) -> None:
+    def resume_feeding(self, name: str, left: WatchdogDeadline, *, is_same: bool) -> None:
         """Go on feeding a drive that was taken out and is back already.
 
         Args:
@@ -90,8 +92,8 @@ class Members(ABC):
             left: What `remove_drive` gave.
             is_same: It is the drive it was: its watchdog has been running since it was last fed.
         """
-        self._spoil()
-        feed = self._feeds.by_drive.get(name)
+        self._invalidate()
+        feed = self._watchdogs.by_drive.get(name)
         if feed is None:
             self._fed_before[name] = left
         elif is_same:
@@ -100,19 +102,19 @@ class Members(ABC):
             feed.follow(left)
         else:
             feed.count_on(left)
-        self._feeds.changed()
+        self._watchdogs.changed()
 
-    def set_feeding(self, name: str, feeding: Feeding | None, now_s: float) -> None:
+    def set_feeding(self, name: str, feeding: WatchdogFeeding | None, now_s: float) -> None:
         """Keep a drive's watchdog from now on, or no longer.
 
         Its time is counted from the last exchange that fed it; from now, if it is a new one.
         `feeding.make` is called once at once, for the cost; that request becomes the first feed.
         """
-        self._spoil()
+        self._invalidate()
         drive = self._drives[name]
-        old = self._feeds.by_drive.pop(name, None)
+        old = self._watchdogs.by_drive.pop(name, None)
         if feeding is not None:
-            feed = self._feeds.by_drive[name] = Feed(name, feeding, now_s)
+            feed = self._watchdogs.by_drive[name] = WatchdogDeadline(name, feeding, now_s)
             before = self._fed_before.pop(name, None)
             if old is not None:
                 feed.follow(old)
@@ -123,37 +125,37 @@ class Members(ABC):
                 feed.held_until_s = drive.held_until_s
         elif old is not None:
             self._fed_before[name] = old
-        self._feeds.changed()
+        self._watchdogs.changed()
 
     def costs_changed(self, name: str) -> None:
         """Reckon anew what feeding a drive costs: something was learnt of it, or forgotten."""
-        feed = self._feeds.by_drive.get(name)
+        feed = self._watchdogs.by_drive.get(name)
         if feed is not None:
-            self._spoil()
+            self._invalidate()
             feed.request = feed.feeding.make()
             if feed.costs.take(feed.request):
-                self._feeds.changed()
+                self._watchdogs.changed()
 
-    def add_cyclic(self, cyclic: Cyclic, now_s: float) -> Entry:
+    def add_cyclic(self, cyclic: Cyclic, now_s: float) -> PollingEntry:
         """Ask something of a drive every period; entries added together are spread evenly.
 
         Returns:
             The handle for `remove_cyclic`.
         """
-        self._spoil()
-        entry = self._cadence.add(cyclic)
+        self._invalidate()
+        entry = self._polling.add(cyclic)
         if self._drives[cyclic.drive].parked is not None:
-            self._cadence.leave(entry)
+            self._polling.leave(entry)
         return entry
 
-    def remove_cyclic(self, handle: Entry) -> None:
+    def remove_cyclic(self, handle: PollingEntry) -> None:
         """Ask it no longer."""
-        self._spoil()
-        self._cadence.remove(handle)
+        self._invalidate()
+        self._polling.remove(handle)
 
     def set_probe(self, name: str, make: Callable[[], Request] | None, now_s: float) -> None:
         """Say how to look whether a drive is back; probes run only while it is parked."""
-        self._spoil()
+        self._invalidate()
         old = self._probes.by_drive.pop(name, None)
         if old is not None:
             self._probes.stop(old)
@@ -166,44 +168,44 @@ class Members(ABC):
 
     def hold(self, name: str, until_s: float, now_s: float) -> None:
         """Leave a drive alone until a time, stops apart; others go on."""
-        self._spoil()
+        self._invalidate()
         drive = self._drives.get(name)
         if drive is None:  # taken out of the roster while it was spoken to
             return
         if until_s <= max(now_s, drive.held_until_s if drive.held else now_s):
             return
         drive.held_until_s = until_s
-        feed = self._feeds.by_drive.get(name)
+        feed = self._watchdogs.by_drive.get(name)
         if feed is not None:
             feed.held_until_s = until_s
         if not drive.held:
             drive.held = True
             self._waiting.at(until_s, drive)
 
-    def _release(self, drive: DriveState, now_s: float) -> None:
+    def _release(self, drive: QueuedDrive, now_s: float) -> None:
         drive.held = False
         lanes, drive.lanes = drive.lanes, []
         for queue, lane in lanes:
             queue.release(lane)
         entries, drive.entries = drive.entries, []
         for entry in entries:
-            self._cadence.rejoin(entry, now_s)
+            self._polling.rejoin(entry, now_s)
 
     def park(self, name: str, now_s: float, reason: str) -> None:
         """Take a drive as offline: what waits for it is refused, stops apart; probing begins."""
-        self._spoil()
+        self._invalidate()
         drive = self._drives[name]
         if drive.parked is not None:
             drive.parked = reason
             return
         drive.parked = reason
         self._waiting.set_silent(name, silent=True)
-        feed = self._feeds.by_drive.get(name)
+        feed = self._watchdogs.by_drive.get(name)
         if feed is not None:
             feed.active = False
-            self._feeds.changed()
-        for entry in self._cadence.by_drive.get(name, ()):
-            self._cadence.leave(entry)
+            self._watchdogs.changed()
+        for entry in self._polling.by_drive.get(name, ()):
+            self._polling.leave(entry)
         drive.entries.clear()
         probe = self._probes.by_drive.get(name)
         if probe is not None:
@@ -212,20 +214,20 @@ class Members(ABC):
 
     def unpark(self, name: str, now_s: float) -> None:
         """Take a drive as back: its cyclic requests and feeding resume, its probing ends."""
-        self._spoil()
+        self._invalidate()
         drive = self._drives[name]
         if drive.parked is None:
             return
         drive.parked = None
         self._waiting.set_silent(name, silent=False)
-        feed = self._feeds.by_drive.get(name)
+        feed = self._watchdogs.by_drive.get(name)
         if feed is not None:
             feed.restart(now_s)
             if drive.held:
                 feed.held_until_s = drive.held_until_s
-            self._feeds.changed()
-        for entry in self._cadence.by_drive.get(name, ()):
-            self._cadence.join(entry)
+            self._watchdogs.changed()
+        for entry in self._polling.by_drive.get(name, ()):
+            self._polling.join(entry)
         probe = self._probes.by_drive.get(name)
         if probe is not None:
             self._probes.stop(probe)
@@ -235,14 +237,14 @@ class Members(ABC):
 
         Cyclic requests and feeding stay and resume; holds end.
         """
-        self._spoil()
+        self._invalidate()
         for drive in self._drives.values():
             self._release(drive, now_s)
-        for feed in self._feeds.by_drive.values():
+        for feed in self._watchdogs.by_drive.values():
             feed.held_until_s = feed.retry_at_s = -math.inf
         for name in [one for one in self._waiting.silent if not self._is_parked(one)]:
             self._waiting.set_silent(name, silent=False)
-        self._feeds.changed()
+        self._watchdogs.changed()
         self._waiting.end_all(self._waiting.listed(stops=stops), Outcome.REFUSED, reason)
 
     def _is_parked(self, name: str) -> bool:

@@ -11,19 +11,19 @@ from __future__ import annotations
 
 from typing import Final
 
-from lecombus.schedule.cadence import Cadence, Entry
-from lecombus.schedule.feed import SPARE_ATTEMPTS, Feed
-from lecombus.schedule.feeds import Feeds
+from lecombus.schedule.polling import Polling, PollingEntry
 from lecombus.schedule.request import Priority, Request
 from lecombus.schedule.waiting import Waiting, has_expired
+from lecombus.schedule.watchdog_deadline import SPARE_ATTEMPTS, WatchdogDeadline
+from lecombus.schedule.watchdog_set import WatchdogSet
 
-__all__ = ["SOON", "FeedChoice"]
+__all__ = ["SOON", "WatchdogArbiter"]
 
 TURNS_PART: Final = 2 / 3  # of the spare: with less slack, urgent feeds no longer take turns
 SOON: Final = 2.0  # times the spare: with less slack, cyclic slots are chosen to feed
 
 
-class FeedChoice:
+class WatchdogArbiter:
     """Chooses telegrams that feed.
 
     Args:
@@ -32,24 +32,24 @@ class FeedChoice:
         cadence: The cyclic entries.
     """
 
-    __slots__ = ("_cadence", "_feeds", "_waiting")
+    __slots__ = ("_polling", "_waiting", "_watchdogs")
 
-    def __init__(self, waiting: Waiting, feeds: Feeds, cadence: Cadence) -> None:
+    def __init__(self, waiting: Waiting, feeds: WatchdogSet, cadence: Polling) -> None:
         self._waiting = waiting
-        self._feeds = feeds
-        self._cadence = cadence
+        self._watchdogs = feeds
+        self._polling = cadence
 
     def can_wait(self, now_s: float) -> bool:
         """Tell whether feeds leave time for something else to take its turn with them."""
-        feeds = self._feeds
+        feeds = self._watchdogs
         return feeds.fits(now_s, TURNS_PART * feeds.spare_s(), "")
 
     def early_slot(self, slot: Request, now_s: float) -> Request | None:
         """Find a cyclic slot, to be run in place of another, of a drive to be fed soon."""
-        cadence, entry = self._cadence, slot.source
-        if type(entry) is not Entry or not cadence.may_wait(entry, now_s):
+        cadence, entry = self._polling, slot.source
+        if type(entry) is not PollingEntry or not cadence.may_wait(entry, now_s):
             return None
-        feed = self._feeds.pressing(now_s, SOON * self._feeds.spare_s())
+        feed = self._watchdogs.pressing(now_s, SOON * self._watchdogs.spare_s())
         early = cadence.early(feed.drive, now_s) if feed and feed.drive != slot.drive else None
         fits = early is not None and feed and self._serves(early.made(), feed, now_s)
         return early.made() if early is not None and fits else None
@@ -61,7 +61,7 @@ class FeedChoice:
         that never answers may take its longest: it waits until that fits, or, if it never will,
         is tried all the same, at its own slow pace.
         """
-        feeds = self._feeds
+        feeds = self._watchdogs
         for feed in feeds.due(now_s):
             if feeds.fits(now_s, feed.worst_s, feed.drive):
                 return self.telegram(feed, now_s)
@@ -78,31 +78,31 @@ class FeedChoice:
         pressing = feeds.pressing(now_s, feeds.spare_s())
         return None if pressing is None else self.telegram(pressing, now_s)
 
-    def telegram(self, feed: Feed, now_s: float) -> Request:
+    def telegram(self, feed: WatchdogDeadline, now_s: float) -> Request:
         """Choose the telegram that feeds a drive: one that is wanted anyway, if there is one."""
         for priority in (Priority.CONTROL, Priority.INTERACTIVE):
             request = self._waiting.queues[priority].first_for(feed.drive)
             if request is not None and self._serves(request, feed, now_s):
                 return request
-        entry = self._cadence.early(feed.drive, now_s)
+        entry = self._polling.early(feed.drive, now_s)
         if entry is not None and self._serves(entry.made(), feed, now_s):
             return entry.made()
         return self.plain(feed)
 
-    def plain(self, feed: Feed) -> Request:
+    def plain(self, feed: WatchdogDeadline) -> Request:
         """Make the read that does nothing but feed a drive."""
         request = feed.made()
         if feed.costs.take(request):
-            self._feeds.changed()
+            self._watchdogs.changed()
             request.shorten(feed.worst_s)
         return request
 
-    def _serves(self, request: Request, feed: Feed, now_s: float) -> bool:
+    def _serves(self, request: Request, feed: WatchdogDeadline, now_s: float) -> bool:
         if has_expired(request, now_s):
             return False
         if request.worst_s <= feed.worst_s and request.cost_s <= feed.cost_s:
             return True
         if not feed.outlasts(now_s, request.worst_s):
             return False
-        feeds = self._feeds
+        feeds = self._watchdogs
         return feeds.fits(now_s, feeds.need_s(request.cost_s, request.worst_s), feed.drive)

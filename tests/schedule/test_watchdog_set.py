@@ -10,15 +10,15 @@ from random import Random
 import pytest
 
 from lecombus.schedule import Outcome, Priority, Request
-from lecombus.schedule.faults import Faults
-from lecombus.schedule.feed import HARD_PART, Feed, Feeding
-from lecombus.schedule.feeds import Feeds
+from lecombus.schedule.fault_hypothesis import FaultHypothesis
+from lecombus.schedule.watchdog_deadline import HARD_PART, WatchdogDeadline, WatchdogFeeding
+from lecombus.schedule.watchdog_set import WatchdogSet
 from schedule.world import COST_S, WORST_S, World
 
 P = Priority
 
 
-class Careless(Feeds):
+class Careless(WatchdogSet):
     """Feeds without the slack check: anything may always start."""
 
     def fits(self, now_s: float, worst_s: float, drive: str) -> bool:
@@ -244,7 +244,7 @@ def test_a_drive_made_late_by_a_stop_is_fed_before_one_that_has_its_last_tenth_y
 def test_room_for_a_drive_is_not_made_until_its_own_lost_answer_would_make_it_late() -> None:
     names = [f"d{number}" for number in range(20)]
     world = World().drives("a", *names)
-    world.schedule.expect(Faults(1))
+    world.schedule.expect(FaultHypothesis(1))
     world.feed("a", 1.0)
     for name in names:
         world.feed(name, 1.05)
@@ -340,7 +340,7 @@ def test_nothing_makes_a_feed_late() -> None:
 
 def test_without_the_slack_check_feeds_would_be_late() -> None:
     world = World()
-    world.schedule._feeds = Careless()
+    world.schedule._watchdogs = Careless()
     _tight(world)
     world.run(30.0)
     feeds = world.schedule.stats(30.0).feeds.values()
@@ -457,10 +457,12 @@ def test_mixed_watchdogs_and_long_exchanges_all_progress() -> None:
 
 
 def test_the_slack_is_the_time_until_the_line_must_be_free() -> None:
-    feeds = Feeds()
+    feeds = WatchdogSet()
     assert math.isinf(feeds.slack_s(0.0))
     for name, time_s in (("a", 1.0), ("b", 2.0)):
-        feeds.by_drive[name] = Feed(name, Feeding(time_s, partial(slack_feed, name)), 0.0)
+        feeds.by_drive[name] = WatchdogDeadline(
+            name, WatchdogFeeding(time_s, partial(slack_feed, name)), 0.0
+        )
     feeds.changed()
     assert feeds.slack_s(0.0) == pytest.approx(0.9 - 0.03)
     assert feeds.fits(0.0, 0.86, "")

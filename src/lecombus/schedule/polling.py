@@ -25,7 +25,7 @@ from typing import Final, Protocol
 
 from lecombus.schedule.request import Request
 
-__all__ = ["STRETCH_WINDOW_S", "Cadence", "Cyclic", "Entry"]
+__all__ = ["STRETCH_WINDOW_S", "Cyclic", "Polling", "PollingEntry"]
 
 STRETCH_WINDOW_S: Final = 10.0
 STAND_BACK_PERIODS: Final = 2.0  # so late, a slot no longer stands back for one that feeds
@@ -49,7 +49,7 @@ class Cyclic:
     make: Callable[[], Request]
 
 
-class Entry:
+class PollingEntry:
     """A cyclic request and its place on the grid; the handle given to whoever added it."""
 
     __slots__ = ("active", "cyclic", "due_v", "request", "served", "version")
@@ -75,10 +75,10 @@ class _Apart(Protocol):
     """What the cadence needs to know of a drive."""
 
     held: bool
-    entries: list[Entry]
+    entries: list[PollingEntry]
 
 
-class Cadence:
+class Polling:
     """All cyclic entries of a line."""
 
     __slots__ = (
@@ -94,31 +94,31 @@ class Cadence:
     )
 
     def __init__(self) -> None:
-        self.by_drive: dict[str, list[Entry]] = {}
+        self.by_drive: dict[str, list[PollingEntry]] = {}
         self.offset_s = 0.0
         self.late_most_s = 0.0
         # Of all entries ever: counts do not fall when one is taken away.
         self.skipped = 0  # slots passed over while their drive was set apart
         self.dropped = 0  # slots that could not be run without making a feed late
-        self._heap: list[tuple[float, int, Entry]] = []
-        self._joining: list[Entry] = []
+        self._heap: list[tuple[float, int, PollingEntry]] = []
+        self._joining: list[PollingEntry] = []
         self._versions = 0
         self._snapshots: deque[tuple[float, float]] = deque()
 
-    def add(self, cyclic: Cyclic) -> Entry:
+    def add(self, cyclic: Cyclic) -> PollingEntry:
         """Take a new entry; it joins, with all others new by then, at the next `head`."""
         assert cyclic.period_s > 0.0, "a period must be longer than nothing"
-        entry = Entry(cyclic)
+        entry = PollingEntry(cyclic)
         self.by_drive.setdefault(cyclic.drive, []).append(entry)
         self._joining.append(entry)
         return entry
 
-    def remove(self, entry: Entry) -> None:
+    def remove(self, entry: PollingEntry) -> None:
         """Forget an entry."""
         self.leave(entry)
         self.by_drive[entry.cyclic.drive].remove(entry)
 
-    def leave(self, entry: Entry) -> None:
+    def leave(self, entry: PollingEntry) -> None:
         """Take an entry off the timeline; `join` brings it back."""
         entry.active = False
         entry.version = -1
@@ -126,20 +126,20 @@ class Cadence:
         if entry in self._joining:
             self._joining.remove(entry)
 
-    def join(self, entry: Entry) -> None:
+    def join(self, entry: PollingEntry) -> None:
         """Bring an entry back at the present virtual time."""
         if not entry.active:
             entry.active = True
             self._joining.append(entry)
 
-    def _push(self, entry: Entry) -> None:
+    def _push(self, entry: PollingEntry) -> None:
         self._versions += 1
         entry.version = self._versions
         heappush(self._heap, (entry.due_v, self._versions, entry))
 
     def _let_join(self, now_s: float) -> None:
         """Put the joining entries on the timeline, those of equal period spread evenly over it."""
-        alike: dict[float, list[Entry]] = {}
+        alike: dict[float, list[PollingEntry]] = {}
         for entry in self._joining:
             alike.setdefault(entry.cyclic.period_s, []).append(entry)
         self._joining.clear()
@@ -148,7 +148,7 @@ class Cadence:
                 entry.due_v = now_s - self.offset_s + period_s * number / len(entries)
                 self._push(entry)
 
-    def head(self, now_s: float, drives: Mapping[str, _Apart]) -> Entry | None:
+    def head(self, now_s: float, drives: Mapping[str, _Apart]) -> PollingEntry | None:
         """Find the entry that is due and goes first; entries of held drives are set apart."""
         if self._joining:
             self._let_join(now_s)
@@ -178,14 +178,14 @@ class Cadence:
         """Whether entries wait to be put on the timeline at the next `head`."""
         return bool(self._joining)
 
-    def first(self) -> tuple[Entry | None, float]:
+    def first(self) -> tuple[PollingEntry | None, float]:
         """Tell which entry is due next, and when; changes nothing, unlike `head`."""
         heap = self._heap
         while heap and heap[0][2].version != heap[0][1]:
             heappop(heap)
         return (heap[0][2], heap[0][0] + self.offset_s) if heap else (None, math.inf)
 
-    def may_wait(self, entry: Entry, now_s: float) -> bool:
+    def may_wait(self, entry: PollingEntry, now_s: float) -> bool:
         """Tell whether a due slot may stand back for another: not when it has for long."""
         late_s = now_s - entry.due_v - self.offset_s
         return late_s <= STAND_BACK_PERIODS * entry.cyclic.period_s
@@ -195,7 +195,7 @@ class Cadence:
         entry, due_s = self.first()
         return None if entry is None else due_s
 
-    def take(self, entry: Entry, now_s: float) -> Request:
+    def take(self, entry: PollingEntry, now_s: float) -> Request:
         """Run the slot of an entry now, whether due or early, and set its next one."""
         request = entry.made()
         request.submitted_at_s = min(now_s, entry.due_v + self.offset_s)
@@ -204,13 +204,13 @@ class Cadence:
         self._pass_slot(entry, now_s)
         return request
 
-    def drop(self, entry: Entry, now_s: float) -> None:
+    def drop(self, entry: PollingEntry, now_s: float) -> None:
         """Give up the slot at hand: it cannot be run."""
         entry.request = None
         self.dropped += 1
         self._pass_slot(entry, now_s)
 
-    def _pass_slot(self, entry: Entry, now_s: float) -> None:
+    def _pass_slot(self, entry: PollingEntry, now_s: float) -> None:
         period_s = entry.cyclic.period_s
         late_s = now_s - entry.due_v - self.offset_s
         if late_s > self.late_most_s:
@@ -221,11 +221,11 @@ class Cadence:
         entry.due_v += period_s
         self._push(entry)
 
-    def set_apart(self, entry: Entry) -> None:
+    def set_apart(self, entry: PollingEntry) -> None:
         """Take the entry out until `rejoin`."""
         entry.version = -1
 
-    def rejoin(self, entry: Entry, now_s: float) -> None:
+    def rejoin(self, entry: PollingEntry, now_s: float) -> None:
         """Put an entry that was set apart back on its own grid, without the slots it missed."""
         if not entry.active or entry.version >= 0:
             return
@@ -240,13 +240,13 @@ class Cadence:
         due_v = now_s - self.offset_s
         return any(one.active and one.due_v <= due_v for one in self.by_drive.get(drive, ()))
 
-    def early(self, drive: str, now_s: float) -> Entry | None:
+    def early(self, drive: str, now_s: float) -> PollingEntry | None:
         """Find the drive's slot that is due soonest, to be run early.
 
         A slot further away than its period is the one after the next: the next has been run
         early already, and running ahead of the grid again would leave a gap later.
         """
-        found: Entry | None = None
+        found: PollingEntry | None = None
         for entry in self.by_drive.get(drive, ()):
             if (
                 entry.version >= 0

@@ -11,10 +11,10 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from lecombus.schedule.feed_choice import FeedChoice
-from lecombus.schedule.feeds import Feeds
 from lecombus.schedule.request import Priority
 from lecombus.schedule.waiting import Waiting
+from lecombus.schedule.watchdog_arbiter import WatchdogArbiter
+from lecombus.schedule.watchdog_set import WatchdogSet
 
 __all__ = ["presses_at_s"]
 
@@ -23,7 +23,9 @@ LOOK_AGAIN_S: Final = 0.01
 """An idle line looks no sooner again for a feed that could not go, seconds."""
 
 
-def presses_at_s(waiting: Waiting, feeds: Feeds, choice: FeedChoice, now_s: float) -> float:
+def presses_at_s(
+    waiting: Waiting, feeds: WatchdogSet, choice: WatchdogArbiter, now_s: float
+) -> float:
     """Tell when to look again whether anything but cyclic and background work wants the line.
 
     Args:

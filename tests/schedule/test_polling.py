@@ -131,6 +131,6 @@ def test_a_slot_stands_back_for_two_of_its_periods_at_most() -> None:
     world = World().drives("a")
     entry = world.cyclic("a", 0.5)
     world.run(0.1)  # its next slot is at 0.5 s
-    cadence = world.schedule._cadence
+    cadence = world.schedule._polling
     assert cadence.may_wait(entry, 1.49)
     assert not cadence.may_wait(entry, 1.51)

@@ -9,7 +9,14 @@ from typing import Final
 
 from lecombus.schedule.request import Request
 
-__all__ = ["HARD_PART", "SOFT_PART", "SPARE_ATTEMPTS", "Feed", "FeedCosts", "Feeding"]
+__all__ = [
+    "HARD_PART",
+    "SOFT_PART",
+    "SPARE_ATTEMPTS",
+    "WatchdogCosts",
+    "WatchdogDeadline",
+    "WatchdogFeeding",
+]
 
 SOFT_PART: Final = 0.5  # of the watchdog time: from then on a feed is due
 HARD_PART: Final = 0.9  # of the watchdog time: by then the feed is over
@@ -19,7 +26,7 @@ FRESH_PART: Final = 0.25  # of the watchdog time
 
 
 @dataclass(frozen=True, slots=True)
-class Feeding:
+class WatchdogFeeding:
     """How a drive's watchdog is kept from firing.
 
     Args:
@@ -31,7 +38,7 @@ class Feeding:
     make: Callable[[], Request]
 
 
-class FeedCosts:
+class WatchdogCosts:
     """Cost and longest time of the read that feeds a drive, seconds.
 
     Args:
@@ -62,7 +69,7 @@ class FeedCosts:
         return self.measured != self.told
 
 
-class Feed:
+class WatchdogDeadline:
     """The state of one drive's watchdog as seen from here."""
 
     __slots__ = (
@@ -92,13 +99,13 @@ class Feed:
         "worst_s",
     )
 
-    def __init__(self, drive: str, feeding: Feeding, now_s: float) -> None:
+    def __init__(self, drive: str, feeding: WatchdogFeeding, now_s: float) -> None:
         assert feeding.time_s > 0.0, "a watchdog time must be longer than nothing"
         self.drive = drive
         self.feeding = feeding
         self.time_s = feeding.time_s
         self.request: Request | None = feeding.make()  # kept for the first feed: it tells the cost
-        self.costs = FeedCosts(self.request)
+        self.costs = WatchdogCosts(self.request)
         self.cost_s, self.worst_s = self.costs.measured
         self.active = True
         self.held_until_s = self.retry_at_s = -math.inf
@@ -116,7 +123,7 @@ class Feed:
         self.failures = 0
         self.missed = self.lapsed = False  # counted already
 
-    def follow(self, old: Feed) -> None:
+    def follow(self, old: WatchdogDeadline) -> None:
         """Take the place of the drive's feed so far: its count and the moment it was last fed.
 
         Counting from now instead would forget how long ago the last exchange began: half a second
@@ -129,7 +136,7 @@ class Feed:
             self.failures, self.retry_at_s = old.failures, old.retry_at_s
             self.missed, self.lapsed = old.missed, old.lapsed
 
-    def count_on(self, old: Feed) -> None:
+    def count_on(self, old: WatchdogDeadline) -> None:
         """Go on with the counts of the drive's feed so far: they never fall."""
         self.fed, self.misses, self.lapses = old.fed, old.misses, old.lapses
 

@@ -31,16 +31,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from lecombus.schedule.cadence import Cadence
-from lecombus.schedule.feed_choice import FeedChoice
-from lecombus.schedule.request import Priority, Request, Turn
+from lecombus.schedule.polling import Polling
+from lecombus.schedule.request import DispatchReason, Priority, Request
 from lecombus.schedule.shares import CLASS_SHARES, Probes, Shares
 from lecombus.schedule.waiting import Waiting
+from lecombus.schedule.watchdog_arbiter import WatchdogArbiter
 
-__all__ = ["Choice", "to_feed"]
+__all__ = ["Arbiter", "to_feed"]
 
 
-class Choice:
+class Arbiter:
     """Chooses what is first; stops and the slack check stand above it.
 
     Args:
@@ -51,19 +51,19 @@ class Choice:
         shares: The credit of the classes.
     """
 
-    __slots__ = ("_cadence", "_fed_last", "_feed_choice", "_probes", "_shares", "_waiting")
+    __slots__ = ("_fed_last", "_polling", "_probes", "_shares", "_waiting", "_watchdog_arbiter")
 
     def __init__(
         self,
         waiting: Waiting,
-        feed_choice: FeedChoice,
-        cadence: Cadence,
+        feed_choice: WatchdogArbiter,
+        cadence: Polling,
         probes: Probes,
         shares: Shares,
     ) -> None:
         self._waiting = waiting
-        self._feed_choice = feed_choice
-        self._cadence = cadence
+        self._watchdog_arbiter = feed_choice
+        self._polling = cadence
         self._probes = probes
         self._shares = shares
         self._fed_last = False  # an urgent feed went last: it is the turn of interactive
@@ -86,7 +86,7 @@ class Choice:
         entitled = self._shares.entitled(costs_s, top)
         kept = self._kept(control or heads.get(top), heads, now_s)
         if kept is not None:
-            kept.turn = Turn.KEPT
+            kept.turn = DispatchReason.KEPT
             return kept, False
         if control is not None:
             return self._with_control(control, None if entitled is None else heads[entitled], now_s)
@@ -109,7 +109,7 @@ class Choice:
         if request.priority is not Priority.CONTROL:
             self._fed_last = False
         self._shares.note(costs_s)
-        request.turn = Turn.CREDIT if ahead else Turn.RIGHT
+        request.turn = DispatchReason.CREDIT if ahead else DispatchReason.RIGHT
 
     def _with_control(
         self, control: Request, entitled: Request | None, now_s: float
@@ -119,11 +119,11 @@ class Choice:
             if entitled is not None:
                 self._fed_last = False
                 return self._by_class(entitled, True, now_s)
-            feed = self._feed_choice.urgent(now_s)
+            feed = self._watchdog_arbiter.urgent(now_s)
             if feed is not None and feed is not control:
                 self._fed_last = True
-                return to_feed(feed, Turn.FEED_AHEAD), True
-        control.turn = Turn.RIGHT
+                return to_feed(feed, DispatchReason.FEED_AHEAD), True
+        control.turn = DispatchReason.RIGHT
         return control, False
 
     def _kept(
@@ -143,9 +143,9 @@ class Choice:
         begun = self._waiting.head(Priority.WATCHDOG, now_s)
         if begun is not None:
             return to_feed(begun), False
-        if others and self._fed_last and self._feed_choice.can_wait(now_s):
+        if others and self._fed_last and self._watchdog_arbiter.can_wait(now_s):
             return None
-        feed = self._feed_choice.urgent(now_s)
+        feed = self._watchdog_arbiter.urgent(now_s)
         if feed is None:
             return None
         self._fed_last = True
@@ -153,9 +153,9 @@ class Choice:
 
     def _by_class(self, first: Request, ahead: bool, now_s: float) -> tuple[Request, bool]:
         """Take the first of a class, or a slot in its place that feeds a drive soon in need."""
-        early = None if ahead else self._feed_choice.early_slot(first, now_s)
+        early = None if ahead else self._watchdog_arbiter.early_slot(first, now_s)
         chosen = early or first
-        chosen.turn = Turn.CREDIT if ahead else Turn.RIGHT
+        chosen.turn = DispatchReason.CREDIT if ahead else DispatchReason.RIGHT
         return chosen, early is not None
 
     def _periodic(self, now_s: float) -> Request | None:
@@ -165,11 +165,11 @@ class Choice:
             if not drive.held:
                 return probe.made()
             self._probes.schedule(probe, drive.held_until_s)
-        entry = self._cadence.head(now_s, self._waiting.drives)
+        entry = self._polling.head(now_s, self._waiting.drives)
         return entry.made() if entry is not None else None
 
 
-def to_feed(request: Request, turn: Turn = Turn.FEED) -> Request:
+def to_feed(request: Request, turn: DispatchReason = DispatchReason.FEED) -> Request:
     """Note that a request goes because a watchdog asks for it."""
     request.turn = turn
     return request

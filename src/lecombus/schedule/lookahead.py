@@ -22,18 +22,18 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from lecombus.schedule.cadence import Cadence, Entry
-from lecombus.schedule.feed_choice import SOON
-from lecombus.schedule.feeds import Feeds
+from lecombus.schedule.polling import Polling, PollingEntry
 from lecombus.schedule.request import Priority, Request
 from lecombus.schedule.shares import CLASS_SHARES, Probe, Probes, Shares
-from lecombus.schedule.waiting import DriveState, Waiting
+from lecombus.schedule.waiting import QueuedDrive, Waiting
+from lecombus.schedule.watchdog_arbiter import SOON
+from lecombus.schedule.watchdog_set import WatchdogSet
 
-__all__ = ["Foreseen", "Rehearsal"]
+__all__ = ["Lookahead", "PlannedChoice"]
 
 
 @dataclass(slots=True)
-class Foreseen:
+class PlannedChoice:
     """A choice made beforehand; nobody changes it (not frozen: one is made for each exchange).
 
     Args:
@@ -51,7 +51,7 @@ class Foreseen:
     waiting: Mapping[Priority, float] = field(default_factory=dict)
 
 
-class Rehearsal:
+class Lookahead:
     """Makes and keeps the choice made beforehand of one schedule.
 
     Args:
@@ -62,23 +62,23 @@ class Rehearsal:
         shares: The credit of the classes.
     """
 
-    __slots__ = ("_cadence", "_feeds", "_found", "_probes", "_shares", "_waiting")
+    __slots__ = ("_found", "_polling", "_probes", "_shares", "_waiting", "_watchdogs")
 
     def __init__(
-        self, waiting: Waiting, feeds: Feeds, cadence: Cadence, probes: Probes, shares: Shares
+        self, waiting: Waiting, feeds: WatchdogSet, cadence: Polling, probes: Probes, shares: Shares
     ) -> None:
         self._waiting = waiting
-        self._feeds = feeds
-        self._cadence = cadence
+        self._watchdogs = feeds
+        self._polling = cadence
         self._probes = probes
         self._shares = shares
-        self._found: Foreseen | None = None
+        self._found: PlannedChoice | None = None
 
-    def spoil(self) -> None:
+    def invalidate(self) -> None:
         """Forget the choice: something changed."""
         self._found = None
 
-    def holding(self, now_s: float) -> Foreseen | None:
+    def holding(self, now_s: float) -> PlannedChoice | None:
         """Give the choice if it still holds."""
         found = self._found
         if found is None or not found.from_s <= now_s < found.until_s:
@@ -98,7 +98,7 @@ class Rehearsal:
         if stop is not None:
             if self._waiting.yields(stop):  # feeds may have to go before it
                 return None
-            self._found = Foreseen(stop, -math.inf, self._settled_until_s())
+            self._found = PlannedChoice(stop, -math.inf, self._settled_until_s())
         elif under_way is None or self._is_plain(under_way):
             self._found = self._choose(under_way, started_s, at_s)
         return None if self._found is None else self._found.request
@@ -107,20 +107,22 @@ class Rehearsal:
         """Whether its answer changes nothing that is looked at here but credits."""
         if type(under_way.source) is Probe:
             return False
-        feed = self._feeds.by_drive.get(under_way.drive)
+        feed = self._watchdogs.by_drive.get(under_way.drive)
         return feed is None or not feed.left_out
 
-    def _choose(self, under_way: Request | None, started_s: float, at_s: float) -> Foreseen | None:
+    def _choose(
+        self, under_way: Request | None, started_s: float, at_s: float
+    ) -> PlannedChoice | None:
         until_s = min(
-            self._settled_until_s(), self._feeds.calm_until_s, self._probes.not_before_s()
+            self._settled_until_s(), self._watchdogs.calm_until_s, self._probes.not_before_s()
         )
         if (
             at_s >= until_s
-            or self._cadence.is_joining
+            or self._polling.is_joining
             or self._waiting.queues[Priority.WATCHDOG].depth
         ):
             return None
-        entry, due_s = self._cadence.first()
+        entry, due_s = self._polling.first()
         if due_s <= at_s and entry is not None and self._drives[entry.cyclic.drive].held:
             return None
         heads = self._heads(at_s, None if due_s > at_s else entry)
@@ -151,7 +153,7 @@ class Rehearsal:
         until_s = min(until_s, self._slack_until_s(chosen))
         if at_s >= until_s:
             return None
-        return Foreseen(chosen, from_s, until_s, ahead, waiting)
+        return PlannedChoice(chosen, from_s, until_s, ahead, waiting)
 
     def _settled_until_s(self) -> float:
         """Before this time nothing expires or comes back."""
@@ -159,7 +161,7 @@ class Rehearsal:
         expires_s = waiting.expiries.first_s()
         return min(expires_s, waiting.timers[0][0]) if waiting.timers else expires_s
 
-    def _heads(self, at_s: float, entry: Entry | None) -> dict[Priority, Request]:
+    def _heads(self, at_s: float, entry: PollingEntry | None) -> dict[Priority, Request]:
         """The first of each lower class, where there is one; `entry` is the slot that is due."""
         heads: dict[Priority, Request] = {}
         waiting = self._waiting
@@ -172,19 +174,19 @@ class Rehearsal:
         return heads
 
     @property
-    def _drives(self) -> Mapping[str, DriveState]:
+    def _drives(self) -> Mapping[str, QueuedDrive]:
         return self._waiting.drives
 
     def _slack_until_s(self, chosen: Request) -> float:
         """How long the choice would pass the slack check without anything being fed first."""
-        feeds = self._feeds
+        feeds = self._watchdogs
         if not feeds.by_drive:
             return math.inf
         own = feeds.by_drive.get(chosen.drive)
         if own is not None and chosen.worst_s > own.worst_s:
             return -math.inf
         spare_s = feeds.spare_s()
-        if type(chosen.source) is Entry:
+        if type(chosen.source) is PollingEntry:
             spare_s *= SOON
         need_s = feeds.need_s(chosen.cost_s, chosen.worst_s)
         return feeds.latest_end_s - max(need_s, spare_s)

@@ -15,11 +15,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["Faults"]
+__all__ = ["FaultHypothesis"]
 
 
 @dataclass(frozen=True, slots=True)
-class Faults:
+class FaultHypothesis:
     """What may be lost within any watchdog time.
 
     Args:

@@ -79,8 +79,8 @@ def full_line() -> tuple[World, Request]:
         world.cyclic(name, 0.01)
     first = world.schedule.next(0.0)
     assert first is not None
-    assert world.schedule.rehearse(first, 0.0, COST_S) is not None
-    assert world.schedule.foreseen(COST_S) is not None
+    assert world.schedule.look_ahead(first, 0.0, COST_S) is not None
+    assert world.schedule.planned(COST_S) is not None
     return world, first
 
 
@@ -104,13 +104,13 @@ SPOILERS: dict[str, Callable[[World], object]] = {
 def test_a_change_spoils_what_was_foreseen(change: Callable[[World], object]) -> None:
     world, _ = full_line()
     change(world)
-    assert world.schedule.foreseen(COST_S) is None
+    assert world.schedule.planned(COST_S) is None
 
 
 def test_a_failed_exchange_spoils_what_was_foreseen() -> None:
     world, first = full_line()
     world.schedule.finished(first, 0.0, COST_S, reached=False)
-    assert world.schedule.foreseen(COST_S) is None
+    assert world.schedule.planned(COST_S) is None
 
 
 def test_a_slot_is_not_run_before_it_is_due_because_it_was_foreseen() -> None:
@@ -119,11 +119,11 @@ def test_a_slot_is_not_run_before_it_is_due_because_it_was_foreseen() -> None:
     world.cyclic("b", 1.0)  # half a period after the other
     first = world.schedule.next(0.0)
     assert first is not None
-    slot = world.schedule.rehearse(first, 0.0, 0.6)
+    slot = world.schedule.look_ahead(first, 0.0, 0.6)
     assert slot is not None
     assert slot.drive == "b"
-    assert world.schedule.foreseen(0.49) is None
-    assert world.schedule.foreseen(0.51) is slot
+    assert world.schedule.planned(0.49) is None
+    assert world.schedule.planned(0.51) is slot
     world.schedule.finished(first, 0.0, 0.49, reached=True)
     assert world.schedule.next(0.49) is None
 
@@ -131,8 +131,8 @@ def test_a_slot_is_not_run_before_it_is_due_because_it_was_foreseen() -> None:
 def test_a_request_is_not_begun_after_its_expiry_because_it_was_foreseen() -> None:
     world, first = full_line()
     ask = world.submit("c", P.INTERACTIVE, expires_at_s=0.03)
-    assert world.schedule.rehearse(first, 0.0, COST_S) is ask
-    assert world.schedule.foreseen(0.031) is None
+    assert world.schedule.look_ahead(first, 0.0, COST_S) is ask
+    assert world.schedule.planned(0.031) is None
     world.schedule.finished(first, 0.0, 0.031, reached=True)
     assert world.schedule.next(0.031) is not ask
     assert world.outcome(ask)[0] is Outcome.EXPIRED
@@ -146,10 +146,10 @@ def test_a_watchdog_goes_before_what_was_foreseen_if_the_answer_takes_its_time()
         world.submit("b", P.BACKGROUND, worst_s=0.1)
     under_way = world.schedule.next(0.0)
     assert under_way is not None
-    chosen = world.schedule.rehearse(under_way, 0.0, COST_S)
+    chosen = world.schedule.look_ahead(under_way, 0.0, COST_S)
     assert chosen is not None
     assert chosen.drive == "b"
-    assert world.schedule.foreseen(0.85) is None
+    assert world.schedule.planned(0.85) is None
     world.schedule.finished(under_way, 0.0, 0.85, reached=True)
     fed = world.schedule.next(0.85)
     assert fed is not None
@@ -160,6 +160,6 @@ def test_a_stop_is_foreseen_whatever_else_waits() -> None:
     world, first = full_line()
     world.feed("b", 0.05)
     halt = world.submit("c", P.STOP, stops=("c",))
-    assert world.schedule.rehearse(first, 0.0, COST_S) is halt
-    assert world.schedule.foreseen(0.0) is halt
-    assert world.schedule.foreseen(10.0) is halt
+    assert world.schedule.look_ahead(first, 0.0, COST_S) is halt
+    assert world.schedule.planned(0.0) is halt
+    assert world.schedule.planned(10.0) is halt
