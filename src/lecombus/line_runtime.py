@@ -24,8 +24,8 @@ from lecombus.errors import ConfigError
 from lecombus.line.port import PortOpener, PortSettings
 from lecombus.line.worker import LineWorker, WorkerOptions
 from lecombus.line_events import LineRequests
-from lecombus.metrics import Figures, Metrics
-from lecombus.metrics.minutes import LATELY_S
+from lecombus.metrics import LineSnapshot, Metrics
+from lecombus.metrics.rolling_window import LATELY_S
 from lecombus.operations.actions import Actions
 from lecombus.operations.context import OperationContext
 from lecombus.operations.facade import Operations
@@ -126,7 +126,7 @@ class LineRuntime:
         self.health = Health(self.drives, self.schedule, self.store, self.audits, clock)
         self._recorder = ExchangeRecorder(self.drives, self.metrics)
         self.worker = self._make_worker(opener, timing, options or options_of(roster))
-        maker = RequestMaker(timing, line.retries, self.metrics.meters.request_ended)
+        maker = RequestMaker(timing, line.retries, self.metrics.counters.request_ended)
         self.requests = Requests(self.worker, maker, self.drives, clock)
         asked = RequestsToLine(self.requests, self.store, self.audits, self.health, clock)
         self.identities = Identities(self.state, self.store, wall, self.drives, asked)
@@ -196,7 +196,7 @@ class LineRuntime:
 
     def _make_metrics(self) -> Metrics:
         name, clock = self.roster.line.name, self._clock
-        return Metrics(name, self.store, version=__version__, clock=clock, figures=self._figures)
+        return Metrics(name, self.store, version=__version__, clock=clock, snapshot=self._snapshot)
 
     def _make_worker(
         self, opener: PortOpener, timing: LineTiming, options: WorkerOptions
@@ -238,9 +238,9 @@ class LineRuntime:
         before = self.drives.entries()
         self._changes.apply(roster.drives)
         for name in set(self.roster.groups) - set(roster.groups):
-            self.metrics.meters.remove(name)
+            self.metrics.counters.remove(name)
         for name in roster.groups:
-            self.metrics.meters.add_group(name)
+            self.metrics.counters.add_group(name)
         self.state.bound(wanted)
         self.operations.set_roster(roster.drives, roster.groups)
         self.readdress.roster_changed()
@@ -296,23 +296,23 @@ class LineRuntime:
         """Speak to a drive at another address, until a roster says otherwise."""
         self.apply(with_address(self.roster, drive.name, address))
 
-    def _figures(self) -> Figures:
+    def _snapshot(self) -> LineSnapshot:
         now = self._clock()
         stats = self._gather(now)
         self.store.set_stretch(stats.stretch)
-        minutes = self.metrics.minutes
+        window = self.metrics.rolling_window
         feeds = {name: feed for name, feed in stats.feeds.items() if not feed.paused}
-        return Figures(
+        return LineSnapshot(
             stats.depth,
             stats.stretch,
-            minutes.cyclic_late.most(now, LATELY_S) or 0.0,
+            window.cyclic_late.most(now, LATELY_S) or 0.0,
             {name: feed.time_s - feed.age_s for name, feed in feeds.items()},
             {name: feed.lapses for name, feed in stats.feeds.items()},
             stats.refused,
             stats.cyclic_skipped + stats.cyclic_dropped,
             self.wear.figures(self.store.names()),
             None if math.isinf(stats.slack_s) else stats.slack_s,
-            minutes.woken_late.most(now, LATELY_S) or 0.0,
+            window.woken_late.most(now, LATELY_S) or 0.0,
             self._answer_ratios(),
         )
 
@@ -324,14 +324,14 @@ class LineRuntime:
     def _gather(self, now_s: float) -> ScheduleStats:
         """Take a snapshot of the schedule into the last minutes; the only place that may."""
         stats = self.schedule.stats(now_s)
-        minutes = self.metrics.minutes
-        minutes.cyclic_late.note(stats.cyclic_late_most_s, now_s)
-        minutes.woken_late.note(self.worker.lateness.take_s(), now_s)
+        window = self.metrics.rolling_window
+        window.cyclic_late.note(stats.cyclic_late_most_s, now_s)
+        window.woken_late.note(self.worker.lateness.take_s(), now_s)
         if not math.isinf(stats.slack_s):
-            minutes.slack(stats.slack_s, now_s)
+            window.slack(stats.slack_s, now_s)
         for name, feed in stats.feeds.items():
             if not math.isinf(feed.margin_since_s):
-                minutes.margin(name, feed.margin_since_s, now_s)
+                window.margin(name, feed.margin_since_s, now_s)
         return stats
 
     def plan_facts(self) -> dict[str, Json]:
@@ -341,7 +341,7 @@ class LineRuntime:
         stations = [drive.station for drive in self.drives]
         return {
             "roster": facts_of(self.roster, {one.name: one.measured.slow for one in stations}),
-            "measured": self.metrics.minutes.as_json(now_s),
+            "measured": self.metrics.rolling_window.as_json(now_s),
             "answers": answers_of({one.name: one.measured.rows() for one in stations}),
             "state": str(self.store.line().state),
             "away": [

@@ -16,7 +16,7 @@ from lecombus.capacity.live import LOAD_ROOM, LivePlan, compare
 from lecombus.capacity.plan import make_plan
 from lecombus.config import parse_roster
 from lecombus.drives import StopAction
-from lecombus.metrics.minutes import Minutes
+from lecombus.metrics.rolling_window import RollingWindow
 from lecombus.protocol.addressing import Code
 from lecombus.readings import DriveState
 from lecombus.schedule import Priority
@@ -108,7 +108,7 @@ def test_an_adapter_that_adds_to_every_answer_is_suspected(added_s: float, said:
     )  # fmt: skip
     roster = parse_roster(text, "r.yaml")
     cost_s = make_plan(roster).exchanges[0].times.usual_s - roster.line.turnaround_s + added_s
-    minutes = Minutes(0.0)
+    minutes = RollingWindow(0.0)
     for number in range(16 * 100):
         minutes.exchange(Priority.CYCLIC, cost_s, 0.001, number / 16, good=True)
     found = class_of(compare(roster, json.loads(encode(minutes.as_json(100.0)))), "cyclic")

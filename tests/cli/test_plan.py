@@ -16,7 +16,7 @@ from lecombus.capacity.facts import answers_of, facts_of
 from lecombus.cli import main
 from lecombus.config import load_roster
 from lecombus.drives.measured import AnswerRow, SlowAnswers
-from lecombus.metrics.minutes import Minutes
+from lecombus.metrics.rolling_window import RollingWindow
 from lecombus.protocol.addressing import Code
 from lecombus.schedule.request import Priority
 
@@ -234,7 +234,7 @@ def too_slow(roster: Path) -> dict[str, Any]:
 
 def document(roster: Path) -> dict[str, Any]:
     """What a daemon of the roster gives: b is slow, and was fed too late."""
-    minutes = Minutes(0.0)
+    minutes = RollingWindow(0.0)
     minutes.exchange(Priority.CONTROL, 0.03, 9.0, 119.0, good=True)
     minutes.margin("a", 0.9, 119.0)
     minutes.margin("b", -0.1, 119.0)

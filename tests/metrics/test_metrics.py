@@ -17,11 +17,11 @@ from lecombus.drives import family
 from lecombus.metrics import (
     TELEGRAM_KINDS,
     TELEGRAM_OUTCOMES,
-    Figures,
+    LineSnapshot,
     Metrics,
     wants_openmetrics,
 )
-from lecombus.metrics.text import Block
+from lecombus.metrics.exposition import Block
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 from lecombus.schedule.request import Outcome, Priority
@@ -37,14 +37,14 @@ class Hall:
 
     def __init__(self, drives: Iterable[str] = ("feeder",)) -> None:
         self.now_s = 100.0
-        self.figures = Figures()
+        self.snapshot = LineSnapshot()
         self.store = Store(lambda: self.now_s, lambda: self.now_s)
         self.metrics = Metrics(
             "hall-3",
             self.store,
             version="1.2.3",
             clock=lambda: self.now_s,
-            figures=lambda: self.figures,
+            snapshot=lambda: self.snapshot,
         )
         self.store.line_state(LineState.OPEN)
         for address, name in enumerate(drives, start=1):
@@ -52,7 +52,7 @@ class Hall:
             self.store.drive_state(name, DriveState.ONLINE)
             self.store.expect(name, FREQUENCY, 1.0)
             self.store.expect(name, STATUS, 1.0)
-            self.metrics.meters.add_drive(name)
+            self.metrics.counters.add_drive(name)
 
     def read(self, code: Code, raw: str, drive: str = "feeder") -> None:
         self.store.value_read(drive, code, Value.parse(raw), self.now_s)
@@ -75,7 +75,7 @@ class Hall:
 
 
 def exchange(hall: Hall, kind: str = "read", outcome: str = "answered") -> None:
-    hall.metrics.meters.exchange(
+    hall.metrics.counters.exchange(
         "feeder",
         kind,
         outcome,
@@ -172,14 +172,14 @@ def test_an_exchange_is_timed_and_its_quarantine_counts_as_busy() -> None:
 
 def test_requests_are_counted_by_class_and_outcome() -> None:
     hall = Hall()
-    hall.metrics.meters.request_ended(Priority.STOP, Outcome.VERIFIED)
+    hall.metrics.counters.request_ended(Priority.STOP, Outcome.VERIFIED)
     assert hall.samples("requests_total")["stop", "verified"] == 1
     assert len(hall.samples("requests_total")) == len(Priority) * len(Outcome)
 
 
 def test_schedule_and_watchdogs_are_read_off_when_the_page_is_rendered() -> None:
     hall = Hall()
-    hall.figures = Figures(
+    hall.snapshot = LineSnapshot(
         {Priority.BACKGROUND: 1000},
         1.5,
         0.25,
@@ -200,8 +200,8 @@ def test_schedule_and_watchdogs_are_read_off_when_the_page_is_rendered() -> None
 
 def test_groups_count_multicasts_only() -> None:
     hall = Hall()
-    hall.metrics.meters.add_group("conveyors")
-    hall.metrics.meters.exchange(
+    hall.metrics.counters.add_group("conveyors")
+    hall.metrics.counters.exchange(
         "conveyors",
         "multicast",
         "sent",
@@ -216,14 +216,14 @@ def test_groups_count_multicasts_only() -> None:
 def test_a_drive_that_left_the_roster_leaves_the_page() -> None:
     hall = Hall(("feeder", "belt"))
     hall.store.remove_drive("belt")
-    hall.metrics.meters.remove("belt")
+    hall.metrics.counters.remove("belt")
     assert 'drive="belt"' not in hall.render()
 
 
 def test_a_drive_added_again_keeps_counting() -> None:
     hall = Hall()
     exchange(hall)
-    hall.metrics.meters.add_drive("feeder")
+    hall.metrics.counters.add_drive("feeder")
     assert hall.samples("telegrams_total")["feeder", "read", "answered"] == 1
 
 
@@ -248,7 +248,7 @@ def full_hall() -> Hall:
     for number in range(31):
         hall.read(FREQUENCY, "35.4", f"drive{number}")
         hall.read(STATUS, "H0900", f"drive{number}")
-    hall.figures = Figures(watchdog_margin_s={"drive1": 1.0}, watchdog_misses={"drive1": 0})
+    hall.snapshot = LineSnapshot(watchdog_margin_s={"drive1": 1.0}, watchdog_misses={"drive1": 0})
     return hall
 
 
@@ -357,7 +357,7 @@ def test_slack_is_absent_while_nothing_is_fed() -> None:
     hall = Hall()
     assert hall.samples("schedule_slack_seconds") == {}
     hall.now_s += 2.0
-    hall.figures = Figures(slack_s=-0.25, woken_late_s=0.004)
+    hall.snapshot = LineSnapshot(slack_s=-0.25, woken_late_s=0.004)
     assert hall.samples("schedule_slack_seconds") == {(): -0.25}
     hall.now_s += 2.0
     assert hall.samples("scheduler_lateness_seconds") == {(): 0.004}

@@ -81,7 +81,7 @@ def _twice() -> list[Patch]:
 
 def _old_answers() -> list[Patch]:
     """Takes the value before for the one that has come, now and then."""
-    feed = Exchange.watchdog_deadline
+    feed = Exchange.feed
     before: list[Value] = []
 
     def feed_old(self: Exchange, data: bytes, now_s: float, *more: Any) -> Result | None:
@@ -135,7 +135,7 @@ def _late_stops() -> list[Patch]:
 
 def _falling() -> list[Patch]:
     """Falls over in the middle of its work."""
-    feed, count = Exchange.watchdog_deadline, iter(range(10_000))
+    feed, count = Exchange.feed, iter(range(10_000))
 
     def feed_and_fall(self: Exchange, data: bytes, now_s: float, *more: Any) -> Result | None:
         if next(count) == FALLS_AT:

@@ -201,7 +201,7 @@ def make_line() -> Line:
     store.value_read("feeder", FREQUENCY, Value.parse("35.40"), time.monotonic())
     ops = FakeOperations(store)
     metrics = Metrics("hall-3", store, version="1", clock=time.monotonic)
-    metrics.meters.add_drive("feeder")
+    metrics.counters.add_drive("feeder")
     line: Line
     app = create_app(
         ops,

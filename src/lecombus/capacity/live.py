@@ -1,6 +1,6 @@
 """A plan compared with the last minutes of the running line.
 
-The plan is that of the running roster; what was measured is the document of `metrics.minutes`.
+The plan is that of the running roster; what was measured is the document of `metrics.rolling_window`.
 Compared are waits and line time by class, margins by watched drive, and gaps by cyclic code;
 everything beyond its promise is listed. Promises hold while drives answer and at most the exchange
 under way is lost, so the lost exchanges are shown beside them.
@@ -218,7 +218,7 @@ def compare(
 
     Args:
         roster: The running line.
-        measured: What its last minutes showed, as `Minutes.as_json` gives it.
+        measured: What its last minutes showed, as `RollingWindow.as_json` gives it.
         away: The drives that do not answer now.
         state: `open`, or how else the line is now.
     """

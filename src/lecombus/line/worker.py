@@ -138,7 +138,7 @@ class LineWorker:
         loop = asyncio.get_running_loop()
         while not self._closing:
             if await self._connection.open(self.exchange_loop):
-                if not await self._exchange_loop():
+                if not await self._run_exchanges():
                     return
                 self._line_lost()
             else:
@@ -150,7 +150,7 @@ class LineWorker:
             await self._nap.until(loop.time() + self._connection.backoff_s())
             self._retries += 1
 
-    async def _exchange_loop(self) -> bool:
+    async def _run_exchanges(self) -> bool:
         """Run exchanges until the port is lost (True) or the worker is closed (False)."""
         port = self._connection.port
         assert port is not None

@@ -15,9 +15,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from lecombus.metrics.text import labels_text
+from lecombus.metrics.exposition import labels_text
 
-__all__ = ["Counter", "Family", "Histogram", "Instrument"]
+__all__ = ["Counter", "Histogram", "Instrument", "MetricFamily"]
 
 
 class Instrument(Protocol):
@@ -88,7 +88,7 @@ class Histogram:
 
 
 @dataclass(slots=True, eq=False)
-class Family:
+class MetricFamily:
     """Series of one name, in parts that are small enough to be rendered in one go.
 
     Args:

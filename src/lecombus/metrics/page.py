@@ -20,10 +20,10 @@ import anyio
 import anyio.lowlevel
 from prometheus_client import ProcessCollector
 
-from lecombus.metrics.figures import DriveFigures, Figures, LineFigures
-from lecombus.metrics.meters import Meters
-from lecombus.metrics.minutes import Minutes
-from lecombus.metrics.text import Block, escape, join_blocks, sample_lines
+from lecombus.metrics.counters import Counters
+from lecombus.metrics.exposition import Block, escape, join_blocks, sample_lines
+from lecombus.metrics.gauges import DriveGauges, LineGauges, LineSnapshot
+from lecombus.metrics.rolling_window import RollingWindow
 from lecombus.store import Store
 
 __all__ = ["PAGE_KEEPS_S", "PIECE_BUDGET_S", "WINDOW_WAIT_S", "Metrics"]
@@ -49,7 +49,7 @@ class Metrics:
         store: Where values and states come from.
         version: lecombus' version, for `build_info`.
         clock: A monotonic clock, seconds.
-        figures: Asked once per page for what schedule and supervisor say about themselves.
+        snapshot: Called once per page for what schedule and supervisor say about themselves.
     """
 
     def __init__(
@@ -59,11 +59,11 @@ class Metrics:
         *,
         version: str,
         clock: Callable[[], float],
-        figures: Callable[[], Figures] = Figures,
+        snapshot: Callable[[], LineSnapshot] = LineSnapshot,
     ) -> None:
-        self.meters = Meters(line)
-        self.minutes = Minutes(clock())
-        self.figures = figures
+        self.counters = Counters(line)
+        self.rolling_window = RollingWindow(clock())
+        self.snapshot = snapshot
         self.wanted = False
         self._line = line
         self._store = store
@@ -142,14 +142,14 @@ class Metrics:
 
     def _pieces(self) -> Iterator[None]:
         """Render a page; everything between two `yield` runs without a break."""
-        line, drives = LineFigures(self._line), DriveFigures(self._line)
-        line.render(self._store, self.figures())
+        line, drives = LineGauges(self._line), DriveGauges(self._line)
+        line.render(self._store, self.snapshot())
         yield
         for name in self._store.names():
             drives.render(self._store, name)
             yield
         blocks = [self._build_info(), *line.blocks, *drives.blocks]
-        for family in self.meters.families():
+        for family in self.counters.families():
             block = Block(family.name, family.kind, family.help)
             for part in list(family.parts.values()):
                 for instrument in part:

@@ -10,7 +10,7 @@ What must not live here: when each read goes (`schedule`), when a value is stale
 from __future__ import annotations
 
 from lecombus.drive_runtime import Drive
-from lecombus.metrics.minutes import Minutes
+from lecombus.metrics.rolling_window import Minutes
 from lecombus.operations.requests import Requests
 from lecombus.schedule import Cyclic, Schedule
 from lecombus.store import Store
@@ -29,7 +29,7 @@ class CyclicReads:
     """
 
     def __init__(
-        self, requests: Requests, schedule: Schedule, store: Store, minutes: Minutes
+        self, requests: Requests, schedule: Schedule, store: Store, window: RollingWindow
     ) -> None:
         self._requests = requests
         self._schedule = schedule
@@ -53,7 +53,7 @@ class CyclicReads:
                 make = self._requests.cyclic_maker(entry.name, code)
                 cyclic = Cyclic(entry.name, every_s, make)
                 running[code] = self._schedule.add_cyclic(cyclic, now_s)
-        self._minutes.expect(entry.name, tuple(wanted))
+        self._window.expect(entry.name, tuple(wanted))
 
     def forget(self, drive: Drive) -> None:
         """The schedule reads nothing of a drive any more: it was taken out there."""

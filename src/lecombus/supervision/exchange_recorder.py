@@ -89,9 +89,9 @@ class ExchangeRecorder:
     def stray_bytes(self, data: bytes, late_answer: bool) -> None:
         """Bytes came outside an exchange."""
         self.disturbances += 1
-        self._metrics.meters.stray_bytes.inc(len(data))
+        self._metrics.counters.stray_bytes.inc(len(data))
         if late_answer:
-            self._metrics.meters.late_answers.inc()
+            self._metrics.counters.late_answers.inc()
 
     def _event(self, report: ExchangeReport) -> ExchangeEvent | None:
         """Say what an exchange means; None: the roster has no such drive, or has no more."""

@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 
 from lecombus.api.decimal_json import encode
-from lecombus.metrics.minutes import MARKS_S, SLOTS, WINDOW_S, Highest, Minutes
+from lecombus.metrics.rolling_window import MARKS_S, SLOTS, WINDOW_S, Highest, RollingWindow
 from lecombus.protocol.addressing import Code
 from lecombus.schedule.request import Priority
 
 
-def told(minutes: Minutes, now_s: float) -> Any:
+def told(minutes: RollingWindow, now_s: float) -> Any:
     return json.loads(encode(minutes.as_json(now_s)))
 
 
@@ -38,7 +38,7 @@ def test_a_slot_is_used_again_after_a_round() -> None:
 
 
 def test_half_of_the_waits_lie_within_the_median() -> None:
-    minutes = Minutes(100.0)
+    minutes = RollingWindow(100.0)
     for number in range(101):
         minutes.exchange(Priority.CONTROL, 0.02, number / 100, 150.0, good=number != 7)
     minutes.exchange(Priority.CONTROL, 0.02, None, 150.0, good=True)
@@ -50,7 +50,7 @@ def test_half_of_the_waits_lie_within_the_median() -> None:
 
 
 def test_half_of_the_waits_are_never_longer_than_the_longest() -> None:
-    minutes = Minutes()
+    minutes = RollingWindow()
     minutes.exchange(Priority.WATCHDOG, 0.02, 0.0004, 1.0, good=True)
     found = told(minutes, 2.0)["classes"]["watchdog"]
     assert found["wait_median_s"] == found["wait_most_s"] == 0.0004
@@ -58,7 +58,7 @@ def test_half_of_the_waits_are_never_longer_than_the_longest() -> None:
 
 @pytest.mark.parametrize("now_s", [150.0, 400.0, 404.0, 409.0])
 def test_half_of_the_line_is_half_of_the_line_whenever_it_is_asked_for(now_s: float) -> None:
-    minutes = Minutes()
+    minutes = RollingWindow()
     for at_s in range(int(now_s)):
         minutes.exchange(Priority.CYCLIC, 0.5, None, float(at_s), good=True)
     found = told(minutes, now_s)["classes"]["cyclic"]
@@ -66,7 +66,7 @@ def test_half_of_the_line_is_half_of_the_line_whenever_it_is_asked_for(now_s: fl
 
 
 def test_waits_off_both_ends_of_the_marks_count() -> None:
-    minutes = Minutes()
+    minutes = RollingWindow()
     minutes.exchange(Priority.CYCLIC, 0.02, 0.0, 1.0, good=True)
     assert told(minutes, 1.0)["classes"]["cyclic"]["wait_median_s"] == 0.0
     for _ in range(3):
@@ -76,7 +76,7 @@ def test_waits_off_both_ends_of_the_marks_count() -> None:
 
 
 def test_gaps_are_those_of_expected_codes_and_an_open_one_counts() -> None:
-    minutes = Minutes()
+    minutes = RollingWindow()
     minutes.expect("a", (Code(150), Code(50)))
     for at_s in (10.0, 11.0, 14.0, 14.5):
         minutes.value("a", Code(150), at_s)
@@ -89,7 +89,7 @@ def test_gaps_are_those_of_expected_codes_and_an_open_one_counts() -> None:
 
 
 def test_least_margins_and_slack_are_kept_not_highest() -> None:
-    minutes = Minutes()
+    minutes = RollingWindow()
     for margin_s in (0.4, 0.2, 0.9):
         minutes.margin("a", margin_s, 10.0)
         minutes.slack(margin_s - 0.5, 10.0)
@@ -98,11 +98,11 @@ def test_least_margins_and_slack_are_kept_not_highest() -> None:
 
 
 def test_what_is_kept_does_not_grow_with_the_exchanges() -> None:
-    def size(minutes: Minutes) -> int:
+    def size(minutes: RollingWindow) -> int:
         slots = [slot for of_class in minutes._classes.values() for slot in of_class]
         return len(slots) + sum(sys.getsizeof(slot.waits) for slot in slots)
 
-    minutes = Minutes()
+    minutes = RollingWindow()
     before = size(minutes)
     for number in range(20_000):
         minutes.exchange(Priority.CYCLIC, 0.02, 0.001 * (number % 977), number * 0.05, good=True)

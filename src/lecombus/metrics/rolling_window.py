@@ -19,7 +19,7 @@ from lecombus.protocol.addressing import Code
 from lecombus.readings import Json
 from lecombus.schedule.request import Priority
 
-__all__ = ["LATELY_S", "WINDOW_S", "Highest", "Minutes"]
+__all__ = ["LATELY_S", "WINDOW_S", "Highest", "RollingWindow"]
 
 WINDOW_S: Final = 300.0
 LATELY_S: Final = 30.0
@@ -90,7 +90,7 @@ class _Gaps:
         self.longest = Highest()
 
 
-class Minutes:
+class RollingWindow:
     """The last five minutes of one line.
 
     Args:

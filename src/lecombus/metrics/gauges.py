@@ -5,7 +5,7 @@ asked drive by drive and the schedule once, and the lines are written straight. 
 not good is left out, not repeated: a monitoring system must never take an old value for a fresh
 one, and an absent series is what its own staleness rules understand.
 
-What must not live here: counting on the hot path (that is `meters`), and when to render.
+What must not live here: counting on the hot path (that is `counters`), and when to render.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from decimal import Decimal
 
 from lecombus.drives import Family
 from lecombus.errors import OperationError
-from lecombus.metrics.meters import label_of
-from lecombus.metrics.text import Block, escape
+from lecombus.metrics.counters import label_of
+from lecombus.metrics.exposition import Block, escape
 from lecombus.schedule.request import Priority
 from lecombus.store import DriveState, LineState, Quality, Reading, Store
 
-__all__ = ["DriveFigures", "Figures", "LineFigures"]
+__all__ = ["DriveGauges", "LineGauges", "LineSnapshot"]
 
 
 @dataclass(frozen=True, slots=True)
-class Figures:
+class LineSnapshot:
     """What the schedule and the supervisor say about themselves at this moment.
 
     Args:
@@ -55,7 +55,7 @@ class Figures:
     answer_ratio: Mapping[str, float] = field(default_factory=dict)
 
 
-class LineFigures:
+class LineGauges:
     """The samples that stand for the line as a whole.
 
     Args:
@@ -110,33 +110,35 @@ class LineFigures:
             *(self._woken, self._slack, self._margin, self._misses, self._writes, self._answers),
         )
 
-    def render(self, store: Store, figures: Figures) -> None:
+    def render(self, store: Store, snapshot: LineSnapshot) -> None:
         """Write the lines of every family."""
         line = self._line
         up = store.line().state is LineState.OPEN
         self._up.lines.append(f"{self._up.name}{{{line}}} {int(up)}")
-        self._stretch.lines.append(f"{self._stretch.name}{{{line}}} {figures.stretch!r}")
-        self._late.lines.append(f"{self._late.name}{{{line}}} {figures.lateness_s!r}")
-        self._woken.lines.append(f"{self._woken.name}{{{line}}} {figures.woken_late_s!r}")
-        if figures.slack_s is not None:
-            self._slack.lines.append(f"{self._slack.name}{{{line}}} {figures.slack_s!r}")
-        self._skipped.lines.append(f"{self._skipped.name}_total{{{line}}} {figures.cyclic_skipped}")
+        self._stretch.lines.append(f"{self._stretch.name}{{{line}}} {snapshot.stretch!r}")
+        self._late.lines.append(f"{self._late.name}{{{line}}} {snapshot.lateness_s!r}")
+        self._woken.lines.append(f"{self._woken.name}{{{line}}} {snapshot.woken_late_s!r}")
+        if snapshot.slack_s is not None:
+            self._slack.lines.append(f"{self._slack.name}{{{line}}} {snapshot.slack_s!r}")
+        self._skipped.lines.append(
+            f"{self._skipped.name}_total{{{line}}} {snapshot.cyclic_skipped}"
+        )
         for priority in Priority:
-            depth = figures.queue_depth.get(priority, 0)
+            depth = snapshot.queue_depth.get(priority, 0)
             label = f'{line},priority="{label_of(priority)}"'
-            refused = figures.refused.get(priority, 0)
+            refused = snapshot.refused.get(priority, 0)
             self._depth.lines.append(f"{self._depth.name}{{{label}}} {depth}")
             self._refused.lines.append(f"{self._refused.name}_total{{{label}}} {refused}")
-        for drive, margin_s in figures.watchdog_margin_s.items():
+        for drive, margin_s in snapshot.watchdog_margin_s.items():
             label = f'{line},drive="{escape(drive)}"'
             self._margin.lines.append(f"{self._margin.name}{{{label}}} {margin_s!r}")
-        for drive, ratio in figures.answer_ratio.items():
+        for drive, ratio in snapshot.answer_ratio.items():
             label = f'{line},drive="{escape(drive)}"'
             self._answers.lines.append(f"{self._answers.name}{{{label}}} {ratio!r}")
-        for drive, misses in figures.watchdog_misses.items():
+        for drive, misses in snapshot.watchdog_misses.items():
             label = f'{line},drive="{escape(drive)}"'
             self._misses.lines.append(f"{self._misses.name}_total{{{label}}} {misses}")
-        for drive, writes in figures.writes.items():
+        for drive, writes in snapshot.writes.items():
             label = f'{line},drive="{escape(drive)}",code="'
             self._writes.lines.extend(
                 f'{self._writes.name}_total{{{label}{code}"}} {count}'
@@ -144,7 +146,7 @@ class LineFigures:
             )
 
 
-class DriveFigures:
+class DriveGauges:
     """The samples that are written drive by drive.
 
     Args:

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final
 
-from lecombus.metrics.instruments import Counter, Family, Histogram
+from lecombus.metrics.instruments import Counter, Histogram, MetricFamily
 from lecombus.schedule.request import Outcome, Priority
 
 __all__ = [
@@ -21,7 +21,7 @@ __all__ = [
     "TELEGRAM_KINDS",
     "TELEGRAM_OUTCOMES",
     "WAIT_BUCKETS_S",
-    "Meters",
+    "Counters",
     "label_of",
 ]
 
@@ -47,7 +47,7 @@ def label_of(priority: Priority) -> str:
     return priority.name.lower()
 
 
-class Meters:
+class Counters:
     """The instruments of one line.
 
     Args:
@@ -56,7 +56,7 @@ class Meters:
 
     def __init__(self, line: str) -> None:
         self.line = line
-        self._families: dict[str, Family] = {}
+        self._families: dict[str, MetricFamily] = {}
         self._telegrams = self._family(
             "telegrams",
             "counter",
@@ -177,7 +177,7 @@ class Meters:
 
     # -- for the page ---------------------------------------------------------------------------
 
-    def families(self) -> Iterable[Family]:
+    def families(self) -> Iterable[MetricFamily]:
         """Give every family; each part of one is small enough for a piece of a page."""
         return self._families.values()
 
@@ -192,8 +192,8 @@ class Meters:
                     counters[kind, outcome] = Counter(labels)
         self._telegrams.parts[name] = list(counters.values())
 
-    def _family(self, name: str, kind: str, text: str) -> Family:
-        return self._families.setdefault(name, Family(f"lecombus_{name}", kind, text))
+    def _family(self, name: str, kind: str, text: str) -> MetricFamily:
+        return self._families.setdefault(name, MetricFamily(f"lecombus_{name}", kind, text))
 
     def _counter(self, name: str, text: str, **labels: str) -> Counter:
         counter = Counter({"line": self.line, **labels})
