@@ -119,9 +119,9 @@ class Losses:
 
     def _leaves_no_room(self) -> bool:
         """Whether what is sent leaves no room for what is tolerated, whenever it begins."""
-        tolerate = self._site.schedule._feeds.faults.tolerate
-        under_way = self._site.worker.talk._under_way
-        feeds = self._site.schedule._feeds
+        tolerate = self._site.schedule._watchdogs.faults.tolerate
+        under_way = self._site.worker.exchange_loop._under_way
+        feeds = self._site.schedule._watchdogs
         if under_way is None or under_way[0].priority is Priority.STOP or tolerate < 2:
             return False
         cost_s, worst_s = under_way[0].cost_s, under_way[0].worst_s

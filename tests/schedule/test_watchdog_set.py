@@ -192,7 +192,7 @@ def test_a_drive_that_lost_no_more_than_is_tolerated_is_asked_again_without_a_pa
 ) -> None:
     world = World().drives("a")
     world.feed("a", 1.0)
-    feed = world.schedule._feeds.by_drive["a"]
+    feed = world.schedule._watchdogs.by_drive["a"]
     for lost in range(1, 5):
         now_s = 0.9 + 0.005 * lost  # late, and its watchdog has not run out
         feed.failed(now_s, tolerate)
