@@ -435,7 +435,7 @@ def test_debug_logs_say_what_did_not_come_and_what_nobody_asked_for(
 @pytest.mark.parametrize("level", ["DEBUG", "INFO"])
 def test_without_debug_nothing_is_collected(caplog: pytest.LogCaptureFixture, level: str) -> None:
     async def test(rig: Rig) -> None:
-        assert (rig.worker.exchange_loop._telegram_log is None) is (level == "INFO")
+        assert (rig.worker.exchange_loop._log is None) is (level == "INFO")
         await rig.read("a", 150).done.wait()
 
     with caplog.at_level(level, logger="lecombus.line"):

@@ -1,27 +1,25 @@
-"""One exchange after the other on an open port, without ever leaving the receive path.
+"""Runs one exchange after the other on an open port, driven by callbacks of the receive path.
 
-Theory of operation. `start` says the first thing, and from then on every answer, deadline and pause
-leads to the next telegram by itself, until the port is lost or the talk is to end. Whenever nothing
-is under way `_go_on` asks, in this order: is the turnaround over, is the line silent again (only a
-stop breaks that), what does the schedule want said; where nothing may or need be said yet it comes
-back at the time when that changes, or when nudged.
+Theory of operation. `start` sends the first telegram. After that each answer, time-out and timer
+starts the next telegram, until the port is lost or `end` was called. When no exchange is under way,
+`_go_on` checks in this order: is the turnaround over; is the quarantine over (only a stop may break
+it); which request does the schedule give. If nothing may or need be sent, a timer is set for the
+time when that changes; `nudge` ends it early.
 
-Only after the next telegram is out the result of the one before is published, so that bookkeeping
-runs while a drive thinks and costs the line nothing. While it thinks the next choice is made and
-its telegram written out (`_look_ahead`); when a read's value has come that telegram goes out before
-anything else is done about either (`_follow`). Whatever is out of the ordinary is concluded first.
+The result of an exchange is published only after the next telegram was sent: bookkeeping then runs
+while a drive prepares its answer, and costs no time on the line. In the same time the next request
+is chosen and its telegram prepared (`_look_ahead`). After a read that returned its value that
+telegram is sent first (`_follow`). After any other result, that result is evaluated first.
 
-* An exchange is fed by the receive path and watched by one timer. When that fires the port is
-  looked at before anything is judged: the process may not have been run for a while, and an answer
-  that lies in the kernel is in time. It is looked at, too, when a pause ended late, before the next
-  telegram goes out: an old answer that came meanwhile could be taken for that telegram's.
-* After an exchange without its answer the line is left alone until it has been silent for the time
-  in which the old answer could still come (quarantine); what comes then is counted and thrown away,
-  and the doubt about it lives on in `late_replies`. A stop breaks a quarantine: it begins with EOT,
-  which silences a drive, and its acknowledgement is proven by reading back.
+* An exchange receives the bytes and has one timer. When the timer fires, the port is read before
+  the exchange is judged: the process may have been suspended, and an answer that lies in the kernel
+  is in time. The port is also read when a timer fired late, before the next telegram is sent: an
+  old answer could otherwise pass for the answer to that telegram.
+* After a missing answer the line stays quiet for as long as that answer could still come
+  (quarantine). Bytes in that time are counted and dropped, and `late_replies` keeps what may still
+  come. A stop breaks a quarantine: it begins with EOT, which silences a drive, and it is verified
+  by reading back.
 
-What must not live here: opening and losing ports (worker), who goes first (schedule), what a
-result means (jobs), what is known about the drives (store).
 Source of the timing rules: EDB2102EN 8.3.5.
 """
 
@@ -60,37 +58,37 @@ __all__ = ["ExchangeLoop"]
 logger = logging.getLogger(__name__)
 
 LATE_S: Final = 0.002
-"""A pause that ended so much too late may have let bytes come unseen, seconds."""
+"""If a timer fires later than this, bytes may have arrived that were not read yet, seconds."""
 
 LONGEST_REST_S: Final = 1.0
-"""Who has nothing to say looks round at least this often: that is its sign of life."""
+"""An idle line checks the schedule at least this often; the count of checks is its heartbeat."""
 
 PreparedStep = tuple[Request, Job, PreparedTelegram]
-"""A request, what it knows of the protocol, and the telegram of its next step."""
+"""A request, its job, and the telegram of its next step."""
 
 
 def _loop_time() -> float:
-    """Tell the time where `start` has not come yet: a port may give bytes while it is opened."""
+    """Return the time before `start` was called: a port may deliver bytes while it is opened."""
     return asyncio.get_running_loop().time()
 
 
 class ExchangeLoop:
-    """Speaks and listens on the port of one line.
+    """Sends telegrams and receives answers on the port of one line.
 
     Args:
-        schedule: Says who speaks next.
+        schedule: Gives the next request.
         timing: Baud rate and latencies for time-outs.
-        options: How the line is worked.
+        options: Turnaround, echo, time-outs of the line.
         connection: The port.
         line: The line's name, for logs.
-        observer: Told what happens.
-        lateness: Told how late it was woken.
+        observer: Is called for each event on the line.
+        lateness: Records how late timers fired.
 
     Attributes:
-        observer: As given; tests put themselves in its place.
+        observer: As given; tests replace it.
         exchanges: Exchanges so far.
-        rests: How often there was nothing to say.
-        duplicates: Answers that nobody asked for, and whom answers were asked of.
+        rests: How often nothing was due.
+        duplicates: Answers without a request, and who was asked last for each answer.
     """
 
     def __init__(
@@ -109,11 +107,10 @@ class ExchangeLoop:
         self._schedule = schedule
         self._options = options
         self._connection = connection
-        self._telegram_log = TelegramLog(line) if logger.isEnabledFor(logging.DEBUG) else None
+        self._log = TelegramLog(line) if logger.isEnabledFor(logging.DEBUG) else None
         self.duplicates = Duplicates()
-        self._late_replies = PendingLateReplies(
-            options.late_answer_s if options.quarantine else 0.0
-        )
+        late_s = options.late_answer_s if options.quarantine else 0.0
+        self._late_replies = PendingLateReplies(late_s)
         self._preparer = TelegramPreparer(timing, self._late_replies)
         self._exchange = Exchange(parity=True, echo=options.echo)
         self._deferred = DeferredReports()
@@ -135,10 +132,10 @@ class ExchangeLoop:
     # ---- what the worker calls ----------------------------------------------------------------
 
     def start(self, port: Port) -> asyncio.Future[None]:
-        """Talk on a port that was opened just now.
+        """Start on a port that was just opened.
 
         Returns:
-            Done when the port is lost or the talk was to end; an error in it ends it as well.
+            Done when the port is lost or `end` was called; raises the error that ended it.
         """
         loop = asyncio.get_running_loop()
         self._time = loop.time
@@ -151,27 +148,27 @@ class ExchangeLoop:
         return ended
 
     def end(self) -> None:
-        """End after the exchange under way, or when nudged."""
+        """End after the exchange under way; call `nudge` to end an idle line."""
         self._ending = True
 
     def clear(self) -> None:
-        """Call back no more: the port is gone."""
+        """Cancel all timers: the port is gone."""
         self._pause.clear()
         self._deadline.clear()
 
     def nudge(self) -> None:
-        """Look at the schedule again: something changed in it."""
+        """Check the schedule again: something changed in it."""
         self._nudged = True
         self._pause.nudge()
 
     def stop_came(self) -> None:
-        """A stop was submitted: have its telegram ready when the exchange under way ends."""
+        """A stop was submitted: prepare its telegram for the end of the exchange under way."""
         if self._under_way is not None:
             self._hasten(*self._under_way)
             self._look_ahead(self._time())
 
     def _hasten(self, request: Request, job: Job, prepared: PreparedTelegram) -> None:
-        """Wait for a slow drive's reading no longer than its manual says: a stop is there."""
+        """Shorten the time-out of a slow drive to that of its manual: a stop is waiting."""
         if prepared.documented_ask is not None and request.priority is not Priority.STOP:
             self._exchange.hasten(prepared.documented_ask)
             self._deadline.set(self._exchange.deadline_s())
@@ -179,24 +176,22 @@ class ExchangeLoop:
     # ---- what the port calls --------------------------------------------------------------------
 
     def received(self, data: bytes) -> None:
-        """Take bytes from the port."""
+        """Process bytes from the port."""
         now = self._time()
-        if self._telegram_log is not None:
-            (self._telegram_log.stray if self._under_way is None else self._telegram_log.heard)(
-                data
-            )
+        if self._log is not None:
+            (self._log.stray if self._under_way is None else self._log.heard)(data)
         if self._under_way is not None:
             result = self._exchange.feed(data, now, self._looked_s)
             if result is not None:
                 self._end_exchange(result)
-            elif self._exchange.disturbed:  # until there was a pause: look for that
+            elif self._exchange.disturbed:  # it waits for a gap: check for that
                 self._deadline.set(self._exchange.look_s())
             return
         late = self._idle_receive.stray(data, now, self._preparer.gap_s)
         self.observer.stray_bytes(data, late)
 
     def lost(self, exc: Exception | None) -> None:
-        """Take note that the port is gone."""
+        """Handle the loss of the port."""
         self._connection.note_loss(exc)
         if self._under_way is not None:
             self._end_exchange(self._exchange.lost(self._time()))
@@ -207,7 +202,7 @@ class ExchangeLoop:
     # ---- between two exchanges ------------------------------------------------------------------
 
     def _wake(self) -> None:
-        """Go on after a pause; an error ends the talk, not a callback."""
+        """Continue after a timer; an error ends the loop instead of vanishing in a callback."""
         try:
             if self._pause.late_s > LATE_S:
                 self._stall.excuse(self._pause.late_s)
@@ -218,19 +213,19 @@ class ExchangeLoop:
                 raise
 
     def _look(self) -> None:
-        """Take what lies in the port: a process that was not run has not been given it yet."""
+        """Read what the kernel holds: a suspended process has not received it yet."""
         if self._connection.port is not None and not self._connection.is_lost:
             self._connection.port.look()
 
     def _ends_by(self, exc: BaseException) -> bool:
-        """End the talk by an error, whatever it is: it must not vanish in a callback."""
+        """End the loop by an error of any kind: it must not vanish in a callback."""
         if self._ended is None or self._ended.done():
             return False
         self._ended.set_exception(exc)
         return True
 
     def _go_on(self) -> None:
-        """Say what comes next, or come back when it may be said."""
+        """Send the next telegram, or set the timer for when it may be sent."""
         while not self._ending and not self._connection.is_lost:
             now, self._nudged = self._time(), False
             if now < self._bus_idle.free_at_s:
@@ -251,14 +246,14 @@ class ExchangeLoop:
             self._ended.set_result(None)
 
     def _turn_round(self, now: float) -> None:
-        """Leave the drives their turnaround, whatever comes."""
+        """Wait for the end of the turnaround; nothing shortens it."""
         self._publish()
         if not self._is_ready(self._bus_idle.free_at_s) and self._bus_idle.is_over(now):
             self._look_ahead(now)
         self._pause.until(self._bus_idle.free_at_s, deaf=True)
 
     def _stay_quiet(self, now: float) -> bool:
-        """Keep the quarantine, or listen for longer, unless a stop goes now; False: it is over."""
+        """Wait for the end of quarantine or extended listen; False: it is over, or a stop goes."""
         stop_goes = self._schedule.stop_goes(now)
         look_at_s = self._idle_receive.quiet_until_s(now, stop_goes=stop_goes)
         if stop_goes or self._bus_idle.is_over(now):
@@ -268,8 +263,8 @@ class ExchangeLoop:
         return True
 
     def _rest(self, now: float) -> None:
-        """Nothing is due: wait, but not so long that an idle line looks like a stuck one."""
-        self._publish()  # before whoever waited for the result looks for it in the books
+        """Nothing is due: wait, but not so long that an idle line looks stuck."""
+        self._publish()  # a caller woken by the result finds it in the store
         self.rests += 1
         wake_at_s = now if self._nudged else self._schedule.wake_at_s(now)
         latest_s = now + LONGEST_REST_S
@@ -278,7 +273,7 @@ class ExchangeLoop:
     # ---- an exchange begins ---------------------------------------------------------------------
 
     def _say(self, request: Request, now: float) -> None:
-        """Begin the next step of a request as one exchange."""
+        """Start the exchange of the next step of a request."""
         if request.is_unwanted:
             self._withdraw(request, now)
             return
@@ -295,18 +290,18 @@ class ExchangeLoop:
         self._begin(prepared, now, self._connection.say(prepared.ask.sent))
 
     def _ask(self, request: Request, job: Job, now: float) -> PreparedTelegram | float:
-        """Put the next step of a request into a telegram; or the time before which it must not."""
+        """Prepare the telegram of the next step, or return the time before which it must wait."""
         if type(job) is not StopJob:
             return self._preparer.ask(job, now, urgent=request.priority is Priority.STOP)
         if job.asks_for_word:
-            self._publish()  # it takes the control word as the last exchange left it
+            self._publish()  # the job uses the control word as of the last exchange
         prepared = self._preparer.ask(job, now, urgent=True)
         if type(prepared) is float and job.cannot_read():
             prepared = self._preparer.ask(job, now, urgent=True)
         return prepared
 
     def _begin(self, prepared: PreparedTelegram, now: float, loss: LineLostError | None) -> None:
-        """Begin the exchange of a telegram that was handed over, and use the time it takes."""
+        """Start the exchange of a telegram that was sent; then publish and look ahead."""
         self._looked_s = self._time()
         takes_nak = not self._late_replies.nak_may_come(now)
         self._exchange.begin(prepared.ask, now, self._looked_s, takes_nak=takes_nak)
@@ -314,8 +309,8 @@ class ExchangeLoop:
             self._connection.note_loss(loss)
             self._end_exchange(self._exchange.lost(now))
             return
-        if self._telegram_log is not None and self._under_way is not None:
-            self._telegram_log.sent(self._under_way[1], prepared.ask.sent)
+        if self._log is not None and self._under_way is not None:
+            self._log.sent(self._under_way[1], prepared.ask.sent)
         ask = prepared.ask
         if self._under_way is not None and ask.field:
             self.duplicates.asked(ask.field, self._under_way[1].station.name, now)
@@ -325,7 +320,7 @@ class ExchangeLoop:
         self.observer.thinking(prepared.thinking_s)
 
     def _look_ahead(self, now: float) -> None:
-        """Choose the next request, and write out its telegram, while nothing can be sent."""
+        """Choose the next request and prepare its telegram while nothing can be sent."""
         self._ready = None
         if self._under_way is None:
             request = self._schedule.look_ahead(None, now, max(now, self._bus_idle.free_at_s))
@@ -337,13 +332,13 @@ class ExchangeLoop:
             return
         job: Job = request.work  # type: ignore[assignment]
         if (type(job) is StopJob and job.asks_for_word) or self._late_replies.any(now):
-            return  # that depends on what the exchange under way brings
+            return  # depends on the result of the exchange under way
         prepared = self._preparer.ask(job, now, urgent=request.priority is Priority.STOP)
         if isinstance(prepared, PreparedTelegram):
             self._ready = (request, job, prepared)
 
     def _is_ready(self, at_s: float) -> bool:
-        """Whether the telegram that was written out is the one to be said at that time."""
+        """Whether the prepared telegram is still the one to send."""
         return self._ready is not None and self._schedule.planned(at_s) is self._ready[0]
 
     def _withdraw(self, request: Request, now: float) -> None:
@@ -353,10 +348,10 @@ class ExchangeLoop:
         self._schedule.withdraw(request, Outcome.REFUSED, CLIENT_GONE)
 
     def _postpone(self, request: Request, until_s: float, now: float) -> None:
-        """Say it later: an old answer that could pass for its own may still come.
+        """Send it later: a late answer that could pass for its own may still come.
 
-        A feed ends instead, as a vain attempt: it is not the request that must wait but the need,
-        for which the schedule would at once find the same telegram again.
+        A feed is ended instead, as a failed attempt: the watchdog still needs one, so the schedule
+        would choose the same telegram again immediately.
         """
         if request.priority is not Priority.WATCHDOG:
             self._schedule.defer(request, until_s, now)
@@ -367,14 +362,14 @@ class ExchangeLoop:
     # ---- an exchange ends -----------------------------------------------------------------------
 
     def _on_deadline(self) -> None:
-        saying = self._under_way
-        if saying is None:
+        under_way = self._under_way
+        if under_way is None:
             return
         now, look_s = self._time(), self._exchange.look_s()
         if now >= look_s:
             self._look()
-            if self._under_way is not saying:
-                return  # its answer lay there
+            if self._under_way is not under_way:
+                return  # the answer was in the kernel
             self._looked_s = now
             result = self._exchange.expire(now)
             if result is not None:
@@ -384,12 +379,12 @@ class ExchangeLoop:
         self._deadline.set(look_s)
 
     def _end_exchange(self, result: Result) -> None:
-        """Conclude the exchange under way and go on; an error ends the talk, not a callback."""
+        """Evaluate the exchange and continue; an error ends the loop, not the callback."""
         done, self._under_way = self._under_way, None
         if done is None:
             return
-        if self._telegram_log is not None:
-            self._telegram_log.ended(done[1], result)
+        if self._log is not None:
+            self._log.ended(done[1], result)
         try:
             if not self._follow(done, result):
                 self._conclude(*done, result)
@@ -399,9 +394,9 @@ class ExchangeLoop:
                 raise
 
     def _follow(self, done: PreparedStep, result: Result) -> bool:
-        """Say what was made ready, and only then look at what the exchange before it brought.
+        """Send the prepared telegram before the result of the last exchange is evaluated.
 
-        Only after a read that brought its value, for that changes nothing about what comes next.
+        Only after a read that returned its value: that cannot change what is sent next.
         """
         ready = self._ready
         if ready is None or type(result.answer) is not ValueAnswer or type(done[1]) is not ReadJob:
@@ -429,17 +424,14 @@ class ExchangeLoop:
     def _conclude(
         self, request: Request, job: Job, prepared: PreparedTelegram, result: Result
     ) -> None:
-        """Tell schedule, doubts and job; the observer is told after the next telegram.
-
-        A read that brought its value has nothing more to say: it is settled after that, too.
-        """
+        """Update schedule, late replies and job; report, and settle a read, after the next send."""
         ended = result.ended_s
         answered = result.kind is ResultKind.ANSWERED
         self.exchanges += 1
         if result.others:
             self._note_others(result)
         if type(result.answer) is not ValueAnswer:
-            self._ready = None  # a doubt, an echo, a lost line: look at it anew
+            self._ready = None  # the result may change what is sent next: choose again
         quarantined_s = self._after(request, job, prepared, result)
         self._schedule.finished(request, result.started_s, ended + quarantined_s, answered)
         if type(result.answer) is ValueAnswer and type(job) is ReadJob:
@@ -447,7 +439,7 @@ class ExchangeLoop:
             return
         self._deferred.report(request, job, prepared, result, quarantined_s)
         if prepared.hold_s and result.kind is not ResultKind.LOST:
-            # Its acknowledgement may have come though it was not understood, or not heard at all.
+            # The drive may have taken the write although its answer was damaged or missing.
             taken_s = ended if answered else min(ended, result.started_s + prepared.ask.late_s)
             self._schedule.hold(request.drive, taken_s + prepared.hold_s, ended)
         if type(job) is MulticastJob:
@@ -459,14 +451,14 @@ class ExchangeLoop:
             behind, not_before_s = False, ended
             if type(job) is StopJob:
                 behind, request.yields = job.goes_behind, job.only_proves
-                if job.pause_s:  # others have it only when the silence is over
+                if job.pause_s:  # others may use the line only after the quarantine
                     not_before_s += quarantined_s + job.pause_s
             self._schedule.again(request, ended, not_before_s, behind=behind)
         else:
             request.end(*verdict)
 
     def _note_others(self, result: Result) -> None:
-        """Take note of whole answers to something else, unless one of them is missing."""
+        """Record complete answers to other requests, unless such an answer is still missing."""
         for field in result.others:
             if self._late_replies.blocked_until_s(field, result.started_s) <= result.started_s:
                 self.duplicates.came(field, result.ended_s)
@@ -474,7 +466,7 @@ class ExchangeLoop:
     def _after(
         self, request: Request, job: Job, prepared: PreparedTelegram, result: Result
     ) -> float:
-        """Set from when the line is free again; returns the quarantine in seconds."""
+        """Set when the line is free again; return the quarantine in seconds."""
         ended = result.ended_s
         self._bus_idle.exchange_ended(ended)
         if result.kind is ResultKind.ANSWERED:
@@ -485,9 +477,8 @@ class ExchangeLoop:
             return 0.0
         if result.kind is ResultKind.SENT:
             return 0.0
-        asked = UnansweredRead(
-            job.station, job.step.code, result.started_s + prepared.ask.request_s
-        )
+        sent_s = result.started_s + prepared.ask.request_s
+        asked = UnansweredRead(job.station, job.step.code, sent_s)
         self._late_replies.add(prepared.ask.field, ended, asked)
         silent_s = self._stall.failed(result)
         if silent_s is not None:
