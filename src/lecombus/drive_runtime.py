@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from lecombus.drives.measured import SlowAnswers
     from lecombus.line.station import Station
     from lecombus.protocol.addressing import Code
-    from lecombus.schedule import Entry, Request
+    from lecombus.schedule import PollingEntry, Request
 
 __all__ = [
     "AnswerTimeRecord",
@@ -325,7 +325,7 @@ class Drive:
         self.home = entry.address
         """The address that the roster's file gives it (`operations.readdress`)."""
         self.feed = FeedRecord()
-        self.cyclic: dict[Code, Entry] = {}
+        self.cyclic: dict[Code, PollingEntry] = {}
         """The reads that the schedule repeats (`supervision.cyclic_reads`)."""
         self.probe: Callable[[], Request] | None = None
         """Makes the read that asks whether it is back, while it is offline."""

@@ -6,7 +6,7 @@ import pytest
 
 from lecombus.drive_runtime import LineDrives
 from lecombus.line.observer import ExchangeReport
-from lecombus.line.station import Step, StepKind
+from lecombus.line.station import JobStep, StepKind
 from lecombus.line_events import ExchangeEvent, LineChange
 from lecombus.metrics import Metrics
 from lecombus.protocol.addressing import Code
@@ -19,8 +19,8 @@ from lecombus.supervision.exchange_recorder import ExchangeRecorder
 from support.single_drives import drive_of
 
 CODE, VALUE = Code(46), Value.decimal(20)
-READ, WRITE = Step(StepKind.READ, CODE), Step(StepKind.WRITE, CODE, VALUE)
-ALL = Step(StepKind.MULTICAST, CODE, VALUE)
+READ, WRITE = JobStep(StepKind.READ, CODE), JobStep(StepKind.WRITE, CODE, VALUE)
+ALL = JobStep(StepKind.MULTICAST, CODE, VALUE)
 
 
 class Following:
@@ -49,7 +49,7 @@ class Following:
 
     def ended(
         self,
-        step: Step,
+        step: JobStep,
         kind: ResultKind = ResultKind.ANSWERED,
         answer: Answer | None = None,
         *,
@@ -86,7 +86,7 @@ def test_subscribers_are_called_in_their_order() -> None:
     ],
 )
 def test_what_an_exchange_with_one_drive_means(
-    step: Step, kind: ResultKind, answer: Answer | None, outcome: str, says: str
+    step: JobStep, kind: ResultKind, answer: Answer | None, outcome: str, says: str
 ) -> None:
     event = Following().ended(step, kind, answer)
     assert event is not None

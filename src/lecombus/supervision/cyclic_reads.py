@@ -10,7 +10,7 @@ What must not live here: when each read goes (`schedule`), when a value is stale
 from __future__ import annotations
 
 from lecombus.drive_runtime import Drive
-from lecombus.metrics.rolling_window import Minutes
+from lecombus.metrics.rolling_window import RollingWindow
 from lecombus.operations.requests import Requests
 from lecombus.schedule import Cyclic, Schedule
 from lecombus.store import Store
@@ -34,7 +34,7 @@ class CyclicReads:
         self._requests = requests
         self._schedule = schedule
         self._store = store
-        self._minutes = minutes
+        self._window = window
 
     def take(self, drive: Drive, now_s: float) -> None:
         """Read of a drive what its entry says from now on, and nothing else."""

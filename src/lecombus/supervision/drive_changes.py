@@ -18,7 +18,7 @@ from lecombus.drives.measured import MeasuredTimes
 from lecombus.line.station import Station
 from lecombus.metrics import Metrics
 from lecombus.operations.requests import Requests
-from lecombus.schedule import Feed, Schedule
+from lecombus.schedule import Schedule, WatchdogDeadline
 from lecombus.store import Store
 from lecombus.supervision.audit_queue import AuditQueue
 from lecombus.supervision.cyclic_reads import CyclicReads
@@ -40,7 +40,7 @@ class _Left:
 
     drive: Drive
     entry: DriveEntry
-    feed: Feed | None
+    feed: WatchdogDeadline | None
 
 
 class DriveChanges:
@@ -77,7 +77,7 @@ class DriveChanges:
         self._audits = audits
         self._supervisor = supervisor
         self._clock = clock
-        self._reads = CyclicReads(requests, schedule, store, metrics.minutes)
+        self._reads = CyclicReads(requests, schedule, store, metrics.rolling_window)
 
     def apply(self, entries: Sequence[DriveEntry]) -> None:
         """Make the line's drives those of a roster.
@@ -114,8 +114,8 @@ class DriveChanges:
         """Remove a drive and all that is known of it."""
         self._leave(drive)
         self._store.remove_drive(drive.name)
-        self._metrics.meters.remove(drive.name)
-        self._metrics.minutes.forget(drive.name)
+        self._metrics.counters.remove(drive.name)
+        self._metrics.rolling_window.forget(drive.name)
 
     def _begin_again(self, left: _Left, entry: DriveEntry) -> None:
         """Start a drive again with another entry."""
@@ -129,7 +129,7 @@ class DriveChanges:
     def _join(self, drive: Drive) -> None:
         name, entry = drive.name, drive.entry
         self._store.add_drive(name, entry.address, drive.family)
-        self._metrics.meters.add_drive(name)
+        self._metrics.counters.add_drive(name)
         drive.probe = self._requests.maker.probe(drive.station)
         self._drives.put(drive)
         self._schedule.add_drive(name)
@@ -139,7 +139,7 @@ class DriveChanges:
         if self._requests.worker.is_open:
             self._audits.ask(drive)
 
-    def _leave(self, drive: Drive) -> Feed | None:
+    def _leave(self, drive: Drive) -> WatchdogDeadline | None:
         """Send nothing more to a drive; gives how far the feeding of its watchdog was."""
         name = drive.name
         self._audits.withdraw(drive)

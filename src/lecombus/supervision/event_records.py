@@ -72,17 +72,17 @@ class MetricsRecord:
     """
 
     def __init__(self, metrics: Metrics) -> None:
-        self._meters = metrics.meters
-        self._minutes = metrics.minutes
+        self._counters = metrics.counters
+        self._window = metrics.rolling_window
 
     def exchange_ended(self, event: ExchangeEvent) -> None:
         """Count an exchange."""
         report, result = event.report, event.report.result
         if event.read is not None:
-            self._minutes.value(report.drive, event.code, event.ended_s)
+            self._window.value(report.drive, event.code, event.ended_s)
         took_s = result.ended_s - result.started_s
         busy_s = took_s + report.quarantined_s
-        self._meters.exchange(
+        self._counters.exchange(
             report.drive,
             report.step.kind,
             event.outcome,
@@ -91,7 +91,7 @@ class MetricsRecord:
             priority=report.priority,
             waited_s=report.waited_s,
         )
-        self._minutes.exchange(
+        self._window.exchange(
             report.priority,
             busy_s,
             None if _is_promised_more(event) else max(report.waited_s, 0.0),
@@ -99,12 +99,12 @@ class MetricsRecord:
             good=result.kind is ResultKind.ANSWERED or result.kind is ResultKind.SENT,
         )
         if result.late:
-            self._meters.late_answers.inc(result.late)
+            self._counters.late_answers.inc(result.late)
 
     def line_changed(self, change: LineChange) -> None:
         """Count an opening of the port."""
         if change.is_open:
-            self._meters.port_opened()
+            self._counters.port_opened()
 
 
 def _is_promised_more(event: ExchangeEvent) -> bool:
