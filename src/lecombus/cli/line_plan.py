@@ -23,7 +23,7 @@ from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.screen import counted, show_table
 from lecombus.config import DriveEntry, Roster, line_timing, load_roster
 from lecombus.durations import format_duration
-from lecombus.metrics.minutes import WINDOW_S
+from lecombus.metrics.rolling_window import WINDOW_S
 from lecombus.schedule.shares import LISTEN_EVERY_S, LISTEN_S
 
 __all__ = ["plan_command"]

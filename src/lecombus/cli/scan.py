@@ -27,7 +27,7 @@ from lecombus.config import LineEntry, line_timing
 from lecombus.config.building import STATE_DIR
 from lecombus.drives import family, read_cost
 from lecombus.line.loop import run
-from lecombus.line.unheard import END_IT, others_at, shared
+from lecombus.line.no_answers import END_IT, others_at, shared
 from lecombus.operations.address_reads import read_address
 from lecombus.protocol import BAUDS, Code, Form, is_drive_address
 from lecombus.protocol.values import Value
@@ -227,7 +227,7 @@ def _through_daemon(options: ScanOptions, socket: str | None, url: str | None) -
             what, _ = why_nothing(
                 scan.samples, scan.unclear, echo=None, parity="line", bauds=(baud,)
             )
-        what = "; ".join(filter(None, (what, bus_idle)))
+        what = "; ".join(filter(None, (what, silence)))
         raise CommandError(Exit.FAILED, Problem(what, "", "no-drive"))
     here = {"port": line.port, "baud": baud}
     added = "\n".join(
