@@ -25,7 +25,7 @@ class CyclicReads:
         requests: Makes them.
         schedule: Runs them.
         store: Keeps how often a code is read.
-        minutes: Keeps which codes are read.
+        window: Keeps which codes are read.
     """
 
     def __init__(
