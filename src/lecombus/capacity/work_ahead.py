@@ -175,24 +175,32 @@ class WorkAhead:
 def work_ahead_on(roster: Roster, timing: LineTiming) -> WorkAhead:
     """Gather what can go before a request on a line."""
     feeds = _feeds_of(roster, timing)
-    reads = {
-        drive.name: min(entry.every_s for entry in drive.cyclic)
-        for drive in roster.drives
-        if drive.cyclic and watched_s(drive)
-    }
     drives = roster.drives
-    own = _longest(feeds, (one for drive in drives for one in _own(drive, timing)))
+    by_drive = [
+        (list(_own(drive, timing)), list(_reads(drive, timing)), list(_writes(drive, timing)))
+        for drive in drives
+    ]
+    own, reads, writes = (
+        [one for found in column for one in found] for column in zip(*by_drive, strict=True)
+    )
+    families = {drive.name: family(drive.family) for drive in drives}
+    moves = [one for one in writes if (info := families[one.drive].info(one.code)) and info.motion]
+    everything = (one for found in by_drive for column in found for one in column)
     return WorkAhead(
-        own=max([own, *_fed(roster, timing)], key=_worst),
-        read=_longest(feeds, (one for drive in drives for one in _reads(drive, timing))),
-        write=_longest(feeds, (one for drive in drives for one in _writes(drive, timing))),
-        control=_longest(feeds, (one for drive in drives for one in _moves(drive, timing))),
-        anything=max((one for drive in drives for one in _all(drive, timing)), key=_given_up),
+        own=max([_longest(feeds, own), *_fed(roster, timing)], key=_worst),
+        read=_longest(feeds, reads),
+        write=_longest(feeds, writes),
+        control=_longest(feeds, moves),
+        anything=max(everything, key=_given_up),
         feeds=tuple(_streams(roster, timing)),
         beside=tuple(_beside(roster, timing)),
         cyclic=tuple(_cyclic(roster, timing)),
         blocking=tuple(_blocking(roster, timing)),
-        reads_s=reads,
+        reads_s={
+            drive.name: min(entry.every_s for entry in drive.cyclic)
+            for drive in drives
+            if drive.cyclic and watched_s(drive)
+        },
         lost_feed_s=max((one.worst_s for one in feeds.by_drive.values()), default=0.0),
         spare_s=feeds.spare_s(),
         doubt_s=max(roster.line.late_answer_s - timing.quarantine_s, 0.0),
@@ -276,20 +284,6 @@ def _writes(drive: DriveEntry, timing: LineTiming) -> Iterator[Longest]:
     for action in of.stops:
         code, value = stop_value(of, action, 0)
         yield Longest(drive.name, code, write_times(drive, code, value, timing), value)
-
-
-def _all(drive: DriveEntry, timing: LineTiming) -> Iterator[Longest]:
-    yield from _own(drive, timing)
-    yield from _reads(drive, timing)
-    yield from _writes(drive, timing)
-
-
-def _moves(drive: DriveEntry, timing: LineTiming) -> Iterator[Longest]:
-    of = family(drive.family)
-    for one in _writes(drive, timing):
-        info = of.info(one.code)
-        if info is not None and info.motion:
-            yield one
 
 
 def _is_said(drive: DriveEntry, code: Code) -> bool:
