@@ -8,7 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from lecombus.simulator import Control, ControlError, ControlSocket, SimLine, build, tell
+from lecombus.simulator import (
+    Control,
+    ControlError,
+    ControlSocket,
+    SimLine,
+    build,
+    send_to_simulator,
+)
 
 ROOT = Path(__file__).parent.parent.parent
 
@@ -183,15 +190,15 @@ def test_a_simulator_is_told_through_its_socket(control: Control, tmp_path: Path
     path = tmp_path / "s"
     with ControlSocket(path, control.do):
         assert path.stat().st_mode & 0o777 == 0o600
-        assert tell(path, "trip feeder 50").endswith("TRIP 50")
+        assert send_to_simulator(path, "trip feeder 50").endswith("TRIP 50")
         with pytest.raises(ControlError, match="there is no `jump`"):
-            tell(path, "jump")
+            send_to_simulator(path, "jump")
         with pytest.raises(OSError, match="in use"):
             ControlSocket(path, control.do)
-        assert tell(path, "drives"), "the first still serves"
+        assert send_to_simulator(path, "drives"), "the first still serves"
     assert not path.exists()
     with pytest.raises(FileNotFoundError):
-        tell(path, "drives")
+        send_to_simulator(path, "drives")
 
 
 def test_what_a_dead_simulator_left_is_replaced(control: Control, tmp_path: Path) -> None:
@@ -199,4 +206,4 @@ def test_what_a_dead_simulator_left_is_replaced(control: Control, tmp_path: Path
     with ControlSocket(path, control.do):
         path.rename(tmp_path / "left")
     with ControlSocket(tmp_path / "left", control.do):
-        assert tell(tmp_path / "left", "drives")
+        assert send_to_simulator(tmp_path / "left", "drives")

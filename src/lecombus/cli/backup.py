@@ -120,7 +120,7 @@ async def read_drive(
         drive: The drive.
         also: Further codes; those that neither a description nor the drive knows are left out.
         patience_s: How long to wait, each time, for a line or a drive that is away, seconds.
-        listener: Told how it goes.
+        listener: Shows the progress.
 
     Returns:
         The backup, and what is missing in it for a reason that may pass.

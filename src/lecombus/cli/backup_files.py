@@ -3,8 +3,6 @@
 Strategy: a backup is written beside its place and then takes it, so that there is always a whole
 one; a file that is no backup is never replaced. How far a restore came is kept per line and drive
 in the user's state folder (XDG_STATE_HOME), and locked while a restore is under way.
-
-What must not live here: what stands in the files.
 """
 
 from __future__ import annotations
@@ -60,7 +58,7 @@ def load_backup(path: Path) -> Backup:
 
 
 def digest_of(text: str) -> str:
-    """Return what tells a backup's content from another's."""
+    """Return a digest of a backup's content."""
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

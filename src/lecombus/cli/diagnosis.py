@@ -74,28 +74,30 @@ def _show(why: Document, words: Mapping[str, str]) -> None:
     click.echo(f"{why.get('drive')} ({why.get('family')}, {why.get('state')}): {why.get('answer')}")
     first = [one for one in findings[:1] if one.get("weight") == "reason"]
     for finding in first:
-        _tell(finding, words, indent="  ", told=True)
+        _show_finding(finding, words, indent="  ", is_answer=True)
     for weight, heading in HEADINGS:
         rest = [one for one in findings[len(first) :] if one.get("weight") == weight]
         if rest:
             click.echo(f"{words[heading]}:")
         for finding in rest:
-            _tell(finding, words, indent="  ", told=False)
+            _show_finding(finding, words, indent="  ", is_answer=False)
     _show_history(why, words)
 
 
-def _tell(finding: Document, words: Mapping[str, str], *, indent: str, told: bool) -> None:
-    """Print one finding; `told`: its text stands above already."""
+def _show_finding(
+    finding: Document, words: Mapping[str, str], *, indent: str, is_answer: bool
+) -> None:
+    """Print one finding; `is_answer`: its text was printed as the answer already."""
     marks = [table_text(finding.get("shown_by"))]
     if finding.get("stale"):
         marks.append(words["stale"].format(age=age(finding.get("age_s"))))
     shown = "; ".join(mark for mark in marks if mark.strip())
-    text = "" if told else table_text(finding.get("text"))
+    text = "" if is_answer else table_text(finding.get("text"))
     line = " ".join(part for part in (text, f"[{shown}]" if shown else "") if part)
     if line:
-        click.echo(f"{indent}{'' if told else '- '}{line}")
+        click.echo(f"{indent}{'' if is_answer else '- '}{line}")
     if finding.get("remedy"):
-        click.echo(f"{indent}{'' if told else '  '}{words['do']}: {finding['remedy']}")
+        click.echo(f"{indent}{'' if is_answer else '  '}{words['do']}: {finding['remedy']}")
 
 
 def _show_history(why: Document, words: Mapping[str, str]) -> None:

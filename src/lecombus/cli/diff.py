@@ -92,7 +92,7 @@ async def gather(
 
 
 def is_file(name: str) -> bool:
-    """Tell whether a file is meant.
+    """Return whether a file is meant.
 
     Raises:
         CommandError: It can be both.

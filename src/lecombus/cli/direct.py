@@ -1,4 +1,4 @@
-"""One read through a port of our own, for `lecombus read --port`: no daemon, no roster."""
+"""One read through a port opened by `lecombus read --port`, without daemon and roster."""
 
 from __future__ import annotations
 

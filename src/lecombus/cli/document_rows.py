@@ -42,7 +42,7 @@ _DONE = ("done", "verified")
 _DETAILS = frozenset(
     ("operation_inhibited", "pulses_inhibited", "ramp_done", "below_threshold", "above_threshold")
 )
-"""States that say nothing more to whoever has just told a drive something; `status` has them."""
+"""States that add nothing to the result of a verb; `status` shows them."""
 
 _ATTEMPT = re.compile(r" \(attempt \d+\)")
 
@@ -92,8 +92,8 @@ def shown_value(reading: Document) -> str:
 def quality_of(reading: Document) -> tuple[str, str]:
     """Return how far a value may be trusted, and why not further.
 
-    What is stale only because it was read once, as most parameters are, alarms nobody: its age
-    says it all.
+    A value that is stale only because it was read once, as most parameters are, gets the quality
+    `once`: its age is shown.
     """
     quality, reason = table_text(reading.get("quality")), table_text(reading.get("reason"))
     if quality == "stale" and reason.endswith(NOT_CYCLIC):
@@ -154,8 +154,8 @@ def show_members(report: Document, *, said_once: Sequence[str] = ()) -> None:
     members = members_of(report)
     how = {"multicast": "one multicast", "one-by-one": "one write after another"}
     # One drive gets one telegram: how it would be sent to several says nothing.
-    told = how.get(str(report.get("how")), "") if len(members) > 1 else ""
-    title = f"as {told}: {report.get('outcome')}" if told else ""
+    sent = how.get(str(report.get("how")), "") if len(members) > 1 else ""
+    title = f"as {sent}: {report.get('outcome')}" if sent else ""
     _show_outcomes(members, title=title, without=said_once)
     for key in said_once:
         drives: dict[str, list[str]] = {}
@@ -196,7 +196,7 @@ def _show_outcomes(
 
 
 def _in_general(why: str, drive: str) -> str:
-    """Return a reason without the name, address and attempts that tell drives apart."""
+    """Return a reason without the drive's name, address and number of attempts."""
     return _ATTEMPT.sub("", re.sub(rf"{re.escape(drive)}( \(address \d+\))?", "", why))
 
 

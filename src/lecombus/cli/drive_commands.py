@@ -80,7 +80,7 @@ def accept_command(
 
 
 def _ask_again(daemon: Daemon, drive: str, found: dict[str, str]) -> None:
-    """Ask the drive itself before it is called the one it was: its audit may be long ago."""
+    """Read the identity from the drive again: its audit may be long ago."""
     path = f"/v1/drives/{quote(drive, safe='')}"
     for code in found:
         daemon.get(f"{path}/codes/{code}", fresh="true")
@@ -94,7 +94,11 @@ def _ask_again(daemon: Daemon, drive: str, found: dict[str, str]) -> None:
 def _confirm_identity(
     drive: str, differing: dict[str, str], seen: dict[str, str], *, may_ask: bool
 ) -> None:
-    """See that whoever accepts has seen what is accepted."""
+    """Check that the user has seen the identity that is accepted.
+
+    Raises:
+        CommandError: The user has not, or does not accept it.
+    """
     if not differing:
         return  # nothing was read of it: the daemon says why
     if seen:
@@ -149,8 +153,8 @@ def _confirm_address(known: Document, address: int, *, may_ask: bool) -> None:
         raise CommandError(
             Exit.USAGE, Problem(f"the address of {drive} is not changed unasked", "add --yes")
         )
-    told = ", ".join(f"{code} {text}" for code, text in dict(known.get("identity") or {}).items())
-    click.echo(f"{drive} at address {old} ({known.get('family')}), which is {told or 'unknown'}")
+    labels = ", ".join(f"{code} {text}" for code, text in dict(known.get("identity") or {}).items())
+    click.echo(f"{drive} at address {old} ({known.get('family')}), which is {labels or 'unknown'}")
     states = known.get("states")
     if states is not None:
         named = ", ".join(state.replace("_", " ") for state in states)

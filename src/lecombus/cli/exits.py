@@ -27,7 +27,7 @@ class Exit(IntEnum):
     INTERRUPTED = 130
     """Ctrl-C, as shells count it."""
     PIPE_CLOSED = 141
-    """Nobody reads the output any more, as shells count it."""
+    """The reader of the output is gone, as shells count it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -130,7 +130,7 @@ class BackgroundHandler(logging.Handler):
                 self._write(f"{self.format(_dropped(dropped - self._told))}\n".encode())
                 self._told = dropped
         except (OSError, ValueError):
-            self.dropped += len(lines)  # nobody is there to be told: closed, or disk full
+            self.dropped += len(lines)  # closed, or the disk is full: it cannot be reported
 
 
 class RateLimit(logging.Filter):
@@ -176,7 +176,7 @@ def set_up_logging(level: str, style: str) -> None:
     root.handlers[:] = [handler]
     root.setLevel(logging.WARNING)
     logging.getLogger("lecombus").setLevel(level.upper())
-    for name in ("asyncio", "uvicorn.error"):  # whoever may connect can make these two talk
+    for name in ("asyncio", "uvicorn.error"):  # a client can cause messages of these two
         theirs = logging.getLogger(name)
         theirs.setLevel(logging.ERROR)
         theirs.filters[:] = [RateLimit(events=10, period_s=60.0)]
@@ -198,7 +198,7 @@ def _writer_to(stream: TextIO) -> Callable[[bytes], None]:
         while rest:
             try:
                 rest = rest[os.write(descriptor, rest) :]
-            except BlockingIOError:  # whoever gave us the pipe made it non-blocking
+            except BlockingIOError:  # the pipe was made non-blocking by another process
                 select.select([], [descriptor], [])
 
     return to_descriptor
@@ -248,7 +248,7 @@ def _time_text(unix_s: float) -> str:
 
 
 def _stderr_is_journal() -> bool:
-    """Return whether standard error leads to the journal, as systemd's JOURNAL_STREAM tells."""
+    """Return whether standard error leads to the journal, by systemd's JOURNAL_STREAM."""
     named = os.environ.get("JOURNAL_STREAM", "")
     try:
         status = os.fstat(sys.stderr.fileno())

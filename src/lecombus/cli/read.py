@@ -1,4 +1,4 @@
-"""`lecombus read`: one code of one drive, through the daemon or through a port of its own."""
+"""`lecombus read`: one code of one drive, through the daemon or through a port that it opens."""
 
 from __future__ import annotations
 

@@ -50,8 +50,8 @@ class RebaudOptions:
 
     Args:
         roster: The line and its drives.
-        yes: Nobody need be asked.
-        back: Bring back what was moved if not every drive can be.
+        yes: Do not ask the user.
+        back: Set the moved drives back if not every drive can be moved.
         as_json: Print one JSON document.
     """
 
@@ -117,7 +117,7 @@ def rebaud_command(
 
 
 def _shows_plan(work: Rebaud, options: RebaudOptions, *, dry_run: bool) -> bool:
-    """Whether the plan is told: not beside the one JSON document, or the one list of a pipe."""
+    """Return whether the plan is shown: not beside the JSON document or the list of a pipe."""
     if options.as_json:
         return dry_run and not work.obstacles
     return dry_run or not options.yes or on_terminal()
@@ -127,7 +127,7 @@ def _problems(work: Rebaud) -> list[Problem]:
     return [Problem(one.problem, one.remedy, one.kind, one.drive) for one in work.obstacles]
 
 
-# ---- beforehand ---------------------------------------------------------------------------------
+# ---- checks before ------------------------------------------------------------------------------
 
 
 def _check_words(roster: Roster, old: int, new: int, *, generic: bool) -> None:
@@ -228,7 +228,7 @@ def _ask_drives(work: Rebaud, roster: Roster, *, quiet: bool) -> None:
     """Check every drive.
 
     Raises:
-        CommandError: It came to no end.
+        CommandError: It could not be finished.
     """
     try:
         _carry(work, work.check, roster, Shown("asking drives", Drive.is_seen, quiet=quiet))
@@ -242,7 +242,7 @@ def _ask_drives(work: Rebaud, roster: Roster, *, quiet: bool) -> None:
 
 
 def _do(work: Rebaud, options: RebaudOptions) -> int:
-    """Ask, move, offer the way back, and say how it came out."""
+    """Ask, move the drives, offer to set them back, and show the result."""
     _make_sure(work, options)
     trouble = _try(work, work.move, options, DrivePlace.NEW, work.new)
     went_back = False
@@ -314,7 +314,7 @@ def _make_sure(work: Rebaud, options: RebaudOptions) -> None:
     """Ask, unless the command line has answered already.
 
     Raises:
-        CommandError: Nobody can be asked, or the answer was no.
+        CommandError: The user cannot be asked, or the answer was no.
     """
     if options.yes:
         return
@@ -326,7 +326,7 @@ def _make_sure(work: Rebaud, options: RebaudOptions) -> None:
 
 
 def _wants_back(work: Rebaud, options: RebaudOptions) -> bool:
-    """Ask whether drives are to be brought back; who says nothing wants them to stay."""
+    """Ask whether drives are to be set back; without an answer they stay."""
     if options.back:
         return True
     if options.yes or not _can_be_asked(options):
@@ -340,7 +340,7 @@ def _wants_back(work: Rebaud, options: RebaudOptions) -> bool:
 
 
 def show_plan(work: Rebaud, roster: Roster, *, as_json: bool) -> None:
-    """Say what would be written to whom, and what happens besides."""
+    """Show what would be written to each drive, and what else happens."""
     if as_json:
         click.echo(json.dumps({**_head(work, roster), "ending": "planned", "remedies": []}))
         return
@@ -370,10 +370,10 @@ def _step(drive: Drive, work: Rebaud) -> str:
 
 
 def show_end(work: Rebaud, roster: Roster, trouble: str, *, as_json: bool) -> None:
-    """Say where every drive is, and what to do.
+    """Show where every drive is, and what to do.
 
     Args:
-        work: What came out.
+        work: The result.
         roster: The roster.
         trouble: What ended it early; empty where nothing did.
         as_json: Print one JSON document.

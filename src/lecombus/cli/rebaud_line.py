@@ -1,4 +1,4 @@
-"""A change of baud rate, carried out on a port of our own.
+"""A change of baud rate, carried out on a port opened by the command.
 
 SIGINT and SIGTERM let the exchange under way end; the procedure then begins no further one.
 """
@@ -103,7 +103,7 @@ def _station(subject: Subject, roster: Roster) -> Station:
 
 
 class _Line:
-    """`LineAccess` on a port of our own."""
+    """`LineAccess` on a port opened by the command."""
 
     def __init__(
         self, port: OwnPort, stations: dict[str, Station], watch: Callable[[], None]
@@ -125,7 +125,7 @@ class _Line:
 
 @dataclass(frozen=True, slots=True)
 class _Drive:
-    """`DriveAccess` on a port of our own."""
+    """`DriveAccess` on a port opened by the command."""
 
     line: _Line
     baud: int

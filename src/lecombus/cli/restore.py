@@ -53,7 +53,7 @@ class RestoreOptions:
         drive: The drive.
         other_drive: It is known to be another one.
         dry_run: Only show the plan.
-        yes: Nobody need be asked.
+        yes: Do not ask the user.
         enable: Lift the inhibit at the end if it was enabled before.
         patience_s: How long to wait for what is away, seconds.
         as_json: Print JSON.
@@ -148,7 +148,7 @@ def restore_command(
 
 @contextlib.contextmanager
 def said_when_interrupted(what: str) -> Iterator[None]:
-    """Say what a Ctrl-C leaves behind."""
+    """Print what was done when Ctrl-C interrupts the block."""
     try:
         yield
     except (KeyboardInterrupt, click.Abort):
@@ -202,7 +202,7 @@ def carry_out(
     unsaved = plan.save is not None and before is not None and bool(before.done)
     if not options.as_json:
         show_plan(plan, options.drive, enabled=seen.enabled, enable=options.enable)
-        tell_before(before, notes, options)
+        show_earlier(before, notes, options)
     check(options, seen)
     if not plan.steps and not unsaved:
         notes.finish()
@@ -244,13 +244,13 @@ def carry_out(
 
 
 def left_by(notes: Notes, options: RestoreOptions) -> Progress | None:
-    """Give what an earlier try of this very restore left; another file's is not taken for it."""
+    """Return the progress of an interrupted restore of the same backup; None for another backup."""
     left = notes.left
     return left if left is not None and left.digest == options.digest else None
 
 
-def tell_before(before: Progress | None, notes: Notes, options: RestoreOptions) -> None:
-    """Say that a restore was interrupted before."""
+def show_earlier(before: Progress | None, notes: Notes, options: RestoreOptions) -> None:
+    """Show that an earlier restore was interrupted."""
     if before is not None:
         codes = counted(len(before.done), "code")
         click.echo(f"going on with a restore begun at {before.begun}: {codes} written then")
@@ -265,7 +265,7 @@ def make_sure(options: RestoreOptions) -> None:
     """Ask, unless the command line has answered already.
 
     Raises:
-        CommandError: Nobody can be asked, or the answer was no.
+        CommandError: The user cannot be asked, or the answer was no.
     """
     if options.yes:
         return
@@ -288,10 +288,10 @@ async def work(
     listener: Listener,
     kept: dict[Code, Value],
 ) -> tuple[Restored, str]:
-    """Carry out the plan; `kept` is told of each code that was written, also if it is cut short.
+    """Carry out the plan; `kept` gets each code that was written, also if it is interrupted.
 
     Returns:
-        How it ended, and what ends an enable behind it if the drive is stopped meanwhile.
+        The result, and the mark that refuses an enable after a later stop.
     """
 
     def written(code: Code, value: Value) -> None:
@@ -336,13 +336,13 @@ def show_plan(plan: RestorePlan, drive: str, *, enabled: bool | None, enable: bo
         click.echo(headline(plan, drive))
     rows = [
         (
-            "write", str(step.code), step.name, told(step.now, step.now_means),
-            told(step.value, step.value_means), step.unit or "", step.because,
+            "write", str(step.code), step.name, with_meaning(step.now, step.now_means),
+            with_meaning(step.value, step.value_means), step.unit or "", step.because,
         )
         for step in plan.steps
     ]  # fmt: skip
     rows += [
-        ("skip", str(skip.code), skip.name, "", "", "", skip.why) for skip in worth_telling(plan)
+        ("skip", str(skip.code), skip.name, "", "", "", skip.why) for skip in unexpected_skips(plan)
     ]
     if rows:
         show_rows(("", "code", "name", "now", "then", "unit", "why"), rows)
@@ -366,18 +366,18 @@ def headline(plan: RestorePlan, drive: str) -> str:
     return f"{drive}: " + ", ".join(parts)
 
 
-def worth_telling(plan: RestorePlan) -> list[Skip]:
-    """Give what is left out and somebody might miss: not every process value."""
+def unexpected_skips(plan: RestorePlan) -> list[Skip]:
+    """Return what is left out unexpectedly: no process values and the like."""
     return [skip for skip in plan.skips if not skip.expected]
 
 
-def told(value: Value, meaning: str) -> str:
+def with_meaning(value: Value, meaning: str) -> str:
     """Return a value with its meaning."""
     return f"{value} ({meaning})" if meaning else value.raw
 
 
 def show_result(plan: RestorePlan, result: Restored, drive: str, *, enabled: bool) -> None:
-    """Print how it ended."""
+    """Print the result."""
     rows = [
         (str(code), "refused", plan.wanted[code].raw, "", why)
         for code, why in result.refused.items()
@@ -409,12 +409,12 @@ def show_result(plan: RestorePlan, result: Restored, drive: str, *, enabled: boo
     elif result.inhibited_here and result.inhibited_now:
         click.echo(f"{drive} is inhibited: enable it yourself, when it may move")
     elif result.inhibited_now is not True:
-        told = "is not" if result.inhibited_now is False else "does not say whether it is"
-        click.echo(f"{drive} {told} inhibited now: take it for one that may start", err=True)
+        is_not = "is not" if result.inhibited_now is False else "does not say whether it is"
+        click.echo(f"{drive} {is_not} inhibited now: take it for one that may start", err=True)
 
 
 def show_interrupted(plan: RestorePlan, result: Restored, drive: str) -> None:
-    """Say what a restore that was cut short by Ctrl-C has done, and how to go on."""
+    """Print what a restore that Ctrl-C interrupted has done, and how to continue."""
     written = len(result.written)
     of = f"{written} of {counted(len(plan.steps), 'code')}"
     more = "" if written == len(plan.steps) else "; the one under way may have been written too"

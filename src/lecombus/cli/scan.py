@@ -54,7 +54,7 @@ MEASURED = 5
 """From this number of addresses on, the measured time of an address replaces the computed one."""
 
 ALL_BAUDS = (9600, 19200, 4800, 2400, 1200)
-"""Ex works first, then the one people change to."""
+"""The rate ex works first, then the most usual one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,25 +311,29 @@ def _commonest(found: list[Finding]) -> int:
 
 
 def _socket(name: str) -> str:
-    """Return a socket for a machine on which nobody has made lecombus' own folder."""
+    """Return a socket in the temporary folder where lecombus' folder does not exist."""
     if client.RUNTIME_DIR.is_dir():
         return ""
     return str(Path(tempfile.gettempdir()) / f"{name}.sock")
 
 
 def _state(name: str, roster: Path | None) -> str:
-    """Return a state file, beside the roster, where nobody has made the folder of such files."""
+    """Return a state file beside the roster where the folder of state files does not exist."""
     if os.access(STATE_DIR, os.W_OK | os.X_OK):
         return ""
     folder = roster.parent if roster is not None else Path()
     return str(folder.resolve() / f"{name}.state.json")
 
 
-# ---- what comes of it ---------------------------------------------------------------------------
+# ---- the result ---------------------------------------------------------------------------
 
 
 def _check_output(options: ScanOptions) -> None:
-    """Say before a scan, and not after it, that its result cannot be kept."""
+    """Check before a scan that its result can be written.
+
+    Raises:
+        CommandError: It cannot.
+    """
     if options.output is None:
         return
     if options.output.exists() and not options.force:
@@ -349,7 +353,7 @@ def _check_output(options: ScanOptions) -> None:
 
 
 def _give(options: ScanOptions, scan: Scan, text: str, line: dict[str, Any]) -> None:
-    """Show what was found, and give the roster to whom it was wanted for."""
+    """Print what was found, and write the roster."""
     if options.output is not None:
         with options.output.open("w" if options.force else "x", encoding="utf-8") as file:
             file.write(text)
@@ -396,7 +400,7 @@ def _as_json(one: Finding) -> dict[str, Any]:
 
 
 async def scan_own_port(scan: Scan, line: LineEntry, watch: Watch) -> int:
-    """Scan on a port of our own, reopened for every baud rate.
+    """Scan on a port opened by the command, reopened for every baud rate.
 
     Args:
         scan: The search.
@@ -434,7 +438,7 @@ def scan_by_daemon(scan: Scan, daemon: Daemon, watch: Watch) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _OnOwnPort:
-    """`AddressAccess` on a port of our own."""
+    """`AddressAccess` on a port opened by the command."""
 
     port: OwnPort
     watch: Watch

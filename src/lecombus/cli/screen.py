@@ -35,7 +35,7 @@ _STYLES: Mapping[str, str] = {
 
 
 def on_terminal() -> bool:
-    """Return whether a person is looking."""
+    """Return whether standard output is a terminal."""
     return sys.stdout.isatty()
 
 
@@ -57,7 +57,7 @@ def show_rows(headings: Sequence[str], rows: Iterable[Sequence[str]], *, title: 
 
 
 def show_table(headings: Sequence[str], rows: Iterable[Sequence[str]], *, title: str) -> None:
-    """Print one of several tables: with title and headings, also in a pipe, to tell them apart.
+    """Print one of several tables: with title and headings, also in a pipe, where several follow.
 
     Args:
         headings: One for each column.
@@ -87,7 +87,7 @@ def harmless(text: str) -> str:
 
 
 class Styled(str):
-    """A cell that is shown in a style of its own, on a terminal only.
+    """A cell that is shown in the given style, on a terminal only.
 
     Args:
         text: The cell.

@@ -26,7 +26,7 @@ from lecombus.simulator import (
     TcpEnd,
     build,
     parse_faults,
-    tell,
+    send_to_simulator,
 )
 
 __all__ = ["simulate_command"]
@@ -96,10 +96,10 @@ def simulate_command(
                 end = stack.enter_context(PtyEnd(line, _free_link(pty)))
             else:
                 end = stack.enter_context(TcpEnd(line, _tcp_port(tcp or "0")))
-            told = Control(line, end.lock, end)
+            commands = Control(line, end.lock, end)
             if where is not None:
-                _serve_control(stack, where, told, wanted=control is not None)
-            typed = _listen_to_terminal(told.do)
+                _serve_control(stack, where, commands, wanted=control is not None)
+            typed = _listen_to_terminal(commands.do)
             port = end.path if isinstance(end, PtyEnd) else end.url
             _announce(wanted, port, typed=typed, as_json=as_json)
             signal.sigwait(_ENDS)
@@ -122,12 +122,12 @@ def _check_ends(roster: Path | None, pty: Path | None, tcp: str | None) -> None:
         )
 
 
-def _serve_control(stack: ExitStack, path: Path, told: Control, *, wanted: bool) -> None:
-    """Serve the control socket; one that nobody asked for may be missing, with a word."""
+def _serve_control(stack: ExitStack, path: Path, commands: Control, *, wanted: bool) -> None:
+    """Serve the control socket; without `--control` a failure is only a message."""
     try:
         if len(os.fsencode(path)) > LONGEST_PATH:
             raise OSError(0, f"a socket's path has at most {LONGEST_PATH} characters")
-        stack.enter_context(ControlSocket(path, told.do))
+        stack.enter_context(ControlSocket(path, commands.do))
     except OSError as exc:
         problem = Problem(f"{path} cannot be a control socket: {exc.strerror}",
                           "name a shorter or free path with --control")  # fmt: skip
@@ -151,7 +151,7 @@ def _build(roster: Roster, faults: str, seed: int, *, as_written: bool, digit_of
 
 
 def _check_absent(absent: set[int], roster: Roster) -> None:
-    """Refuse to let drives be away that are not there: whoever writes it means another address."""
+    """Refuse addresses under `absent` that the roster does not have: they are mistakes."""
     there = {entry.address for entry in roster.drives}
     if unknown := absent - there:
         problem = f"no drive of {roster.line.name} has the address {min(unknown)}"
@@ -201,14 +201,14 @@ def _announce(roster: Roster, port: str, *, typed: bool, as_json: bool) -> None:
 
 
 def _control_path(pty: Path | None, control: Path | None) -> Path | None:
-    """Where a simulator is told: as given, or beside its link; None where there is neither."""
+    """Return the control socket: as given, or beside the link; None where there is neither."""
     if control is not None:
         return control
     return pty.with_name(pty.name + ".control") if pty is not None else None
 
 
 def _tell_simulator(path: Path | None, lines: tuple[str, ...], *, as_json: bool) -> None:
-    """Tell a running simulator lines, one after another, and print what it answers.
+    """Send lines to a running simulator, one after another, and print its answers.
 
     As JSON it is printed when all of them are done, or when one is wrong.
 
@@ -218,26 +218,26 @@ def _tell_simulator(path: Path | None, lines: tuple[str, ...], *, as_json: bool)
     if path is None:
         remedy = "give the --pty or the --control that the simulator was started with"
         raise CommandError(Exit.USAGE, Problem("--tell does not know whom to tell", remedy))
-    told: list[dict[str, str]] = []
+    sent: list[dict[str, str]] = []
     try:
         for line in lines:
             answer = _send_line(path, line)
-            told.append({"told": line, "answer": answer})
+            sent.append({"told": line, "answer": answer})
             if answer and not as_json:
                 click.echo(answer)
     finally:
         if as_json:
-            click.echo(json.dumps(told, ensure_ascii=False))
+            click.echo(json.dumps(sent, ensure_ascii=False))
 
 
 def _send_line(path: Path, line: str) -> str:
-    """Tell one line and give the answer.
+    """Send one line and return the answer.
 
     Raises:
         CommandError: The simulator is not there, or says that the line is wrong.
     """
     try:
-        return tell(path, line)
+        return send_to_simulator(path, line)
     except ControlError as exc:
         raise CommandError(Exit.FAILED, Problem(str(exc))) from exc
     except OSError as exc:
@@ -250,7 +250,7 @@ def _listen_to_terminal(do: Callable[[str], str]) -> bool:
     """Do lines typed into the terminal, if this process is in front of one.
 
     Args:
-        do: Does a line, see `Control.do`.
+        do: Carries out a line and returns the answer.
 
     Returns:
         Whether there is such a terminal.

@@ -90,7 +90,7 @@ def _motor(motion: Document) -> str:
 
 
 def _actual(motion: Document) -> str:
-    """Return the speed; where a drive tells no more of it, whether it is 0."""
+    """Return the speed; without one, whether it is 0, as far as the drive shows that."""
     if motion.get("speed"):
         return _speed(motion["speed"])
     zero = motion.get("zero")
@@ -153,10 +153,10 @@ def _show_fault(fault: Document) -> None:
 
 
 def _show_identity(identity: Document) -> None:
-    """Say who a drive is, by its own word."""
+    """Print the identity that a drive reports."""
     if identity:
-        told = ", ".join(f"{code} {table_text(text)}" for code, text in identity.items())
-        click.echo(f"  it says of itself: {told}")
+        labels = ", ".join(f"{code} {table_text(text)}" for code, text in identity.items())
+        click.echo(f"  it says of itself: {labels}")
 
 
 def _why(one: Document) -> str:

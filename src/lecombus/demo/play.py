@@ -3,8 +3,6 @@
 Nothing is staged beyond the drives: their bytes go through port, worker, schedule, store and HTTP
 like those of a cabinet, paced at 9600 baud. The demo enables the drives, gives them setpoints that
 change, and shows what the store says once a second.
-
-What must not live here: anything that `run` does not do too.
 """
 
 from __future__ import annotations
@@ -64,7 +62,7 @@ def run_demo(seconds: float | None, http: str | None) -> int:
     """Run the demo until Ctrl-C, or for so many seconds.
 
     Args:
-        seconds: How long; None: until told to end.
+        seconds: How long; None: until Ctrl-C or SIGTERM.
         http: `HOST:PORT` for the API and `/metrics`, on loopback; port 0: any free one. None:
             `USUAL_PORT`, or any free one where that is in use.
 
@@ -108,7 +106,7 @@ def checked(http: str) -> str:
     """Return what `--http` says with a port that is free, before anything is drawn.
 
     Raises:
-        OperationError: The port is in use. Whatever else is wrong with it is told by the roster.
+        OperationError: The port is in use. Other mistakes are found with the roster.
     """
     host, _, port = http.rpartition(":")
     if host not in ("127.0.0.1", "localhost") or not port.isdecimal() or int(port) > 65535:
@@ -134,7 +132,7 @@ async def _main(roster: Roster, seconds: float | None, socket: Path, said: str) 
             await daemon.main()
             tasks.cancel_scope.cancel()
     finally:
-        view.leave()  # an error, too, is told below the table and with the cursor shown
+        view.leave()  # an error, too, is shown below the table and with the cursor shown
     view.say_goodbye()
 
 

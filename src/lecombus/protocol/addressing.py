@@ -129,7 +129,7 @@ class Code(_Numbers):
         return cls(int(number), int(subcode or 0))
 
     def knows(self, form: Form) -> bool:
-        """Tell whether this code can be addressed in a form at all."""
+        """Return whether this code can be addressed in a form at all."""
         if form is Form.EXTENDED:
             return True
         return self.number <= HIGHEST_STANDARD_CODE and self.subcode == 0
@@ -187,7 +187,7 @@ def field_length(first: int) -> int:
 
 
 def fits_field(start: bytes | bytearray) -> bool:
-    """Tell whether these characters begin (or are) a code field.
+    """Return whether these characters begin (or are) a code field.
 
     Standard: C1 holds a tens count of 0..78, C2 a unit and a page of 0..7. On the last page only
     tens up to 69 are codes (7 * 790 + 699 = 6229). Extended: capital hexadecimal digits.
@@ -205,7 +205,7 @@ def fits_field(start: bytes | bytearray) -> bool:
 
 
 def is_code_field(field: bytes) -> bool:
-    """Tell whether these characters are exactly one code field."""
+    """Return whether these characters are exactly one code field."""
     return len(field) > 1 and len(field) == field_length(field[0]) and fits_field(field)
 
 
@@ -232,12 +232,12 @@ def encode_address(address: int) -> bytes:
 
 
 def is_drive_address(address: int) -> bool:
-    """Tell whether a single drive can have this address: 1..99 without 10, 20 .. 90."""
+    """Return whether a single drive can have this address: 1..99 without 10, 20 .. 90."""
     return 0 < address < 100 and address % 10 != 0
 
 
 def is_group_address(address: int) -> bool:
-    """Tell whether this address reaches a group: 0 all drives, 10, 20 .. 90 one decade each."""
+    """Return whether this address reaches a group: 0 all drives, 10, 20 .. 90 one decade each."""
     return 0 <= address < 100 and address % 10 == 0
 
 

@@ -29,7 +29,7 @@ __all__ = [
 STX: Final = 0x02
 """Start of text."""
 ETX: Final = 0x03
-"""End of text; the character after it is the BCC, whatever it looks like."""
+"""End of text; the next character is the BCC, any value."""
 EOT: Final = 0x04
 """End of the previous transmission: opens every telegram of the host, and ends the answer to an
 unknown code. The manuals' example "EOT = 02hex" is a misprint, as every telegram table shows."""

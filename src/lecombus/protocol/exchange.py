@@ -19,7 +19,7 @@ two the exchange is in one phase::
     FOREIGN  swallowed; after a pause: WAIT                    GARBLED, or ECHO if remembered
 
 PROBE is how `echo: auto` finds out: the host's telegrams begin with EOT and no answer does, so
-the first byte that returns tells; it is remembered only when the whole echo has come. What cannot
+the first byte that returns shows it; it is kept only when the whole echo has come. What cannot
 be this exchange's answer is never handed up. A NAK to a read is one (CMVLC401A 6.1, and devices
 of other makers), but a single byte is easily made by noise: it counts when a pause follows it.
 After a bad answer the exchange goes on listening
@@ -27,8 +27,8 @@ until its deadline: the right answer may still come, and the line must fall sile
 anyone speaks (EDB2102EN 8.3.5).
 
 Silence is proven by looking. A process that was not run for a while finds bytes in its port of
-which it cannot tell when they came, so the caller says until when it knows that nothing had come:
-a pause is one, and an answer a late one, only if somebody looked meanwhile and found nothing.
+whose time is not known, so the caller gives the time until which nothing had come:
+a pause is one, and an answer a late one, only if the port was checked in between and was empty.
 `look_s` says when to look. An answer found after its deadline is in time, because it may have been;
 `overdue_s` says how much older than it seems it may be.
 
@@ -83,7 +83,7 @@ class Ask:
     Args:
         sent: The telegram's bytes as they go out, parity bits included.
         field: The code field a read's answer must repeat; `ACK_FIELD` for a write; empty for a
-            multicast, which nobody answers.
+            multicast, which is not answered.
         request_s: Wire time of the telegram, seconds.
         first_byte_s: The answer must have begun this long after the start, seconds.
         whole_s: The answer must be complete this long after the start, seconds; for a multicast
@@ -105,7 +105,7 @@ class Ask:
 
 @dataclass(slots=True)
 class Result:
-    """What an exchange came to; nobody changes it (freezing it would double what making it costs).
+    """The result of an exchange; not to be changed (freezing would double the cost of making it).
 
     Args:
         kind: How it ended.
@@ -113,11 +113,11 @@ class Result:
         started_s: When the telegram was handed to the port.
         ended_s: When the answer was complete, or the deadline at which it was given up.
         fault: Why it failed, in words; empty when it did not.
-        late: Whole answers to something else that came meanwhile.
+        late: Whole answers to something else that came during the exchange.
         received: The first bytes that could not be used.
         clean: False when anything but echo and answer was heard.
         thought_s: From the end of the request to the first byte of the answer, what the adapter
-            adds included; None: there was no answer, or nobody looked when it would have been late.
+            adds included; None: no answer, or not checked when it would have been late.
         overdue_s: How long after its last moment the exchange was ended, because the process did
             not run: what it brought may be so much older than `ended_s`.
         others: The code fields of those whole answers, `ACK_FIELD` for an acknowledgement.
@@ -161,7 +161,6 @@ class Exchange:
 
     def __init__(self, *, parity: bool, echo: bool | None = None) -> None:
         self._parser = AnswerParser(parity=parity)
-        self._configured_echo = echo
         self.echo: bool | None = echo
         self._phase = _WAIT
         self._ask = Ask(b"", b"", 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -179,10 +178,6 @@ class Exchange:
         self._refused = False
         self.disturbed = False
 
-    def forget_echo(self) -> None:
-        """Find out anew whether the line echoes; after every reopening of a port."""
-        self.echo = self._configured_echo
-
     def begin(
         self, ask: Ask, now_s: float, said_s: float | None = None, *, takes_nak: bool = True
     ) -> None:
@@ -191,7 +186,7 @@ class Exchange:
         Args:
             ask: The telegram, and what is expected after it.
             now_s: Before it was handed over.
-            said_s: After that, from when on its answer is waited for; None: at once.
+            said_s: After that, from when on its answer is waited for; None: immediately.
             takes_nak: A NAK may be a read's answer: none of an earlier exchange may still come.
         """
         self._ask = ask

@@ -6,7 +6,7 @@ searched for, since `?`, `H`, `O` and `S` begin code fields (C150, C240, C310, C
 values, and a BCC may look like any control character. Nothing raises on bytes: what is wrong
 becomes a `BadAnswer` that says why. Every buffer is bounded.
 
-An answer mostly arrives whole, in one call. `AnswerParser` then looks at its fixed places at once
+An answer mostly arrives whole, in one call. `AnswerParser` then checks its fixed positions directly
 (`_whole`), which is several times faster. That path decides nothing by itself: it only takes what
 `fits_field`, `bcc` and `Value.parse` take, gives up in every doubt, and the tests hold it equal
 to the other path for every split. What it made of bytes is kept, since drives answer the same

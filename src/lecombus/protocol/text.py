@@ -41,7 +41,7 @@ class TelegramText:
         self.ended = False
 
     def take(self, char: int) -> Fault | None:
-        """Take the next character before the BCC; tell what is wrong with it."""
+        """Take the next character before the BCC; return what is wrong with it."""
         body = self.body
         body.append(char)
         if len(body) == 1:
@@ -56,7 +56,7 @@ class TelegramText:
         return Fault.TOO_LONG if len(body) - self.field_chars > HIGHEST_VALUE_CHARS else None
 
     def at_value(self) -> bool:
-        """Tell whether the code field is complete and no value has begun."""
+        """Return whether the code field is complete and no value has begun."""
         return len(self.body) == self.field_chars > 0
 
     @property

@@ -14,7 +14,7 @@ Reading takes what a drive may plausibly send, as long as it has one meaning onl
 * VS: `S` and 0 to 240 printable characters. At most 20 are ever sent to a drive.
 * VO: letter `O` and 1 to 120 pairs of hexadecimal digits. The bytes are given in wire order: the
   manuals call the layout Intel order and then list high before low, so what words they form is
-  left to whoever knows the block.
+  left to the caller, who knows the block.
 
 Parsed values are cached by text (a bounded number), since a line reads the same few again and
 again. No telegram and no code is known here.
@@ -101,7 +101,7 @@ class Value:
         return number
 
     def means_same(self, other: Value) -> bool:
-        """Tell whether two values mean the same, such as `35.4` and `35.40`, or `8` and `H0008`."""
+        """Whether two values mean the same, such as `35.4` and `35.40`, or `8` and `H0008`."""
         return self.raw == other.raw or self.number == other.number
 
     @classmethod

@@ -2,13 +2,17 @@
 
 Start reading at `line.SimLine`. The room has its own tables and its own code, from the manuals, and
 shares only control characters and block check with the master's `protocol/`: a mistake made on both
-sides at once would prove nothing.
+sides would prove nothing.
+
+What must not live here: rosters, which the caller maps; and clocks, threads or descriptors in what
+simulates the line and its drives: only the ends (`pty`, `tcp`, `memory`), `pacing` and
+`control_socket` use them.
 """
 
 from __future__ import annotations
 
 from lecombus.simulator.control import Control, ControlError
-from lecombus.simulator.control_socket import LONGEST_PATH, ControlSocket, tell
+from lecombus.simulator.control_socket import LONGEST_PATH, ControlSocket, send_to_simulator
 from lecombus.simulator.drive import LogEntry, SimDrive
 from lecombus.simulator.faults import Faults, LateKind, parse_faults
 from lecombus.simulator.line import SimLine
@@ -33,5 +37,5 @@ __all__ = [
     "TcpEnd",
     "build",
     "parse_faults",
-    "tell",
+    "send_to_simulator",
 ]

@@ -3,8 +3,6 @@
 Strategy: one table names every command with its form and what it does; a line is split into words
 and handed to the command's function with the end's lock held. What is wrong with a line is a
 `ControlError` whose text says what would be right. `unplug 3s` waits in the caller's thread.
-
-Must not live here: where lines come from (control_socket.py, the command line).
 """
 
 from __future__ import annotations
@@ -28,7 +26,7 @@ __all__ = ["Control", "ControlError"]
 
 
 SWAP_S = 10.0
-"""Nobody puts another drive in a drive's place faster, seconds: its master misses it meanwhile."""
+"""The least time of a replacement of a drive, seconds: its master loses it for that time."""
 
 _T = TypeVar("_T")
 
@@ -294,7 +292,7 @@ class _Command:
         least: Least number of words after its name.
         most: Greatest number of them.
         function: Does it.
-        locks: Whether the line is held meanwhile.
+        locks: Whether the line is locked during the command.
     """
 
     form: str

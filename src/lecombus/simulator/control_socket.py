@@ -1,10 +1,8 @@
-"""A Unix socket on which a running simulator is told what shall happen.
+"""A Unix socket that takes commands to a running simulator.
 
 Strategy: one command a connection. The client sends a line and ends its half; the answer is `ok`
-or `error` on a line of its own, then text, then the end. Each connection has a thread, since
+or `error` on one line, then text, then the end. Each connection has a thread, since
 `unplug 3s` takes three seconds. The socket is its owner's alone (mode 0600).
-
-Must not live here: what commands there are (control.py).
 """
 
 from __future__ import annotations
@@ -20,7 +18,7 @@ from typing import Final, Self
 
 from lecombus.simulator.control import ControlError
 
-__all__ = ["LONGEST_PATH", "ControlSocket", "tell"]
+__all__ = ["LONGEST_PATH", "ControlSocket", "send_to_simulator"]
 
 LONGEST_PATH: Final = 107
 """Bytes that a Unix socket's path may have on Linux."""
@@ -33,11 +31,11 @@ class ControlSocket:
     """Serves a control on a Unix socket, from construction until `close`.
 
     Args:
-        path: Where; a socket that nobody serves any more is replaced.
+        path: Where; a socket without a server is replaced.
         do: Does a line, see `Control.do`.
 
     Raises:
-        OSError: It cannot be made there, or somebody serves it.
+        OSError: It cannot be made there, or another process serves it.
     """
 
     def __init__(self, path: Path, do: Callable[[str], str]) -> None:
@@ -97,8 +95,8 @@ class ControlSocket:
             client.sendall(answer.encode())
 
 
-def tell(path: Path, line: str) -> str:
-    """Tell a running simulator one line.
+def send_to_simulator(path: Path, line: str) -> str:
+    """Send one line to a running simulator.
 
     Args:
         path: Its control socket.
@@ -109,7 +107,7 @@ def tell(path: Path, line: str) -> str:
 
     Raises:
         ControlError: It says that the line is wrong or cannot be done.
-        OSError: Nobody serves the socket, or whoever does is no simulator.
+        OSError: The socket has no server, or the server is no simulator.
     """
     with socket.socket(socket.AF_UNIX) as client:
         client.connect(str(path))

@@ -3,8 +3,6 @@
 Strategy: `hear` is given a whole request and the time its last character arrived, and gives the
 answer's characters with the time the drive thinks before it speaks. Writes take effect when they
 are heard, except with the shortened response (C1921), where they come later and may still fail.
-
-Must not live here: when the characters travel, what disturbs them, what a code means.
 """
 
 from __future__ import annotations
@@ -28,12 +26,12 @@ Overrides = Mapping[int, str] | Mapping[tuple[int, int], str] | Mapping[int | tu
 
 _BAUDS: Final = {"0": 9600, "1": 4800, "2": 2400, "3": 1200, "4": 19200}
 _SHORT_S: Final = 0.002
-"""A shortened response comes at once; the manual gives no figure."""
+"""A shortened response comes immediately; the manual gives no figure."""
 
 
 @dataclass(slots=True)
 class LogEntry:
-    """A request that reached the drive; nobody changes it (freezing would double what it costs).
+    """A request that reached the drive; not to be changed (freezing would double its cost).
 
     Attributes:
         time_s: When its last character arrived.
@@ -301,7 +299,7 @@ class SimDrive:
             self.power_cycle(now_s)
 
     def refuse(self, now_s: float) -> Reply:
-        """Answer NAK for no reason of its own; the fault `nak`."""
+        """Answer NAK without a reason; the fault `nak`."""
         self.advance(now_s)
         self.model.feed(now_s)
         self.model.comm_error = CommError.GENERAL

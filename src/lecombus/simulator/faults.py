@@ -3,8 +3,6 @@
 Strategy: `Faults` is a plain record of probabilities (0..1, per telegram) and settings. A line has
 one; a drive may have its own, which then replaces the line's for that drive. `parse_faults` reads
 the short text of the command line, such as `late=0.05:0.5s,noise=0.05,lost=0.02,absent=11+12`.
-
-Must not live here: the doing (spoiling.py, line.py).
 """
 
 from __future__ import annotations
@@ -23,7 +21,7 @@ class LateKind(StrEnum):
     """Where a late answer is held up.
 
     `DRIVE`: the drive thinks longer, and a new EOT still makes it drop the answer. `ADAPTER`: it
-    was on the wire in time and reaches the host late, whatever is said meanwhile. `STUBBORN`: the
+    was on the wire in time and reaches the host late, also after other telegrams. `STUBBORN`: the
     drive speaks late and an EOT does not stop it, so it may speak over others.
     """
 

@@ -2,8 +2,6 @@
 
 The keypad may set what the line may only read, such as the software in C0200 or P420, within the
 limits of the code.
-
-Must not live here: what a value does.
 """
 
 from __future__ import annotations

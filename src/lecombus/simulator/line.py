@@ -5,15 +5,13 @@ when they have arrived. A drive that was asked thinks, then speaks; its characte
 Three queues hold what is under way, each ordered by time: `_incoming` (host to drives), `_events`
 (a drive begins to speak, an adapter lets an answer through), `_outbox` (bytes to the host).
 `_run` works them off in the order of time: how often or how late it is called does not matter.
-A whole request that meets nothing on its way is heard at once, when its last character arrives;
+A whole undisturbed request is processed in one step, when its last character arrives;
 where its single characters matter (echo, drives that think or speak, damage, pieces of a telegram)
-each is heard by itself. Nobody at either end can tell the two apart.
+each is processed by itself. Host and drives see no difference.
 
 A good EOT drops what a drive is thinking about and cuts off what it is saying. The host speaking
 while a drive speaks is a collision: counted, and what the drive says from then on is garbled.
 Unpaced, characters take no time and answers come whole.
-
-Must not live here: threads, clocks, file descriptors.
 """
 
 from __future__ import annotations
@@ -54,19 +52,19 @@ class SimLine:
         seed: Where all chance starts from.
         parity: Whether bytes in and out carry even parity in bit 7 (an 8N1 port).
         paced: Whether characters take their time.
-        think_scale: Factor on the drives' processing times; 0 answers at once.
+        think_scale: Factor on the drives' processing times; 0 answers immediately.
 
     Attributes:
         faults: The line's faults.
         drive_faults: Faults of single drives by address, instead of the line's.
         collisions: How often the host spoke while a drive was speaking.
-        clashes: How often two drives spoke at once, which only stubborn late ones do.
+        clashes: How often two drives sent simultaneously, which only stubborn late ones do.
         aborted: How often an EOT made a drive drop or cut off an answer.
         requests: Whole requests heard on the line.
         host_baud: What the host's port is set to; drives that speak at another rate do not
             understand it. The line's own, unless an end knows better.
         on_request: Called with time and request whenever one was heard; for benches and tests.
-        on_answer: Called with drive, begin and end of its own characters whenever one begins to
+        on_answer: Called with drive, begin and end of its characters whenever one begins to
             speak, before anything cuts it short; for benches and tests.
     """
 
@@ -392,7 +390,7 @@ class SimLine:
             return
         self._speaking = [other for other in self._speaking if other.end_s(self._char_s) > at_s]
         for other in self._speaking:
-            # Two drives at once: neither can be understood from here on.
+            # Two drives send simultaneously: neither can be understood from here on.
             self.clashes += 1
             speech.garbled_from_s = at_s
             if other.garbled_from_s is None:

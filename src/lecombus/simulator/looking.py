@@ -1,7 +1,4 @@
-"""A simulated drive in words, for people who control a running simulator.
-
-Must not live here: what a drive does.
-"""
+"""A simulated drive in words, for people who control a running simulator."""
 
 from __future__ import annotations
 

@@ -4,8 +4,6 @@ Strategy: `MemoryPort` has the shape of the line's `Port` seam and works on the 
 loop with absolute timers, so it runs on a virtual-time loop as on a real one. `MemoryEnd` stands
 for the plug: it opens ports for the line worker, and pulls them off. Only shapes are shared with
 `line/`, which stands above this room and is not imported.
-
-Must not live here: anything that blocks.
 """
 
 from __future__ import annotations
@@ -30,7 +28,7 @@ class MemoryPort:
 
     Args:
         line: The line.
-        receiver: Gets the bytes, and is told once when the port is gone.
+        receiver: Gets the bytes, and is called once when the port is gone.
         name: The line's name, for errors.
         latency_s: How long arriving bytes are gathered before they are handed over together, as a
             USB adapter's latency timer does; 0 hands over each byte when it arrives.
@@ -88,7 +86,7 @@ class MemoryPort:
         return f"sim: {drives} in memory at {self._line.baud} bit/s"
 
     def pull(self) -> None:
-        """Lose the port as when it is unplugged; the receiver is told from the loop."""
+        """Lose the port as when it is unplugged; the receiver is called from the loop."""
         if self._open:
             self.abort()
             error = LineLostError("the simulated line was unplugged", line=self._name)

@@ -6,8 +6,6 @@ and lets the watchdog expire exactly at its deadline, however late it is called.
 the one home of inhibit (bit 9) and quick stop (bit 3): C0040, C0135 and the watchdog change it.
 No manual says whether a read of C0135 shows all that, or only what was written to it last: the
 simulated drives do the one or the other (`word_as_written`).
-
-Must not live here: telegrams, addressing, faults of the line.
 """
 
 from __future__ import annotations
@@ -187,7 +185,7 @@ class Model:
         self._guard = None
 
     def feed(self, now_s: float) -> None:
-        """Note a telegram of the host to this drive: the watchdog starts anew."""
+        """Note a telegram of the host to this drive: the watchdog is started again."""
         self._fed_at_s = now_s
         self._fired = False
 
@@ -240,7 +238,7 @@ class Model:
         return bool(self.control & INHIBIT) or not self.terminal_enable
 
     def pulses_off(self) -> bool:
-        """Whether the power stage is off, for whatever reason."""
+        """Whether the power stage is off, for any reason."""
         return self.inhibited() or bool(self.fault or self.troubles.message)
 
     def stop_wanted(self) -> bool:
@@ -281,7 +279,7 @@ class Model:
             self.reset_fault()
 
     def take_inhibit(self, text: str) -> None:
-        """Take C0040 over: 0 inhibits, 1 enables, whatever the operating mode."""
+        """Take C0040 over: 0 inhibits, 1 enables, in every operating mode."""
         self.control = self.control & ~INHIBIT if text == "1" else self.control | INHIBIT
 
     def trip(self, number: int, *, stays: bool = False) -> None:
@@ -300,7 +298,7 @@ class Model:
         self.steer()
 
     def set_terminal(self, *, high: bool) -> None:
-        """Give the enable terminal a level; LOW inhibits the controller whatever the line says."""
+        """Set the level of the enable terminal; LOW inhibits the controller in any case."""
         self.terminal_enable = high
         self.steer()
 

@@ -3,8 +3,6 @@
 Strategy: the motor runs at a constant rate towards its target, so its speed at any time follows
 from the speed at the last change. Nothing ticks. A frequency is in Hz or, for drives that count in
 rotations, in min-1: the unit is the family's affair.
-
-Must not live here: control words, setpoint sources, codes.
 """
 
 from __future__ import annotations

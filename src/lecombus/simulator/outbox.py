@@ -4,8 +4,6 @@ Strategy: an answer is one `Speech`; its bytes travel as one run, which lies in 
 its next byte arrives. Runs that overlap come through byte by byte, in the order of arrival. Whether
 an EOT cut a speech off, or the host spoke over it, is looked at when a byte is due, because both
 may happen after the bytes were put on their way.
-
-Must not live here: who speaks when.
 """
 
 from __future__ import annotations
@@ -80,7 +78,7 @@ class Outbox:
             base_s: When the first one starts.
             data: The bytes.
             speech: What they are part of; without one they are the host's own echo.
-            char_s: How long each takes; 0: they are all there at once.
+            char_s: How long each takes; 0: all are there immediately.
         """
         self._count += 1
         run = _Run(base_s, char_s, data, speech)

@@ -1,14 +1,12 @@
 """The thread that carries a simulated line's bytes between a file descriptor and time.
 
 Strategy: one thread per end waits in `select` until the next byte is due or the host has sent
-something, whichever is first. Due times are absolute, computed by the line, so lateness of one
+something, the earlier of them. Due times are absolute, computed by the line, so lateness of one
 wake-up never adds to the next; `select` takes microseconds, and the thread asks the kernel for a
 timer slack of 1 us. What is due together is written together.
 
 Threading: the thread holds `lock` while it touches the line; so must anyone else who looks at the
 line or its drives while the end is open. `close` ends the thread and waits for it.
-
-Must not live here: what the descriptor is.
 """
 
 from __future__ import annotations
@@ -29,7 +27,7 @@ __all__ = ["PacedEnd"]
 _PR_SET_TIMERSLACK: Final = 29
 _CHUNK: Final = 4096
 _LOOK_AGAIN_S: Final = 0.005
-"""How soon to look again at a descriptor that nobody has open on the other side."""
+"""How soon to poll a descriptor again whose other side is closed."""
 
 
 class PacedEnd(ABC):
@@ -40,7 +38,7 @@ class PacedEnd(ABC):
 
     Attributes:
         lock: To be held while looking at the line from another thread.
-        overrun: Bytes thrown away because nobody reads.
+        overrun: Bytes thrown away because the reader is too slow or absent.
     """
 
     def __init__(self, line: SimLine) -> None:
@@ -65,7 +63,7 @@ class PacedEnd(ABC):
         """The descriptor has ended; whether to look at the same one again a little later."""
 
     def _host_baud(self) -> int | None:
-        """What the host has set its end to, bit/s; None where that cannot be told."""
+        """What the host has set its end to, bit/s; None where that is not known."""
         return None
 
     def _listener(self) -> int | None:

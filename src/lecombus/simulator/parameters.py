@@ -3,8 +3,6 @@
 Strategy: a family is a table of immutable `Spec` entries; a drive holds only the texts that differ
 from the defaults. Where a value is kept decides what a power cycle does to it: the drive's EEPROM
 keeps it (and wears), the 2102 module and the process image forget it (EDB2102EN 6, 6.1.1).
-
-Must not live here: what a value does to the motor.
 """
 
 from __future__ import annotations

@@ -5,8 +5,6 @@ symlink whose name stays the same. Pulling the plug closes the master: the host 
 it does when an adapter is unplugged; plugging in again makes a new pseudo terminal behind the same
 symlink. The baud rate a host sets counts: at another than the drives' it is not understood. The
 slave is not kept open here, so exclusive use by a host ends when the host closes it.
-
-Must not live here: pacing (pacing.py).
 """
 
 from __future__ import annotations
@@ -32,7 +30,7 @@ _BAUDS: Final = {
     termios.B9600: 9600,
     termios.B19200: 19200,
 }
-"""The rates drives know; a pseudo terminal that nobody has set is at 38400."""
+"""The rates drives know; a new pseudo terminal is at 38400."""
 
 
 class PtyEnd(PacedEnd):
@@ -55,11 +53,6 @@ class PtyEnd(PacedEnd):
     def path(self) -> str:
         """What a host opens: the symlink where there is one, else the slave."""
         return str(self._link) if self._link is not None else self._slave_path
-
-    @property
-    def slave_path(self) -> str:
-        """The present pseudo terminal's own path."""
-        return self._slave_path
 
     def unplug(self) -> None:
         """Pull the plug; what is under way is lost."""
@@ -106,7 +99,7 @@ class PtyEnd(PacedEnd):
         return _BAUDS.get(speed)
 
     def _gone(self) -> bool:
-        # EIO: nobody has the slave open. Somebody may open it any time.
+        # EIO: the slave is not open. It may be opened at any time.
         return True
 
     def _release(self) -> None:

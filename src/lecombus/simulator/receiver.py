@@ -3,10 +3,8 @@
 Strategy: one listener for the whole line, since all drives hear the same characters. A new EOT
 restarts it anywhere except where a BCC stands, which may look like an EOT. Characters with bad
 parity are kept with a mark, because where the damage lies decides what a drive does: a damaged
-address or ENQ is answered by nobody, a damaged code of a read by `?`, a damaged write by NAK
+address or ENQ gets no answer, a damaged code of a read by `?`, a damaged write by NAK
 (EDB2102EN 8.3.1, 8.3.2, 8.3.5).
-
-Must not live here: what a drive does with the request.
 """
 
 from __future__ import annotations
@@ -152,7 +150,7 @@ class Listener:
 
 @lru_cache(maxsize=4096)
 def _whole(data: bytes, parity: bool) -> Heard | None:
-    """Hear a telegram at once: only one EOT, in front, and the request ends with the last byte."""
+    """Process a telegram in one step: one EOT, in front, and the last byte ends the request."""
     listener = Listener(parity=parity)
     heard: Heard | None = None
     for place, byte in enumerate(data):

@@ -5,8 +5,6 @@ around it, so that parity and block check can always notice it: what gets past b
 master, and a test that demands correct values could only be flaky. Never made, for the same reason:
 an ACK out of a NAK, the reverse, or a stray one of the two. One trap is left open on purpose: the
 character after the code may turn into EOT, which looks like "no such code" with something after it.
-
-Must not live here: when anything happens.
 """
 
 from __future__ import annotations
@@ -39,7 +37,7 @@ class Spoiler:
         return chance > 0.0 and self.rng.random() < chance
 
     def answer(self, reply: bytes, faults: Faults) -> bytes:
-        """Put an answer's characters on the wire, with whatever strikes them."""
+        """Put an answer's characters on the wire, with the faults that occur."""
         rng = self.rng
         if len(reply) > 1 and self.happens(faults.bad_bcc):
             reply = reply[:-1] + bytes((reply[-1] ^ 1 << rng.randrange(7),))
@@ -63,7 +61,7 @@ class Spoiler:
         return bytes(self.rng.randrange(256) for _ in range(length))
 
     def garbled(self, data: bytes) -> bytes:
-        """Make what two senders at once look like: every byte is wrong."""
+        """Return what two simultaneous senders look like: every byte is wrong."""
         return bytes(byte ^ self.rng.randrange(1, 256) for byte in data)
 
 

@@ -1,9 +1,7 @@
 """A simulated line behind a TCP port, as a serial device server offers one.
 
 Strategy: listens on 127.0.0.1, serves one client at a time with the same pacing as a pseudo
-terminal, and sends every due byte at once (no Nagle delay).
-
-Must not live here: pacing (pacing.py), Telnet or RFC 2217.
+terminal, and sends every due byte immediately (no Nagle delay).
 """
 
 from __future__ import annotations

@@ -2,9 +2,7 @@
 
 Strategy: a family gives the LECOM fault numbers its manual lists, each with its kind. A TRIP stays
 until it is reset, and a reset does not help while its cause is there. A message or a warning is
-there exactly as long as its cause. Whatever occurs enters the memory, newest first.
-
-Must not live here: how a reset is asked for, and what the words of a family show of a fault.
+there exactly as long as its cause. Every fault enters the memory, newest first.
 """
 
 from __future__ import annotations
@@ -102,7 +100,7 @@ class Troubles:
             self._active.pop(Kind.TRIP, None)
 
     def restart(self) -> None:
-        """Start anew after power was off: what still has its cause occurs again."""
+        """Start again after power was off: what still has its cause occurs again."""
         self._active.clear()
         for number in sorted(self._causes):
             self.occur(number, stays=True)

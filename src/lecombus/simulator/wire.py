@@ -3,9 +3,7 @@
 Lives here: how a code field of standard or extended addressing is read, how a value is written as
 wire text, even parity in bit 7, and the answers a drive can give. The simulator has its own version
 of all this on purpose. The master's `protocol/` must not be imported here, only its control
-characters and the block check: a mistake made in both places at once would prove nothing.
-
-Must not live here: time, drives, faults.
+characters and the block check: the same mistake in both places would prove nothing.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Lines made from plain descriptions: what the command line and tests start from.
-
-Must not live here: rosters, which this room does not know; the caller maps them.
-"""
+"""Lines made from plain descriptions: what the command line and tests start from."""
 
 from __future__ import annotations
 

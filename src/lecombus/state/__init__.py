@@ -2,7 +2,7 @@
 
 `document` is what is kept of each drive: its accepted identity, how often its stored parameters
 were written, and where it was moved to. `file` reads it and puts it on disk so that a power failure
-leaves the old or the new one, never half of one. `keeping` writes it now and then beside the line.
+leaves the old or the new one, never half of one. `keeping` writes it every few seconds.
 
 What must not live here: what any of it means. That is `operations` (identities, wear, readdress).
 """

@@ -1,4 +1,4 @@
-"""Write counts between two savings: appended to a side file at once, so that a crash keeps them.
+"""Write counts between two savings: appended to a side file, so that a crash keeps them.
 
 The state file is written every few seconds, which costs a trip to the disk. A count must not wait
 for that: a process that is killed would lose all of the last seconds. So each count goes into a
@@ -6,10 +6,8 @@ file of its own, `NAME.counts`, as one line that the kernel has as soon as it is
 line holds the whole count and not an increment: reading it twice, or after the state file has it
 too, changes nothing. When the state file was saved the side file is emptied.
 
-Strategy: whoever counts never waits. A thread writes, one line after the other, and a disk that
+Strategy: counting never waits. A thread writes, one line after the other, and a disk that
 hangs holds up that thread alone.
-
-What must not live here: what is counted (`operations.wear`), the state file (`file`).
 """
 
 from __future__ import annotations
@@ -68,7 +66,7 @@ class Counts:
                 state.touch()
 
     def note(self, drive: str, code: str, count: int) -> None:
-        """Have a count written; returns at once."""
+        """Have a count written; returns immediately."""
         self._noted += 1
         self._queue.put((json.dumps([drive, code, count]) + "\n").encode())
         if self._thread is None:
@@ -132,7 +130,7 @@ class Counts:
         os.write(self._opened(), line)
 
     def _opened(self) -> int:
-        """Give the descriptor, of the file that stands there now: somebody may have removed it."""
+        """Give the descriptor, of the file that stands there now: it may have been removed."""
         if self._descriptor is not None and not os.fstat(self._descriptor).st_nlink:
             os.close(self._descriptor)
             self._descriptor = None

@@ -1,10 +1,8 @@
 """What is kept of each drive, and its form in the file.
 
-Strategy: plain mutable facts that whoever owns a subject changes in place and reports by `touch`;
+Strategy: plain mutable facts that their owner changes in place and reports by `touch`;
 the form on disk is made and read here alone, and is checked as strictly as a roster, because the
 file is a border: a person or a failing disk may have changed it.
-
-What must not live here: files, clocks, what the facts mean.
 """
 
 from __future__ import annotations
@@ -66,7 +64,7 @@ class DriveFacts:
     Args:
         identity: What it said of itself when it was accepted, by code.
         accepted_at: When that was, RFC 3339; empty before.
-        writes: Writes that may have reached its memory, by code, for ever.
+        writes: Writes that may have reached its memory, by code, never reset.
         writes_before: The same when the present device was accepted in place of another.
         moved: Where it was moved to, as long as the roster says otherwise.
     """
@@ -94,7 +92,7 @@ class State:
         drives: The facts by the drives' names.
 
     Attributes:
-        counted: Told of each write that was counted: drive, code and the count now.
+        counted: Called for each write that was counted: drive, code and the count now.
     """
 
     def __init__(self, drives: dict[str, DriveFacts] | None = None) -> None:
@@ -159,7 +157,7 @@ class State:
 
 
 def _refuse_newer(text: bytes) -> None:
-    """Tell a file of a later version from a damaged one."""
+    """Return whether it is a file of a later version, not a damaged one."""
     try:
         version = json.loads(text)["version"]
     except (ValueError, TypeError, KeyError, LookupError, RecursionError):

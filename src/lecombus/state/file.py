@@ -5,9 +5,7 @@ the file's name, and the folder is brought to the disk as well. A damaged file i
 it is set aside under its own name with `.damaged` and a number, and said. A file of a later version
 is left alone, and nothing is kept then; so is what is no regular file. Where the path is a link,
 all this is done where it leads, also when there is nothing yet, and the link stays a link; it is
-looked at anew each time.
-
-What must not live here: the event loop (`keeping`), what the content means (`document`).
+checked again each time.
 """
 
 from __future__ import annotations
@@ -45,7 +43,7 @@ class StateFile:
         self.is_usable = path is not None
 
     def load(self) -> State:
-        """Read it; whatever is wrong with it ends in `trouble`, never in an error."""
+        """Read it; every error ends in `trouble`, never in an exception."""
         if self.path is None:
             return State()
         try:
@@ -98,7 +96,7 @@ class StateFile:
             os.close(folder)
 
     def _look_at_folder(self, folder: Path) -> None:
-        """Say at once what the first attempt to write would say later."""
+        """Report now what the first attempt to write would report later."""
         if not folder.is_dir():
             self.is_usable = False
             self.trouble = (

@@ -1,12 +1,10 @@
-"""Writing the state now and then, beside the line and never in its way.
+"""Writing the state every few seconds, without delaying the line.
 
-Strategy: every few seconds the content is made in the event loop, where nobody changes it
-meanwhile, and a thread puts it on disk. What changed since is written the next time, and at the
-end. Write counts are also written at once, into a side file (`counts`). A disk that fails is said
-once per reason, tried again more seldom, and fails nothing else. One that hangs holds up threads:
-that is said while it lasts, at the start nothing is kept then, and the end does not wait for it.
-
-What must not live here: what is kept, how a file is written.
+Strategy: the content is made in the event loop, where it does not change, and a thread writes it
+to the disk. Later changes are written the next time, and at the end. Write counts also go directly
+into a side file (`counts`). A failing disk is logged once per reason, tried again more seldom, and
+fails nothing else. A hanging disk blocks threads: it is logged while it lasts; at the start nothing
+is kept then, and the end does not wait for it.
 """
 
 from __future__ import annotations
@@ -50,7 +48,7 @@ class Keeping:
         path: The file; None: nothing is kept.
 
     Attributes:
-        state: What was read, to be changed by whoever owns a subject.
+        state: What was read, to be changed by the owner of each fact.
     """
 
     def __init__(self, path: Path | None) -> None:
@@ -114,7 +112,7 @@ class Keeping:
         self._took(changes, failures[0] if failures else hangs)
 
     def _load_counts(self) -> Counts | None:
-        """Take the counts that a crash left behind, and have further ones written at once."""
+        """Take the counts that a crash left behind, and have further ones written immediately."""
         if not self._file.is_usable:
             return None
         counts = Counts(self._file.target)

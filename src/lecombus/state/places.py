@@ -1,6 +1,6 @@
 """Opening what stands at a place, if it is a regular file: never a pipe, a device or a folder.
 
-Opening never waits: a pipe without a reader would hold whoever opens it for ever, and a device that
+Opening never waits: a pipe without a reader would block open() without end, and a device that
 is given another name (`/dev/full`, as root) is gone for everybody else.
 """
 

@@ -1,8 +1,6 @@
 """The 82XX families: 820X with its peculiarities, 821X, 822X, 824X and the 8200 vector.
 
 Source: EDB2102EN 3.4, 6.1, 6.3, 6.4, 6.5, 8.2.
-
-Must not live here: what all of them share (inverter82xx).
 """
 
 from __future__ import annotations

@@ -7,8 +7,6 @@ C0135 and C0141 are acknowledged, read back as written, and act on nothing; C004
 Parameters live in RAM until C0003 saves them.
 
 Source: EDB2102EN 3.4, 5, 6.1.3, 8.2.
-
-Must not live here: the 82XX words.
 """
 
 from __future__ import annotations

@@ -2,8 +2,6 @@
 
 Strategy: codes 0..255 hold any decimal number, with standard addressing only and nothing behind
 them. Two of such a device's habits can be set: a bad write is answered by NAK or by nothing.
-
-Must not live here: control words, motors, watchdogs.
 """
 
 from __future__ import annotations

@@ -1,11 +1,9 @@
 """What the 82XX series shares: operating mode, setpoints, parameter sets, words.
 
-Strategy: whatever moves the motor is read from the active parameter set, which bit 12 of C0135
+All that moves the motor is read from the active parameter set, which bit 12 of C0135
 chooses; a write to another set is acknowledged and changes nothing now (EDB2102EN 7).
 
 Source: EDB2102EN 3.4, 6.1, 6.2.1, 6.3, 6.5, 8.2.
-
-Must not live here: what only one of the families does.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """Drives behind a 2102 fieldbus module: what the module itself adds.
 
 Source: EDB2102EN 6.2, 6.3, 8.2.
-
-Must not live here: words and setpoints, which differ by family.
 """
 
 from __future__ import annotations

@@ -1,12 +1,10 @@
 """The SMVector with its RS-485 LECOM module: parameter Pnnn is code 1000 + nnn.
 
 Strategy: the network may write once a terminal enables it and P100 allows it, and then as far as
-P420 says; stops pass whatever these are. P425 and P426 are its watchdog and survive a power cycle,
+P420 says; stops are always accepted. P425 and P426 are its watchdog and survive a power cycle,
 since they are drive parameters.
 
 Source: CMVLC401A 4.1, 4.2, 7.2, 7.3, 8.1 (table 9), 9.1, 10.2.
-
-Must not live here: anything of the 2102 module.
 """
 
 from __future__ import annotations
@@ -104,7 +102,7 @@ class SMVector(Model):
         self.messages = 0
 
     def _command(self, number: int, other: int, text: str) -> None:
-        """C0140 and C1061 both command the frequency: whichever is written last."""
+        """C0140 and C1061 both command the frequency: the one written last acts."""
         self.params.set(other, text)
         if number == 140 and text == "0" and self.params.text(1420) == "4":
             self.control |= QSP

@@ -4,8 +4,6 @@ Strategy: `default` is the setting the maker ships. Where the manual prints none
 controllers' own codes that it only mentions, the value is what such a drive commonly shows.
 
 Source: EDB2102EN 3.4, 5, 6, 8.2.
-
-Must not live here: what a value does.
 """
 
 from __future__ import annotations

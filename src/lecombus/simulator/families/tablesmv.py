@@ -5,8 +5,6 @@ for C0200 and C0201; all else is a decimal number. It mentions further parameter
 limits (P100, P103, ..): these have what such a drive commonly has.
 
 Source: CMVLC401A 4.1, 4.2, 7.2, 8.1 (table 9), 9.1..9.4.
-
-Must not live here: what a value does.
 """
 
 from __future__ import annotations
