@@ -1,11 +1,19 @@
 """What holds for every test.
 
 A test on the real clock shares its machine with whatever else runs there: a processor taken away
-for half a second can make a right program miss a real time-out. Such a test that fails is run twice
-more, and the run says so at its end; it fails if it fails three times. Tests of pure rooms and of
-whole lines on the virtual clock are never repeated: what fails there once is wrong.
+for half a second can make a right program miss a real time-out. The files of such tests say so
+(`pytestmark = pytest.mark.clock`, or `real`). A test of theirs that fails is run twice more, and
+the run says so at its end; it fails if it fails three times. All other tests are never repeated:
+what fails there once is wrong. That they use no real clock is seen to here (`USES`).
 """
 
+import asyncio
+import os
+import socket
+import subprocess
+import time
+from collections.abc import Callable, Generator
+from functools import wraps
 from pathlib import Path
 
 import hypothesis
@@ -19,8 +27,19 @@ HERE = Path(__file__).parent
 
 REPEATED = 2
 
-ON_THE_CLOCK = frozenset({"api", "cli", "demo", "line", "real", "simulator"})
-"""Folders whose tests may open sockets, pseudo terminals and processes."""
+ON_THE_CLOCK = ("clock", "real")
+"""The marks of files whose tests may wait on the real clock."""
+
+USES: tuple[tuple[object, str, Callable[..., bool]], ...] = (
+    (time, "sleep", lambda *_: True),
+    (os, "openpty", lambda *_: True),
+    (socket.socket, "bind", lambda *_: True),
+    (socket.socket, "connect", lambda *_: True),
+    (asyncio.BaseEventLoop, "call_at", lambda *_: True),  # the virtual loop has one of its own
+    (subprocess.Popen, "wait", lambda _, timeout=None: timeout is not None),
+    (subprocess.Popen, "communicate", lambda _, data=None, timeout=None: timeout is not None),
+)
+"""What waits on the real clock, and with which arguments."""
 
 COUNTED = "counted"
 """The property under which a test leaves a line that the run shows at its end."""
@@ -29,14 +48,52 @@ LEAST_TIMEOUT_S = 60
 """For tests marked `real`: processes are started there, on a machine that may be busy."""
 
 
+used: set[str] = set()
+"""What the test that runs now has used of `USES`."""
+
+
+def pytest_configure() -> None:
+    for owner, name, waits in USES:
+        setattr(owner, name, _noted(getattr(owner, name), name, waits))
+
+
+def _noted(
+    usual: Callable[..., object], name: str, waits: Callable[..., bool]
+) -> Callable[..., object]:
+    @wraps(usual)
+    def noting(*args: object, **more: object) -> object:
+        if name not in used and waits(*args, **more):
+            used.add(name)
+        return usual(*args, **more)
+
+    return noting
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
-        on_the_clock = item.path.relative_to(HERE).parts[0] in ON_THE_CLOCK
         real = item.get_closest_marker("real") is not None
-        if on_the_clock or real:
+        if is_on_the_clock(item):
             item.add_marker(pytest.mark.flaky(reruns=REPEATED, reruns_delay=1))
         if real and item.get_closest_marker("timeout") is None:
             item.add_marker(pytest.mark.timeout(LEAST_TIMEOUT_S))
+
+
+def is_on_the_clock(item: pytest.Item) -> bool:
+    """Whether a test may wait on the real clock."""
+    return any(item.get_closest_marker(mark) is not None for mark in ON_THE_CLOCK)
+
+
+def pytest_runtest_setup() -> None:
+    used.clear()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None]:
+    result = yield
+    if used and not is_on_the_clock(item):
+        names = ", ".join(sorted(used))
+        pytest.fail(f"it waits on the real clock ({names}): its file must be marked", pytrace=False)
+    return result
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

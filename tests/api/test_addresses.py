@@ -15,7 +15,7 @@ from lecombus.protocol.values import Value
 from openapi.answer_models import HeardDocument
 from support.api_line import Line
 
-pytestmark = pytest.mark.anyio
+pytestmark = [pytest.mark.anyio, pytest.mark.clock]
 
 PATH = "/v1/line/addresses/23/codes"
 

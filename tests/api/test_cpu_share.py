@@ -11,7 +11,7 @@ import pytest
 
 from lecombus.api.start_queue import LONGEST_REST_S, CpuShare
 
-pytestmark = pytest.mark.anyio
+pytestmark = [pytest.mark.anyio, pytest.mark.clock]
 
 
 class Processor:

@@ -11,7 +11,7 @@ from lecombus.protocol.values import Value
 from lecombus.readings import DriveState
 from support.api_line import FREQUENCY, Line
 
-pytestmark = pytest.mark.anyio
+pytestmark = [pytest.mark.anyio, pytest.mark.clock]
 
 
 class Press:

@@ -37,7 +37,7 @@ from openapi.answer_models import (
 )
 from support.api_line import FREQUENCY, STATUS, Line
 
-pytestmark = pytest.mark.anyio
+pytestmark = [pytest.mark.anyio, pytest.mark.clock]
 
 
 async def test_a_stored_value_is_given_exactly_as_the_drive_said_it(

@@ -17,7 +17,7 @@ from lecombus.schedule.request import Outcome
 from openapi.answer_models import VerbDocument
 from support.api_line import Line
 
-pytestmark = pytest.mark.anyio
+pytestmark = [pytest.mark.anyio, pytest.mark.clock]
 
 PATH = "/v1/drives/feeder/verbs/"
 

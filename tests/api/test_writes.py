@@ -20,7 +20,7 @@ from lecombus.schedule.request import Outcome, Priority
 from openapi.answer_models import GroupOutcomeDocument, OutcomeDocument
 from support.api_line import FREQUENCY, Line
 
-pytestmark = pytest.mark.anyio
+pytestmark = [pytest.mark.anyio, pytest.mark.clock]
 
 SETPOINT = "/v1/drives/feeder/codes/C0046"
 

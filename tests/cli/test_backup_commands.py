@@ -22,6 +22,8 @@ from lecombus.drives import family
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 
+pytestmark = pytest.mark.clock
+
 DRIVE = "/v1/drives/feeder"
 READ = "?fresh=true&priority=background"
 

@@ -12,6 +12,8 @@ from cli.conftest import Run
 from cli.daemon_stub import DaemonStub
 from lecombus.cli import drive_commands
 
+pytestmark = pytest.mark.clock
+
 OLD, NEW = {"C1810": "OLD", "C1811": "x"}, {"C1810": "NEW", "C1811": "x"}
 
 

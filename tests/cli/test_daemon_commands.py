@@ -11,6 +11,8 @@ from cli.daemon_stub import DaemonStub
 from lecombus.cli import status
 from lecombus.cli.screen import mark
 
+pytestmark = pytest.mark.clock
+
 READING = (
     '{"drive": "feeder", "code": "C0046", "subcode": 0, "name": "frequency setpoint",'
     ' "value": 50.10, "raw": "50.10", "format": "VD", "unit": "Hz", "quality": "good",'

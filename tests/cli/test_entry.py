@@ -21,6 +21,8 @@ from cli.conftest import Run
 from lecombus.cli import entry
 from lecombus.errors import CodeValueError, LineLostError, OperationError
 
+pytestmark = pytest.mark.clock
+
 ROSTER = """\
 line: {name: hall-3, port: /dev/null-1, baud: 19200}
 drives:

@@ -14,6 +14,8 @@ from lecombus.cli import client
 from lecombus.cli.client import find_daemon
 from lecombus.cli.exits import CommandError, Exit
 
+pytestmark = pytest.mark.clock
+
 
 @pytest.fixture
 def runtime_dir(short_dir: Path, monkeypatch: pytest.MonkeyPatch) -> Path:

@@ -20,6 +20,8 @@ from lecombus.cli.logs import (
     set_up_logging,
 )
 
+pytestmark = pytest.mark.clock
+
 
 def record(message: str, level: int = logging.INFO) -> logging.LogRecord:
     made = logging.LogRecord("lecombus.line.worker", level, "x.py", 1, message, None, None)

@@ -20,6 +20,8 @@ from lecombus.metrics.rolling_window import RollingWindow
 from lecombus.protocol.addressing import Code
 from lecombus.schedule.request import Priority
 
+pytestmark = pytest.mark.clock
+
 ROSTER = """\
 line: {name: l, port: "sim:"}
 drives:

@@ -26,6 +26,8 @@ from lecombus.line.loop import run as run_loop
 from lecombus.rebaud import LineAccess, Subject
 from support.rebauding import RebaudLine, Step, Write
 
+pytestmark = pytest.mark.clock
+
 ROSTER = """\
 line: {{name: bench, port: {port}}}
 drives:

@@ -23,6 +23,8 @@ from lecombus.cli import scan
 from lecombus.config import load_roster
 from lecombus.protocol import bcc
 
+pytestmark = pytest.mark.clock
+
 NINE = """\
 line: {name: hall-3, port: "sim:", baud: 19200}
 drives:

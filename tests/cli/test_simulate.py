@@ -16,6 +16,8 @@ import pytest
 
 from cli.conftest import Run
 
+pytestmark = pytest.mark.clock
+
 ROSTER = """\
 line: {name: hall-3, port: "sim:", baud: 19200}
 drives:

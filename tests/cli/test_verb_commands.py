@@ -9,6 +9,8 @@ import pytest
 from cli.conftest import Run
 from cli.daemon_stub import DaemonStub
 
+pytestmark = pytest.mark.clock
+
 ENABLED = (
     '{"drive": "feeder", "verb": "enable", "outcome": "verified", "reason": null, "cause": null, '
     '"remedy": null, "states": ["ready", "quick_stop", "ramp_done"], "written": [], '

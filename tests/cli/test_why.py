@@ -10,6 +10,8 @@ from cli.conftest import Run
 from cli.daemon_stub import DaemonStub
 from lecombus.cli import diagnosis
 
+pytestmark = pytest.mark.clock
+
 DOCUMENT = {
     "drive": "feeder", "family": "8200vector", "state": "online", "reason": None,
     "since": "2026-11-21T10:15:02.113Z", "answer": "trip OH (50): heat sink too hot",

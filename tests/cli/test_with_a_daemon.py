@@ -15,6 +15,8 @@ import pytest
 
 from cli.conftest import Run
 
+pytestmark = pytest.mark.clock
+
 
 @contextmanager
 def running(folder: Path) -> Iterator[subprocess.Popen[str]]:

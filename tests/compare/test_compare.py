@@ -17,6 +17,8 @@ from compare.requests import corpus, get
 from compare.rosters import RIGHT, WRONG, written
 from compare.trees import ROOT, Side
 
+pytestmark = pytest.mark.clock
+
 CHANGES = (
     ("cycle", "{code: C0150, every_ms: 1000}", "{code: C0150, every_ms: 900}"),
     ("header", '"no-store"', '"no-cache"'),

@@ -12,6 +12,8 @@ import pytest
 from lecombus.line import devices
 from lecombus.line.no_answers import others_at
 
+pytestmark = pytest.mark.clock
+
 
 @pytest.fixture
 def terminal() -> Iterator[str]:

@@ -15,6 +15,8 @@ import pytest
 
 from lecombus.line.loop import FineSelector, new_event_loop, run
 
+pytestmark = pytest.mark.clock
+
 
 @pytest.fixture
 def loop() -> Iterator[asyncio.AbstractEventLoop]:

@@ -14,6 +14,8 @@ from lecombus.line.port import PortSettings
 from lecombus.line.serial_port import SerialPort
 from lecombus.line.tcp_port import TcpPort
 
+pytestmark = pytest.mark.clock
+
 
 class Deaf:
     """A receiver that is told nothing in these tests."""

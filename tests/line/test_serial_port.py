@@ -30,6 +30,8 @@ from lecombus.line.port import Direction, Parity, Port, PortSettings
 from lecombus.line.serial_port import PseudoPort, RtsSerialPort, SerialPort, open_serial
 from support.heard import Heard
 
+pytestmark = pytest.mark.clock
+
 EVERY_BYTE = bytes(range(256))
 TIOCGEXCL = 0x80045440
 

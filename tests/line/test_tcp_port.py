@@ -21,6 +21,8 @@ from lecombus.line.port import Parity, PortSettings
 from lecombus.line.tcp_port import TcpPort, host_and_port, open_tcp
 from support.heard import Heard
 
+pytestmark = pytest.mark.clock
+
 EVERY_BYTE = bytes(range(256))
 
 

@@ -306,6 +306,7 @@ def test_windows_render_only_what_a_scrape_wants() -> None:
     assert b"lecombus_drive_up" in hall.metrics.page(openmetrics=False)
 
 
+@pytest.mark.clock
 @pytest.mark.anyio
 async def test_a_scrape_on_an_idle_line_renders_the_page_itself() -> None:
     hall = Hall()
@@ -313,6 +314,7 @@ async def test_a_scrape_on_an_idle_line_renders_the_page_itself() -> None:
     assert page.endswith(b"# EOF\n")
 
 
+@pytest.mark.clock
 @pytest.mark.anyio
 async def test_a_scrape_takes_the_page_that_a_window_rendered() -> None:
     hall = Hall()

@@ -17,6 +17,8 @@ from lecombus.simulator import (
     send_to_simulator,
 )
 
+pytestmark = pytest.mark.clock
+
 ROOT = Path(__file__).parent.parent.parent
 
 

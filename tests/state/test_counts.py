@@ -33,6 +33,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 """Counts as a line writes, a drive every 20 ms, and is killed."""
 
 
+@pytest.mark.clock
 def test_a_process_that_is_killed_loses_one_count_at_most(tmp_path: Path) -> None:
     path = tmp_path / "hall.json"
     for killed in (1, 2):
@@ -111,6 +112,7 @@ def make_socket(path: Path) -> None:
 NO_FILES: list[Callable[[Path], None]] = [os.mkfifo, make_device, make_socket, Path.mkdir]
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize("make", NO_FILES)
 @pytest.mark.parametrize("name", ["hall.json", ".hall.json.new", "hall.json.counts"])
 def test_what_is_no_regular_file_is_neither_waited_for_nor_given_another_name(
@@ -162,6 +164,7 @@ def hung() -> Iterator[threading.Event]:
     goes_on.set()
 
 
+@pytest.mark.clock
 def test_a_disk_that_hangs_while_saving_is_remarked_and_holds_up_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hung: threading.Event
 ) -> None:
@@ -238,12 +241,14 @@ anyio.run(main)
 """
 
 
+@pytest.mark.clock
 def test_the_process_ends_while_a_disk_hangs_that_has_been_written_to(tmp_path: Path) -> None:
     words = [sys.executable, "-c", HANGING, str(tmp_path / "hall.json")]
     done = subprocess.run(words, timeout=30, check=False)  # before, it never ended
     assert done.returncode == 0
 
 
+@pytest.mark.clock
 def test_a_disk_that_hangs_at_the_start_is_remarked_and_nothing_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hung: threading.Event
 ) -> None:

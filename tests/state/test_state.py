@@ -163,6 +163,7 @@ def test_a_file_of_a_later_version_is_neither_used_nor_touched(tmp_path: Path) -
         State.parse(b"7")
 
 
+@pytest.mark.clock
 def test_a_folder_that_is_not_there_fails_nothing(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -185,6 +186,7 @@ def test_a_folder_that_is_not_there_fails_nothing(
     assert [record.getMessage().split()[0] for record in caplog.records] == ["event=state-not-kept"]
 
 
+@pytest.mark.clock
 def test_changes_are_written_beside_the_line_and_at_the_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
