@@ -30,12 +30,17 @@ REPEATED = 2
 ON_THE_CLOCK = ("clock", "real")
 """The marks of files whose tests may wait on the real clock."""
 
+
+def _always(*_: object, **__: object) -> bool:
+    return True
+
+
 USES: tuple[tuple[object, str, Callable[..., bool]], ...] = (
-    (time, "sleep", lambda *_: True),
-    (os, "openpty", lambda *_: True),
-    (socket.socket, "bind", lambda *_: True),
-    (socket.socket, "connect", lambda *_: True),
-    (asyncio.BaseEventLoop, "call_at", lambda *_: True),  # the virtual loop has one of its own
+    (time, "sleep", _always),
+    (os, "openpty", _always),
+    (socket.socket, "bind", _always),
+    (socket.socket, "connect", _always),
+    (asyncio.BaseEventLoop, "call_at", _always),  # the virtual loop has one of its own
     (subprocess.Popen, "wait", lambda _, timeout=None: timeout is not None),
     (subprocess.Popen, "communicate", lambda _, data=None, timeout=None: timeout is not None),
 )
