@@ -61,9 +61,7 @@ def test_a_stop_whose_acknowledgement_is_an_old_one_is_believed_only_when_read_b
         rig.line["a"].model.preset(40, "1")
         rig.line.drive_faults[2] = Faults(late=1.0, late_s=(0.2, 0.2))
         rig.write("b", 12, "7")
-        await until(
-            lambda: bool(rig.worker.exchange_loop._deferred.reports) or bool(rig.seen.reports)
-        )
+        await until(lambda: rig.worker.exchanges == 1)
         rig.line.drive_faults[1] = Faults(unheard=1.0)
         ended = stop(rig, "a")
         await ended.done.wait()
@@ -78,9 +76,7 @@ def test_an_acknowledgement_believed_by_a_stop_leaves_the_doubt_alive() -> None:
     async def test(rig: Rig) -> None:
         rig.line.drive_faults[2] = Faults(late=1.0, late_s=(0.45, 0.45))
         rig.write("b", 12, "7")
-        await until(
-            lambda: bool(rig.worker.exchange_loop._deferred.reports) or bool(rig.seen.reports)
-        )
+        await until(lambda: rig.worker.exchanges == 1)
         rig.line.drive_faults[1] = Faults(late=1.0, late_s=(0.4, 0.4))
         await anyio.sleep(0.35)
         ended = stop(rig, "a")
