@@ -145,7 +145,7 @@ class Bench:
         return asked_s
 
 
-async def learn_nothing(self: object, name: str) -> None:
+async def learn_nothing(self: object, drive: object) -> None:
     """Instead of what a drive is asked once, in the background, after it has come online.
 
     It waits ahead of the thousand reads, and its answers are shorter than theirs.

@@ -248,8 +248,8 @@ MUTANTS: dict[str, Mutant] = {
     "no drive is ever offline": Mutant(
         Health,
         "_missed",
-        "if record.misses >= (",
-        "if record.misses >= 1000 + (",
+        "if health.misses >= (",
+        "if health.misses >= 1000 + (",
         (2,),
         quick=True,
     ),
@@ -280,7 +280,7 @@ MUTANTS: dict[str, Mutant] = {
     "a drive that is back is not audited": Mutant(
         WatchdogAudit,
         "settle",
-        "await self._audit_watchdog(entry, station, traits, action)",
+        "await self._audit_watchdog(drive, station, traits, action)",
         "pass",
         (146, 102, 162),
         quick=True,

@@ -123,7 +123,7 @@ def bear(seconds: float, *, settled: bool = False, told: list[str] | None = None
 
 
 def misses(daemon: Daemon) -> dict[str, float]:
-    """How often the keeper reckons that a drive which is there was fed too late."""
+    """How often the supervisor reckons that a drive which is there was fed too late."""
     counts = daemon.metric("lecombus_watchdog_misses_total")
     return {
         name: counts[f'lecombus_watchdog_misses_total{{line="test",drive="{name}"}}']

@@ -1,6 +1,6 @@
 """A line on the virtual clock: a bare worker, or a whole site, over simulated drives in memory.
 
-`Rig` is schedule and worker without store, keeper and roster, for looking at telegrams and
+`Rig` is schedule and worker without store, supervisor and roster, for looking at telegrams and
 outcomes; `Plant` is a whole `LineRuntime` of a roster. Both are entered inside `virtual_loop.run`.
 What passes is noted; a `Watch` given in place of the notes gets it instead, as in the proof.
 """
