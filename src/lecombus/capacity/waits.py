@@ -3,7 +3,7 @@
 Method: non-preemptive response-time analysis for fixed priorities (`demand_bound`, with its
 papers): a request waits for the exchange under way and for the work that goes before it, and the
 smallest fixed point of that sum bounds its wait. What goes before it follows from the schedule's
-own rules (`schedule.choice`, `schedule.shares`), class by class:
+own rules (`schedule.arbiter`, `schedule.shares`), class by class:
 
 * *Stop*: the exchange under way, until its answer is given up.
 * *Control and interactive*: the exchange under way, and feeds; the lost answer may also be that of
