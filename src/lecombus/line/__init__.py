@@ -1,8 +1,11 @@
-"""The line: everything that touches the bus.
+"""The line: everything that uses the bus.
 
-Read `worker` first: one exchange at a time, for as long as the daemon lives. `port` is the seam to
-what carries the bytes, with `serial_port` and `tcp_port` behind it and `opening` choosing between
-them; `jobs` says what is said to get a request done, `prepared_telegrams` puts it into telegrams,
-`late_replies` knows which late answers may still come, `port_connection` opens and reopens. `loop`
-is the event loop whose timers are accurate enough for a turnaround.
+Start with `worker`: it owns the port and runs one exchange at a time (`exchange_loop`). `port` is
+the interface to what carries the bytes; `serial_port` and `tcp_port` implement it, `opening`
+chooses one, `port_connection` opens and reopens it. `jobs` and `stop_job` give the steps of a
+request and `prepared_telegrams` makes their telegrams. `late_replies` deals with late answers.
+`loop` is the event loop, with timers accurate enough for a turnaround.
+
+What must not live here: the order of requests (`schedule`), who is stopped (`operations`), what is
+known about the drives (`store`). Ports neither interpret telegrams nor reopen themselves.
 """

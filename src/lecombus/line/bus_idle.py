@@ -1,9 +1,8 @@
-"""When the line may be spoken on again: turnaround, quarantine, and bytes nobody asked for.
+"""When the bus may be used again: turnaround, quarantine, and unsolicited bytes.
 
-After every answer the drives are left the turnaround. After an exchange without its answer the
-line must have been silent for as long as the old answer could still come (quarantine). Bytes that
-come meanwhile put the end of the silence off, but not for ever: a line that never falls silent
-would otherwise leave everybody waiting.
+After each answer the turnaround is kept. After an exchange without its answer nothing is sent while
+that answer could still come (quarantine). Bytes received during the quarantine extend it, up to a
+limit: otherwise a line with constant noise would never send again.
 
 Pure: the time is an argument. Source: EDB2102EN 8.3.5 (time monitoring).
 """
@@ -13,27 +12,27 @@ from __future__ import annotations
 __all__ = ["BusIdleTimer"]
 
 AFTER_OPEN_S = 0.05
-"""Silence kept after opening a port: what an adapter had buffered comes out and is dropped."""
+"""Quarantine after opening a port, seconds: bytes that an adapter had buffered are dropped."""
 
 LONGEST_CHATTER_S = 1.0
-"""For so long bytes nobody asked for put off the next telegram; longer than any late answer."""
+"""Limit of the delay by unsolicited bytes, seconds; longer than any late answer."""
 
 
 class BusIdleTimer:
-    """Keeps the pauses of one line.
+    """Calculates when one line may send.
 
     Args:
         turnaround_s: Least pause between the end of an answer and the next telegram, seconds.
 
     Attributes:
-        free_at_s: Nothing at all is said before this.
-        quiet_until_s: Nothing but a stop is said before this.
+        free_at_s: End of the turnaround; nothing is sent before it.
+        quiet_until_s: End of the quarantine; only a stop is sent before it.
     """
 
     def __init__(self, turnaround_s: float) -> None:
         self._turnaround_s = turnaround_s
         self._chatter_ends_s = 0.0
-        self._least_until_s = 0.0  # without what it was drawn out by
+        self._least_until_s = 0.0  # without extended listen
         self._heard_s = self._gave_up_s = -LONGEST_CHATTER_S
         self.free_at_s = 0.0
         self.quiet_until_s = 0.0
@@ -47,7 +46,7 @@ class BusIdleTimer:
         self._quarantine(now_s, AFTER_OPEN_S)
 
     def exchange_ended(self, ended_s: float) -> None:
-        """An exchange ended, however it did."""
+        """An exchange ended, with or without its answer."""
         self.free_at_s = ended_s + self._turnaround_s
 
     def answer_missing(self, ended_s: float, quarantine_s: float) -> None:
@@ -55,19 +54,19 @@ class BusIdleTimer:
         self._quarantine(ended_s, quarantine_s)
 
     def draw_out(self, until_s: float) -> None:
-        """Be silent longer, to hear an answer that is very late."""
+        """Extend the quarantine, to receive an answer that is very late."""
         self.quiet_until_s = until_s
         self._chatter_ends_s = until_s + LONGEST_CHATTER_S
 
     def cut_short(self, at_s: float) -> None:
-        """Draw it out no longer than until a time."""
+        """End the extension at this time at the latest."""
         self.quiet_until_s = min(self.quiet_until_s, max(at_s, self._least_until_s))
 
     def give_up(self, now_s: float) -> None:
-        """Wait for no end of what comes: it is longer than any answer.
+        """End the quarantine although bytes still come: they are longer than any answer.
 
-        The next telegram's EOT silences the drive that says it (EDB2102EN 8.3). If that did not
-        help just now, the drive does not hear it: then others only collide with it.
+        The EOT of the next telegram stops the drive that sends them (EDB2102EN 8.3). If that was
+        tried within the last second, the drive does not receive it, and the quarantine is kept.
         """
         if now_s - self._gave_up_s < LONGEST_CHATTER_S:
             return
@@ -83,8 +82,8 @@ class BusIdleTimer:
 
         Args:
             now_s: When.
-            gap_s: After so much silence they are over, seconds.
-            nothing_in_doubt: They were the late answer that was waited for: no need to wait more.
+            gap_s: They end with a gap of this length, seconds.
+            nothing_in_doubt: They completed the last late answer: the quarantine may end.
         """
         if now_s - self._heard_s > gap_s:
             self._chatter_ends_s = max(self._chatter_ends_s, now_s + LONGEST_CHATTER_S)

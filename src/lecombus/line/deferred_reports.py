@@ -1,14 +1,11 @@
-"""What is left to tell after an exchange, kept until the line need not wait for it.
+"""Bookkeeping of an exchange, postponed until the next telegram was sent.
 
-Between an answer and the next telegram the line waits for whatever the worker does; so a read that
-brought its value is settled, and everybody who keeps books is told, only after that telegram is
-out. Nothing comes between: the next telegram and `publish` are one step of the event loop, in which
-no client, stop or audit runs.
+Work between an answer and the next telegram costs time on the line. So a read that returned its
+value is settled, and the observer is called, only after that telegram was sent. No client, stop or
+audit runs in between: sending and `publish` are one step of the event loop.
 
-Strategy: one read at most is put off, because only a read that brought its value changes nothing
-about what comes next; reports are told in the order of the exchanges, each after its request ended.
-
-What must not live here: what a result means (jobs), who keeps books (observer).
+At most one read is postponed, because only a read that returned its value cannot change what is
+sent next. The observer is called in the order of the exchanges, each time after the request ended.
 """
 
 from __future__ import annotations
@@ -23,7 +20,7 @@ __all__ = ["DeferredReports"]
 
 
 class DeferredReports:
-    """Keeps what is to be told of the exchanges of one line."""
+    """Keeps the reports of exchanges until they are published."""
 
     __slots__ = ("_unsettled", "reports")
 
@@ -39,19 +36,19 @@ class DeferredReports:
         result: Result,
         quarantined_s: float,
     ) -> None:
-        """Keep the report of an exchange whose request is seen to."""
+        """Keep the report of an exchange whose request is handled by the caller."""
         self._settle()
         self._keep(request, job, prepared, result, quarantined_s)
 
     def put_off(
         self, request: Request, job: Job, prepared: PreparedTelegram, result: Result
     ) -> None:
-        """Settle a read that brought its value later."""
+        """Keep a read that returned its value; `publish` settles it."""
         self._settle()
         self._unsettled = (request, job, prepared, result)
 
     def publish(self, observer: Observer) -> None:
-        """Settle the read that was put off, and tell the observer of every exchange since."""
+        """Settle the postponed read and report each exchange to the observer."""
         self._settle()
         if not self.reports:
             return

@@ -1,10 +1,8 @@
 """What can be found out about serial devices on this machine, for messages that say what to do.
 
 Here live the names a device has under `/dev`, which of them is stable, what kind of device it is,
-and which process holds it. Everything reads `/dev` and `/proc` and changes nothing; whatever may
+and which process holds it. Everything reads `/dev` and `/proc` and changes nothing; what may
 not be read is left out, because these are hints and never a condition for working.
-
-What must not live here: opening a device.
 """
 
 from __future__ import annotations
@@ -75,7 +73,7 @@ def holders(path: str) -> dict[int, str]:
 
 
 def others(path: str) -> tuple[str, ...]:
-    """Name the other programs that have a device open and so take bytes from whoever reads it.
+    """Name the other programs that have a device open and so take bytes from its reader.
 
     Takes some tens of milliseconds: not for the event loop. Of a pseudo terminal whoever has the
     far end is left out: a simulator holds both ends.
@@ -118,7 +116,7 @@ def _open_files(pid: int) -> Iterator[tuple[str, str]]:
     except OSError:  # not ours to look into, or just ended
         return
     for link in links:
-        with contextlib.suppress(OSError):  # closed meanwhile
+        with contextlib.suppress(OSError):  # closed since
             yield link.name, os.readlink(link.path)  # noqa: PTH115 - thousands of them
 
 

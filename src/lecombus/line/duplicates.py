@@ -1,12 +1,10 @@
-"""Answers that came without a question, and of which drive each answer was asked for last.
+"""Answers without a request (second answers), and the drive from which each was requested last.
 
 An answer carries no address. Where answers are delivered twice, or two drives have one address, the
 second answer comes when another drive may have been asked for the same, and passes for its own.
-Doubts (`late_replies`) are about answers that are missing; a second one is missed by nobody. What
-can be known is that such answers come at all, and how long ago another drive was asked for an
-answer that looks the same. From these two follows how much a proof is worth (`read_back_proof`).
-
-What must not live here: what is done about it.
+`late_replies` keeps answers that are missing; a second answer is not missing. It is only known that
+such answers come, and how long ago another drive was asked for an answer that looks the same.
+`read_back_proof` derives from both how many answers a verification needs.
 """
 
 from __future__ import annotations
@@ -20,7 +18,7 @@ COPY_S: Final = 3.0
 """A second answer may come so long after the first, seconds."""
 
 DOUBTED_S: Final = 60.0
-"""For so long after an answer that nobody asked for, single answers prove nothing, seconds."""
+"""For this long after a second answer, a single answer does not verify anything, seconds."""
 
 LATELY_S: Final = 0.3
 """Two drives at one address answer within this time of each other, seconds."""
@@ -30,9 +28,9 @@ Found = tuple[int, dict[str, int]]
 
 
 class Duplicates:
-    """Keeps whom each answer was asked of, and the answers that answer no question.
+    """Keeps from which drive each answer was requested, and the answers without a request.
 
-    Where an answer can be told apart it is by its code field (`protocol.exchange.Ask.field`).
+    Answers are distinguished by their code field (`protocol.exchange.Ask.field`).
     """
 
     def __init__(self) -> None:
@@ -52,24 +50,24 @@ class Duplicates:
             self._lately.popleft()
 
     def other_s(self, field: bytes, drive: str) -> float:
-        """Tell when another drive was asked for such an answer last; minus infinity: never."""
+        """Return when another drive was last asked for such an answer; minus infinity: never."""
         last = self._last.get(field)
         if last is not None and last[0] != drive:
             return last[1]
         return self._other.get(field, float("-inf"))
 
     def came(self, field: bytes, at_s: float) -> None:
-        """Note an answer that answers no question that is open."""
+        """Record an answer without an open request."""
         whose = {name for asked_s, one, name in self._lately
                  if one == field and asked_s >= at_s - LATELY_S}  # fmt: skip
         self._second.append((at_s, whose.pop() if len(whose) == 1 else None))
 
     def doubtful(self, now_s: float) -> bool:
-        """Whether a single answer may be another drive's: one came lately that nobody asked for."""
+        """Whether a single answer may be another drive's: a second answer came lately."""
         return bool(self._second) and now_s - self._second[-1][0] < DOUBTED_S
 
     def found(self, now_s: float) -> Found:
-        """Count the answers of the last minute that nobody asked for."""
+        """Count the second answers of the last minute."""
         while self._second and now_s - self._second[0][0] >= DOUBTED_S:
             self._second.popleft()
         alone: dict[str, int] = {}

@@ -1,17 +1,15 @@
-"""For which reads that were not answered in time the line listens longer, and how often.
+"""When to extend the receive time after a missing answer, to detect very slow drives.
 
-A drive far slower than its manual is never heard on a busy line: its answer is cut off by the next
-telegram before it begins. So now and then, after a cyclic read or a probe that stayed without any
-answer several times in a row, nothing is said for up to a second. An answer that comes then is
-never used as a value; it tells how slow the drive is (`drives.measured`), and the next read waits
-for it.
+A drive far slower than its manual is never received on a busy line: the next telegram cancels its
+answer before it begins. So after a cyclic read or a probe without answer, several times in a row,
+nothing is sent for up to a second. An answer that arrives in that time is never used as a value. It
+only measures how slow the drive is (`drives.measured`), and the next read waits long enough.
 
-How often is bounded: once a minute on a line, once in five minutes for a code of a drive, more and
-more seldom where nothing comes, because it mostly is not there. Once a minute it may be twice, if
-the first time something came: one late answer alone proves nothing.
+Limits: once a minute for a line, once in five minutes for a code of a drive, and less often while
+nothing arrives, because the drive is usually absent. A second time in the same minute is allowed
+after a late answer, because one late answer alone proves nothing.
 
-Pure: the time is an argument. What must not live here: what cuts the listening short
-  (`idle_receive`).
+Pure: the time is an argument.
 """
 
 from __future__ import annotations
@@ -26,7 +24,7 @@ from .station import Station
 __all__ = ["ExtendedListen"]
 
 CUT_S: Final = 2.0
-"""After listening that was cut short it is not begun again sooner, seconds."""
+"""After an interrupted extended listen the next one waits at least this long, seconds."""
 MISSES: Final = 3
 CODE_EVERY_S: Final = 300.0
 CODE_EVERY_MOST_S: Final = 3600.0
@@ -44,7 +42,7 @@ class _Run:
 
 
 class ExtendedListen:
-    """Keeps count of what was not answered, and of what was listened to."""
+    """Counts missing answers and extended listens."""
 
     def __init__(self) -> None:
         self._runs: dict[tuple[str, Code], _Run] = {}
@@ -52,7 +50,7 @@ class ExtendedListen:
         self._heard = False  # something, the last time
 
     def wanted(self, station: Station, code: Code, now_s: float) -> bool:
-        """Take note of a read without any answer; say whether to listen longer for it."""
+        """Count a read without answer; return whether to extend the receive time for it."""
         key = (station.name, code)
         run = self._runs.get(key)
         answered_s = station.measured.answered_s(code)
@@ -64,7 +62,7 @@ class ExtendedListen:
         return run.misses >= MISSES and now_s >= max(run.next_s, self._next_s)
 
     def in_vain(self, station: Station, code: Code, now_s: float) -> None:
-        """Take note that the line was listened to for as long as it may be, and nothing came."""
+        """Record that the whole extended time passed without an answer."""
         run = self._runs.get((station.name, code))
         if run is not None:
             run.next_s = now_s + run.every_s
@@ -73,11 +71,11 @@ class ExtendedListen:
         self._heard = False
 
     def cut(self, now_s: float) -> None:
-        """Take note that something pressed meanwhile."""
+        """Record that an urgent request ended the extended time."""
         self._next_s = now_s + CUT_S
 
     def heard(self, now_s: float) -> None:
-        """Take note that the late answer came."""
+        """Record that the late answer came."""
         if self._heard:
             self._next_s = now_s + LISTEN_EVERY_S
         self._heard = not self._heard

@@ -1,4 +1,4 @@
-"""What is heard when nobody was asked, and for how long the line is kept silent to hear it.
+"""Receiving between exchanges, and how long the line stays quiet for a late answer.
 
 After an exchange without its answer there is a quarantine in any case (`bus_idle`). Where patience
 asks for it (`extended_listen`) the silence is drawn out until the answer of a very slow drive would
@@ -7,8 +7,6 @@ begun unless every watchdog can be fed in time after it, and it is over as soon 
 cyclic and background work wants the line: a stop, a control word, a feed that presses, somebody who
 asks. The next telegram begins with EOT, which makes a drive drop what it was about to say
 (EDB2102EN 8.3); doubts and quarantine last as long as without it.
-
-What must not live here: exchanges, and what their answers mean.
 """
 
 from __future__ import annotations
@@ -52,8 +50,8 @@ class IdleReceive:
         schedule: Asked what wants the line.
         bus_idle: Keeps the pauses.
         late_replies: Which answers may still come.
-        over: Called when the silence is over sooner than was told.
-        duplicates: Told of answers that no question is open for.
+        over: Called when the line may send earlier than announced.
+        duplicates: Records answers without an open request.
     """
 
     def __init__(
@@ -84,7 +82,7 @@ class IdleReceive:
         self._bus_idle.opened(now_s)
 
     def stray(self, data: bytes, now_s: float, gap_s: float) -> bool:
-        """Take bytes nobody asked for; say whether they completed a whole old answer."""
+        """Process unsolicited bytes; return whether they completed a late answer."""
         awaited = self._awaited
         late = self._unsolicited.feed(data, now_s)
         if late and awaited is not None:
@@ -129,7 +127,7 @@ class IdleReceive:
             self._bus_idle.draw_out(until_s)
 
     def quiet_until_s(self, now_s: float, *, stop_goes: bool) -> float:
-        """Tell until when to be silent, or when to ask again whether something presses."""
+        """Return when to call again: at the end of the quarantine, or to check for urgent work."""
         awaited = self._awaited
         if awaited is None:
             return self._bus_idle.quiet_until_s

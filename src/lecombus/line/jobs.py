@@ -1,6 +1,6 @@
-"""What is said to get one request done: a read, a write with its proof, a multicast.
+"""The steps of one request: a read, a write with its verification, a multicast.
 
-Rules held here (EDB2102EN 8.3.5; CMVLC401A 6):
+Rules (EDB2102EN 8.3.5; CMVLC401A 6):
 
 * a read may be repeated, a limited number of times;
 * a write whose acknowledgement did not come is read back first. Only a plain value is then
@@ -10,8 +10,6 @@ Rules held here (EDB2102EN 8.3.5; CMVLC401A 6):
   more; never an edge, a step or a save. That counts as one of the repetitions;
 * what was written is proven by reading it back: an answer that may be another drive's, because it
   was asked for the same, takes more readings (`read_back_proof`).
-
-What must not live here: telegrams, time-outs, who goes first.
 """
 
 from __future__ import annotations
@@ -323,7 +321,7 @@ class WriteJob:
 
 
 class MulticastJob:
-    """Say one write to a group address, which nobody answers.
+    """Send one write to a group address; no drive answers it.
 
     Args:
         station: The group's name and address.

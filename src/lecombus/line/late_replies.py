@@ -1,4 +1,4 @@
-"""Which late answers may still come, and how the next question avoids being answered by one.
+"""Late answers that may still come, and how the next request avoids being answered by one.
 
 An answer carries no address and an acknowledgement carries nothing at all, so an answer that
 comes after the master has given up on it could pass for the answer to the next question. After
@@ -7,8 +7,8 @@ the time it could still take to arrive. While it does:
 
 * no read is sent whose answer would look the same: the other addressing form is used where the
   drive knows both (its answer repeats the form), else the read waits;
-* no write is sent while an acknowledgement is in doubt, except a stop, which goes out at once
-  but whose acknowledgement is then not believed;
+* no write is sent while an acknowledgement is in doubt, except a stop: it is sent
+  immediately, but its acknowledgement is then not trusted;
 * a NAK is not taken for a read's answer while a NAK to anything else may still come.
 
 This module keeps the doubts and answers these questions; it sends nothing and waits for nothing.
@@ -75,7 +75,7 @@ class PendingLateReplies:
         return now_s < self._nak_until_s
 
     def sole(self, field: bytes, now_s: float) -> UnansweredRead | None:
-        """Tell what an old answer answers, if only one may still come and it is that one.
+        """Return the read that a late answer belongs to, if only that one may still come.
 
         For measuring how late it came, and for nothing else: its value is never used.
         """
@@ -84,7 +84,7 @@ class PendingLateReplies:
         return self._asked.get(field)
 
     def asked(self, field: bytes, now_s: float) -> UnansweredRead | None:
-        """Tell what an old answer with this code field answers; None: not known for certain."""
+        """Return the read that a late answer with this code field belongs to; None: not certain."""
         return self._asked.get(field) if self.blocked_until_s(field, now_s) > now_s else None
 
     def answered(self, field: bytes, now_s: float) -> None:
@@ -110,7 +110,7 @@ class PendingLateReplies:
         return field != ACK_FIELD and self._until_s.pop(field, None) is not None
 
     def blocked_until_s(self, field: bytes, now_s: float) -> float:
-        """When a question with this answer may be sent; `now_s` or earlier: at once."""
+        """Return when a request with this answer may be sent; `now_s` or earlier: now."""
         until = self._until_s.get(field)
         if until is None:
             return now_s

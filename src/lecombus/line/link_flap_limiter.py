@@ -1,15 +1,13 @@
-"""What of a port's coming and going is told, so that one that flaps for hours fills no log.
+"""Limits log messages of a port that flaps.
 
 ::
 
-    steady ──third loss in a minute──▶ unsteady: told in sums, after 1, 2, 4 .. 60 minutes
+    steady ──third loss in a minute──▶ unsteady: logged as sums, after 1, 2, 4 .. 60 minutes
        ▲                                   │
-       └──── a minute without a change ────┘  told, with the number of losses
+       └──── a minute without a change ────┘  logged, with the number of losses
 
-Every change of a steady port is told at once. What the line's state is does not depend on it: that
-stands in the store whatever is told here.
-
-What must not live here: logging itself, clocks, ports (`port_connection`).
+Each change of a steady port is logged immediately. The state of the line in the store does not
+depend on this: it always follows the port.
 """
 
 from __future__ import annotations
@@ -21,32 +19,32 @@ from typing import Final
 __all__ = ["FlapMessage", "LinkFlapLimiter"]
 
 FEW: Final = 3
-"""Losses that are told one by one, or a little less: the last of them opens the first sum."""
+"""So many losses within `WHILE_S` make the port unsteady."""
 
 WHILE_S: Final = 60.0
-"""So many losses in this time are too many; after this time without a change all is told again."""
+"""Losses are counted over this time; so long without a change is steady again, seconds."""
 
 FIRST_PAUSE_S: Final = 60.0
 LONGEST_PAUSE_S: Final = 3600.0
 
 
 class FlapMessage(StrEnum):
-    """What to say of a change."""
+    """What to log for a change."""
 
     NOTHING = "nothing"
     CHANGE = "change"
     SUM = "sum"
     STEADY = "steady"
-    """The port has been as it is for a while, after losses that were only counted."""
+    """The port is steady again, after losses that were only counted."""
 
 
 class LinkFlapLimiter:
-    """Decides what is told. Times are in seconds of any one clock that never goes back.
+    """Decides what is logged. Times are in seconds of a monotonic clock.
 
     Attributes:
         losses: In this time of unsteadiness, or in the one that has just ended.
         since_s: When it began.
-        pause_s: How long nothing is told after the sum that is due.
+        pause_s: How long nothing is logged after the sum that is due.
     """
 
     def __init__(self) -> None:
@@ -59,7 +57,7 @@ class LinkFlapLimiter:
         self._next_s = 0.0
 
     def lost(self, now_s: float) -> FlapMessage:
-        """Take note that the port was lost."""
+        """Record a loss of the port."""
         self._changed_s = now_s
         self._latest.append(now_s)
         self.losses += 1
@@ -73,12 +71,12 @@ class LinkFlapLimiter:
         return self._sum(now_s)
 
     def opened(self, now_s: float) -> FlapMessage:
-        """Take note that the port is open."""
+        """Record that the port was opened."""
         self._changed_s = now_s
         return FlapMessage.CHANGE if self.is_steady else self._sum(now_s)
 
     def looked(self, now_s: float) -> FlapMessage:
-        """Take note that the port is as it was: open or away."""
+        """Record that the port has not changed since the last call."""
         if self.is_steady:
             return FlapMessage.CHANGE
         if now_s - self._changed_s < WHILE_S:

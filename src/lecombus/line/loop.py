@@ -10,8 +10,6 @@ early with nothing ready, which costs the loop one empty turn, and waits the las
 `select` on the epoll descriptor. Waits that end because bytes came, which are nearly all waits of
 an exchange, take the same single system call as before, unless the timer was due within 3 ms.
 `run` also asks the kernel not to bundle this thread's timers with others (its slack is 50 µs).
-
-What must not live here: anything about ports, or about time beyond how the loop waits.
 """
 
 from __future__ import annotations
@@ -67,7 +65,7 @@ class FineSelector(selectors.EpollSelector):
         """Wait for a descriptor to become ready.
 
         Args:
-            timeout: How long at most, seconds; None: for ever; 0 or less: do not wait.
+            timeout: How long at most, seconds; None: no limit; 0 or less: do not wait.
 
         Returns:
             What is ready, empty when the time is over or nearly over.

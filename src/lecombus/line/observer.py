@@ -1,6 +1,6 @@
-"""What the worker tells others: every exchange, every change of the line.
+"""Reports of the worker: each exchange, each change of the line.
 
-The seam between the line and whoever keeps the books of it. Nothing here decides anything.
+The interface between the line and its recorder. Nothing here decides anything.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ __all__ = ["ExchangeReport", "Observer"]
 
 @dataclass(slots=True)
 class ExchangeReport:
-    """One exchange that ended, for whoever keeps the books.
+    """One exchange that ended.
 
     Args:
         drive: The drive's (for a multicast the group's) name.
-        step: What was said.
+        step: What was sent.
         result: How it ended.
         priority: The class it ran in.
         waited_s: From the moment the schedule took the request to the telegram.
         quarantined_s: How long the line is left alone because of it.
         members: For a multicast: the drives it reached.
-        address: Who was spoken to; by now the name may be another device's.
+        address: The address that was used; the name may belong to another device by now.
         attempt: Which exchange of its request it was, 1 for the first.
     """
 
@@ -43,7 +43,7 @@ class ExchangeReport:
 
 
 class Observer(Protocol):
-    """Whoever wants to know what happens on the line; must return quickly and never raise."""
+    """Receives the events of the line; its methods must return quickly and never raise."""
 
     def exchange_ended(self, report: ExchangeReport) -> None:
         """An exchange ended; called while the next drive is already thinking, if there is one."""

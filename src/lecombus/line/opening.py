@@ -2,13 +2,11 @@
 
 Strategy: a table from scheme to opener; what has no scheme is a device path. The daemon adds
 `sim:` by giving its own opener. `url_mistake` says what is wrong with a URL before anything is
-opened, so that a roster with a wrong one is refused instead of tried for ever.
+opened, so that a roster with a wrong one is refused instead of tried again and again.
 
 `rfc2217://` is refused on purpose, see `RFC2217_REFUSAL`: the line's settings never change while
 it runs, so a device server set to them once needs no remote control, and Telnet escaping would
 sit in every telegram for nothing.
-
-What must not live here: how any of the ends works.
 """
 
 from __future__ import annotations
@@ -37,7 +35,7 @@ async def open_port(settings: PortSettings, receiver: Receiver) -> Port:
 
     Args:
         settings: Its URL and how to open it.
-        receiver: Who is told of bytes and of the loss.
+        receiver: Gets the bytes and the loss.
 
     Raises:
         LineLostError: It cannot be opened; the message says why and what to do.

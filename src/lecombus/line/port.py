@@ -1,14 +1,12 @@
-"""The seam between the line worker and whatever carries the bytes.
+"""The interface between the line worker and what carries the bytes.
 
 Here live the two protocols (`Port`, which the worker calls, and `Receiver`, which a port calls)
 and the settings a port is opened with. A serial device, a TCP connection and the simulator all
 stand behind the same six calls, so that the worker, its tests and the daemon know none of them.
 
-Theory of operation: a port gives bytes on as they come, in whatever pieces, and never interprets
-them. All calls happen on the one event loop thread. A port that goes away says so by exactly one
-`Receiver.lost`; after `Port.abort` it says nothing at all, neither bytes nor loss.
-
-What must not live here: I/O of any kind, parity making or checking, reconnecting.
+Theory of operation: a port gives bytes on as they come, in any pieces, and never interprets
+them. All calls happen on the one event loop thread. A lost port calls `Receiver.lost`
+exactly once; after `Port.abort` it calls neither `received` nor `lost`.
 """
 
 from __future__ import annotations
@@ -37,7 +35,7 @@ class Receiver(Protocol):
         """
 
     def lost(self, exc: Exception | None) -> None:
-        """Take note that the port is gone; called at most once, and never after `abort`.
+        """The port is lost; called at most once, and never after `abort`.
 
         Args:
             exc: Why, a `LineLostError` from the ends in this room; None for a clean end.
@@ -71,12 +69,12 @@ class Port(Protocol):
     def look(self) -> None:
         """Give on, from inside this call, what has arrived and lies in the operating system.
 
-        What the loop gives on by itself it gives when it comes to it. Nothing is proven not to
-        have come before this was called. A loss found here follows from the loop.
+        The loop passes bytes on only when it runs. Only this call shows that nothing has arrived
+        so far. A loss found here is reported from the loop.
         """
 
     def abort(self) -> None:
-        """Close at once, dropping what was not sent; harmless on a closed port."""
+        """Close immediately and drop what was not sent; no effect on a closed port."""
 
     def describe(self) -> str:
         """Say what this port is, for logs and the API, such as the path and where it leads."""

@@ -42,14 +42,14 @@ class PortConnection:
         self.is_reopened = False  # it was given up here, and no error of it is known
 
     async def open(self, receiver: Receiver) -> bool:
-        """Try to open the port once for whoever gets the bytes; on failure `why_not` says why."""
+        """Try to open the port once; after a failure `why_not` gives the reason."""
         self.is_lost = self.is_reopened = False
         try:
             port = await self._opener(self._settings, receiver)
         except LineLostError as exc:
             self._failures += 1
             self._reason = str(exc)
-            self._tell_not_open(self._flap_limiter.looked(now_s()))
+            self._log_not_open(self._flap_limiter.looked(now_s()))
             return False
         if self.is_lost:
             port.abort()
@@ -57,14 +57,14 @@ class PortConnection:
         port.discard_input()
         self.port = port
         self._last_logged = ""
-        self._tell_open(self._flap_limiter.opened(now_s()))
+        self._log_open(self._flap_limiter.opened(now_s()))
         return True
 
     def say(self, telegram: bytes) -> LineLostError | None:
         """Hand a telegram to the port; gives the loss, if that is how it is found out."""
         assert self.port is not None
         if not self._flap_limiter.is_steady:
-            self._tell_open(self._flap_limiter.looked(now_s()))
+            self._log_open(self._flap_limiter.looked(now_s()))
         try:
             self.port.write(telegram)
         except LineLostError as exc:
@@ -80,13 +80,13 @@ class PortConnection:
         return min(FIRST_BACKOFF_S * 2.0 ** max(0, self._failures - 1), LONGEST_BACKOFF_S)
 
     def note_loss(self, exc: Exception | None) -> None:
-        """Take note that the port is unusable; the worker drops it when it gets there."""
+        """Record that the port is unusable; the worker drops it later."""
         if self.is_lost:
             return
         self.is_lost = True
         self._failures += 1
         self._reason = str(exc) if exc is not None else "the port was closed at the other end"
-        self._tell_not_open(self._flap_limiter.lost(now_s()))
+        self._log_not_open(self._flap_limiter.lost(now_s()))
 
     def reopen(self, why: str) -> None:
         """Give up a port of which no error is known, to open it again."""
@@ -107,35 +107,37 @@ class PortConnection:
         """Name the port for people."""
         return self.port.describe() if self.port is not None else self._settings.url
 
-    def _tell_not_open(self, tell: FlapMessage) -> None:
+    def _log_not_open(self, message: FlapMessage) -> None:
         """Log why there is no port, once per reason, not at every try."""
-        if tell is FlapMessage.SUM:
-            self._tell_sum()
-        elif tell is FlapMessage.STEADY or (
-            tell is FlapMessage.CHANGE and self._reason != self._last_logged
+        if message is FlapMessage.SUM:
+            self._log_sum()
+        elif message is FlapMessage.STEADY or (
+            message is FlapMessage.CHANGE and self._reason != self._last_logged
         ):
             self._last_logged = self._reason
             logger.warning(
                 "line=%s event=port-lost reason=%s%s",
-                self._settings.line, self._reason, self._losses(tell),
+                self._settings.line, self._reason, self._losses(message),
             )  # fmt: skip
 
-    def _tell_open(self, tell: FlapMessage) -> None:
+    def _log_open(self, message: FlapMessage) -> None:
         """Log that the port is open."""
         assert self.port is not None
-        if tell is FlapMessage.SUM:
-            self._tell_sum()
-        elif tell is not FlapMessage.NOTHING:
+        if message is FlapMessage.SUM:
+            self._log_sum()
+        elif message is not FlapMessage.NOTHING:
             logger.info(
                 "line=%s event=port-open port=%s%s",
-                self._settings.line, self.port.describe(), self._losses(tell),
+                self._settings.line, self.port.describe(), self._losses(message),
             )  # fmt: skip
 
-    def _losses(self, tell: FlapMessage) -> str:
+    def _losses(self, message: FlapMessage) -> str:
         """Say what was left out before, where something was."""
-        return f", after {self._flap_limiter.losses} losses" if tell is FlapMessage.STEADY else ""
+        return (
+            f", after {self._flap_limiter.losses} losses" if message is FlapMessage.STEADY else ""
+        )
 
-    def _tell_sum(self) -> None:
+    def _log_sum(self) -> None:
         """Log how often the port was lost, and for how long nothing more is said of it."""
         flap_limiter = self._flap_limiter
         logger.warning(

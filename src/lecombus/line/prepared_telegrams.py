@@ -1,4 +1,4 @@
-"""From a job's next step to the telegram that says it, with its time-outs.
+"""Makes the telegram of a job's next step, with its time-outs.
 
 Here is decided in which addressing form a step is said, what its answer must look like and how long
 to wait for it; and when it may not be said yet, because an old answer that could pass for its own
@@ -33,7 +33,7 @@ MAX_CACHED = 8192
 
 @dataclass(frozen=True, slots=True)
 class PreparedTelegram:
-    """A telegram ready to be said.
+    """A telegram ready to be sent.
 
     Args:
         ask: Bytes, expected answer, deadlines. quarantine_s: Silence wanted after it if its answer
@@ -98,7 +98,7 @@ class TelegramPreparer:
         Args:
             job: What is to be done.
             now_s: The time.
-            urgent: A stop: it goes out whatever may still come.
+            urgent: A stop: it is sent although late answers may still come.
 
         Returns:
             The question, or the time before which it may not be said.
@@ -163,10 +163,10 @@ class TelegramPreparer:
         made = self._prepared(
             sent, encode_code(code, form), cost, hold_s=0.0, documented_s=documented_s
         )
-        told = read_cost(self._timing, station.family, code, form, station.answer_time_s)
-        if told.first_byte_s >= cost.first_byte_s:
+        by_manual = read_cost(self._timing, station.family, code, form, station.answer_time_s)
+        if by_manual.first_byte_s >= cost.first_byte_s:
             return made
-        ask = replace(made.ask, first_byte_s=told.first_byte_s, whole_s=told.whole_s)
+        ask = replace(made.ask, first_byte_s=by_manual.first_byte_s, whole_s=by_manual.whole_s)
         return replace(made, documented_ask=ask)
 
     def _write(self, station: Station, step: JobStep) -> PreparedTelegram:

@@ -4,15 +4,13 @@ The usual proof is one reading that shows it. Consecutive proofs of several driv
 the addressing form, which the answer repeats, so that a second copy of a neighbour's answer does
 not pass for the next drive's.
 
-Where that is not enough (the drive was silent before or meanwhile, or answers came lately that
-nobody asked for) it takes three things: an acknowledgement of the drive's own, two readings in two
-forms or of two codes, and its own address, read from the drive itself: that is the one answer
-that no other drive of the line gives.
+Where that is not enough (the drive did not answer before, or second answers came lately) it takes
+three things: an acknowledgement of the drive's own, two readings in two forms or of two codes, and
+its own address, read from the drive itself: that is the one answer that no other drive of the line
+gives.
 
 A write is proven with less: an answer that no other drive was asked for lately is this drive's, and
 an acknowledgement that was lost is not asked for again.
-
-What must not live here: what is said when, and for how long (`stop_job`, `jobs`).
 """
 
 from __future__ import annotations
@@ -41,7 +39,7 @@ class WrittenValue(NamedTuple):
 
 
 def _codes(family: Family, what: StopAction | WrittenValue) -> tuple[Code, ...]:
-    """Name the codes that show it, the most telling first."""
+    """Name the codes that show it, the most conclusive first."""
     return (what.code,) if isinstance(what, WrittenValue) else confirm_codes(family, what)
 
 
@@ -56,7 +54,7 @@ class ReadBackProof:
     """What has been shown of one stop or one write.
 
     Args:
-        duplicates: Whom answers were asked of; None: of nobody else.
+        duplicates: From which drives answers were requested; None: from no other drive.
         silent: The drive did not answer before.
 
     Attributes:
@@ -79,7 +77,7 @@ class ReadBackProof:
         self._led_astray: set[Form] = set()
 
     def said(self, *, acknowledged: bool) -> None:
-        """Take note that it was said: what is read before it is acknowledged is too early."""
+        """Record that it was sent: a value read before the acknowledgement is too early."""
         self.repeated = False
         if not self.acknowledged:
             self.acknowledged = acknowledged
@@ -118,7 +116,7 @@ class ReadBackProof:
         return True
 
     def refused(self, station: Station, code: Code, answer: object) -> bool:
-        """Take note of a reading that brought nothing; say whether to go on in another way."""
+        """Record a read without value; return whether to continue in another way."""
         if type(answer) is UnknownCodeAnswer and code != address_code(station.family):
             shown = bool(self._shown)
             return shown and self._lead_astray(station, answer.field)
@@ -131,7 +129,7 @@ class ReadBackProof:
     def _lead_astray(self, station: Station, field: bytes) -> bool:
         """Ask no more in a form that leads to another code; say whether there is another.
 
-        A code bank or an input selection that somebody left does that (C0249, C0248).
+        A code bank or an input selection that was left set does that (C0249, C0248).
         """
         form = Form.EXTENDED if field[:1] == b"!" else Form.STANDARD
         left = [one for one in self._forms(station) if one is not form]
@@ -150,7 +148,7 @@ class ReadBackProof:
         return self.acknowledged and bool(self._shown)
 
     def begin(self) -> None:
-        """Begin anew, with another stop."""
+        """Start again, with another stop."""
         self.acknowledged = False
         self._shown.clear()
 
@@ -203,7 +201,7 @@ class ReadBackProof:
     def _fields(
         self, station: Station, what: StopAction | WrittenValue
     ) -> Iterator[tuple[bytes, Code, Form]]:
-        """Name the answers that may show it: the most telling code's in every form.
+        """Name the answers that may show it: those of the most conclusive code, in each form.
 
         Where there is one form only, those of the other codes too.
         """

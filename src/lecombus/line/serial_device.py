@@ -10,10 +10,8 @@ Strategy:
 * Raw: no flow control, no translation, no stripping, because a BCC may be any control character.
 * The settings are applied exactly once (see `Device`). VMIN is 1, so that a read of nothing can
   only mean that the device hung up.
-* Exclusive: `flock` keeps out whoever locks too, TIOCEXCL whoever does not, and who has it open
-  already is found and named.
-
-What must not live here: reading and writing, which belong to the event loop (`serial_port.py`).
+* Exclusive: `flock` keeps out programs that lock too, TIOCEXCL those that do not, and who has it
+  open already is found and named.
 """
 
 from __future__ import annotations
@@ -49,8 +47,8 @@ _RTS_WARNING = (
 class Device(serial.Serial):
     """An open serial device, configured exactly once.
 
-    pyserial configures anew whenever a time-out is assigned, as `SerialTransport` does. That is
-    traffic on a USB adapter for nothing, and fails with EINVAL on a device that ignores a
+    pyserial configures the port again whenever a time-out is assigned, as `SerialTransport` does.
+    That is traffic on a USB adapter for nothing, and fails with EINVAL on a device that ignores a
     setting; so only the configuration at opening is let through, and completed.
     """
 
@@ -124,7 +122,7 @@ def _claim(device: Device, settings: PortSettings) -> None:
     """Shut out others, and refuse a device that a program which locks nothing has open.
 
     A pseudo terminal is left out: a simulator holds the other end of its own device open, and
-    would keep the device shut for ever after a crash of ours.
+    would keep the device locked after a crash of the daemon.
     """
     others = devices.holders(settings.url)
     others.pop(os.getpid(), None)
@@ -189,7 +187,7 @@ def _who_may(path: str) -> str:
 
 
 def reason(exc: Exception) -> str:
-    """Give an error's text without its number, whichever library raised it."""
+    """Give an error's text without its number, for any library that raised it."""
     number = _number(exc)
     return str(exc) if number is None else os.strerror(number)
 

@@ -5,11 +5,9 @@ of it is relied on: `SerialTransport` registers the descriptor with the loop and
 device would not take; reading, writing, closing and the report of a loss are made here, which
 also makes reading and writing one system call each.
 
-Strategy: a loss is told from the loop, once, after the descriptor is closed. The device is opened
-so that a read of nothing (`b""`) can only mean that it hung up. Closing drops what was not sent:
-the kernel would otherwise wait up to 30 s for a stalled adapter.
-
-What must not live here: opening and settings (`serial_device.py`), parity, telegrams, reopening.
+Strategy: a loss is reported from the loop, once, after the descriptor is closed. The device is
+opened so that a read of nothing (`b""`) can only mean that it hung up. Closing drops what was not
+sent: the kernel would otherwise wait up to 30 s for a stalled adapter.
 """
 
 from __future__ import annotations
@@ -49,7 +47,7 @@ class SerialPort(SerialTransport):
     Args:
         loop: The loop that reads and writes.
         device: The device, open and configured; the port owns it from here on.
-        receiver: Who is told of bytes and of the loss.
+        receiver: Gets the bytes and the loss.
         settings: What it was opened with.
     """
 
@@ -70,9 +68,9 @@ class SerialPort(SerialTransport):
         super().__init__(loop, asyncio.BaseProtocol(), device)
 
     def write(self, data: bytes) -> None:  # type: ignore[override]
-        """Hand all of `data` to the device; see `Port.write`.
+        """Hand all of `data` to the device.
 
-        What the device does not take at once follows as soon as it does; if that takes much
+        What the device does not take immediately follows as soon as it does; if that takes much
         longer than the wire would, the port is lost.
         """
         if self._closing:
@@ -93,19 +91,19 @@ class SerialPort(SerialTransport):
             self._stuck = self._loop.call_later(limit_s, self._give_up)
 
     def discard_input(self) -> None:
-        """Drop every byte the kernel holds; see `Port.discard_input`."""
+        """Drop every byte the kernel holds that was not passed on yet."""
         if self._closing:
             return
         with contextlib.suppress(termios.error):  # hung up: the reader is about to find out
             termios.tcflush(self._fd, termios.TCIFLUSH)
 
     def look(self) -> None:
-        """Read what the kernel holds; see `Port.look`."""
+        """Read what the kernel holds and pass it on."""
         if not self._closing:
             self._read_ready()
 
     def abort(self) -> None:
-        """Close at once; see `Port.abort`."""
+        """Close immediately and drop what was not sent."""
         self._silent = True
         self._shut()
 
@@ -151,14 +149,14 @@ class SerialPort(SerialTransport):
         self._lose("the device takes no more bytes; replug the adapter if this repeats")
 
     def _lose(self, why: str) -> LineLostError:
-        """Close, and tell the receiver from the loop; only the first call does anything."""
+        """Close, and report the loss from the loop; only the first call has an effect."""
         error = self._error(why)
         if not self._closing:
-            self._loop.call_soon(self._tell_lost, error)
+            self._loop.call_soon(self._report_loss, error)
             self._shut()
         return error
 
-    def _tell_lost(self, error: LineLostError) -> None:
+    def _report_loss(self, error: LineLostError) -> None:
         if not self._silent:
             self._silent = True
             self._receiver.lost(error)
@@ -190,12 +188,12 @@ class SerialPort(SerialTransport):
 class PseudoPort(SerialPort):
     """A pseudo terminal: what is written reaches the other end only when this core lets go.
 
-    The kernel hands the bytes over in a work item of its own, queued on the core that wrote them.
+    The kernel hands the bytes over in a separate work item, queued on the core that wrote them.
     A real device has its bytes when `write` returns. See docs/adr/0017-letting-go-of-a-pty.md.
     """
 
     def write(self, data: bytes) -> None:  # type: ignore[override]
-        """Hand over `data` and let the kernel pass it on at once; see `Port.write`."""
+        """Hand over `data` and let the kernel pass it on immediately."""
         super().write(data)
         os.sched_yield()
 
@@ -210,7 +208,7 @@ class RtsSerialPort(SerialPort):
     _falls: asyncio.TimerHandle | None = None
 
     def write(self, data: bytes) -> None:  # type: ignore[override]
-        """Switch to sending, hand over `data`, and switch back when it left; see `Port.write`."""
+        """Switch to sending, hand over `data`, and switch back when it left."""
         self._forget_fall()
         self._raise_rts()
         super().write(data)
@@ -258,7 +256,7 @@ async def open_serial(settings: PortSettings, receiver: Receiver) -> SerialPort:
 
     Args:
         settings: With the device's path as `url`.
-        receiver: Who is told of bytes and of the loss.
+        receiver: Gets the bytes and the loss.
 
     Raises:
         LineLostError: It cannot be opened; the message says why and what to do.

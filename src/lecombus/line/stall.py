@@ -1,8 +1,8 @@
 """Noticing a port that is open and dead: some adapters stall for hours without an error.
 
-Only time in which somebody was asked counts: a line may be idle for as long as it likes. If
+Only time in which drives were asked counts: an idle line is no fault. If
 nothing answers after a reopening either, the drives are probably switched off, and the port is
-reopened ever more seldom.
+reopened less and less often.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class StallWatch:
         self.answered_since_open = False
 
     def opened(self) -> None:
-        """The port was opened: count anew."""
+        """The port was opened: start counting again."""
         self._unheard_from_s = None
         self.answered_since_open = False
 

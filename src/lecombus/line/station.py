@@ -3,8 +3,6 @@
 A job is the part of a request that knows the protocol. The schedule carries it without looking
 in; the worker asks it for the next step, runs that step as one exchange and gives it the result,
 until the job says how the request ended. Between two steps of a job anything more urgent may run.
-
-What must not live here: the jobs themselves (`jobs`, `stop_job`).
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Saying a stop to one drive until it is known to have been taken.
+"""Sends a stop to one drive until it is verified.
 
-A stop is repeated at once, for saying it twice does no harm, and is read back in the end: an
-acknowledgement is not an effect. Source: EDB2102EN 8.2, 8.3.5; CMVLC401A 4.2.
+A stop is repeated immediately, because sending it twice does no harm, and is read back at the end:
+an acknowledgement does not show an effect. Source: EDB2102EN 8.2, 8.3.5; CMVLC401A 4.2.
 
 A quick stop never lifts an inhibit: the word that is said has the inhibit's bit whenever the drive
-is inhibited, which is read first where it is not known. What C0135 reads does not tell: no manual
-says that it shows more than was last written to it.
+is inhibited, which is read first where it is not known. The value of C0135 does not show it: no
+manual says that it shows more than was last written to it.
 
 Strategy: say it, read it back, and do both again for as long as the proof is missing, whether the
 drive reads as not stopped or does not answer. What bounds this is time and not a number of
@@ -14,13 +14,11 @@ the first few attempts there are pauses, in which the watchdogs of the others ar
 
 A quick stop that cannot be had becomes an inhibit, and says why: when the control word cannot be
 read, when the drive refuses the telegram again and again, when it takes it and does not show it.
-Only inhibit is possible whatever the drive's operating mode is (EDB2102EN 6.2.1).
+Only inhibit is possible in every operating mode (EDB2102EN 6.2.1).
 
 What a drive refuses, does not know or does not show is said in the other addressing form next,
-where it knows two: a code bank or an input selection that somebody left in C0249 or C0248 leads
+where it knows two: a code bank or an input selection left in C0249 or C0248 leads
 every standard telegram to another code, and none in extended addressing (EDB2102EN 8.3.1).
-
-What must not live here: who is stopped, and in what order (operations).
 """
 
 from __future__ import annotations
@@ -208,8 +206,9 @@ class StopJob:
         """How long the line is left to others before the next step, seconds.
 
         A module that acknowledges early hears nothing until it has passed the stop on: a proof
-        asked for sooner stays without an answer, and saying the stop again begins all anew. A
-        reading that could only show what is known is no reason to keep others from the line.
+        asked for sooner stays without an answer, and sending the stop again starts from the
+        beginning. A reading that could only show what is known is no reason to keep others from the
+        line.
         """
         if self._checking:
             return max(self.station.hold_s, STOP_PAUSE_S if self._proving.repeated else 0.0)
@@ -217,7 +216,7 @@ class StopJob:
         return 0.0 if fresh else STOP_PAUSE_S
 
     def cannot_read(self) -> bool:
-        """Take note that nothing may be read now; say whether there is something to say instead."""
+        """Record that nothing may be read now; return whether something can be sent instead."""
         if self._learning and self.may_inhibit:
             code = self.step.code
             self._inhibit(f"needs {code}, which may not be read now: an old answer may still come")
@@ -314,7 +313,7 @@ class StopJob:
     def _learnt(self, step: JobStep, result: Result, over: bool) -> Verdict:
         """Keep what the stop is made of: the word, or whether the drive is inhibited.
 
-        A drive that was told to stop already is asked more than once before it is inhibited: the
+        A drive that was sent a stop already is asked more than once before it is inhibited: the
         quick stop may be under way.
         """
         self._learning = False
@@ -433,7 +432,7 @@ class StopJob:
         return bool(self._can_inhibit and waited and enough)
 
     def _unread(self, step: JobStep, result: Result, over: bool) -> Verdict:
-        """Say it again; in the end, or where the drive does not know the code, say so."""
+        """Send it again; at the end, or if the drive does not know the code, report that."""
         self._failed_reads += 1
         self.error = error_of(self.station, step, result, self._failed_reads)
         # One damaged character makes "no such code" of a value, so that is asked twice.

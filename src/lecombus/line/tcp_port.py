@@ -1,11 +1,9 @@
-"""The TCP end of the port seam: a device server that passes raw bytes, as `socket://HOST:PORT`.
+"""The TCP port: a device server that passes raw bytes, as `socket://HOST:PORT`.
 
-Strategy: an asyncio protocol whose receiver is told everything. A device server whose power was
-pulled says nothing, so silence is made to end the connection: keepalive probes while nothing is
-sent, TCP_USER_TIMEOUT while something is. Telegrams leave at once (TCP_NODELAY), since a telegram
-held back for the acknowledgement of the one before would cost up to 40 ms.
-
-What must not live here: Telnet and RFC 2217 (refused in `opening.py`), parity, reconnecting.
+Strategy: an asyncio protocol that passes all events to its receiver. A device server whose power
+was pulled says nothing, so silence is made to end the connection: keepalive probes while nothing is
+sent, TCP_USER_TIMEOUT while something is. Telegrams are sent immediately (TCP_NODELAY), since a
+telegram held back for the acknowledgement of the one before would cost up to 40 ms.
 """
 
 from __future__ import annotations
@@ -42,7 +40,7 @@ class TcpPort(asyncio.Protocol):
     """A connection to a device server behind the port seam; made by `open_tcp`.
 
     Args:
-        receiver: Who is told of bytes and of the loss.
+        receiver: Gets the bytes and the loss.
         settings: What it was opened with.
     """
 
@@ -56,14 +54,14 @@ class TcpPort(asyncio.Protocol):
         self.carries_parity = settings.parity == "line"
 
     def write(self, data: bytes) -> None:
-        """Hand all of `data` to the connection; see `Port.write`."""
+        """Hand all of `data` to the connection."""
         transport = self._transport
         if transport is None or transport.is_closing():
             raise self._error("the connection is closed")
         transport.write(data)
 
     def discard_input(self) -> None:
-        """Drop what has arrived and was not given on; see `Port.discard_input`."""
+        """Drop what has arrived and was not given on."""
         transport = self._transport
         if transport is None or transport.is_closing():
             return
@@ -73,7 +71,7 @@ class TcpPort(asyncio.Protocol):
                 pass
 
     def look(self) -> None:
-        """Read what the kernel holds; see `Port.look`. An end or a break is left to the loop."""
+        """Read what the kernel holds. The loop reports an end or an error."""
         transport = self._transport
         if transport is None or transport.is_closing():
             return
@@ -84,13 +82,13 @@ class TcpPort(asyncio.Protocol):
             self.data_received(data)
 
     def abort(self) -> None:
-        """Close at once; see `Port.abort`."""
+        """Close immediately and drop what was not sent."""
         self._silent = True
         if self._transport is not None:
             self._transport.abort()
 
     def begin(self) -> None:
-        """Start telling the receiver; what came before was an answer to nothing.
+        """Start to call the receiver; bytes received before were no answer.
 
         Raises:
             LineLostError: The connection ended while it was being made.
@@ -123,7 +121,7 @@ class TcpPort(asyncio.Protocol):
             self._transport.abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Tell the receiver, unless it was us who ended it; called once by the loop."""
+        """Report the loss, unless the connection was closed here; called once by the loop."""
         self._transport = None
         if exc is not None:
             self._why = _reason(exc)
@@ -156,7 +154,7 @@ async def open_tcp(settings: PortSettings, receiver: Receiver) -> TcpPort:
 
     Args:
         settings: With `socket://HOST:PORT` as `url`.
-        receiver: Who is told of bytes and of the loss.
+        receiver: Gets the bytes and the loss.
 
     Raises:
         LineLostError: It cannot be reached, or the URL is wrong; the message says what to do.
@@ -174,7 +172,7 @@ async def open_tcp(settings: PortSettings, receiver: Receiver) -> TcpPort:
 
 
 def _watch(sock: socket.socket) -> None:
-    """Have the kernel send at once and notice a server that vanished without a word."""
+    """Have the kernel send at once and detect a server that vanished silently."""
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, _KEEPALIVE_IDLE_S)

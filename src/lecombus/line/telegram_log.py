@@ -1,7 +1,7 @@
 """Every telegram in the log, decoded, one line each: for `--log-level debug` alone.
 
-Bytes are collected as they come, in whatever pieces, and told when the exchange is over; what
-nobody asked for is told before the next telegram, together.
+Received bytes are collected and logged at the end of the exchange; unsolicited bytes are logged
+together before the next telegram.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ __all__ = ["TelegramLog"]
 
 logger = logging.getLogger(__name__)
 
-MOST_STRAYS: Final = 256
-"""Bytes nobody asked for that are collected; then they are told, whatever comes."""
+MOST_UNSOLICITED: Final = 256
+"""With this many unsolicited bytes they are logged immediately."""
 
 KINDS: Final = {
     ValueAnswer: "value",
@@ -36,7 +36,7 @@ KINDS: Final = {
 
 
 class TelegramLog:
-    """Tells the telegrams of one line.
+    """Logs the telegrams of one line.
 
     Args:
         line: Its name.
@@ -48,8 +48,8 @@ class TelegramLog:
         self._heard = bytearray()
 
     def sent(self, job: Job, telegram: bytes) -> None:
-        """Tell a telegram that was handed to the port."""
-        self._tell_strays()
+        """Log a telegram that was sent to the port."""
+        self._log_unsolicited()
         self._sent = telegram
         step = job.step
         value = "" if step.value is None else f" value={step.value.raw}"
@@ -63,16 +63,16 @@ class TelegramLog:
         self._heard += data
 
     def stray(self, data: bytes) -> None:
-        """Collect bytes that nobody asked for."""
+        """Collect unsolicited bytes."""
         self._heard += data
-        if len(self._heard) >= MOST_STRAYS:
-            self._tell_strays()
+        if len(self._heard) >= MOST_UNSOLICITED:
+            self._log_unsolicited()
 
     def ended(self, job: Job, result: Result) -> None:
-        """Tell what came of an exchange, before its job takes it."""
+        """Log the result of an exchange, before its job gets it."""
         heard, self._heard = bytes(self._heard), bytearray()
         if result.kind is ResultKind.SENT:
-            return  # a multicast: nobody answers
+            return  # a multicast has no answer
         echo = len(self._sent) > 1 and heard.startswith(self._sent)
         answer = result.answer
         kind = KINDS.get(type(answer)) or result.kind.name.lower().replace("_", "-")
@@ -89,7 +89,7 @@ class TelegramLog:
             (heard[len(self._sent) :] if echo else heard).hex(" ") or "none", more,
         )  # fmt: skip
 
-    def _tell_strays(self) -> None:
+    def _log_unsolicited(self) -> None:
         if self._heard:
             logger.debug(
                 "line=%s event=telegram direction=received kind=unasked bytes=%s",

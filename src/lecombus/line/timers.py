@@ -1,12 +1,10 @@
 """What the worker waits for besides bytes: a time, a nudge, a deadline that moves.
 
 All belong to one line and its event loop thread. `WakeableSleep` lets the worker's task sleep until
-a time or until somebody has something for it, and `WakeableTimer` is the same for whoever lives in
-callbacks: waking a task costs twice as much. `Deadline` calls back at a time that moves on with
-every exchange: its timer is left alone as long as it is early enough and looks again when it fires,
-because making and cancelling one timer for each exchange costs more than the rare look.
-
-What must not live here: what is waited for, and why.
+a time or until `nudge`. `WakeableTimer` is the same for callbacks: waking a task costs twice as
+much. `Deadline` calls back at a time that moves on with every exchange: its timer is left alone as
+long as it is early enough and looks again when it fires, because making and cancelling one timer
+for each exchange costs more than the rare look.
 """
 
 from __future__ import annotations
@@ -40,7 +38,7 @@ class WakeableSleep:
     """Lets one task sleep until a time, or until nudged.
 
     Args:
-        lateness: Told how late it was woken.
+        lateness: Records how late it was woken.
     """
 
     __slots__ = ("_future", "_lateness")
@@ -74,7 +72,7 @@ class WakeableTimer:
 
     Args:
         over: Called.
-        lateness: Told how late that was, where it was the time.
+        lateness: Records how late that was, if it was not nudged.
 
     Attributes:
         late_s: How late the last one was over, seconds; 0: it was nudged.
@@ -125,7 +123,7 @@ class WakeableTimer:
 
 
 class Deadline:
-    """Calls back when a time has come that is set anew again and again.
+    """Calls back at a time that is set again often.
 
     Args:
         passed: Called when it may have passed; it sets the deadline again if it has not.

@@ -1,8 +1,8 @@
-"""Bytes that come when nobody was asked: old answers, noise, somebody else on the line.
+"""Bytes received outside an exchange: late answers, noise, another device on the line.
 
-They are never used as values. A whole read answer that was in doubt tells that the doubt is over:
-the late one has come, and its like may be asked for again. When it was the only one in doubt it
-also tells how slow its drive is (`drives.measured`).
+They are never used as values. A complete read answer that was pending ends that wait: a request
+with the same answer may be sent again. If it was the only pending one, it also measures how slow
+its drive is (`drives.measured`).
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ class UnsolicitedBytes:
     """Listens between exchanges.
 
     Args:
-        late_replies: Told when a late answer has come.
-        second: Told of an answer that nobody misses, by its code field, and when it came.
+        late_replies: Is updated when a late answer has come.
+        second: Called with the code field and time of an answer that is not missing.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class UnsolicitedBytes:
         self._parser = AnswerParser(parity=value)
 
     def begin(self) -> None:
-        """Listen anew: an exchange has just been given up."""
+        """Start again: an exchange has just been given up."""
         self._begun_at = self.bytes_total
         self._parser.reset()
 
@@ -68,7 +68,7 @@ class UnsolicitedBytes:
         return self.bytes_total - self._begun_at > MAX_ANSWER_CHARS
 
     def feed(self, data: bytes, now_s: float) -> bool:
-        """Take bytes nobody asked for.
+        """Process unsolicited bytes.
 
         Args:
             data: The bytes, parity bits included.

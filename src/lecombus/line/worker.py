@@ -1,14 +1,11 @@
 """The worker: it owns the port of one line for as long as the daemon lives.
 
-Theory of operation. One task opens the port, lets the talk run on it (exchange_loop.py: one
-exchange after the other), and opens it again, with backoff, whenever it was lost.
+Theory of operation. One task opens the port, runs exchanges on it (exchange_loop.py), and
+opens it again, with backoff, whenever it was lost.
 
 * Cancelling a caller never reaches the wire: callers wait on futures, the worker runs in a shield
   and ends only between two exchanges.
-* When the port is lost every waiting request is ended at once and nothing old is sent again.
-
-What must not live here: what is said and heard (talk), who goes first (schedule), what is known
-about the drives (store).
+* When the port is lost every waiting request is ended immediately and nothing old is sent again.
 """
 
 from __future__ import annotations
@@ -36,13 +33,13 @@ class LineWorker:
     Args:
         settings: The port to open.
         opener: Opens it.
-        schedule: Says who speaks next.
+        schedule: Gives the next request.
         timing: Baud rate and latencies for time-outs.
-        options: How the line is worked.
-        observer: Told what happens.
+        options: Turnaround, echo, time-outs of the line.
+        observer: Is called for each event on the line.
 
     Attributes:
-        exchange_loop: What is said and heard.
+        exchange_loop: Sends telegrams and receives answers.
         lateness: How late the line was woken.
     """
 
@@ -70,7 +67,7 @@ class LineWorker:
 
     @property
     def is_open(self) -> bool:
-        """Whether there is a port to speak on."""
+        """Whether the port is open."""
         return self._connection.port is not None
 
     @property
@@ -168,7 +165,7 @@ class LineWorker:
         )
 
     def _end_all(self) -> None:
-        """Close the port and leave nobody waiting."""
+        """Close the port and end every waiting request."""
         self._closing = True
         self._connection.drop()
         self.exchange_loop.clear()
