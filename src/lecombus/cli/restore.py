@@ -232,15 +232,20 @@ def carry_out(
     enabling = ""
     if options.enable and enabled and result.complete:
         enabling = enable_again(options, stops, socket, url)
-    if options.as_json:
-        click.echo(json.dumps(result_json(plan, result, options.drive)))
-    else:
-        show_result(
-            plan, result, options.drive, enabled=enabled and options.enable and not enabling
-        )
+    tell_result(plan, result, options, enabled=enabled and options.enable and not enabling)
     if enabling:
         raise CommandError(Exit.FAILED, Problem(f"{options.drive} stays inhibited: {enabling}"))
     return Exit.DONE if result.complete else Exit.FAILED
+
+
+def tell_result(
+    plan: RestorePlan, result: Restored, options: RestoreOptions, *, enabled: bool
+) -> None:
+    """Show what became of the plan, or write it as JSON."""
+    if options.as_json:
+        click.echo(json.dumps(result_json(plan, result, options.drive)))
+    else:
+        show_result(plan, result, options.drive, enabled=enabled)
 
 
 def left_by(notes: Notes, options: RestoreOptions) -> Progress | None:
