@@ -12,7 +12,7 @@ from lecombus.config import Roster, line_timing
 from lecombus.simulator import SimLine
 from lecombus.simulator.drive import SimDrive
 from lecombus.simulator.faults import Faults
-from lecombus.simulator.receiver import Heard
+from lecombus.simulator.receiver import ReceivedRequest
 from support.drives import presets
 
 __all__ = ["Drip", "HostileLine", "hostile_line"]
@@ -72,7 +72,7 @@ class HostileLine(SimLine):
         """Lose the next answer of a drive."""
         self._drips[address] = drip
 
-    def _ask(self, drive: SimDrive, heard: Heard, at_s: float, faults: Faults) -> None:
+    def _ask(self, drive: SimDrive, heard: ReceivedRequest, at_s: float, faults: Faults) -> None:
         drip = self._drips.pop(drive.address, None)
         if drip is None or drip.first_s < at_s:  # none, or it came too late for its exchange
             super()._ask(drive, heard, at_s, faults)

@@ -18,7 +18,7 @@ from lecombus.readings import DriveState
 from lecombus.schedule import Outcome
 from lecombus.simulator.drive import SimDrive
 from lecombus.simulator.faults import Faults
-from lecombus.simulator.receiver import Heard
+from lecombus.simulator.receiver import ReceivedRequest
 from lecombus.state import State
 from support.site_host import Plant, roster_of, until, with_plant
 
@@ -208,7 +208,7 @@ def test_a_write_that_was_not_heard_changes_nothing_and_that_is_found_out() -> N
         heard = plant.line["a"].model.writers.get(9)
         assert heard is None
 
-        def deaf_to_writes(at_s: float, one: Heard) -> None:
+        def deaf_to_writes(at_s: float, one: ReceivedRequest) -> None:
             plant.line.drive_faults[11] = Faults(unheard=1.0 if one.text is not None else 0.0)
 
         plant.line.on_request = deaf_to_writes
@@ -244,7 +244,7 @@ def test_a_drive_found_nowhere_is_said_with_what_to_do_and_remembered() -> None:
     async def test(plant: Plant) -> None:
         await ready(plant)
 
-        def vanish_at_the_write(at_s: float, one: Heard) -> None:
+        def vanish_at_the_write(at_s: float, one: ReceivedRequest) -> None:
             if one.text is not None and one.address == 11:
                 plant.line["a"].present = False
 

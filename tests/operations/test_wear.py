@@ -14,7 +14,7 @@ from lecombus.operations.wear import counts, wears
 from lecombus.protocol.addressing import Code
 from lecombus.schedule import Outcome
 from lecombus.simulator.faults import Faults
-from lecombus.simulator.receiver import Heard
+from lecombus.simulator.receiver import ReceivedRequest
 from lecombus.state import State
 from support.site_host import Plant, roster_of, with_plant
 
@@ -107,7 +107,7 @@ def test_a_write_whose_answer_was_lost_counts_and_a_refused_one_does_not() -> No
         assert (await write(plant, 5000)).outcome is Outcome.REFUSED
         assert counted(plant) == {}
 
-        def lose_from_the_write_on(at_s: float, heard: Heard) -> None:
+        def lose_from_the_write_on(at_s: float, heard: ReceivedRequest) -> None:
             if heard.text is not None:
                 plant.line.drive_faults[11] = Faults(lost=1.0)
 

@@ -24,7 +24,7 @@ from lecombus.capacity.plan import make_promises
 from lecombus.line.observer import ExchangeReport
 from lecombus.line_runtime import LineRuntime
 from lecombus.simulator.line import SimLine
-from lecombus.simulator.receiver import Heard
+from lecombus.simulator.receiver import ReceivedRequest
 from proof.lines import RandomLine
 from proof.losses import Losses, TolerantLine
 from proof.outcomes import Outcomes
@@ -130,7 +130,7 @@ class Invariants:
         self.wire.heard(data, self._now())
         self._telegrams.heard()
 
-    def _drives_heard(self, at_s: float, heard: Heard) -> None:
+    def _drives_heard(self, at_s: float, heard: ReceivedRequest) -> None:
         self._pauses.drives_heard(at_s, heard)
         self.promises.drives_heard(at_s, heard.address)
 

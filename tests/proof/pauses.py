@@ -18,7 +18,7 @@ from collections.abc import Callable
 from lecombus.simulator.drive import SimDrive
 from lecombus.simulator.families.inverter82xx import Drive82XX
 from lecombus.simulator.line import SimLine
-from lecombus.simulator.receiver import Heard
+from lecombus.simulator.receiver import ReceivedRequest
 from proof.lines import RandomLine
 from proof.telegrams import CHARACTER_BITS, Telegram
 
@@ -53,7 +53,7 @@ class Pauses:
         self._turnaround_s = line.roster.line.turnaround_s - stray * CHARACTER_BITS / sim.host_baud
         self._left_alone: dict[int, float] = {}
 
-    def drives_heard(self, at_s: float, heard: Heard) -> None:
+    def drives_heard(self, at_s: float, heard: ReceivedRequest) -> None:
         """A request has come to the drives: a module may be busy with it from here on."""
         if heard.text is None or heard.damaged:
             return

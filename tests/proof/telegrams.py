@@ -17,7 +17,7 @@ from lecombus.protocol.exchange import ResultKind
 from lecombus.schedule import Priority
 from lecombus.simulator.drive import SimDrive
 from lecombus.simulator.line import SimLine
-from lecombus.simulator.receiver import Listener
+from lecombus.simulator.receiver import RequestReceiver
 from lecombus.simulator.wire import read_code_field
 
 __all__ = ["Telegram", "Telegrams"]
@@ -73,7 +73,7 @@ class Telegrams:
 
     def __init__(self, sim: SimLine) -> None:
         self._sim = sim
-        self._listener = Listener(parity=sim.parity)
+        self._listener = RequestReceiver(parity=sim.parity)
         self._last: Telegram | None = None
         self._unreported: deque[Telegram] = deque()
         self._before: Telegram | None = None

@@ -8,11 +8,11 @@ from lecombus.protocol import (
     MAX_ANSWER_CHARS,
     BadRequest,
     Code,
-    Fault,
     Form,
     HostRequest,
     ReadRequest,
     RequestParser,
+    TelegramFault,
     Value,
     WriteRequest,
     encode_code,
@@ -85,7 +85,7 @@ def test_an_eot_interrupts_at_any_place_and_begins_anew(size: int) -> None:
     events = RequestParser().feed(WRITE[:size] + WRITE)
     address = 34 if size >= 3 else None
     # Cut after ETX, the EOT stands where the BCC was due: the text had its wrong BCC.
-    fault = Fault.BCC if size == len(WRITE) - 1 else Fault.INTERRUPTED
+    fault = TelegramFault.BCC if size == len(WRITE) - 1 else TelegramFault.INTERRUPTED
     assert events == [
         BadRequest(fault, WRITE[:size], address),
         WriteRequest(34, C11, Value.parse("95.2")),
@@ -101,22 +101,22 @@ def test_a_bare_eot_is_no_telegram_and_interrupts_none() -> None:
 @pytest.mark.parametrize(
     ("data", "fault", "address", "received"),
     [
-        (b"46", Fault.UNEXPECTED, None, b"4"),
-        (b"\x04x146\x05", Fault.UNEXPECTED, None, b"\x04x"),
-        (b"\x040:46\x05", Fault.UNEXPECTED, None, b"\x040:"),
-        (b"\x040146\x06", Fault.UNEXPECTED, 1, b"\x040146\x06"),
-        (b"\x040146\x02", Fault.UNEXPECTED, 1, b"\x040146\x02"),
-        (b"\x0401\x05", Fault.UNEXPECTED, 1, b"\x0401\x05"),
-        (b"\x0401\x02\x02", Fault.UNEXPECTED, 1, b"\x0401\x02\x02"),
-        (b"\x0401!00g", Fault.UNEXPECTED, 1, b"\x0401!00g"),
-        (WRITE[:-1] + b"\x14", Fault.BCC, 34, WRITE[:-1] + b"\x14"),
-        (b"\x0434\x0211\x03\x03", Fault.FORMAT, 34, b"\x0434\x0211\x03\x03"),
-        (b"\x0434\x0211?\x03\x3c", Fault.FORMAT, 34, b"\x0434\x0211?\x03\x3c"),
-        (b"\x04\xb3", Fault.PARITY, None, b"\x04\xb3"),
+        (b"46", TelegramFault.UNEXPECTED, None, b"4"),
+        (b"\x04x146\x05", TelegramFault.UNEXPECTED, None, b"\x04x"),
+        (b"\x040:46\x05", TelegramFault.UNEXPECTED, None, b"\x040:"),
+        (b"\x040146\x06", TelegramFault.UNEXPECTED, 1, b"\x040146\x06"),
+        (b"\x040146\x02", TelegramFault.UNEXPECTED, 1, b"\x040146\x02"),
+        (b"\x0401\x05", TelegramFault.UNEXPECTED, 1, b"\x0401\x05"),
+        (b"\x0401\x02\x02", TelegramFault.UNEXPECTED, 1, b"\x0401\x02\x02"),
+        (b"\x0401!00g", TelegramFault.UNEXPECTED, 1, b"\x0401!00g"),
+        (WRITE[:-1] + b"\x14", TelegramFault.BCC, 34, WRITE[:-1] + b"\x14"),
+        (b"\x0434\x0211\x03\x03", TelegramFault.FORMAT, 34, b"\x0434\x0211\x03\x03"),
+        (b"\x0434\x0211?\x03\x3c", TelegramFault.FORMAT, 34, b"\x0434\x0211?\x03\x3c"),
+        (b"\x04\xb3", TelegramFault.PARITY, None, b"\x04\xb3"),
     ],
 )
 def test_a_bad_request_says_why_and_is_reported_once(
-    data: bytes, fault: Fault, address: int | None, received: bytes
+    data: bytes, fault: TelegramFault, address: int | None, received: bytes
 ) -> None:
     parser = RequestParser()
     assert parser.feed(data + b"more of it\x05") == [BadRequest(fault, received, address)]
@@ -126,7 +126,7 @@ def test_a_bad_request_says_why_and_is_reported_once(
 def test_a_write_that_is_too_long_is_bad() -> None:
     events = RequestParser().feed(b"\x0401\x0246" + b"1" * 1000)
     assert [(e.fault, e.address) for e in events if isinstance(e, BadRequest)] == [
-        (Fault.TOO_LONG, 1)
+        (TelegramFault.TOO_LONG, 1)
     ]
 
 
@@ -135,4 +135,4 @@ def test_an_eot_with_bad_parity_begins_nothing(char: bytes) -> None:
     parity = char == b"\x04"  # 04h is odd: with parity an EOT is 84h
     read = read_telegram(1, Code(46), Form.STANDARD)
     sent = char + (with_parity(read[1:]) if parity else read[1:])
-    assert RequestParser(parity=parity).feed(sent) == [BadRequest(Fault.PARITY, char)]
+    assert RequestParser(parity=parity).feed(sent) == [BadRequest(TelegramFault.PARITY, char)]

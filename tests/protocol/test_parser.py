@@ -14,9 +14,9 @@ from lecombus.protocol import (
     AnswerParser,
     BadAnswer,
     Code,
-    Fault,
     Form,
     NakAnswer,
+    TelegramFault,
     Value,
     ValueAnswer,
     bcc,
@@ -147,14 +147,14 @@ def test_the_longest_value_is_read_and_one_character_more_is_too_long(size: int)
                 assert isinstance(answer, ValueAnswer)
             else:
                 assert isinstance(answer, BadAnswer)
-                assert answer.fault is Fault.TOO_LONG
+                assert answer.fault is TelegramFault.TOO_LONG
                 assert answer.received + parser.tail == data
 
 
 def test_a_value_without_end_is_given_up_when_it_is_too_long() -> None:
     answer = AnswerParser().feed(b"\x0246" + b"1" * 10_000)
     assert isinstance(answer, BadAnswer)
-    assert answer.fault is Fault.TOO_LONG
+    assert answer.fault is TelegramFault.TOO_LONG
     assert len(answer.received) == 1 + 2 + 242
 
 
@@ -204,7 +204,7 @@ def test_with_parity_a_single_wrong_bit_never_gives_a_value(
     sent[data.draw(st.integers(0, len(sent) - 1))] ^= 1 << data.draw(st.integers(0, 7))
     got, _, _ = outcome(bytes(sent), [bytes(sent)], True)
     assert isinstance(got, BadAnswer)
-    assert got.fault is Fault.PARITY
+    assert got.fault is TelegramFault.PARITY
 
 
 def test_a_parity_fault_ends_at_the_bad_byte() -> None:
@@ -212,34 +212,36 @@ def test_a_parity_fault_ends_at_the_bad_byte() -> None:
     bad = sent[:4] + bytes((sent[4] ^ 0x80,)) + sent[5:]
     parser = AnswerParser(parity=True)
     answer = parser.feed(bad)
-    assert answer == BadAnswer(Fault.PARITY, bad[:5])
+    assert answer == BadAnswer(TelegramFault.PARITY, bad[:5])
     assert parser.tail == bad[5:]
 
 
 def test_bit_7_is_a_parity_fault_where_the_port_frames_7_bits() -> None:
     for at in range(len(GOOD)):
         bad = GOOD[:at] + bytes((GOOD[at] | 0x80,)) + GOOD[at + 1 :]
-        assert AnswerParser().feed(bad) == BadAnswer(Fault.PARITY, bad[: at + 1])
-    assert AnswerParser().feed(b"\x86") == BadAnswer(Fault.PARITY, b"\x86")
+        assert AnswerParser().feed(bad) == BadAnswer(TelegramFault.PARITY, bad[: at + 1])
+    assert AnswerParser().feed(b"\x86") == BadAnswer(TelegramFault.PARITY, b"\x86")
 
 
 def test_an_acknowledgement_with_odd_parity_is_none() -> None:
     assert AnswerParser(parity=True).feed(b"\x06") == AckAnswer()
     assert AnswerParser(parity=True).feed(b"\x95") == NakAnswer()
-    assert AnswerParser(parity=True).feed(b"\x15") == BadAnswer(Fault.PARITY, b"\x15")
-    assert AnswerParser(parity=True).feed(b"\x86") == BadAnswer(Fault.PARITY, b"\x86")
+    assert AnswerParser(parity=True).feed(b"\x15") == BadAnswer(TelegramFault.PARITY, b"\x15")
+    assert AnswerParser(parity=True).feed(b"\x86") == BadAnswer(TelegramFault.PARITY, b"\x86")
 
 
 def test_a_bad_bcc_says_which_was_due() -> None:
     answer = AnswerParser().feed(GOOD[:-1] + b"\x1c")
-    assert answer == BadAnswer(Fault.BCC, GOOD[:-1] + b"\x1c", expected_bcc=0x1D, got_bcc=0x1C)
+    assert answer == BadAnswer(
+        TelegramFault.BCC, GOOD[:-1] + b"\x1c", expected_bcc=0x1D, got_bcc=0x1C
+    )
     assert isinstance(answer, BadAnswer)
     assert answer.reason == "BCC is 1Ch, 1Dh was due"
 
 
 def test_after_an_answer_nothing_more_is_answered_until_reset() -> None:
     parser = AnswerParser()
-    assert parser.feed(b"x") == BadAnswer(Fault.UNEXPECTED, b"x")
+    assert parser.feed(b"x") == BadAnswer(TelegramFault.UNEXPECTED, b"x")
     assert parser.feed(GOOD) is None
     assert parser.feed(b"\x06") is None
     assert parser.tail == GOOD + b"\x06"
@@ -260,4 +262,4 @@ def test_every_first_character_but_three_is_unexpected() -> None:
     for char in range(128):
         answer = AnswerParser().feed(bytes((char,)))
         expected = {0x02: None, 0x06: AckAnswer(), 0x15: NakAnswer()}
-        assert answer == expected.get(char, BadAnswer(Fault.UNEXPECTED, bytes((char,))))
+        assert answer == expected.get(char, BadAnswer(TelegramFault.UNEXPECTED, bytes((char,))))

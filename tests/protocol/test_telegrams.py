@@ -8,8 +8,8 @@ from lecombus.protocol import (
     NAK_ANSWER,
     BadAnswer,
     Code,
-    Fault,
     Form,
+    TelegramFault,
     Value,
     encode_answer,
     read_telegram,
@@ -74,17 +74,23 @@ def test_octets_are_sent_in_full_length() -> None:
     assert len(telegram) == 3 + 1 + 2 + 241 + 2
 
 
-@pytest.mark.parametrize("fault", [fault for fault in Fault if fault is not Fault.BCC])
-def test_every_fault_says_something_of_its_own(fault: Fault) -> None:
-    reasons = {BadAnswer(other, b"\x0f").reason for other in Fault if other is not Fault.BCC}
-    assert len(reasons) == len(Fault) - 1
+@pytest.mark.parametrize(
+    "fault", [fault for fault in TelegramFault if fault is not TelegramFault.BCC]
+)
+def test_every_fault_says_something_of_its_own(fault: TelegramFault) -> None:
+    reasons = {
+        BadAnswer(other, b"\x0f").reason
+        for other in TelegramFault
+        if other is not TelegramFault.BCC
+    }
+    assert len(reasons) == len(TelegramFault) - 1
     assert BadAnswer(fault, b"\x0f").reason in reasons
 
 
 def test_the_character_that_was_wrong_is_named() -> None:
-    assert BadAnswer(Fault.UNEXPECTED, b"\x02\x0f").reason.startswith("character 0Fh")
-    assert BadAnswer(Fault.PARITY, b"\x02\x8f").reason.startswith("character 8Fh")
+    assert BadAnswer(TelegramFault.UNEXPECTED, b"\x02\x0f").reason.startswith("character 0Fh")
+    assert BadAnswer(TelegramFault.PARITY, b"\x02\x8f").reason.startswith("character 8Fh")
 
 
 def test_a_bad_answer_is_written_as_it_came() -> None:
-    assert encode_answer(BadAnswer(Fault.UNEXPECTED, b"\xff\x00")) == b"\xff\x00"
+    assert encode_answer(BadAnswer(TelegramFault.UNEXPECTED, b"\xff\x00")) == b"\xff\x00"

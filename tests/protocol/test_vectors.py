@@ -12,13 +12,13 @@ from lecombus.protocol import (
     AnswerParser,
     BadAnswer,
     Code,
-    Fault,
     Form,
     Format,
     HostRequest,
     NakAnswer,
     ReadRequest,
     RequestParser,
+    TelegramFault,
     TransmissionErrorAnswer,
     UnknownCodeAnswer,
     Value,
@@ -125,7 +125,7 @@ def test_a_bad_answer_says_why_in_every_split(vector: dict[str, Any], parity: bo
         parser.reset()
         answer = feed_all(parser, pieces)
         assert isinstance(answer, BadAnswer), pieces
-        assert answer.fault is Fault(vector["fault"])
+        assert answer.fault is TelegramFault(vector["fault"])
         assert answer.received + tail == data
         assert parser.tail == tail
         assert answer.reason
@@ -165,5 +165,5 @@ def test_a_request_is_written_as_it_was_read(vector: dict[str, Any]) -> None:
 def test_no_request_passes_for_an_answer(vector: dict[str, Any]) -> None:
     answer = AnswerParser().feed(wire(vector))
     assert isinstance(answer, BadAnswer)
-    assert answer.fault is Fault.UNEXPECTED
+    assert answer.fault is TelegramFault.UNEXPECTED
     assert answer.received == b"\x04"

@@ -14,7 +14,7 @@ import pytest
 
 from lecombus.simulator.line import SimLine
 from lecombus.simulator.outbox import Speech
-from lecombus.simulator.receiver import Heard
+from lecombus.simulator.receiver import ReceivedRequest
 from lecombus.simulator.wire import EOT, ETX, PARITY_TABLE, STX, bcc, code_field
 from lecombus.simulator.world import build
 
@@ -40,7 +40,7 @@ class Seen:
 
     arrived: list[tuple[float, bytes]] = field(default_factory=list)
     due: list[float | None] = field(default_factory=list)
-    requests: list[tuple[float, Heard]] = field(default_factory=list)
+    requests: list[tuple[float, ReceivedRequest]] = field(default_factory=list)
 
 
 def line_with(faults: str, seed: int, *, paced: bool) -> tuple[SimLine, Seen]:

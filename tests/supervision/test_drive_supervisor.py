@@ -13,7 +13,7 @@ from lecombus.errors import LecombusError
 from lecombus.protocol.addressing import Code
 from lecombus.readings import DriveState
 from lecombus.simulator.faults import Faults
-from lecombus.simulator.parameters import CommError, ExtendedFault, Refusal
+from lecombus.simulator.parameters import CommError, ExtendedError, Refusal
 from lecombus.store import DriveChanged, LineState
 from support.site_host import Plant, plainly, roster_of, until, with_plant
 
@@ -38,7 +38,7 @@ def drop_code(plant: Plant, drive: str, number: int) -> None:
     """Let a drive answer that it has no such code."""
 
     def refuse(subcode: int) -> str:
-        raise Refusal(CommError.INVALID_CODE, ExtendedFault.CODE)
+        raise Refusal(CommError.INVALID_CODE, ExtendedError.CODE)
 
     plant.line[drive].model.readers[number] = refuse
 

@@ -12,7 +12,7 @@ from lecombus.errors import OperationError
 from lecombus.protocol.addressing import Code
 from lecombus.readings import DriveState, Quality
 from lecombus.schedule import Outcome
-from lecombus.simulator.parameters import CommError, ExtendedFault, Refusal
+from lecombus.simulator.parameters import CommError, ExtendedError, Refusal
 from lecombus.state import DriveFacts, State
 from support.site_host import Plant, roster_of, until, with_plant
 
@@ -136,7 +136,7 @@ def test_what_cannot_be_read_is_no_swap_and_stays_on_record() -> None:
         await plant.online()
 
         def refuse(subcode: int) -> str:
-            raise Refusal(CommError.INVALID_CODE, ExtendedFault.CODE)
+            raise Refusal(CommError.INVALID_CODE, ExtendedError.CODE)
 
         plant.line["a"].model.readers[1810] = refuse
         await leave_and_return(plant)

@@ -27,7 +27,7 @@ from lecombus.config import load_roster
 from lecombus.simulator import PtyEnd, SimLine
 from lecombus.simulator.drive import SimDrive
 from lecombus.simulator.faults import parse_faults
-from lecombus.simulator.receiver import Heard
+from lecombus.simulator.receiver import ReceivedRequest
 from support.drives import presets
 
 __all__ = ["ADDRESSES", "FAMILY", "WatchedLine", "drives", "main"]
@@ -55,7 +55,7 @@ class WatchedLine(SimLine):
         self._spoke_s = 0.0
         self.on_request = self._heard
 
-    def _heard(self, at_s: float, heard: Heard) -> None:
+    def _heard(self, at_s: float, heard: ReceivedRequest) -> None:
         self.mark = (self.mark[0] + 1, at_s)
         if heard.address not in self.faults.absent:
             self.useful = (self.useful[0] + 1, at_s)

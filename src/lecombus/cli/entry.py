@@ -56,7 +56,7 @@ COMMANDS: Final[Mapping[str, tuple[str, str]]] = {
     "restore": ("restore", "Write a backup back into a drive, after showing what that changes."),
     "status": ("status", "Show the line and its drives, or one drive with its values."),
     "scan": ("scan", "Find the drives on a line, and propose a roster."),
-    "why": ("diagnosis", "Say why a drive does not turn, and what to do next."),
+    "why": ("why_command", "Say why a drive does not turn, and what to do next."),
 }
 """By name, in the order of the help: the module in `cli/` with its `NAME_command`, and the help."""
 

@@ -10,7 +10,13 @@ from __future__ import annotations
 from typing import Final
 
 from lecombus.protocol.controls import ENQ, EOT, STX, bcc
-from lecombus.protocol.telegrams import BadRequest, Fault, HostRequest, ReadRequest, WriteRequest
+from lecombus.protocol.telegrams import (
+    BadRequest,
+    HostRequest,
+    ReadRequest,
+    TelegramFault,
+    WriteRequest,
+)
 from lecombus.protocol.text import TelegramText
 from lecombus.protocol.values import Value, ValueFormatError
 
@@ -62,9 +68,9 @@ class RequestParser:
             return
         self._raw.append(byte)
         if not sound:
-            self._bad(Fault.PARITY, events)
+            self._bad(TelegramFault.PARITY, events)
         elif len(self._raw) == 1:
-            self._bad(Fault.UNEXPECTED, events)
+            self._bad(TelegramFault.UNEXPECTED, events)
         elif len(self._raw) <= 3:
             self._take_address(char, events)
         else:
@@ -72,15 +78,15 @@ class RequestParser:
 
     def _restart(self, byte: int, events: list[HostRequest]) -> None:
         if self._text.ended:
-            self._bad(Fault.BCC, events)
+            self._bad(TelegramFault.BCC, events)
         elif len(self._raw) > 1:  # a bare EOT is no telegram and cuts none
-            self._bad(Fault.INTERRUPTED, events)
+            self._bad(TelegramFault.INTERRUPTED, events)
         self._clear()
         self._raw.append(byte)
 
     def _take_address(self, char: int, events: list[HostRequest]) -> None:
         if char not in _DIGITS:
-            self._bad(Fault.UNEXPECTED, events)
+            self._bad(TelegramFault.UNEXPECTED, events)
         elif len(self._raw) == 3:
             self._address = (self._raw[1] & 0x0F) * 10 + (char & 0x0F)
 
@@ -94,19 +100,19 @@ class RequestParser:
             if char == ENQ:
                 self._good(ReadRequest(self._addressee(), text.field), events)
             else:
-                self._bad(Fault.UNEXPECTED, events)
+                self._bad(TelegramFault.UNEXPECTED, events)
         elif fault := text.take(char):
             self._bad(fault, events)
 
     def _finish(self, got: int, events: list[HostRequest]) -> None:
         text = self._text
         if got != bcc(text.body):
-            self._bad(Fault.BCC, events)
+            self._bad(TelegramFault.BCC, events)
             return
         try:
             value = Value.parse(text.value)
         except ValueFormatError:
-            self._bad(Fault.FORMAT, events)
+            self._bad(TelegramFault.FORMAT, events)
             return
         self._good(WriteRequest(self._addressee(), text.field, value), events)
 
@@ -118,7 +124,7 @@ class RequestParser:
         events.append(request)
         self._clear()
 
-    def _bad(self, fault: Fault, events: list[HostRequest]) -> None:
+    def _bad(self, fault: TelegramFault, events: list[HostRequest]) -> None:
         events.append(BadRequest(fault, bytes(self._raw), self._address))
         self._clear()
         self._skipping = True

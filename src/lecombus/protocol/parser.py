@@ -37,8 +37,8 @@ from lecombus.protocol.telegrams import (
     AckAnswer,
     Answer,
     BadAnswer,
-    Fault,
     NakAnswer,
+    TelegramFault,
     TransmissionErrorAnswer,
     UnknownCodeAnswer,
     ValueAnswer,
@@ -126,7 +126,7 @@ class AnswerParser:
         raw.append(byte)
         char = byte & 0x7F
         if byte.bit_count() & 1 if self._parity else byte > 0x7F:
-            return BadAnswer(Fault.PARITY, bytes(raw))
+            return BadAnswer(TelegramFault.PARITY, bytes(raw))
         if len(raw) == 1:
             return self._begin(char)
         text = self._text
@@ -144,19 +144,19 @@ class AnswerParser:
             return _ACK_ANSWER
         if char == NAK:
             return _NAK_ANSWER
-        return BadAnswer(Fault.UNEXPECTED, bytes(self._raw))
+        return BadAnswer(TelegramFault.UNEXPECTED, bytes(self._raw))
 
     def _finish(self, got: int) -> Answer:
         text = self._text
         due = bcc(text.body)
         if got != due:
-            return BadAnswer(Fault.BCC, bytes(self._raw), expected_bcc=due, got_bcc=got)
+            return BadAnswer(TelegramFault.BCC, bytes(self._raw), expected_bcc=due, got_bcc=got)
         if text.value == _ERROR_MARK:
             return TransmissionErrorAnswer(text.field)
         try:
             return ValueAnswer(text.field, Value.parse(text.value))
         except ValueFormatError:
-            return BadAnswer(Fault.FORMAT, bytes(self._raw))
+            return BadAnswer(TelegramFault.FORMAT, bytes(self._raw))
 
 
 @lru_cache(maxsize=CACHED_ANSWERS)

@@ -34,10 +34,10 @@ __all__ = [
     "Answer",
     "BadAnswer",
     "BadRequest",
-    "Fault",
     "HostRequest",
     "NakAnswer",
     "ReadRequest",
+    "TelegramFault",
     "TransmissionErrorAnswer",
     "UnknownCodeAnswer",
     "ValueAnswer",
@@ -56,7 +56,7 @@ NAK_ANSWER: Final = bytes((NAK,))
 """The answer to a write that changed nothing."""
 
 
-class Fault(StrEnum):
+class TelegramFault(StrEnum):
     """Why a telegram is bad."""
 
     BCC = "bcc"
@@ -116,7 +116,7 @@ class BadAnswer:
         got_bcc: For a BCC fault: what came.
     """
 
-    fault: Fault
+    fault: TelegramFault
     received: bytes
     expected_bcc: int | None = None
     got_bcc: int | None = None
@@ -124,17 +124,17 @@ class BadAnswer:
     @property
     def reason(self) -> str:
         """Say why in words, for logs and errors."""
-        if self.fault is Fault.BCC:
+        if self.fault is TelegramFault.BCC:
             return f"BCC is {self.got_bcc:02X}h, {self.expected_bcc:02X}h was due"
         return _REASONS[self.fault].format(self.received[-1:].hex().upper())
 
 
 _REASONS: Final = {
-    Fault.PARITY: "character {}h has wrong parity",
-    Fault.FORMAT: "the value is in no known format",
-    Fault.UNEXPECTED: "character {}h was not to be expected there",
-    Fault.TOO_LONG: "longer than any value",
-    Fault.INTERRUPTED: "interrupted by a new telegram",
+    TelegramFault.PARITY: "character {}h has wrong parity",
+    TelegramFault.FORMAT: "the value is in no known format",
+    TelegramFault.UNEXPECTED: "character {}h was not to be expected there",
+    TelegramFault.TOO_LONG: "longer than any value",
+    TelegramFault.INTERRUPTED: "interrupted by a new telegram",
 }
 
 Answer = (
@@ -169,7 +169,7 @@ class BadRequest:
         address: Whom it was for, when that was received.
     """
 
-    fault: Fault
+    fault: TelegramFault
     received: bytes
     address: int | None = None
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from lecombus.protocol.addressing import field_length, fits_field
 from lecombus.protocol.controls import ETX
-from lecombus.protocol.telegrams import Fault
+from lecombus.protocol.telegrams import TelegramFault
 from lecombus.protocol.values import HIGHEST_VALUE_CHARS
 
 __all__ = ["TelegramText"]
@@ -40,20 +40,22 @@ class TelegramText:
         self.field_chars = 0
         self.ended = False
 
-    def take(self, char: int) -> Fault | None:
+    def take(self, char: int) -> TelegramFault | None:
         """Take the next character before the BCC; return what is wrong with it."""
         body = self.body
         body.append(char)
         if len(body) == 1:
             self.field_chars = field_length(char)
         if len(body) <= self.field_chars:
-            return None if fits_field(body) else Fault.UNEXPECTED
+            return None if fits_field(body) else TelegramFault.UNEXPECTED
         if char == ETX:
             self.ended = True
             return None
         if not 0x20 <= char < 0x7F:
-            return Fault.UNEXPECTED
-        return Fault.TOO_LONG if len(body) - self.field_chars > HIGHEST_VALUE_CHARS else None
+            return TelegramFault.UNEXPECTED
+        return (
+            TelegramFault.TOO_LONG if len(body) - self.field_chars > HIGHEST_VALUE_CHARS else None
+        )
 
     def at_value(self) -> bool:
         """Return whether the code field is complete and no value has begun."""

@@ -16,8 +16,8 @@ from typing import Final
 from lecombus.simulator.families import MODELS
 from lecombus.simulator.families.inverter82xx import Drive82XX
 from lecombus.simulator.model import Model, Restart
-from lecombus.simulator.parameters import CommError, ExtendedFault, Refusal
-from lecombus.simulator.receiver import Heard
+from lecombus.simulator.parameters import CommError, ExtendedError, Refusal
+from lecombus.simulator.receiver import ReceivedRequest
 from lecombus.simulator.wire import ACK, NAK, read_code_field, unknown_code, value_reply
 
 __all__ = ["LogEntry", "Overrides", "Reply", "SimDrive"]
@@ -247,7 +247,7 @@ class SimDrive:
     # Telegrams
 
     def hear(
-        self, heard: Heard, now_s: float, rng: random.Random, *, nak_reads: bool = False
+        self, heard: ReceivedRequest, now_s: float, rng: random.Random, *, nak_reads: bool = False
     ) -> Reply | None:
         """Take a request to its own address.
 
@@ -280,7 +280,7 @@ class SimDrive:
             return self._spread_out(reply, rng)
         return self._spread_out(self._write(heard.text, number, subcode, now_s), rng)
 
-    def hear_group(self, heard: Heard, now_s: float) -> None:
+    def hear_group(self, heard: ReceivedRequest, now_s: float) -> None:
         """Take a write to a group it belongs to: done or not, never answered, feeds nothing.
 
         Whether a multicast feeds a watchdog is stated nowhere; the simulator takes the worse case.
@@ -316,13 +316,13 @@ class SimDrive:
         offset, selected = self._bank
         return number + offset, selected
 
-    def _complain(self, heard: Heard, *, nak_reads: bool) -> Reply:
+    def _complain(self, heard: ReceivedRequest, *, nak_reads: bool) -> Reply:
         """Parity or block check wrong: `?` to a read, NAK to a write.
 
         Source: EDB2102EN 8.3; CMVLC401A 6.1 (NAK, also after ENQ), 6.3 (`?`).
         """
         self.model.comm_error = CommError.CHECKSUM
-        self.model.extended_fault = ExtendedFault.PARITY
+        self.model.extended_fault = ExtendedError.PARITY
         asks = heard.text is None and not nak_reads
         data = value_reply(heard.field, "?") if asks else bytes((NAK,))
         return Reply(data, self.model.think_s(-1, write=False, now_s=0.0))

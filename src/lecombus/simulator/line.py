@@ -27,7 +27,7 @@ from lecombus.simulator.drive import Overrides, Reply, SimDrive
 from lecombus.simulator.faults import TWIN_S, Faults, LateKind
 from lecombus.simulator.outbox import Outbox, Speech
 from lecombus.simulator.parameters import CommError
-from lecombus.simulator.receiver import Heard, Listener
+from lecombus.simulator.receiver import ReceivedRequest, RequestReceiver
 from lecombus.simulator.spoiling import Spoiler
 
 __all__ = ["SimLine"]
@@ -97,15 +97,15 @@ class SimLine:
         self.clashes = 0
         self.aborted = 0
         self.requests = 0
-        self.on_request: Callable[[float, Heard], None] | None = None
+        self.on_request: Callable[[float, ReceivedRequest], None] | None = None
         self.on_answer: Callable[[SimDrive, float, float], None] | None = None
         self._think_scale = think_scale
         self._host_baud = baud
         self._char_s = _BITS / baud if paced else 0.0
         self._spoiler = Spoiler(seed, parity=parity)
         self._outbox = Outbox(self._spoiler)
-        self._listener = Listener(parity=parity)
-        self._incoming: deque[tuple[float, int, int, Heard | None]] = deque()
+        self._listener = RequestReceiver(parity=parity)
+        self._incoming: deque[tuple[float, int, int, ReceivedRequest | None]] = deque()
         self._host_free_s = 0.0
         self._events: list[tuple[float, int, _Event, Speech]] = []
         self._count = 0
@@ -240,7 +240,7 @@ class SimLine:
         self._outbox.clear()
         self._thinking.clear()
         self._speaking.clear()
-        self._listener = Listener(parity=self.parity)
+        self._listener = RequestReceiver(parity=self.parity)
         self._host_free_s = self._to_host_free_s = now_s
 
     # Working off
@@ -281,7 +281,7 @@ class SimLine:
         elif heard is not None:
             self._request(at_s, heard)
 
-    def _request(self, at_s: float, heard: Heard) -> None:
+    def _request(self, at_s: float, heard: ReceivedRequest) -> None:
         self.requests += 1
         if self.on_request is not None:
             self.on_request(at_s, heard)
@@ -343,7 +343,7 @@ class SimLine:
             return self.faults
         return self.drive_faults.get(drive.address, self.faults)
 
-    def _dispatch(self, heard: Heard, at_s: float) -> None:
+    def _dispatch(self, heard: ReceivedRequest, at_s: float) -> None:
         for drive in self._reached(heard.address):
             faults = self._faults_of(drive)
             if self._spoiler.happens(faults.unheard):
@@ -355,7 +355,7 @@ class SimLine:
             else:
                 self._ask(drive, heard, at_s, faults)
 
-    def _ask(self, drive: SimDrive, heard: Heard, at_s: float, faults: Faults) -> None:
+    def _ask(self, drive: SimDrive, heard: ReceivedRequest, at_s: float, faults: Faults) -> None:
         if heard.text is not None and not heard.damaged and self._spoiler.happens(faults.nak):
             reply: Reply | None = drive.refuse(at_s)
         else:

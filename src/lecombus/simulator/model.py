@@ -16,7 +16,7 @@ from typing import ClassVar, Final
 from lecombus.simulator.motor import Motor
 from lecombus.simulator.parameters import (
     CommError,
-    ExtendedFault,
+    ExtendedError,
     Kept,
     Parameters,
     Refusal,
@@ -82,7 +82,7 @@ class Model:
         self.params = Parameters(specs, set_count=self.set_count)
         self.motor = Motor()
         self.comm_error = CommError.NONE
-        self.extended_fault = ExtendedFault.NONE
+        self.extended_fault = ExtendedError.NONE
         self.troubles = Troubles(self.fault_kinds)
         self.terminal_enable = True
         self.control = 0
@@ -214,7 +214,7 @@ class Model:
         """
         spec = self.params.find(number, subcode)
         if not spec.writable:
-            raise Refusal(CommError.NO_ACCESS, ExtendedFault.READ_ONLY)
+            raise Refusal(CommError.NO_ACCESS, ExtendedError.READ_ONLY)
         checked = spec.check(text)
         self.may_write(spec, checked)
         self._last_write_s = now_s
@@ -322,7 +322,7 @@ class Model:
         self.advance(now_s)
         self.params.power_cycle()
         self.comm_error = CommError.NONE
-        self.extended_fault = ExtendedFault.NONE
+        self.extended_fault = ExtendedError.NONE
         self.troubles.restart()
         self._later.clear()
         self.deaf_until_s = now_s + (self.boot_s if off_s is None else off_s)

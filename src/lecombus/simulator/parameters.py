@@ -14,7 +14,7 @@ from enum import Enum, IntEnum, auto
 
 from lecombus.simulator.wire import decimal_text, read_decimal, read_hexadecimal
 
-__all__ = ["CommError", "ExtendedFault", "Kept", "Parameters", "Refusal", "Spec", "d", "h", "s"]
+__all__ = ["CommError", "ExtendedError", "Kept", "Parameters", "Refusal", "Spec", "d", "h", "s"]
 
 Key = tuple[int, int]
 
@@ -35,7 +35,7 @@ class CommError(IntEnum):
     GENERAL = 15
 
 
-class ExtendedFault(IntEnum):
+class ExtendedError(IntEnum):
     """C1962, the entries the simulator uses. Source: EDB2102EN 8.2, fault list."""
 
     NONE = 0
@@ -58,7 +58,7 @@ class Refusal(Exception):  # noqa: N818 - a valid way for a drive to answer, not
         fault: What C1962 will say.
     """
 
-    def __init__(self, error: CommError, fault: ExtendedFault) -> None:
+    def __init__(self, error: CommError, fault: ExtendedError) -> None:
         super().__init__(f"{error.name}, {fault.name}")
         self.error = error
         self.fault = fault
@@ -115,10 +115,10 @@ class Spec:
             return self._check_word(text)
         number = read_decimal(text) if self.format == "D" else None
         if number is None:
-            raise Refusal(CommError.INVALID_VALUE, ExtendedFault.DATA_TYPE)
+            raise Refusal(CommError.INVALID_VALUE, ExtendedError.DATA_TYPE)
         fits = round(number, self.decimals) == number
         if not (fits and self.low <= number <= self.high):
-            raise Refusal(CommError.INVALID_VALUE, ExtendedFault.VALUE_RANGE)
+            raise Refusal(CommError.INVALID_VALUE, ExtendedError.VALUE_RANGE)
         return decimal_text(number)
 
     def at_keypad(self, text: str) -> str:
@@ -129,18 +129,18 @@ class Spec:
         """
         if self.format == "S":
             if not (text.isascii() and text.isprintable() and len(text) <= _LONGEST_STRING):
-                raise Refusal(CommError.INVALID_VALUE, ExtendedFault.DATA_TYPE)
+                raise Refusal(CommError.INVALID_VALUE, ExtendedError.DATA_TYPE)
             return "S" + text
         if self.format == "H" or self.writable:
             return self.check(text)
         if read_decimal(text) is None:
-            raise Refusal(CommError.INVALID_VALUE, ExtendedFault.DATA_TYPE)
+            raise Refusal(CommError.INVALID_VALUE, ExtendedError.DATA_TYPE)
         return text
 
     def _check_word(self, text: str) -> str:
         word = read_hexadecimal(text)
         if word is None or word[1] != len(self.default) - 1:
-            raise Refusal(CommError.INVALID_VALUE, ExtendedFault.DATA_TYPE)
+            raise Refusal(CommError.INVALID_VALUE, ExtendedError.DATA_TYPE)
         return text
 
 
@@ -224,7 +224,7 @@ class Parameters:
         if basic is not None and basic.sets and which < self._sets:
             return replace(basic, number=number)
         known = number in self._numbers
-        fault = ExtendedFault.SUBCODE if known else ExtendedFault.CODE
+        fault = ExtendedError.SUBCODE if known else ExtendedError.CODE
         raise Refusal(CommError.INVALID_CODE, fault)
 
     def put_in_sets(self, number: int) -> None:

@@ -16,14 +16,14 @@ from typing import Final
 
 from lecombus.simulator.wire import ENQ, EOT, ETX, PARITY_TABLE, STX, bcc
 
-__all__ = ["Heard", "Listener"]
+__all__ = ["ReceivedRequest", "RequestReceiver"]
 
 _LONGEST: Final = 1 + 7 + 241 + 2
 """STX, an extended code field, 240 characters of value with their letter, ETX and BCC."""
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class ReceivedRequest:
     """One request as the drives understood it.
 
     Attributes:
@@ -49,7 +49,7 @@ class _Place(Enum):
     BCC = auto()
 
 
-class Listener:
+class RequestReceiver:
     """Turns the host's characters into requests.
 
     Args:
@@ -67,14 +67,14 @@ class Listener:
         self.cut_short: int | None = None
         """The address of an unfinished write that this EOT cut short, if it did."""
 
-    def whole(self, data: bytes) -> Heard | None:
+    def whole(self, data: bytes) -> ReceivedRequest | None:
         """Say what these characters are if nothing comes between them: one request, or not (None).
 
         The listener's state is left as it is, which is where a whole request leaves it, too.
         """
         return _whole(data, self._parity) if self._place is _Place.IDLE else None
 
-    def feed(self, byte: int) -> Heard | None:
+    def feed(self, byte: int) -> ReceivedRequest | None:
         """Take one character (0..255); give the request it completes, if it does."""
         char = byte & 0x7F
         good = byte == (PARITY_TABLE[char] if self._parity else char)
@@ -93,7 +93,7 @@ class Listener:
         self._damaged = False
         self.started = True
 
-    def _step(self, char: int, good: bool) -> Heard | None:
+    def _step(self, char: int, good: bool) -> ReceivedRequest | None:
         place = self._place
         if place is _Place.IDLE:
             return None
@@ -126,7 +126,7 @@ class Listener:
         elif len(self._body) > _LONGEST:
             self._place = _Place.IDLE
 
-    def _take_code(self, char: int, good: bool) -> Heard | None:
+    def _take_code(self, char: int, good: bool) -> ReceivedRequest | None:
         self._place = _Place.READ
         body = self._body
         wanted = 7 if body[:1] == b"!" else 2
@@ -137,22 +137,22 @@ class Listener:
         self._place = _Place.IDLE
         if char != ENQ or not good:
             return None
-        return Heard(self._address, bytes(body), None, self._damaged)
+        return ReceivedRequest(self._address, bytes(body), None, self._damaged)
 
-    def _end_write(self, char: int, good: bool) -> Heard:
+    def _end_write(self, char: int, good: bool) -> ReceivedRequest:
         self._place = _Place.IDLE
         body = bytes(self._body)
         damaged = self._damaged or not good or bcc(body) != char
         length = 7 if body[:1] == b"!" else 2
         text = body[length:-1].decode("ascii")
-        return Heard(self._address, body[:length], text, damaged)
+        return ReceivedRequest(self._address, body[:length], text, damaged)
 
 
 @lru_cache(maxsize=4096)
-def _whole(data: bytes, parity: bool) -> Heard | None:
+def _whole(data: bytes, parity: bool) -> ReceivedRequest | None:
     """Process a telegram in one step: one EOT, in front, and the last byte ends the request."""
-    listener = Listener(parity=parity)
-    heard: Heard | None = None
+    listener = RequestReceiver(parity=parity)
+    heard: ReceivedRequest | None = None
     for place, byte in enumerate(data):
         if heard is not None:
             return None

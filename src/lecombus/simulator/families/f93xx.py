@@ -17,7 +17,7 @@ from typing import ClassVar, Final
 from lecombus.simulator.families.module2102 import Module2102, tens_digit
 from lecombus.simulator.families.table2102 import FAULTS_93XX, SPECS_93XX
 from lecombus.simulator.model import JOG_BITS, QSP, word_text
-from lecombus.simulator.parameters import CommError, ExtendedFault, Refusal, Spec
+from lecombus.simulator.parameters import CommError, ExtendedError, Refusal, Spec
 from lecombus.simulator.troubles import Kind
 
 __all__ = ["Drive93XX"]
@@ -80,7 +80,7 @@ class Drive93XX(Module2102):
     def may_write(self, spec: Spec, text: str) -> None:
         """C0005 is written only while inhibited."""
         if spec.number == 5 and not self.inhibited():
-            raise Refusal(CommError.NO_ACCESS, ExtendedFault.OPERATING_STATE)
+            raise Refusal(CommError.NO_ACCESS, ExtendedError.OPERATING_STATE)
 
     def take_control_word(self, text: str) -> None:
         """C0135; without a configuration for the line it is only kept."""

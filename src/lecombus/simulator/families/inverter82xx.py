@@ -14,7 +14,7 @@ from typing import ClassVar, Final
 from lecombus.simulator.families.module2102 import Module2102, tens_digit
 from lecombus.simulator.families.table2102 import FAULTS_82XX
 from lecombus.simulator.model import INHIBIT, JOG_BITS, QSP, REVERSE
-from lecombus.simulator.parameters import CommError, ExtendedFault, Refusal, Spec
+from lecombus.simulator.parameters import CommError, ExtendedError, Refusal, Spec
 from lecombus.simulator.troubles import Kind
 
 __all__ = ["Drive82XX"]
@@ -75,9 +75,9 @@ class Drive82XX(Module2102):
         if spec.number not in (46, 135):
             return
         if self.mode() != 3 and not (self.mode() == 1 and spec.number == 46):
-            raise Refusal(CommError.NO_ACCESS, ExtendedFault.OPERATING_MODE)
+            raise Refusal(CommError.NO_ACCESS, ExtendedError.OPERATING_MODE)
         if spec.number == 46 and self.normalized():
-            raise Refusal(CommError.NO_ACCESS, ExtendedFault.READ_ONLY)
+            raise Refusal(CommError.NO_ACCESS, ExtendedError.READ_ONLY)
 
     def normalized(self) -> bool:
         """C0127: the setpoint is C0141 in % of C0011. Source: EDB2102EN 6.5."""

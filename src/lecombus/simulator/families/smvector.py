@@ -15,7 +15,7 @@ from typing import ClassVar, Final
 
 from lecombus.simulator.families.tablesmv import FAULTS_SMV, LECOM_NUMBERS, SPECS_SMV
 from lecombus.simulator.model import INHIBIT, JOG_BITS, QSP, REVERSE, Model, word_text
-from lecombus.simulator.parameters import CommError, ExtendedFault, Refusal, Spec
+from lecombus.simulator.parameters import CommError, ExtendedError, Refusal, Spec
 from lecombus.simulator.troubles import Kind
 
 __all__ = ["F_NF1", "SMVector"]
@@ -159,7 +159,7 @@ class SMVector(Model):
         if self._stops(spec.number, text):
             return
         if self.level() < self._needed(spec.number) or not self.under_network():
-            raise Refusal(CommError.NO_ACCESS, ExtendedFault.OPERATING_MODE)
+            raise Refusal(CommError.NO_ACCESS, ExtendedError.OPERATING_MODE)
         if spec.number in (1060, 1061):
             self._check_speed(Decimal(text))
 
@@ -185,7 +185,7 @@ class SMVector(Model):
         """C1060 and C1061 lie between P102 and P103. Source: CMVLC401A table 9."""
         low, high = Decimal(self.params.text(1102)), Decimal(self.params.text(1103))
         if not low <= value <= high:
-            raise Refusal(CommError.INVALID_VALUE, ExtendedFault.VALUE_RANGE)
+            raise Refusal(CommError.INVALID_VALUE, ExtendedError.VALUE_RANGE)
 
     def _stops(self, number: int, text: str) -> bool:
         if number == 40:
