@@ -1,8 +1,10 @@
-"""Who speaks next on a line: priorities, deadlines, cadence, hold-offs, shares of line time.
+"""Which request is sent next on a line: priorities, deadlines, polling, holds, shares of line time.
 
-Start reading at `schedule.py`, whose header is the theory of operation. Pure: no clock and no I/O,
-every call is given `now_s`; and no word of any line protocol: a request is a drive, a piece of
-work, a cost in seconds and a deadline.
+Start with `schedule.py`; its header is the theory of operation. Pure: no clock and no I/O, each
+call gets `now_s`.
+
+What must not live here: terms of a line protocol. A request is a drive, a piece of work, a cost in
+seconds and a deadline.
 """
 
 from lecombus.schedule.fault_hypothesis import FaultHypothesis

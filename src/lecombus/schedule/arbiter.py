@@ -1,16 +1,16 @@
-"""What is first by priority, by the shares of the lower classes and by what watchdogs ask for.
+"""Chooses by priority, by the shares of the lower classes and by what watchdogs need.
 
 In this order:
 
-1. Control. After each exchange of its own it lets one other go: the first of a class that has
+1. Control. After each control exchange one other may go: the first of a class that has
    earned its share (shares.py), or else an urgent feed. A share goes before an urgent feed because
    feeds are urgent without end where control takes all that they leave; what feeds really need
    goes before both, by the slack check.
 2. Urgent feeds by hard deadline. A feed is urgent when it is due, or when the slack of all
-   watchdogs together is less than the spare kept for failed attempts (feeds.py). While two thirds
-   of that spare are left, urgent feeds and lower classes take turns, so that a sweep of feeds
-   does not keep a person waiting, and feeds that are due do not take all of the line; below that
-   feeds go first.
+   watchdogs together is less than the spare kept for failed attempts (watchdog_set.py). While two
+   thirds of that spare are left, urgent feeds and lower classes take turns, so that a sweep of
+   feeds does not keep a person waiting, and feeds that are due do not take all of the line; below
+   that feeds go first.
 3. Interactive, cyclic (next steps of cyclic requests, then probes, then slots by cadence),
    background; of these, too, one that has earned its share goes after one of a higher class.
    Within a class first come, first served; what comes back through `again` goes ahead of its class.
@@ -20,11 +20,8 @@ the next request of a higher class that would have the drive left alone again.
 
 So a lone control request waits for the exchange under way and for what watchdogs need, and for
 nothing else (`capacity.waits` counts it so). A feed that is not urgent yet, but will be soon (twice
-the spare), costs no telegram of its own: where a cyclic slot would go, it is one of that drive, run
+the spare), costs no separate telegram: where a cyclic slot would go, it is one of that drive, run
 early.
-
-What must not live here: stops, the slack check, what a choice changes (schedule.py); which telegram
-feeds a drive (feed_choice.py).
 """
 
 from __future__ import annotations
@@ -99,7 +96,7 @@ class Arbiter:
         return self._by_class(heads[entitled or top], entitled not in (None, top), now_s)
 
     def took(self, request: Request, costs_s: Mapping[Priority, float], *, ahead: bool) -> None:
-        """Take note of a choice that was made beforehand (rehearsal.py).
+        """Record a choice that was made beforehand (lookahead.py).
 
         Args:
             request: What was chosen.
@@ -114,7 +111,7 @@ class Arbiter:
     def _with_control(
         self, control: Request, entitled: Request | None, now_s: float
     ) -> tuple[Request, bool]:
-        """Choose while control waits: after one of its own, one of somebody else's may go."""
+        """Choose while control waits: after a control exchange, one other may go."""
         if self._shares.had_its_turn(Priority.CONTROL):
             if entitled is not None:
                 self._fed_last = False

@@ -1,15 +1,14 @@
-"""Which drives a line has, what recurs for each, and how each is doing.
+"""The drives of a line, what recurs for each, and the state of each.
 
 A drive is made known, given a watchdog to be kept, cyclic requests and a probe, and taken away
-again. Meanwhile it may be held (left alone until a time; stops go all the same, others go on), or
+again. It may be held (not used until a time; stops go all the same, other drives go on), or
 parked (offline: what waits for it is refused, and only its probe runs); and the line may be lost,
 which ends all that waits and every hold.
 
 Lanes of held drives leave their queue when they come to the head, and are given back when the hold
 ends; cyclic entries likewise leave the cadence.
 
-What must not live here: who speaks next, and requests coming in (schedule.py). Whatever changes
-here spoils a choice made beforehand, and says so through `_invalidate`.
+Each change here invalidates a choice made beforehand (`_invalidate`).
 """
 
 from __future__ import annotations
@@ -108,7 +107,8 @@ class DriveTable(ABC):
         """Keep a drive's watchdog from now on, or no longer.
 
         Its time is counted from the last exchange that fed it; from now, if it is a new one.
-        `feeding.make` is called once at once, for the cost; that request becomes the first feed.
+        `feeding.make` is called once immediately, for the cost; that request becomes the first
+        feed.
         """
         self._invalidate()
         drive = self._drives[name]
@@ -128,7 +128,7 @@ class DriveTable(ABC):
         self._watchdogs.changed()
 
     def costs_changed(self, name: str) -> None:
-        """Reckon anew what feeding a drive costs: something was learnt of it, or forgotten."""
+        """Calculate again what feeding a drive costs: its measured times have changed."""
         feed = self._watchdogs.by_drive.get(name)
         if feed is not None:
             self._invalidate()

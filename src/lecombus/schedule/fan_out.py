@@ -5,7 +5,7 @@ one drive is left alone the line speaks to the others; so the longest waits must
 under the others' exchanges. That is Jackson's rule for jobs with delivery times: the longest tail
 first (J. R. Jackson, "Scheduling a production line to minimize maximum tardiness", 1955). It gives
 the least time where the tails need no line. Here they end with a telegram, the proof, which makes a
-two-stage shop with delays of it. For that nobody knows a quick rule that is always best (it is
+two-stage shop with delays of it. No quick rule is known that is always best (it is
 NP-hard: W. Yu, J. A. Hoogeveen and J. K. Lenstra, J. of Scheduling 7, 2004): one short tail ahead
 of the long ones may fill the gap before the first proof. So the order by tails is taken if it
 leaves the line no idle moment, which no order can beat; else single drives are moved for as long

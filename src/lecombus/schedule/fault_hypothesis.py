@@ -2,7 +2,7 @@
 
 An exchange is begun only if the watchdogs outlast what may be lost from then on. If its own answer
 is lost, it takes its longest, and all but one of the lost answers that are tolerated may be those
-of the feeds after it. If it is answered, all of them may be. A stop waits for nobody; it and its
+of the feeds after it. If it is answered, all of them may be. A stop does not wait; it and its
 lost answer may use the last tenth of a watchdog time, and room is kept for what that does not hold.
 With none to be tolerated an exchange is begun if the watchdogs outlast its own lost answer.
 
@@ -33,7 +33,7 @@ class FaultHypothesis:
     stop_failed_s: float = 0.0
 
     def need_s(self, cost_s: float, worst_s: float, lost_s: float, tenth_s: float) -> float:
-        """Tell how much slack it takes to begin an exchange, seconds.
+        """Return how much slack it takes to begin an exchange, seconds.
 
         Args:
             cost_s: It is answered.

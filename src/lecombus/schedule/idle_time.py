@@ -2,8 +2,6 @@
 
 Cyclic and background work do not count: they are what may wait. Everything else ends the idling,
 also a stop that must itself wait for a feed.
-
-What must not live here: why a line is left idle.
 """
 
 from __future__ import annotations
@@ -26,7 +24,7 @@ LOOK_AGAIN_S: Final = 0.01
 def presses_at_s(
     waiting: Waiting, feeds: WatchdogSet, choice: WatchdogArbiter, now_s: float
 ) -> float:
-    """Tell when to look again whether anything but cyclic and background work wants the line.
+    """Return when to look again whether anything but cyclic and background work wants the line.
 
     Args:
         waiting: What waits; what has come due by now stands in its lanes.

@@ -1,19 +1,19 @@
-"""The choice made beforehand, while an answer is still coming in.
+"""The next choice, made beforehand while an answer is still being received.
 
-Choosing takes longer than a character on the wire, and between an answer's last byte and the next
-telegram the line waits for nothing else. So the choice is made as of the moment at which the
-answer is expected, supposing that the drive answers, and used if by then nothing has changed.
+A choice takes longer than a character on the wire, and it would delay the next telegram. So it is
+made beforehand, for the time at which the answer is expected and on the assumption that the drive
+answers. It is used if nothing has changed by then.
 
-Only the plain case is rehearsed: a stop, or the head of a class with all feeds far from urgent.
-Whatever needs thought (a feed due or pressing, a probe, a request that a watchdog's deadline holds
-back, something that joins, expires or comes back at that moment) is left to the choice in haste,
-which is always right. A choice made beforehand holds between two times that are kept with it: not
-before its slot is due, and not after anything could become due, expire, or run short of slack.
+Only the simple case is planned: a stop, or the head of a class while no feed is near to urgent. All
+other cases (a feed due or urgent, a probe, a request delayed by a watchdog's deadline, something
+that joins, expires or comes back at that time) are decided when the line becomes free; that choice
+is always right. A planned choice is valid between two times that are kept with it: from when its
+slot is due until something could become due, expire, or run short of slack.
 
-Whoever changes a schedule spoils its rehearsal. Nothing is changed by rehearsing: no request is
-begun, no credit booked; the tests hold rehearsed choices equal to those made in haste.
+Each change of the schedule invalidates the planned choice. Planning changes nothing: no request is
+begun and no credit booked. The tests compare planned choices with those made when the line is free.
 
-Pure: the times are arguments. What must not live here: the order of the classes in doubtful cases.
+Pure: the times are arguments.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ __all__ = ["Lookahead", "PlannedChoice"]
 
 @dataclass(slots=True)
 class PlannedChoice:
-    """A choice made beforehand; nobody changes it (not frozen: one is made for each exchange).
+    """A choice made beforehand; it is never changed (not frozen: one is made for each exchange).
 
     Args:
         request: What goes next.

@@ -1,10 +1,10 @@
 """Cyclic requests on an absolute grid that is stretched evenly when the line cannot hold it.
 
-Every entry is due on a grid of its own period on a virtual timeline; real time is virtual time
+Each entry is due on a grid of its period on a virtual timeline; real time is virtual time
 plus an offset. As long as the line keeps up the offset stands still, and the k-th slot is due at
 start + k * period exactly: nothing drifts. The entry with the earliest virtual due time goes first.
 
-An entry may be late by one of its own periods; short bursts are caught up. When the first entry
+An entry may be late by one of its periods; short bursts are caught up. When the first entry
 is later than that, the line is overloaded, and the offset grows by the excess: virtual time runs
 slower, so every cycle is stretched by the same factor and no entry is favoured because of its
 period. What was missed that way is never run twice. The stretch is the ratio of real to virtual
@@ -50,7 +50,7 @@ class Cyclic:
 
 
 class PollingEntry:
-    """A cyclic request and its place on the grid; the handle given to whoever added it."""
+    """A cyclic request and its place on the grid; also the handle for its caller."""
 
     __slots__ = ("active", "cyclic", "due_v", "request", "served", "version")
 
@@ -169,7 +169,7 @@ class Polling:
         return None
 
     def prepare(self) -> None:
-        """Make the request of the slot that comes next, so that it need not be made in haste."""
+        """Make the request of the next slot, so that it is ready when the line becomes free."""
         if self.next_s() is not None:
             self._heap[0][2].made()
 
@@ -179,19 +179,19 @@ class Polling:
         return bool(self._joining)
 
     def first(self) -> tuple[PollingEntry | None, float]:
-        """Tell which entry is due next, and when; changes nothing, unlike `head`."""
+        """Return which entry is due next, and when; changes nothing, unlike `head`."""
         heap = self._heap
         while heap and heap[0][2].version != heap[0][1]:
             heappop(heap)
         return (heap[0][2], heap[0][0] + self.offset_s) if heap else (None, math.inf)
 
     def may_wait(self, entry: PollingEntry, now_s: float) -> bool:
-        """Tell whether a due slot may stand back for another: not when it has for long."""
+        """Return whether a due slot may stand back for another: not when it has for long."""
         late_s = now_s - entry.due_v - self.offset_s
         return late_s <= STAND_BACK_PERIODS * entry.cyclic.period_s
 
     def next_s(self) -> float | None:
-        """Tell when the next slot is due."""
+        """Return when the next slot is due."""
         entry, due_s = self.first()
         return None if entry is None else due_s
 
@@ -236,7 +236,7 @@ class Polling:
         self._push(entry)
 
     def is_due(self, drive: str, now_s: float) -> bool:
-        """Tell whether a slot of a drive is due; it may be set apart."""
+        """Return whether a slot of a drive is due; it may be set apart."""
         due_v = now_s - self.offset_s
         return any(one.active and one.due_v <= due_v for one in self.by_drive.get(drive, ()))
 
@@ -265,7 +265,7 @@ class Polling:
                 snapshots.popleft()
 
     def stretch(self, now_s: float) -> float:
-        """Tell by what factor the cycles were stretched of late; 1.0 when the cadence holds."""
+        """Return by what factor the cycles were stretched of late; 1.0 when the cadence holds."""
         growth_s = self._owed(now_s)
         since = [(at_s, was) for at_s, was in self._snapshots if at_s >= now_s - STRETCH_WINDOW_S]
         if since:
@@ -276,7 +276,7 @@ class Polling:
         return STRETCH_WINDOW_S / virtual_s
 
     def _owed(self, now_s: float) -> float:
-        """Tell how far the offset would grow if the first entry ran now."""
+        """Return how far the offset would grow if the first entry ran now."""
         if self.next_s() is None:
             return 0.0
         due_v, _, entry = self._heap[0]

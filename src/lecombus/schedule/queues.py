@@ -3,7 +3,7 @@
 A class is not one long queue but a lane for every drive, and a heap of lanes ordered by the place
 of each lane's first request. So everything that concerns one drive (it is held, it needs a feed,
 it is gone) touches one lane and never the hundred thousand requests of the others: choosing is
-O(log drives), whatever is queued.
+O(log drives), for any number of requests.
 
 Removal is lazy. A place in a lane is a cell, a list `[place, request]`; a request that ends while
 it waits leaves an empty cell behind, which is dropped when it comes to the front, or all together
@@ -30,7 +30,7 @@ LITTER_LIMIT: Final = 64
 
 
 class Holder(Protocol):
-    """Whoever keeps lanes from being served, and gives them back afterwards."""
+    """What holds lanes back, and releases them afterwards."""
 
     lanes: list[tuple[ClassQueue, Lane]]
 
@@ -179,18 +179,18 @@ class Expiries:
         heappush(heap, (request.expires_at_s, request.serial, request))
 
     def next_s(self) -> float | None:
-        """Tell when the next watched request expires."""
+        """Return when the next watched request expires."""
         heap = self._heap
         while heap and heap[0][2].settled:
             heappop(heap)
         return heap[0][0] if heap else None
 
     def first_s(self) -> float:
-        """Tell, without tidying, before what time nothing expires."""
+        """Return, without tidying, before what time nothing expires."""
         return self._heap[0][0] if self._heap else math.inf
 
     def due(self, now_s: float, most: int) -> list[Request]:
-        """Take out what has expired by now, at most so many at once."""
+        """Take out what has expired by now, at most so many in one call."""
         heap = self._heap
         found: list[Request] = []
         while heap and heap[0][0] <= now_s and len(found) < most:
@@ -200,5 +200,5 @@ class Expiries:
         return found
 
     def overdue(self, now_s: float) -> bool:
-        """Tell, without tidying, whether anything may have expired."""
+        """Return, without tidying, whether anything may have expired."""
         return bool(self._heap) and self._heap[0][0] <= now_s

@@ -111,9 +111,9 @@ class Request:
             may have changed the drive (`UNKNOWN`), and again once that was acknowledged (`DONE`).
         yields: For a stop: only more proof is wanted, and it waits for feeds (`silent_stops`).
         is_gone: Says whether the client that asked for it has left. The line asks directly before
-            the first telegram; None: it is sent whatever its client does.
+            the first telegram; None: it is sent even if its client has left.
 
-    The fields after it belong to the schedule; nobody else writes them.
+    The fields after it belong to the schedule; no other module writes them.
     """
 
     drive: str
@@ -159,8 +159,8 @@ class Request:
         """End it though it may have been sent already.
 
         `SUPERSEDED` and `REFUSED` promise that nothing was changed. A write of which a step has
-        been on the line cannot promise that: it ends as `cut_outcome` says, or, when nobody said,
-        as `UNKNOWN`.
+        been on the line cannot promise that: it ends as `cut_outcome` says, or, when that is not
+        set, as `UNKNOWN`.
         """
         if self.cut_outcome is not None:
             outcome = self.cut_outcome

@@ -1,18 +1,18 @@
-"""Who speaks next on a line: the one place where that is decided.
+"""Decides which request is sent next on a line.
 
-Theory of operation. `next` answers which request goes now, and marks it as under way; `finished`
-books the exchange. Both are O(log n), whatever is queued. A stop goes always, whatever its drive is
-doing (what else a stop does: waiting.py), but feeds may go before one of a silent drive
+Theory of operation. `next` returns which request goes now, and marks it as under way; `finished`
+books the exchange. Both are O(log n). A stop always goes, in every state of its drive
+(what else a stop does: waiting.py), but feeds may go before one of a silent drive
 (silent_stops.py). Then come, in strict order, control, urgent feeds, interactive, cyclic and
-background, each letting others go first as choice.py says. Which drives there are, and how each is
-doing, stands in members.py.
+background, each letting others go first as arbiter.py says. Which drives there are, and how each is
+doing, stands in drive_table.py.
 
-Whatever is chosen, a stop apart, must pass the slack check (feeds.py): it is begun only if every
+Each choice except a stop must pass the slack check (watchdog_set.py): it is begun only if every
 watchdog can still be fed in time should it take its longest. If it does not, the feed that stands
 in its way runs first, due or not. If it never could, it is refused, with the figures.
 
-Which telegram feeds a drive stands in feed_choice.py. While an answer is coming in the choice can
-be made beforehand (rehearsal.py); whatever changes the schedule spoils it, so every way in says so.
+Which telegram feeds a drive stands in watchdog_arbiter.py. While an answer is coming in the choice
+can be made beforehand (lookahead.py); each change of the schedule invalidates it.
 
 Deferred requests, holds and slots put off share one heap of times. Expired requests are
 ended in batches, so that a hundred thousand of them do not block the line; one that comes to the
@@ -85,7 +85,7 @@ class Schedule(DriveTable):
         )
         self._speaking_to: str | None = None
         self._by_manual_from_s = -math.inf
-        self._more = False  # the last choice stopped early: there is more to do at once
+        self._more = False  # the last choice stopped early: there is more to do immediately
 
     def _invalidate(self) -> None:
         self._lookahead.invalidate()
@@ -109,7 +109,7 @@ class Schedule(DriveTable):
         """Take a request back for its next step, ahead of its class or `behind` it.
 
         Call it directly after `finished`. It is ended instead if a stop, a later request or
-        parking came meanwhile. Its expiry no longer counts: it has begun.
+        parking came since. Its expiry no longer counts: it has begun.
         """
         self._lookahead.invalidate()
         self._waiting.place(request, behind=behind)
@@ -170,7 +170,7 @@ class Schedule(DriveTable):
             at_s: When the line is expected to be free.
 
         Returns:
-            What `next` will give at that time unless something changes; None: not to be told.
+            What `next` will give at that time unless something changes; None: not known.
         """
         found = self._lookahead.make(under_way, started_s, at_s)
         if found is None:
@@ -178,7 +178,7 @@ class Schedule(DriveTable):
         return found
 
     def stop_goes(self, now_s: float) -> bool:
-        """Tell whether `next` would give a stop at this moment."""
+        """Return whether `next` would give a stop at this moment."""
         if self._waiting.timers and self._waiting.timers[0][0] <= now_s:
             self._lookahead.invalidate()  # another stop may be the first from now on
             self._run_timers(now_s)
@@ -186,7 +186,7 @@ class Schedule(DriveTable):
         return stop is not None and self._silent_stops.goes(stop, now_s)
 
     def planned(self, now_s: float) -> Request | None:
-        """Tell what was chosen beforehand, if that still holds."""
+        """Return what was chosen beforehand, if that still holds."""
         found = self._lookahead.holding(now_s)
         return None if found is None else found.request
 
@@ -217,7 +217,7 @@ class Schedule(DriveTable):
         for what in self._waiting.run_timers(now_s):
             if isinstance(what, PollingEntry):
                 self._polling.rejoin(what, now_s)
-            elif what.held and what.held_until_s > now_s:  # it was held on meanwhile
+            elif what.held and what.held_until_s > now_s:  # the hold was extended
                 self._waiting.at(what.held_until_s, what)
             elif what.held:
                 slots = self._polling.is_due(what.name, now_s)
@@ -330,7 +330,7 @@ class Schedule(DriveTable):
         return request
 
     def wake_at_s(self, now_s: float) -> float | None:
-        """Tell, after `next` gave None, when to ask again; None: when something is submitted."""
+        """Return, after `next` gave None, when to ask again; None: when something is submitted."""
         waiting = self._waiting
         if self._more or waiting.expiries.overdue(now_s):
             return now_s
@@ -353,7 +353,7 @@ class Schedule(DriveTable):
         return self._watchdogs.fits(now_s, for_s, "") and self.presses_at_s(now_s) > now_s
 
     def presses_at_s(self, now_s: float) -> float:
-        """Tell when anything but cyclic and background work may want the line (`idle_time`)."""
+        """Return when anything but cyclic and background work may want the line (`idle_time`)."""
         self._lookahead.invalidate()
         if self._waiting.timers and self._waiting.timers[0][0] <= now_s:
             self._run_timers(now_s)

@@ -5,15 +5,15 @@ when they wait behind others. While such a class has something that could go, it
 all line time as credit and pays for the line time it uses; once the credit covers its next
 exchange, that one goes first. Credit is capped at a few exchanges and lost when nothing waits; it
 is kept while what waits may not go. An exchange that feeds a watchdog is not paid for: else feeds
-that are cyclic reads would use up what other reads wait for. Nobody gets into debt by an answer
-that is lost: else the next request of its class would wait for twenty such times.
+that are cyclic reads would use up what other reads wait for. A lost answer causes no
+debt: else the next request of its class would wait for twenty such times.
 
-Nobody is let first twice. An exchange goes by credit only directly after one that went by right and
+No class goes first twice. An exchange goes by credit only directly after one that went by right and
 was of the class it goes ahead of, or of a higher one; feeds between them do not count. So a lone
 request of a higher class lets nothing go first, and many of them let others have every second
-exchange at most, whatever those have saved up. Of several classes that have earned theirs, the one
-goes that has gone by credit least recently: where exchanges of higher classes are far longer the
-shares become smaller, but each class gets its turn.
+exchange at most, however much those have saved up. Of several classes that have earned theirs, the
+one goes that has gone by credit least recently: where exchanges of higher classes are far longer
+the shares become smaller, but each class gets its turn.
 
 Absent drives share one token bucket: it fills with their share of elapsed time and holds one
 probe. A probe starts only when the bucket covers the longest it can take, and pays what it took.
@@ -59,7 +59,7 @@ class Shares:
         self._order = tuple(CLASS_SHARES)  # least recently gone by credit first
 
     def had_its_turn(self, top: Priority) -> bool:
-        """Tell whether a class, or one above it, went last and by right: others may go now."""
+        """Return whether a class, or one above it, went last and by right: others may go now."""
         return _had_its_turn(top, self._last)
 
     def entitled(self, waiting: Mapping[Priority, float], top: Priority) -> Priority | None:
@@ -82,7 +82,7 @@ class Shares:
         under_way: Request | None,
         duration_s: float,
     ) -> Priority | None:
-        """Tell which class will go first once an exchange has been booked; changes nothing.
+        """Return which class will go first once an exchange has been booked; changes nothing.
 
         Args:
             waiting: As for `entitled`.
@@ -104,7 +104,7 @@ class Shares:
         return next((one for one in self._order if one in classes), None)
 
     def note(self, waiting: Mapping[Priority, float]) -> None:
-        """Take note of what waits at a choice that was made by what `foresee` told."""
+        """Record what waits at a choice that was made from the result of `foresee`."""
         self._waiting = waiting
 
     def passed(self, request: Request) -> None:
@@ -143,7 +143,7 @@ class Shares:
                 and turn is not DispatchReason.FEED
                 and turn is not DispatchReason.FEED_AHEAD
             ):
-                # Whoever went by right of its class starts at nothing when it falls behind.
+                # A class that went by right starts at nothing when it falls behind.
                 credit_s = max(credit_s - duration_s, 0.0)
             booked[priority] = credit_s
         return booked
@@ -222,7 +222,7 @@ class Probes:
         self._at_s = 0.0
 
     def start(self, probe: Probe, now_s: float) -> None:
-        """Begin probing at once, with the shortest backoff."""
+        """Begin probing immediately, with the shortest backoff."""
         probe.active = True
         probe.backoff_s = BACKOFF_LEAST_S
         self.schedule(probe, now_s)
@@ -268,20 +268,20 @@ class Probes:
         return probe if self._tokens_s >= worst_s else None
 
     def next_s(self, now_s: float) -> float | None:
-        """Tell when the next probe may run."""
+        """Return when the next probe may run."""
         probe = self._tidy()
         if probe is None or self._share <= 0.0:
             return None
         worst_s = probe.made().worst_s
         self._fill(now_s, worst_s)
-        # A hair later than computed, so that rounding does not wake the caller in vain.
+        # A hair later than computed, so that rounding does not wake the caller too early.
         short_s = max(0.0, worst_s - self._tokens_s)
         return max(
             probe.next_at_s, now_s + short_s / self._rate() + (ROUNDING_S if short_s else 0.0)
         )
 
     def not_before_s(self) -> float:
-        """Tell before what time no probe may run; changes nothing, not even by rounding."""
+        """Return before what time no probe may run; changes nothing, not even by rounding."""
         probe = self._tidy() if self._heap else None
         if probe is None or self._share <= 0.0:
             return math.inf

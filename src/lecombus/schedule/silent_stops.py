@@ -1,25 +1,26 @@
 """When a stop of a drive that does not answer goes out, so that it costs no other its watchdog.
 
-A stop goes before everything, and an exchange that is not answered feeds nobody: a few of them in
-a row, and other drives act by their own watchdogs. So the first telegram of a stop waits for
-nothing, for the drive is supposed to hear it; but once a drive has not answered a stop, and from
-the beginning where it is offline, every telegram of its stops must pass the slack check, with the
-spare kept for lost answers left over (feeds.py). While it does not, the feed that stands in the
+A stop goes before everything, and an exchange without answer feeds no watchdog: a few of them in a
+row, and other drives act by their own watchdogs. So the first telegram of a stop waits for nothing,
+for the drive is supposed to hear it; but once a drive has not answered a stop, and from the
+beginning where it is offline, every telegram of its stops must pass the slack check, with the spare
+kept for lost answers left over (watchdog_set.py). While it does not, the feed that stands in the
 way goes first: that read alone, nothing else. So does that of a drive which is late already, its
 watchdog run out or not: it is left out of the check, and may be the one that still moves.
 
 That cannot last. After as long as one feed of every watched drive takes, a round of the line, and
-the attempts that another drive costs which goes away just then, the stop goes, whatever becomes of
-the watchdogs, for it may be the one telegram that is heard. A drive that is left alone for a moment
+the attempts that another drive costs which goes away just then, the stop goes, even if watchdogs
+expire, because it may be the one telegram that is received. A drive that is left alone for a moment
 (a hold) is waited for if its feed stands in the way, and fed.
 
 Nor does it wait for so long that its own drive's watchdog acts: that drive may be there, and may
-have missed no more than the lost answers that are tolerated (faults.py). Its own feed does not go
-before its stop; if the next feed is due after its own and would make it late, the stop goes first.
+have missed no more than the lost answers that are tolerated (fault_hypothesis.py). Its own feed
+does not go before its stop; if the next feed is due after its own and would make it late, the stop
+goes first.
 
-Whoever answers anything is no longer silent, and its stop goes first again. Only what is read when
-it has acknowledged the stop and shown it, for more proof, waits in the same way: the plan counts no
-more than one reading. Which stops come before which stands in waiting.py.
+A drive that answers anything is no longer silent, and its stop goes first again. Only what is read
+when it has acknowledged the stop and shown it, for more proof, waits in the same way: the plan
+counts no more than one reading. Which stops come before which stands in waiting.py.
 
 Pure: the times are arguments.
 """
@@ -55,11 +56,11 @@ class SilentStops:
         self.wake_at_s = math.inf  # a stop waits until then for a drive that is left alone
 
     def held(self, stop: Request) -> bool:
-        """Tell whether a stop waits for feeds at all."""
+        """Return whether a stop waits for feeds at all."""
         return self._waiting.yields(stop)
 
     def goes(self, stop: Request, now_s: float) -> bool:
-        """Tell whether a stop may go now; changes nothing."""
+        """Return whether a stop may go now; changes nothing."""
         if not self.held(stop):
             return True
         feeds = self._watchdogs
@@ -101,13 +102,13 @@ class SilentStops:
         return self._watchdogs.late(now_s, lapsed=True, but=self._waiting.silent)
 
     def _longest_wait_s(self, stop: Request) -> float:
-        """Tell after how long it goes whatever comes of that: a round if no slack will do."""
+        """Return after how long it goes in any case: a round if no slack will do."""
         feeds = self._watchdogs
         never = stop.worst_s > feeds.most_s(stop.drive)[0]
         return feeds.round_s() + (0.0 if never else feeds.lost_s())
 
     def _needed_s(self, stop: Request) -> float:
-        """Tell how much slack it takes: its longest, and what is kept for lost answers.
+        """Return how much slack it takes: its longest, and what is kept for lost answers.
 
         Of a drive that answers no more than of any other exchange.
         """

@@ -3,14 +3,14 @@
 A request comes in by `submit`, or comes back by `take_back` for its next step. It waits in the
 lane of its drive (queues.py) or for a time, and is taken out by `leave`, or ends here: expired,
 superseded by a later request with the same key, ended by a stop, refused because its drive is
-parked, or withdrawn. Each end is counted and told exactly once.
+parked, or withdrawn. Each end is counted and reported exactly once.
 
 Stops. Accepting a stop ends every write that waits for the drives it stops, settings too (they may
 make the stop void) and multicasts that reach one of them, and notes its serial number with these
 drives. A write that was on the line at that moment is compared with that number when it comes
 back, and ended: no write is repeated after a stop that came later.
 
-Times. Deferred requests, holds of drives and whatever else the schedule puts off share one heap.
+Times. Deferred requests, holds of drives and all else that the schedule puts off share one heap.
 
 What is chosen when, and what feeds a watchdog, is not decided here.
 """
@@ -400,7 +400,7 @@ class Waiting:
         return queue.head(_never_held) if queue.depth else None
 
     def yields(self, stop: Request) -> bool:
-        """Tell whether feeds may go before a stop (silent_stops.py)."""
+        """Return whether feeds may go before a stop (silent_stops.py)."""
         return stop.yields or stop.drive in self.silent
 
     def keep(self, drive: QueuedDrive, *, slots: bool, now_s: float) -> None:
@@ -423,7 +423,7 @@ class Waiting:
     def kept_by(
         self, request: Request, now_s: float, after_s: float = KEPT_AFTER_S
     ) -> set[Priority]:
-        """Tell what of lower classes holds of the drives of a request have kept for so long."""
+        """Return what of lower classes holds of the drives of a request have kept for so long."""
         found: set[Priority] = set()
         for drive in self._reached(request):
             if drive.kept and now_s <= drive.kept_until_s:
@@ -459,7 +459,7 @@ class Waiting:
 
 
 def has_expired(request: Request, now_s: float) -> bool:
-    """Tell whether a request may no longer be begun; one that has begun does not expire."""
+    """Return whether a request may no longer be begun; one that has begun does not expire."""
     expires_at_s = request.expires_at_s
     return expires_at_s is not None and expires_at_s <= now_s and not request.attempts
 

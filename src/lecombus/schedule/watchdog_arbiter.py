@@ -1,10 +1,8 @@
 """Which telegram feeds a drive, and whether one must be fed now.
 
-A feed is whatever is useful: the drive's first waiting control or interactive request, else its
+A feed is a useful telegram: the drive's first waiting control or interactive request, else its
 next cyclic slot run early, else the read that its `Feeding` makes. What is urgent follows from the
-deadlines (feeds.py); the order of the classes stands in schedule.py.
-
-What must not live here: deadlines, the slack check, what a choice changes.
+deadlines (watchdog_set.py); the order of the classes stands in schedule.py.
 """
 
 from __future__ import annotations
@@ -40,7 +38,7 @@ class WatchdogArbiter:
         self._polling = cadence
 
     def can_wait(self, now_s: float) -> bool:
-        """Tell whether feeds leave time for something else to take its turn with them."""
+        """Return whether feeds leave time for something else to take its turn with them."""
         feeds = self._watchdogs
         return feeds.fits(now_s, TURNS_PART * feeds.spare_s(), "")
 

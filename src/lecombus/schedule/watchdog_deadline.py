@@ -45,7 +45,7 @@ class WatchdogCosts:
         request: That read.
 
     Attributes:
-        measured: As was measured; as told, where nothing longer was.
+        measured: As measured, where that is longer; else as documented.
         told: By manual and roster.
     """
 
@@ -65,7 +65,7 @@ class WatchdogCosts:
 
     @property
     def is_longer(self) -> bool:
-        """Whether what was measured is longer than what is told."""
+        """Whether measured times are longer than documented ones."""
         return self.measured != self.told
 
 
@@ -104,7 +104,7 @@ class WatchdogDeadline:
         self.drive = drive
         self.feeding = feeding
         self.time_s = feeding.time_s
-        self.request: Request | None = feeding.make()  # kept for the first feed: it tells the cost
+        self.request: Request | None = feeding.make()  # kept for the first feed: it gives the cost
         self.costs = WatchdogCosts(self.request)
         self.cost_s, self.worst_s = self.costs.measured
         self.active = True
@@ -141,7 +141,7 @@ class WatchdogDeadline:
         self.fed, self.misses, self.lapses = old.fed, old.misses, old.lapses
 
     def restart(self, now_s: float) -> None:
-        """Count anew after a pause, without judging the pause."""
+        """Count from now after a pause, without judging the pause."""
         self.active = True
         self._count_from(now_s)
 
@@ -182,13 +182,13 @@ class WatchdogDeadline:
             return
         spare = max(SPARE_ATTEMPTS - self.failures, 1)
         pause_s = min(left_s / 2, left_s - spare * self.worst_s)
-        # A lost answer or two are no reason to be late: if need be it is asked again at once.
+        # A lost answer or two are no reason to be late: if need be it is asked again immediately.
         least_s = 0.0 if self.failures <= max(1, tolerate) else RETRY_LEAST_S
         pause_s = max(pause_s, least_s)
         self.retry_at_s = now_s + pause_s if pause_s > 0.0 else -math.inf
 
     def outlasts(self, now_s: float, worst_s: float) -> bool:
-        """Tell whether a vain exchange with the drive would leave time to feed it afterwards.
+        """Return whether a failed exchange with the drive would leave time to feed it afterwards.
 
         None longer than the watchdog does; a drive fed just now is as ready for it as ever.
         """
@@ -203,9 +203,9 @@ class WatchdogDeadline:
         return request
 
     def next_s(self) -> float:
-        """Tell when it wants to run next."""
+        """Return when it wants to run next."""
         return max(self.due_s, self.free_s())
 
     def free_s(self) -> float:
-        """Tell from when on it may be tried: its drive is not held, and not just tried in vain."""
+        """Return when it may be tried: its drive is not held, no attempt has just failed."""
         return self.held_until_s if self.held_until_s > self.retry_at_s else self.retry_at_s

@@ -1,10 +1,10 @@
-"""Watchdog deadlines: which drive must hear something by when, and what may run before that.
+"""Watchdog deadlines: which drive needs a telegram by when, and what may run before that.
 
 A drive's watchdog runs from the last exchange it answered, counted from that exchange's start. A
 feed must be over at nine tenths of the watchdog time (the hard deadline); the rest is kept for
 clocks, operating systems and the wire. It is due while three failed attempts would still fit
 before that, but not before half the watchdog time: fed earlier than needed, a full line has time
-for little else, because most feeds come by whatever was due anyhow if they are only waited for.
+for little else, because most drives are fed by what is due anyhow, if that is waited for.
 
 The slack check. With the feeds sorted by hard deadline, an exchange that can hold the line for w
 seconds may start only if for every feed i: now + w + (cost of feeds 1..i) <= hard_i. So there is a
@@ -73,7 +73,7 @@ class WatchdogSet:
                 self.count_by(manual=True)
 
     def count_by(self, *, manual: bool) -> None:
-        """Count with what manual and roster tell, or with what was measured."""
+        """Use the times of manual and roster, or the measured ones."""
         self.by_manual = manual
         for feed in self.by_drive.values():
             feed.cost_s, feed.worst_s = feed.costs.told if manual else feed.costs.measured
@@ -81,7 +81,7 @@ class WatchdogSet:
         self._spare_s = self._lost = None
 
     def need_s(self, cost_s: float, worst_s: float) -> float:
-        """Tell how much slack it takes to begin an exchange: room for what may be lost, seconds.
+        """Return how much slack it takes to begin an exchange: room for what may be lost, seconds.
 
         Never more than there ever is, if the exchange fits at all: it must begin at some time.
         """
@@ -102,7 +102,7 @@ class WatchdogSet:
         return any(feed.costs.is_longer for feed in self.by_drive.values())
 
     def shortest_s(self) -> float:
-        """Tell the shortest watchdog time, seconds."""
+        """Return the shortest watchdog time, seconds."""
         return min(feed.time_s for feed in self.by_drive.values())
 
     @property
@@ -112,11 +112,11 @@ class WatchdogSet:
 
     @property
     def latest_end_s(self) -> float:
-        """An exchange over by then makes no feed late, whatever drive it is with."""
+        """An exchange over by then makes no feed late, for any drive."""
         return self._latest_end_s
 
     def fits(self, now_s: float, worst_s: float, drive: str) -> bool:
-        """Tell whether an exchange with a drive may start now.
+        """Return whether an exchange with a drive may start now.
 
         The drive's own deadline does not forbid it, as the exchange feeds it; but its feed stays
         in the sums of the others, as an exchange that times out feeds nothing.
@@ -127,7 +127,7 @@ class WatchdogSet:
         return self._fit(self._in_order(now_s), end_s, drive)
 
     def _fit(self, feeds: list[WatchdogDeadline], end_s: float, drive: str) -> bool:
-        """Tell whether all feeds still fit behind an exchange; keeps the bound for all drives."""
+        """Return whether all feeds still fit behind an exchange; keeps the bound for all drives."""
         latest_s = others_s = math.inf
         total_s = 0.0
         for feed in feeds:
@@ -229,7 +229,7 @@ class WatchdogSet:
         )
 
     def spare_s(self) -> float:
-        """Tell how much slack is kept for attempts that fail, seconds."""
+        """Return how much slack is kept for attempts that fail, seconds."""
         if self._spare_s is None:
             best_s = max(self.most_s("")[0], 0.0)
             tolerated_s = self.faults.tolerate * self.lost_s() / SPARE_ATTEMPTS
@@ -237,14 +237,14 @@ class WatchdogSet:
         return self._spare_s
 
     def lost_s(self) -> float:
-        """Tell how long the spare attempts take, seconds."""
+        """Return how long the spare attempts take, seconds."""
         worst_s = max((feed.worst_s for feed in self.by_drive.values() if feed.active), default=0.0)
         return SPARE_ATTEMPTS * worst_s
 
     def pressing(self, now_s: float, spare_s: float) -> WatchdogDeadline | None:
         """Find the feed to run first if less than so much slack is left, whether due or not.
 
-        It is the earliest deadline of those past half their time; before that, whichever helps.
+        It is the earliest deadline of those past half their time; before that, any that helps.
         """
         end_s = now_s + spare_s
         if not self.by_drive or end_s <= self._latest_end_s:
@@ -307,7 +307,7 @@ class WatchdogSet:
         return min(found, key=_hard, default=None)
 
     def next_s(self, now_s: float) -> float | None:
-        """Tell when a feed may be due or pressing, after there was none just now."""
+        """Return when a feed may be due or pressing, after there was none just now."""
         feeds = [feed for feed in self.by_drive.values() if feed.active]
         if not feeds:
             return None
@@ -320,12 +320,12 @@ class WatchdogSet:
         pressing_s = latest_s - self.spare_s() + WAKE_S
         if pressing_s > now_s:
             times.append(pressing_s)
-        else:  # it presses, and whoever could be fed may not be spoken to yet
+        else:  # it is urgent, and the drives that could be fed are on hold
             times += [at_s for feed in feeds if (at_s := feed.free_s()) > now_s]
         return min(times)
 
     def slack_s(self, now_s: float) -> float:
-        """Tell how long it is until the line must be free for feeding; changes nothing.
+        """Return how long it is until the line must be free for feeding; changes nothing.
 
         Infinite while nothing is fed. Feeds that can no longer be in time do not count.
         """
@@ -347,7 +347,7 @@ class WatchdogSet:
         return _room(self._in_order(now_s), now_s, worst_s, drive)
 
     def round_s(self) -> float:
-        """Tell how long it takes to feed every drive once, seconds."""
+        """Return how long it takes to feed every drive once, seconds."""
         return sum(feed.cost_s for feed in self.by_drive.values())
 
     def first_held(self, now_s: float, drive: str) -> WatchdogDeadline | None:
@@ -363,13 +363,13 @@ class WatchdogSet:
         return min(held, key=_held_until, default=None)
 
     def retry_s(self, now_s: float) -> float:
-        """Tell when it is worth asking again whether something fits that does not fit now."""
+        """Return when it is worth asking again whether something fits that does not fit now."""
         least_s = self.shortest_s()
         times = [feed.free_s() for feed in self.by_drive.values() if feed.active]
         return min([at_s for at_s in times if at_s > now_s] + [now_s + least_s / 8])
 
     def most_s(self, drive: str) -> tuple[float, str]:
-        """Tell how long an exchange with a drive may last at best, and whose watchdog says so.
+        """Return how long an exchange with a drive may last at best, and whose watchdog says so.
 
         At best is right after all drives have been fed in one go, the longest watchdog first.
         """
