@@ -7,6 +7,7 @@ import json
 import pytest
 
 from config.rosters import CONFIG, GOOD, drive_with, line_with, parsed, roster_with
+from lecombus.cli.check import report_lines
 from lecombus.config import describe, line_timing, load_roster
 
 
@@ -24,7 +25,7 @@ def test_groups_say_whether_one_telegram_reaches_them() -> None:
         ("one", "one-by-one", "one-by-one", None),
     ]
     one_telegram = "one multicast to 10 (reaches every drive at 11 to 19)"
-    lines = description.lines()
+    lines = report_lines(description)
     assert (f"group both: 2 drives, stops as {one_telegram}, writes as one after another") in lines
     assert "group one: 1 drive, stops and writes as one after another" in lines
     assert any("group one: multicast does nothing" in text for text in description.warnings)
@@ -38,7 +39,7 @@ def test_writes_go_as_one_telegram_where_the_roster_says_that_it_knows_every_dri
     assert (
         "group both: 2 drives, stops and writes as one multicast to 10 "
         "(reaches every drive at 11 to 19)"
-    ) in description.lines()
+    ) in report_lines(description)
     assert not [text for text in description.warnings if "multicast" in text]
 
 
@@ -61,7 +62,7 @@ def test_the_small_example_gives_no_cause_for_wonder() -> None:
 
 
 def test_what_does_nothing_yet_is_told_in_a_few_lines() -> None:
-    told = [line for line in describe(load_roster(CONFIG / "full.yaml")).lines()
+    told = [line for line in report_lines(describe(load_roster(CONFIG / "full.yaml")))
             if line.startswith("not used")]  # fmt: skip
     assert len(told) == 5
     assert "drives.infeed-1.lease and 8 more drives'" in told[-1]

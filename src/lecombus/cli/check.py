@@ -12,9 +12,12 @@ from lecombus.cli.arguments import json_option, roster_option
 from lecombus.cli.exits import Exit
 from lecombus.cli.screen import on_terminal, show_rows
 from lecombus.config import RosterError, load_roster
-from lecombus.config.describing import COLUMNS, Description, describe
+from lecombus.config.describing import DescribedDrive, DescribedGroup, Description, describe
+from lecombus.protocol.addressing import group_reach
 
-__all__ = ["check_command"]
+__all__ = ["check_command", "report_lines"]
+
+COLUMNS = ("drive", "address", "family", "watchdog", "stop fallback", "cyclic reads")
 
 
 @click.command("check")
@@ -45,30 +48,85 @@ def check_command(roster: Path, as_json: bool) -> int:
     elif on_terminal():
         _show(description)
     else:
-        click.echo("\n".join(description.lines()))
+        click.echo("\n".join(report_lines(description)))
     return Exit.DONE
 
 
+def report_lines(description: Description) -> list[str]:
+    """Return the report for a pipe, one line each."""
+    load = f"cyclic reads take {description.cyclic_load:.0%} of the line"
+    lines = [description.line, load, "", *_columns([COLUMNS, *map(_row, description.drives)]), ""]
+    for group in description.groups:
+        count = len(group.members)
+        stops, writes = _ways(group)
+        both = f"stops and writes as {stops}"
+        ways = both if group.how == group.writes else f"stops as {stops}, writes as {writes}"
+        lines.append(f"group {group.name}: {count} drive{'s' if count != 1 else ''}, {ways}")
+    lines.extend(_warning(text) for text in description.warnings)
+    lines.extend(_unused(text) for text in _gathered(description.not_yet_used))
+    return lines
+
+
 def _show(description: Description) -> None:
-    load = f"cyclic reads take {description.cyclic_load:.0%} of it"
-    drives = [drive.row for drive in description.drives]
-    show_rows(
-        COLUMNS,
-        drives,
-        title=f"{description.line}; {load}",
-    )
+    """Print the report on a terminal."""
+    title = f"{description.line}; cyclic reads take {description.cyclic_load:.0%} of it"
+    show_rows(COLUMNS, map(_row, description.drives), title=title)
     click.echo()
-    groups = [
-        (
-            group.name,
-            group.stops_words,
-            "the same" if group.writes == group.how else group.writes_words,
-            ", ".join(group.members),
-        )
-        for group in description.groups
+    rows = []
+    for group in description.groups:
+        stops, writes = _ways(group)
+        how = "the same" if group.how == group.writes else writes
+        rows.append((group.name, stops, how, ", ".join(group.members)))
+    show_rows(("group", "stops go as", "writes go as", "members"), rows)
+    for text in map(_warning, description.warnings):
+        click.echo(text)
+    for text in map(_unused, description.not_yet_used):
+        click.echo(text)
+
+
+def _row(drive: DescribedDrive) -> tuple[str, ...]:
+    """Return the cells of `COLUMNS`."""
+    return (
+        drive.name, str(drive.address), drive.family, drive.watchdog, drive.stop_fallback,
+        drive.cyclic,
+    )  # fmt: skip
+
+
+def _ways(group: DescribedGroup) -> tuple[str, str]:
+    """Say how stops and how other writes go to a group."""
+    return _way(group.how, group.multicast_address), _way(group.writes, group.multicast_address)
+
+
+def _way(how: str, address: int | None) -> str:
+    """Say how a telegram goes to a group, and which drives a multicast reaches."""
+    if how == "one-by-one" or address is None:
+        return "one after another"
+    reach = group_reach(address)
+    return f"one multicast to {address:02d} (reaches every drive at {reach[0]} to {reach[-1]})"
+
+
+def _warning(text: str) -> str:
+    return f"warning: {text}"
+
+
+def _unused(key: str) -> str:
+    return f"not used by this version: {key} (checked, and kept for later)"
+
+
+def _gathered(keys: tuple[str, ...]) -> list[str]:
+    """Put the keys of single drives into one text: 31 lines would hide the others."""
+    of_drives = [key for key in keys if key.startswith("drives.")]
+    if len(of_drives) < 2:
+        return list(keys)
+    others = [key for key in keys if key not in of_drives]
+    more = len(of_drives) - 1
+    of_more = "1 more drive's" if more == 1 else f"{more} more drives'"
+    return [*others, f"{of_drives[0]} and {of_more}"]
+
+
+def _columns(rows: list[tuple[str, ...]]) -> list[str]:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
     ]
-    show_rows(("group", "stops go as", "writes go as", "members"), groups)
-    for text in description.warnings:
-        click.echo(f"warning: {text}")
-    for key in description.not_yet_used:
-        click.echo(f"not used by this version: {key} (checked, and kept for later)")

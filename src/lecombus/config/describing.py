@@ -1,4 +1,4 @@
-"""What a roster means, in words and as data, for `lecombus check`.
+"""What a roster means, as data for `lecombus check`.
 
 Gives what cannot be seen in the file: whether a group is one telegram or one write after another,
 what was filled in from a drive's family, how much of the line the cyclic reads take, the warnings,
@@ -12,19 +12,14 @@ from typing import Any
 
 from lecombus.config.warnings import counted, cyclic_load, find_warnings
 from lecombus.durations import format_duration
-from lecombus.protocol.addressing import group_reach
 from lecombus.roster import DriveEntry, GroupEntry, Roster
 
 __all__ = ["DescribedDrive", "DescribedGroup", "Description", "describe"]
 
 
-COLUMNS = ("drive", "address", "family", "watchdog", "stop fallback", "cyclic reads")
-"""The heads of the drives table."""
-
-
 @dataclass(frozen=True, slots=True)
 class DescribedDrive:
-    """One row of the drives table; texts are ready to be shown.
+    """What is shown of a drive; texts are ready to be shown.
 
     Args:
         name: The drive's name.
@@ -44,18 +39,10 @@ class DescribedDrive:
     writable: str
     stop_fallback: str
 
-    @property
-    def row(self) -> tuple[str, ...]:
-        """What stands in the table, in the order of `COLUMNS`."""
-        return (
-            self.name, str(self.address), self.family, self.watchdog, self.stop_fallback,
-            self.cyclic,
-        )  # fmt: skip
-
 
 @dataclass(frozen=True, slots=True)
 class DescribedGroup:
-    """One row of the groups table.
+    """What is shown of a group.
 
     Args:
         name: The group's name.
@@ -70,16 +57,6 @@ class DescribedGroup:
     how: str
     multicast_address: int | None
     writes: str
-
-    @property
-    def stops_words(self) -> str:
-        """How a stop goes out, in words."""
-        return way_words(self.how, self.multicast_address)
-
-    @property
-    def writes_words(self) -> str:
-        """How other writes go out, in words."""
-        return way_words(self.writes, self.multicast_address)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,20 +80,6 @@ class Description:
     groups: tuple[DescribedGroup, ...]
     warnings: tuple[str, ...]
     not_yet_used: tuple[str, ...]
-
-    def lines(self) -> list[str]:
-        """Return the description as plain text for a terminal, without colours."""
-        rows = [drive.row for drive in self.drives]
-        found = [self.line, f"cyclic reads take {self.cyclic_load:.0%} of the line", ""]
-        found.extend(_columns([COLUMNS, *rows]))
-        found.append("")
-        found.extend(f"group {group.name}: {_how(group)}" for group in self.groups)
-        found.extend(f"warning: {text}" for text in self.warnings)
-        found.extend(
-            f"not used by this version: {text} (checked, and kept for later)"
-            for text in _gathered(self.not_yet_used)
-        )
-        return found
 
     def as_json(self) -> dict[str, Any]:
         """Return the description for `check --json`."""
@@ -165,38 +128,3 @@ def _group(name: str, group: GroupEntry) -> DescribedGroup:
 
 def _way(address: int | None) -> str:
     return "one-by-one" if address is None else "multicast"
-
-
-def _how(group: DescribedGroup) -> str:
-    count = len(group.members)
-    drives = f"{count} drive{'s' if count != 1 else ''}"
-    if group.how == group.writes:
-        return f"{drives}, stops and writes as {group.stops_words}"
-    return f"{drives}, stops as {group.stops_words}, writes as {group.writes_words}"
-
-
-def way_words(how: str, address: int | None) -> str:
-    """Say how something goes to a group, and which drives one multicast telegram reaches."""
-    if how == "one-by-one" or address is None:
-        return "one after another"
-    reach = group_reach(address)
-    return f"one multicast to {address:02d} (reaches every drive at {reach[0]} to {reach[-1]})"
-
-
-def _gathered(keys: tuple[str, ...]) -> list[str]:
-    """Put the keys of single drives into one text: 31 lines would hide the others."""
-    of_drives = [key for key in keys if key.startswith("drives.")]
-    if len(of_drives) < 2:
-        return list(keys)
-    others = [key for key in keys if key not in of_drives]
-    more = len(of_drives) - 1
-    of_more = "1 more drive's" if more == 1 else f"{more} more drives'"
-    return [*others, f"{of_drives[0]} and {of_more}"]
-
-
-def _columns(rows: list[tuple[str, ...]]) -> list[str]:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    ]
