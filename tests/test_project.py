@@ -155,9 +155,14 @@ def test_every_test_runs_in_just_one_lane() -> None:
 
 def test_what_needs_real_time_runs_apart_and_is_what_conftest_repeats() -> None:
     lanes: dict[str, list[str]] = runpy.run_path(str(ROOT / "scripts" / "test"))["lanes"]()
-    on_the_clock = runpy.run_path(str(ROOT / "tests" / "conftest.py"))["ON_THE_CLOCK"]
-    folders = {Path(path).parts[1] for path in [*lanes["load"], *lanes["real"], *lanes["clock"]]}
-    assert folders == on_the_clock
+    marks = runpy.run_path(str(ROOT / "tests" / "conftest.py"))["ON_THE_CLOCK"]
+    apart = {path for lane in ("load", "real", "cli", "clock") for path in lanes[lane]}
+    marked = {
+        str(path.relative_to(ROOT))
+        for path in (ROOT / "tests").glob("**/test_*.py")
+        if any(re.search(rf"pytest\.mark\.{mark}\b", path.read_text()) for mark in marks)
+    }
+    assert apart == marked
 
 
 def test_every_license_text_is_there() -> None:
