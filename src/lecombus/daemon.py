@@ -1,17 +1,15 @@
 """The daemon: builds everything of one line and runs it. Start reading here.
 
 Order of things. The roster is loaded before anything is opened. Then two task groups, one inside
-the other: outside the line (worker, supervisor), inside the faces (API, signals, service manager).
-The API takes its places before the port is opened: where another daemon has them, its line is not
-disturbed. At the end nothing more is written; `on_shutdown` is said at once in the stop class, for
-a client that is slow must not keep a motor running; then the faces end with the requests under
-way; then the worker ends after its telegram, and the port is closed. An error in any task ends
-the daemon, which the service manager starts again: nothing here dies in silence.
+the other: outside the line (worker, supervisor), inside the interfaces (API, signals, service
+manager). The API takes its places before the port is opened: where another daemon has them, its
+line is not disturbed. At the end nothing more is written; `on_shutdown` is sent first, in the stop
+class: a slow client must not keep a motor running; then the interfaces end with the requests under
+way; then the worker ends after its telegram, and the port is closed. An error in any task ends the
+daemon, which the service manager starts again: no error is hidden.
 
-SIGTERM and SIGINT end it. SIGHUP reads the roster again, in a thread, and applies it or says what
-is wrong and keeps the old one.
-
-What must not live here: anything about drives, telegrams or HTTP beyond putting it together.
+SIGTERM and SIGINT end it. SIGHUP reads the roster again, in a thread, and applies it; a wrong
+one is reported and the old one kept.
 """
 
 from __future__ import annotations
@@ -109,7 +107,7 @@ def place(http: tuple[str, int] | None) -> str:
 
 
 def tell_goodbye(action: StopAction, report: GroupReport) -> None:
-    """Log what `on_shutdown` came to; a drive that may run on needs somebody who looks."""
+    """Log the result of `on_shutdown`; a drive that may still run must be checked by a person."""
     good = (Outcome.DONE, Outcome.VERIFIED)
     doubtful = ",".join(one.drive for one in report.members if one.outcome not in good)
     if not doubtful:
@@ -140,7 +138,7 @@ class Daemon:
         self.runtime: LineRuntime | None = None
 
     async def main(self) -> None:
-        """Run until told to end."""
+        """Run until a signal or an error ends it."""
         file = self._roster.state
         keeping = await Keeping.opened(None if file is None else Path(file))
         try:
@@ -244,7 +242,7 @@ class Daemon:
         runtime.store.note_line(RELOAD, text)
 
     async def _tick(self, faces: anyio.abc.TaskGroup, runtime: LineRuntime) -> None:
-        """Once a second: tell the service manager how we are, and the store how the cadence is."""
+        """Report to the service manager, and update the store, once a second."""
         while True:
             runtime.note_cadence()
             if not self._looking and runtime.wants_look_at_port():

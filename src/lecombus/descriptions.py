@@ -4,8 +4,6 @@ Strategy: one document a code, made from `CodeInfo` and, for words, from what ta
 Texts stand in both languages, so that a document does not depend on who asks; what the manual
 does not give is null or missing from a list, never filled in. A description never changes while
 the daemon runs, but it depends on the signal configuration, so documents are made when asked for.
-
-What must not live here: values (`readings`), HTTP, tables for people.
 """
 
 from __future__ import annotations

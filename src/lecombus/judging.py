@@ -1,4 +1,4 @@
-"""How good what is known is at this moment: the quality of values, and how drives look.
+"""The quality of known values at this moment, and the state of drives.
 
 How quality is decided, the first that fits:
 
@@ -11,10 +11,8 @@ How quality is decided, the first that fits:
    of the cadence, fourfold at most) plus 1 s old; any other code 10 s, or what `fresh_for_s` says;
 6. otherwise `GOOD`.
 
-Nothing is marked beforehand: all of it is worked out when somebody asks, so that nothing can be
-good because nobody came round to calling it old.
-
-What must not live here: who writes what is known, and who is told of a change (`store`).
+Nothing is stored beforehand: quality is calculated for each request, so that a value cannot stay
+good because no code marked it as old.
 """
 
 from __future__ import annotations
@@ -52,7 +50,7 @@ CYCLIC_GRACE_S: Final = 1.0
 """On top of two periods: a retry and a quarantine do not make a value stale."""
 
 STRETCH_MOST: Final = 4.0
-"""A line that takes longer for its periods does not make values fresh that nobody has read."""
+"""A line that takes longer for its periods does not make unread values fresh."""
 
 CLOCK_STEP_S: Final = 0.02
 """The time of day is followed in steps of this, so that a value's time does not flicker."""
@@ -190,7 +188,7 @@ class Judge:
 
 
 def is_before_command(record: DriveRecord, cell: Cell) -> bool:
-    """Tell whether a code was read before a command that may have changed what it shows.
+    """Return whether a code was read before a command that may have changed what it shows.
 
     That counts for status words and the speed. A command is true until it is written itself.
     """
@@ -200,7 +198,7 @@ def is_before_command(record: DriveRecord, cell: Cell) -> bool:
 
 
 def meaning_of(info: CodeInfo, value: Value) -> str | None:
-    """Return what a value means in words, where its description says so."""
+    """Return what a value means in words, where its description gives that."""
     text = info.meaning(value)
     return None if text is None else text.en
 

@@ -1,14 +1,12 @@
 """Whether a drive runs, what stops it, how fast it is and should be: from what is known of it.
 
 Strategy: every word that can show a stop is looked at, the status words and those that prove a stop
-(`drives.stops`), and each stop is told with the words that show it. While the first status word is
-fresh only fresh values count, and what a newer status word denies does not, so that an old word
-cannot contradict a new one; while it is not, all is told as it was last known, and marked so. What
-was read before the last command to stop or to run does not count at all. "Stopped" means that
-something keeps the drive from driving its motor. The shaft may turn all the same, as that of a
-coasting motor does.
-
-What must not live here: what is wrong with the drive and what to do about it (`operations.why`).
+(`drives.stops`), and each stop is reported with the words that show it. While the first status word
+is fresh only fresh values count, and what a newer status word denies does not, so that an old word
+cannot contradict a new one; otherwise all is reported as last known, and marked so. What was read
+before the last command to stop or to run does not count at all. "Stopped" means that something
+keeps the drive from driving its motor. The shaft may turn all the same, as that of a coasting motor
+does.
 """
 
 from __future__ import annotations
@@ -45,10 +43,10 @@ TEXTS: Final = {
     OperatingState.QUICK_STOP: "quick stop",
     OperatingState.INHIBITED: "inhibited",
 }
-"""The states that stop a drive, the most telling first."""
+"""The states that stop a drive, the most conclusive first."""
 
 NOT_ENABLED: Final = (OperatingState.OPERATION_INHIBITED, OperatingState.PULSES_INHIBITED)
-"""What a drive shows besides the cause; told only where no cause is shown."""
+"""What a drive shows besides the cause; reported only where no cause is shown."""
 
 AT_ZERO: Final = (OperatingState.ZERO_SPEED, OperatingState.OUTPUT_FREQUENCY_0)
 """A measured speed (93XX), or the output frequency of an inverter."""
@@ -67,7 +65,7 @@ class Doing(StrEnum):
     """It ramps down in a quick stop."""
     STOPPED = "stopped"
     ENABLED = "enabled"
-    """Nothing stops it, and it puts out no speed or does not tell: a setpoint lets it turn."""
+    """Nothing stops it, and it reports output speed 0 or none: a setpoint lets it turn."""
     UNKNOWN = "unknown"
 
 
@@ -123,7 +121,7 @@ class Motion:
         zero: Whether it reports its speed as 0; None where that is not known.
         setpoint: The speed wanted, as last read or written; None where none is known.
         age_s: Age of the oldest word it rests on, seconds; None where none is known.
-        stale: It is told as it was last known: the words are not fresh.
+        stale: It is reported as last known: the words are not fresh.
     """
 
     doing: Doing
@@ -205,7 +203,7 @@ def motion_of(
 
 
 def _usable(reading: Reading | None, *, stale: bool) -> Reading | None:
-    """Give a word that counts: a fresh one, or any where the drive is told as last known."""
+    """Give a word that counts: a fresh one, or any where the drive is reported as last known."""
     if reading is None or reading.value is None or reading.reason == WRITTEN_SINCE:
         return None
     return reading if stale or reading.quality is Quality.GOOD else None
@@ -225,7 +223,7 @@ def _states(family: Family, words: list[Reading]) -> dict[OperatingState, list[s
 def _told(
     family: Family, code: Code, value: Value
 ) -> tuple[list[OperatingState], set[OperatingState]]:
-    """Give the states that a word shows, and those that it tells of: only a status word does.
+    """Give the states that a word shows, and those that it can report: only a status word can.
 
     A command that does not stop a drive denies no stop: a terminal may stop it all the same.
     """
@@ -263,7 +261,7 @@ def _stops(states: dict[OperatingState, list[str]], fault: ActiveFault | None) -
 def _zero(
     family: Family, speed: Reading | None, states: dict[OperatingState, list[str]]
 ) -> bool | None:
-    """Tell whether a drive reports its speed as 0, by its output or by its status word."""
+    """Return whether a drive reports its speed as 0, by its output or by its status word."""
     if speed is not None and speed.value is not None:
         return speed.value.number == 0
     rules = [rule for word in family.words.values() for rule in word.states]

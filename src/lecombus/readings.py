@@ -1,12 +1,9 @@
-"""What the store hands out: readings with their quality, drive and line states, and their JSON.
+"""What the store returns: readings with their quality, drive and line states, and their JSON.
 
-Strategy: frozen, slotted snapshots, made when somebody asks and never changed afterwards. Each
-knows its own JSON form (`as_json`), in which a decimal stays a `decimal.Decimal`; whoever writes
-it as text must write it exactly and never by way of a binary float. Times are Unix seconds here
+Strategy: frozen, slotted snapshots, made for each request and never changed afterwards. Each
+knows its own JSON form (`as_json`), in which a decimal stays a `decimal.Decimal`; it must
+be written as text exactly, never through a binary float. Times are Unix seconds here
 and become RFC 3339 with milliseconds and `Z` only in the JSON form.
-
-What must not live here: how quality is decided (that is `store`), any input or output, and any
-knowledge of HTTP or Prometheus.
 """
 
 from __future__ import annotations
@@ -88,7 +85,7 @@ NO_SUCH_CODE = "the drive has no such code"
 
 
 NOT_CYCLIC = "not read cyclically"
-"""In the reason of a value that is stale only because nobody asked for it again."""
+"""In the reason of a value that is stale only because it was not asked for again."""
 
 
 @lru_cache(maxsize=256)
@@ -133,7 +130,7 @@ class Reading:
         reason: Why it is not good.
         time_s: When it was read, Unix seconds.
         age_s: How long ago that was, seconds.
-        text: What the value means, where its description says so.
+        text: What the value means, where its description gives that.
     """
 
     drive: str
@@ -285,7 +282,7 @@ class LineInfo:
     remarks: Mapping[str, str]
 
     def as_json(self) -> dict[str, Json]:
-        """Return the JSON form; the line's name is added by whoever knows it."""
+        """Return the JSON form, without the line's name."""
         return {
             "state": self.state.value,
             "reason": self.reason or None,

@@ -1,9 +1,7 @@
 """What the store keeps of line, drives and each of their codes, and changes as the line works.
 
-Mutable on purpose: these stand behind every exchange. Nobody but the store holds on to one; what
-others are given are the frozen snapshots of `readings`.
-
-What must not live here: how quality is decided, and who is told of a change (`store`).
+Mutable on purpose: each exchange writes them. Only the store keeps them; other modules get the
+frozen snapshots of `readings`.
 """
 
 from __future__ import annotations

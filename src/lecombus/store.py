@@ -1,14 +1,13 @@
 """What is known about the line, its drives and their values, at any moment.
 
 The line worker writes here (`value_read`, `value_failed`), health and supervisor write states and
-remarks, and every face reads. Strategy: one mutable cell per drive and code, so that the write
+remarks, and all interfaces read. Strategy: one mutable cell per drive and code, so that the write
 behind every exchange is two dictionary look-ups and three assignments; quality, age and time of
-day are worked out only when somebody asks, from the state as it is then (`judging`). So a value
-cannot be silently old: nobody has to remember to mark it.
+day are calculated only for a request, from the state at that time (`judging`). So an old value
+cannot pass for a fresh one: no code has to mark it.
 
 Everything runs on one event loop thread: there are no locks. Memory is bounded: besides the
 cyclic codes a drive keeps at most `ON_DEMAND_LIMIT` codes, the first asked for going first.
-What must not live here: input, output, tasks, HTTP, Prometheus.
 """
 
 from __future__ import annotations
@@ -104,7 +103,7 @@ class Store:
         self._judge = Judge(self._line, clock, wall, fresh_for_s=fresh_for_s)
         self._subscribers: tuple[Subscriber, ...] = ()
         self.changes = 0
-        """Counts what makes a page wrong that was written before: all but a value read anew."""
+        """Counts the changes that make a written page wrong: all except new readings of a value."""
 
     # -- what is on the line -------------------------------------------------------------------
 
@@ -274,7 +273,7 @@ class Store:
     # -- what the faces ask ------------------------------------------------------------------------
 
     def reading(self, drive: str, code: Code) -> Reading | None:
-        """Return what is known of a code, or None if nobody has ever asked the drive for it.
+        """Return what is known of a code, or None if the drive was never asked for it.
 
         Raises:
             OperationError: `no-such-drive`.
@@ -297,7 +296,7 @@ class Store:
 
         Args:
             drive: The drive's name.
-            cyclic_only: Leave out what was read only because somebody asked once.
+            cyclic_only: Leave out codes that are not read cyclically.
 
         Raises:
             OperationError: `no-such-drive`.
@@ -311,7 +310,7 @@ class Store:
     def codes(self, drive: str) -> tuple[Code, ...]:
         """Return the codes something is known of, cyclic ones first.
 
-        For whoever wants many readings without holding up the loop: ask for them one by one.
+        To get many readings without blocking the loop, ask for them one by one.
 
         Raises:
             OperationError: `no-such-drive`.
@@ -388,7 +387,7 @@ class Store:
         return self._wall()
 
     def subscribe(self, subscriber: Subscriber) -> None:
-        """Call `subscriber` after every change; it must return at once and never raise."""
+        """Call `subscriber` after every change; it must return immediately and never raise."""
         self._subscribers = (*self._subscribers, subscriber)
 
     def unsubscribe(self, subscriber: Subscriber) -> None:

@@ -4,8 +4,6 @@ Strategy: every instrument there can ever be is made when the roster is known an
 dictionary; so the path behind an exchange calls `inc` and `observe` and nothing else, series begin
 at 0, and their number is bounded by the roster. A family with many series has several parts (one
 per drive, per class), so that rendering it can be cut between them.
-
-What must not live here: rendering, the store, anything that waits.
 """
 
 from __future__ import annotations

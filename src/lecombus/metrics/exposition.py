@@ -5,8 +5,6 @@ only headings differ (OpenMetrics names a counter without `_total` and wants an 
 page is rendered once and put together twice. prometheus_client's own writers are not used
 because they render a whole registry in one go, which takes milliseconds in which no telegram
 could be sent.
-
-What must not live here: what is counted, and when a page is rendered.
 """
 
 from __future__ import annotations
@@ -85,7 +83,7 @@ def labels_text(labels: Mapping[str, str]) -> str:
 def sample_lines(metric: Metric) -> list[str]:
     """Return the sample lines of what a prometheus_client object collects.
 
-    Creation times are left out: they double the page and nobody here asks for them.
+    Creation times are left out: they double the page and are not used here.
     """
     return [
         f"{one.name}{labels_text(one.labels)} {one.value!r}"
@@ -101,7 +99,7 @@ def join_blocks(blocks: Iterable[Block], *, openmetrics: bool) -> bytes:
 
 
 def wants_openmetrics(accept: str) -> bool:
-    """Tell from an `Accept` header whether OpenMetrics is liked at least as well as text."""
+    """Return from an `Accept` header whether OpenMetrics is liked at least as well as text."""
     best = {"application/openmetrics-text": 0.0, "text/plain": 0.0}
     for part in accept.lower().split(","):
         kind, *parameters = (piece.strip() for piece in part.split(";"))

@@ -1,11 +1,9 @@
-"""Samples read off at the moment of rendering: the store's values and the schedule's state.
+"""Samples read when the page is rendered: the store's values and the schedule's state.
 
 Strategy: nothing is copied into gauges while the line works. When a page is wanted, the store is
 asked drive by drive and the schedule once, and the lines are written straight. A value that is
 not good is left out, not repeated: a monitoring system must never take an old value for a fresh
 one, and an absent series is what its own staleness rules understand.
-
-What must not live here: counting on the hot path (that is `counters`), and when to render.
 """
 
 from __future__ import annotations
@@ -29,14 +27,12 @@ class LineSnapshot:
     """What the schedule and the supervisor say about themselves at this moment.
 
     Args:
-        queue_depth: Requests waiting, by class.
-        stretch: How far the cyclic cadence is stretched, 1 or more.
-        lateness_s: How late the latest cyclic read of late was, seconds.
+        queue_depth: Requests waiting, by class. stretch: How far the cyclic cadence is stretched, 1
+        or more. lateness_s: How late the latest cyclic read of late was, seconds.
         watchdog_margin_s: By drive, time left until its watchdog would fire, seconds.
-        watchdog_misses: By drive, how often a feed came too late.
-        refused: By class, requests the schedule refused so far.
-        cyclic_skipped: Cyclic reads passed over so far.
-        writes: By drive and code, writes that may have reached the drive's memory, for ever.
+        watchdog_misses: By drive, how often a feed came too late. refused: By class, requests the
+        schedule refused so far. cyclic_skipped: Cyclic reads passed over so far. writes: By drive
+        and code, writes that may have reached the drive's memory, over its whole life.
         slack_s: Time left until the line must be free for feeding; None: nothing is fed.
         woken_late_s: How late the line's task was woken at most of late, seconds.
         answer_ratio: By drive, the slowest answer measured over the manual's longest time.
@@ -178,7 +174,7 @@ class DriveGauges:
         return (self._up, self._value, self._not_good, self._bit, self._fault, self._number)
 
     def render(self, store: Store, drive: str) -> None:
-        """Write the lines of one drive; one that left the roster meanwhile has none."""
+        """Write the lines of one drive; one that has left the roster has none."""
         try:
             info = store.drive(drive)
             family = store.family(drive)

@@ -4,8 +4,6 @@ Strategy: an instrument is one series (a counter) or one set of series (a histog
 are written out once, when it is made. Counting is an addition, or a bisection and two. Everything
 runs on one event loop thread, so there is no lock, which is most of what prometheus_client's own
 instruments cost (0.3 and 0.6 µs, seven of them an exchange).
-
-What must not live here: what is counted, and when a page is rendered.
 """
 
 from __future__ import annotations
@@ -95,7 +93,7 @@ class MetricFamily:
         name: Its name, without `_total`.
         kind: `counter` or `histogram`.
         help: One sentence for people.
-        parts: Its instruments, by whatever tells the parts apart.
+        parts: Its instruments, by the label that distinguishes them.
     """
 
     name: str

@@ -3,11 +3,9 @@
 Strategy: a page of a full line takes milliseconds to render, longer than a telegram may be held
 up. So it is rendered in pieces (one drive, one instrument), each far below a millisecond, at
 most about once a second however many scrape, and preferably while a drive is thinking: a scrape
-only says that it wants a page, and whoever runs the line calls `window` after each telegram. When
+only requests a page, and the line calls `window` after each telegram. When
 no window comes within `WINDOW_WAIT_S` (an idle or lost line), the scrape renders the pieces
-itself and lets everybody else run between them. A scrape never touches the line.
-
-What must not live here: HTTP, what is counted, how a line is written.
+itself and lets other tasks run between them. A scrape never touches the line.
 """
 
 from __future__ import annotations
@@ -76,7 +74,7 @@ class Metrics:
         self._asked_s: float | None = None
         self._rendered = anyio.Event()
 
-    # -- for whoever runs the line ----------------------------------------------------------------
+    # -- for the line -----------------------------------------------------------------------------
 
     def window(self, for_s: float) -> None:
         """Use a moment in which nothing can arrive; costs nothing when no page is wanted.
@@ -109,7 +107,7 @@ class Metrics:
         self._rendered.set()
         return True
 
-    # -- for whoever serves the page --------------------------------------------------------------
+    # -- for the HTTP interface -------------------------------------------------------------------
 
     def ask(self) -> bool:
         """Ask for a page; return True when there is one that is new enough."""

@@ -1,11 +1,9 @@
 """What the last five minutes of a line showed: waits, gaps, margins, by bounded rings.
 
 Strategy: time is cut into slots of ten seconds, and of each slot only what is needed is kept: the
-most, sums, and how many waits fell between two marks. Whatever was measured longer ago than the
-window is written over. So the memory is bounded by the roster, however fast the line is, and
+most, sums, and how many waits fell between two marks. Older measurements than the
+window are overwritten. So the memory is bounded by the roster, however fast the line is, and
 noting something is one comparison or one addition; it is done while the next drive is thinking.
-
-What must not live here: what was promised (`capacity`), the metrics page, where measures come from.
 """
 
 from __future__ import annotations
@@ -31,7 +29,7 @@ NEVER: Final = -1_000_000
 
 STEP: Final = 1.2
 MARKS_S: Final = tuple(0.001 * STEP**step for step in range(56))
-"""Waits are told apart by a fifth, from a millisecond to half a minute."""
+"""Marks of the waits are a fifth apart, from a millisecond to half a minute."""
 
 
 class Highest:
@@ -134,7 +132,7 @@ class RollingWindow:
                 slot.most_s = waited_s
 
     def value(self, drive: str, code: Code, at_s: float) -> None:
-        """Take note that a code that is asked for all the time was read."""
+        """Record that a cyclic code was read."""
         gaps = self._gaps[drive].get(code) if drive in self._gaps else None
         if gaps is not None:
             if gaps.last_s is not None:
@@ -160,7 +158,7 @@ class RollingWindow:
         self._gaps.pop(drive, None)
         self._used.pop(drive, None)
 
-    # -- what is told -----------------------------------------------------------------------------
+    # -- as JSON ----------------------------------------------------------------------------------
 
     def as_json(self, now_s: float) -> dict[str, Json]:
         """Give all of it; an open gap counts as far as it has come."""
