@@ -144,11 +144,13 @@ def _settle(door: Door) -> None:
                    for drive in DRIVES for what in ("", "/identity")]  # fmt: skip
         return normal("".join(answers))
 
-    def ready() -> bool:
-        found = state()
-        return found.count('"state": "online"') == len(DRIVES) and _same_for_long(state, found)
+    def online() -> bool:
+        return state().count('"state": "online"') == len(DRIVES)
 
-    _until(ready, "all drives are online and looked at")
+    _until(online, "all drives are online")
+    for drive in DRIVES:  # read once a minute, so that its first turn would come by chance
+        ask(door, get(f"/v1/drives/{drive}/codes/C0161?fresh=true"))
+    _until(lambda: online() and _same_for_long(state, state()), "nothing changes any more")
 
 
 def _same_for_long(state: Callable[[], str], before: str) -> bool:
