@@ -110,7 +110,7 @@ def _has_far_end(pid: int, index: str) -> bool:
 
 
 def _open_files(pid: int) -> Iterator[tuple[str, str]]:
-    """Give the descriptors of a process and where they lead; plain strings, there are many."""
+    """Return the descriptors of a process and where they lead; plain strings, there are many."""
     try:
         links = list(os.scandir(f"/proc/{pid}/fd"))
     except OSError:  # not ours to look into, or just ended

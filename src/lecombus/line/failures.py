@@ -49,7 +49,7 @@ def error_of(station: Station, step: JobStep, result: Result, attempt: int) -> E
 
     Args:
         station: The drive.
-        step: What was said.
+        step: What was sent.
         result: How it ended, anything but the wished-for answer.
         attempt: Which attempt it was, 1 upwards.
     """

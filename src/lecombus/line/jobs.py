@@ -257,13 +257,13 @@ class WriteJob:
 
     @property
     def cut_outcome(self) -> Outcome | None:
-        """Acknowledged, refused and not yet said again, or perhaps done."""
+        """Acknowledged, refused and not yet sent again, or perhaps done."""
         if self._acknowledged:
             return Outcome.DONE
         return Outcome.REFUSED if isinstance(self.error, NakError) else Outcome.UNKNOWN
 
     def _repeats_after(self, answer: Answer | None) -> bool:
-        """Whether a refusal may have been a damaged telegram: a plain value is said once more."""
+        """Whether a refusal may have been a damaged telegram: a plain value is sent once more."""
         plain = self.write_class is WriteClass.PLAIN and self.attempts <= self.retries
         if type(answer) is not NakAnswer or self._refused or not plain:
             return False

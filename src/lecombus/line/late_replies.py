@@ -34,7 +34,7 @@ class UnansweredRead:
     Args:
         station: Who was asked.
         code: For what.
-        said_s: When the request had been said.
+        said_s: When the request had been sent.
     """
 
     station: Station

@@ -73,7 +73,7 @@ def url_mistake(url: str, *, others: tuple[str, ...] = ()) -> str | None:
 
 
 def _scheme(url: str) -> str:
-    """Give the part before the first colon in lower case; empty for a path."""
+    """Return the part before the first colon in lower case; empty for a path."""
     scheme, colon, _ = url.partition(":")
     return scheme.lower() if colon and scheme.isalnum() else ""
 

@@ -100,7 +100,7 @@ class PortConnection:
             port.abort()
 
     def why_not(self) -> str:
-        """Say why there is no port."""
+        """Return why there is no port."""
         return f"line {self._settings.line}: {self._reason}"
 
     def describe(self) -> str:
@@ -138,7 +138,7 @@ class PortConnection:
         )
 
     def _log_sum(self) -> None:
-        """Log how often the port was lost, and for how long nothing more is said of it."""
+        """Log how often the port was lost, and for how long nothing more is logged of it."""
         flap_limiter = self._flap_limiter
         logger.warning(
             "line=%s event=port-unsteady losses=%d in_s=%.0f silent_for_s=%.0f reason=%s",

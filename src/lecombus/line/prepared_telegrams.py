@@ -1,9 +1,9 @@
 """Makes the telegram of a job's next step, with its time-outs.
 
-Here is decided in which addressing form a step is said, what its answer must look like and how long
-to wait for it; and when it may not be said yet, because an old answer that could pass for its own
+Here is decided in which addressing form a step is sent, what its answer must look like and how long
+to wait for it; and when it may not be sent yet, because an old answer that could pass for its own
 may still come (`late_replies`). What reads a code is made once per drive and code, for the same few
-are said for years, and again when the drive turns out to be slower.
+are sent for years, and again when the drive turns out to be slower.
 
 Time-outs: twice the longest response time plus the adapter's latency, from the cost model.
 Source: EDB2102EN 8.3.5; 3.5 for the times.
@@ -101,7 +101,7 @@ class TelegramPreparer:
             urgent: A stop: it is sent although late answers may still come.
 
         Returns:
-            The question, or the time before which it may not be said.
+            The telegram, or the time before which it may not be sent.
         """
         step = job.step
         if step.kind is StepKind.READ:
@@ -187,7 +187,7 @@ class TelegramPreparer:
         )  # fmt: skip
 
     def _multicast(self, job: MulticastJob, step: JobStep) -> PreparedTelegram:
-        """The slowest member is left its processing time before anything else is said."""
+        """The slowest member is left its processing time before anything else is sent."""
         assert step.value is not None
         form = next(form for form in job.station.forms if step.code.knows(form))
         telegram = write_telegram(job.station.address, step.code, step.value, form)

@@ -84,7 +84,7 @@ class ReadBackProof:
             self._shown.clear()
 
     def step(self, station: Station, what: StopAction | WrittenValue) -> JobStep:
-        """Give the next reading."""
+        """Return the next reading."""
         other_s = self._duplicates.other_s
         fields = [one for one in self._fields(station, what) if one[0] not in self._shown]
         if self._has_enough(station, what) and not self._knows_it:
@@ -101,7 +101,7 @@ class ReadBackProof:
     def take(
         self, station: Station, what: StopAction | WrittenValue, answer: ValueAnswer, code: Code
     ) -> bool:
-        """Take a reading; say whether it shows what it should."""
+        """Take a reading; return whether it shows what it should."""
         self.repeated = answer.field in self._shown
         if code == address_code(station.family) and code not in _codes(station.family, what):
             self._asked_itself += 1
@@ -127,7 +127,7 @@ class ReadBackProof:
         return True
 
     def _lead_astray(self, station: Station, field: bytes) -> bool:
-        """Ask no more in a form that leads to another code; say whether there is another.
+        """Ask no more in a form that leads to another code; return whether there is another.
 
         A code bank or an input selection that was left set does that (C0249, C0248).
         """
@@ -178,7 +178,7 @@ class ReadBackProof:
         return self.not_its_own(station)
 
     def not_its_own(self, station: Station) -> str:
-        """Say why a reading that shows it may be another drive's."""
+        """Return why a reading that shows it may be another drive's."""
         if not self._knows_it:
             code = address_code(station.family)
             return f"{code} does not read {station.address}: the answer may be another drive's"

@@ -149,7 +149,7 @@ def _remark(device: Device, settings: PortSettings) -> None:
 
 
 def _why_not_open(settings: PortSettings, exc: Exception) -> str:
-    """Say why a device cannot be opened and what to do about it."""
+    """Return why a device cannot be opened and what to do about it."""
     path, code = settings.url, _number(exc)
     if code == errno.ENOENT:
         now = ", ".join(devices.connected()) or "none"
@@ -187,12 +187,12 @@ def _who_may(path: str) -> str:
 
 
 def reason(exc: Exception) -> str:
-    """Give an error's text without its number, for any library that raised it."""
+    """Return an error's text without its number, for any library that raised it."""
     number = _number(exc)
     return str(exc) if number is None else os.strerror(number)
 
 
 def _number(exc: Exception) -> int | None:
-    """Give an error's errno: `termios.error` is no OSError and has it among its arguments."""
+    """Return an error's errno: `termios.error` is no OSError and has it among its arguments."""
     number = exc.args[0] if exc.args else None
     return number if isinstance(number, int) else None

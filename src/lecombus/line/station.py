@@ -1,4 +1,4 @@
-"""What a job is to the worker: a station to speak to, the next step to say, and how it ended.
+"""What a job is to the worker: a station to speak to, the next step, and how it ended.
 
 A job is the part of a request that knows the protocol. The schedule carries it without looking
 in; the worker asks it for the next step, runs that step as one exchange and gives it the result,
@@ -52,13 +52,13 @@ class Station:
     answers_early: bool = False
 
     def answer_s(self, code: Code, *, write: bool = False) -> float | None:
-        """Give how long it thinks, to be reckoned with; None: what its family says."""
+        """Return how long it thinks, for calculations; None: what its family says."""
         return self.measured.slow.time_s(
             self.family, code, write=write, answer_time_s=self.answer_time_s
         )
 
     def documented_s(self, code: Code, *, write: bool = False) -> float:
-        """Give the longest that manual and roster let it think, seconds."""
+        """Return the longest that manual and roster let it think, seconds."""
         return manual_s(self.family, code, write=write, answer_time_s=self.answer_time_s)
 
 

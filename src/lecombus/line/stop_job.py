@@ -3,11 +3,11 @@
 A stop is repeated immediately, because sending it twice does no harm, and is read back at the end:
 an acknowledgement does not show an effect. Source: EDB2102EN 8.2, 8.3.5; CMVLC401A 4.2.
 
-A quick stop never lifts an inhibit: the word that is said has the inhibit's bit whenever the drive
+A quick stop never lifts an inhibit: the word that is sent has the inhibit's bit whenever the drive
 is inhibited, which is read first where it is not known. The value of C0135 does not show it: no
 manual says that it shows more than was last written to it.
 
-Strategy: say it, read it back, and do both again for as long as the proof is missing, whether the
+Strategy: send it, read it back, and do both again for as long as the proof is missing, whether the
 drive reads as not stopped or does not answer. What bounds this is time and not a number of
 attempts: a line that was deaf for a second is no reason to leave a living drive running. After
 the first few attempts there are pauses, in which the watchdogs of the others are fed.
@@ -16,7 +16,7 @@ A quick stop that cannot be had becomes an inhibit, and says why: when the contr
 read, when the drive refuses the telegram again and again, when it takes it and does not show it.
 Only inhibit is possible in every operating mode (EDB2102EN 6.2.1).
 
-What a drive refuses, does not know or does not show is said in the other addressing form next,
+What a drive refuses, does not know or does not show is sent in the other addressing form next,
 where it knows two: a code bank or an input selection left in C0249 or C0248 leads
 every standard telegram to another code, and none in extended addressing (EDB2102EN 8.3.1).
 """
@@ -70,7 +70,7 @@ NO_FALLBACK = "; it was not inhibited instead: the roster says stop_fallback: no
 
 
 class StopJob:
-    """Stop one drive: say it until it is acknowledged, then read back whether it took effect.
+    """Stop one drive: send it until it is acknowledged, then read back whether it took effect.
 
     A quick stop changes one bit of the control word. Where the word is not known, or whether the
     drive is inhibited, that is read first; where it cannot be read the drive is inhibited instead,
@@ -81,7 +81,7 @@ class StopJob:
         station: The drive.
         action: How it shall stop.
         word: Gives its control word as last read or written, None when not known; asked when the
-            stop is said, for it may change while the stop waits.
+            stop is sent, for it may change while the stop waits.
         inhibited: Says whether the drive is inhibited, None when not known; asked likewise.
         last_word: Gives its control word as it was known last, for a drive that may not be
             inhibited and cannot be read: its answers may be lost and not its hearing.
@@ -163,26 +163,26 @@ class StopJob:
         self._unshown = 0  # proofs in a row that did not show the stop
         self._why = ""  # a quick stop became an inhibit, or was made from the last known word
         self._unread_word: int | None = None  # what it is made from where nothing can be read
-        self._turned = False  # it is being said in the other addressing form
+        self._turned = False  # it is being sent in the other addressing form
         self._step: JobStep | None = None
 
     @property
     def step(self) -> JobStep:
-        """What is to be said now; it stays the same from the first look until its result."""
+        """What is to be sent now; it stays the same from the first look until its result."""
         if self._step is None:
             self._step = self._made()
         return self._step
 
     @property
     def asks_for_word(self) -> bool:
-        """Whether the next step is made from the control word as it is when that is said."""
+        """Whether the next step is made from the control word as it is when that is sent."""
         if self._step is not None or self._checking:
             return False
         return needs_control_word(self.station.family, self.action)
 
     @property
     def cut_outcome(self) -> Outcome | None:
-        """A stop that was said and not proven is not known to have stopped anything."""
+        """A stop that was sent and not proven is not known to have stopped anything."""
         return Outcome.UNKNOWN if self.attempts or self._checking else None
 
     @property
@@ -362,7 +362,7 @@ class StopJob:
         return self._read_inhibit is not None
 
     def _unreadable(self, step: JobStep, result: Result, value: Value | None) -> str:
-        """Say why a control word, or whether the drive is inhibited, could not be learnt."""
+        """Return why a control word, or whether the drive is inhibited, could not be learnt."""
         if value is not None:
             what = (
                 "control" if step.code == self.station.family.stops[self.action].code else "status"
@@ -406,7 +406,7 @@ class StopJob:
         return self._not_shown(step, reads)
 
     def _not_shown(self, step: JobStep, reads: str) -> Verdict:
-        """Say that a stop was said for as long as it is tried, and does not show."""
+        """Say that a stop was sent for as long as it is tried, and does not show."""
         family, more = self.station.family, ""
         if self.action is StopAction.QUICK_STOP and not self.may_inhibit:
             more = NO_FALLBACK

@@ -29,7 +29,7 @@ class Lateness:
             self._most_s = late_s
 
     def take_s(self) -> float:
-        """Give the most since the last call."""
+        """Return the most since the last call."""
         most_s, self._most_s = self._most_s, 0.0
         return most_s
 

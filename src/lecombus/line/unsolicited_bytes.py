@@ -99,7 +99,7 @@ class UnsolicitedBytes:
         The end of the answer is taken for its beginning: a time-out may rather be too long.
         """
         asked = self._late_replies.sole(field, now_s)
-        if self.awaited is not None:  # nothing was said since, however long ago that was
+        if self.awaited is not None:  # nothing was sent since, however long ago that was
             asked = self.awaited[1] if self.awaited[0] == field else None
         if asked is not None:
             station, code = asked.station, asked.code

@@ -77,7 +77,7 @@ class LineWorker:
 
     @property
     def rests(self) -> int:
-        """How often it looked round with nothing to say, or without a port: its sign of life."""
+        """How often it looked round with nothing to send, or without a port: its sign of life."""
         return self.exchange_loop.rests + self._retries
 
     def describe_port(self) -> str:

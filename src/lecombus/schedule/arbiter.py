@@ -66,7 +66,7 @@ class Arbiter:
         self._fed_last = False  # an urgent feed went last: it is the turn of interactive
 
     def first(self, now_s: float) -> tuple[Request | None, bool]:
-        """Find what is first; say whether it is a feed, which needs no slack check."""
+        """Find what is first; return whether it is a feed, which needs no slack check."""
         heads: dict[Priority, Request] = {}
         costs_s: dict[Priority, float] = {}
         for priority in CLASS_SHARES:
@@ -100,7 +100,7 @@ class Arbiter:
 
         Args:
             request: What was chosen.
-            costs_s: The lower classes that have something to say, and what their first costs.
+            costs_s: The lower classes that have a request that can go, and what their first costs.
             ahead: It goes first by its class's share.
         """
         if request.priority is not Priority.CONTROL:

@@ -32,7 +32,7 @@ class DriveTable(ABC):
     """The drives of one line, as the schedule sees them; `Schedule` is made of it.
 
     Args:
-        limits: Most waiting requests by class; see `Schedule`.
+        limits: Most waiting requests by class.
         absent_share: The part of line time that probes of absent drives may take, 0..1.
     """
 

@@ -1,6 +1,6 @@
 """In which order several drives are written to and proven, so that all of it ends soonest.
 
-A write is said, then its drive may have to be left alone for a while, then it is read back. While
+A write is sent, then its drive may have to be left alone for a while, then it is read back. While
 one drive is left alone the line speaks to the others; so the longest waits must begin first, to run
 under the others' exchanges. That is Jackson's rule for jobs with delivery times: the longest tail
 first (J. R. Jackson, "Scheduling a production line to minimize maximum tardiness", 1955). It gives
@@ -13,7 +13,7 @@ as that saves time. Against every permutation of small groups of the families' o
 find nothing better.
 
 How the line serves the steps is the schedule's: a proof whose drive may be spoken to again goes
-ahead of the writes still to be said (`Schedule.again`).
+ahead of the writes still to be sent (`Schedule.again`).
 
 Pure: times in seconds, no word of any protocol.
 """
@@ -50,7 +50,7 @@ class Part:
 
 
 def least_order(parts: Sequence[Part]) -> list[int]:
-    """Find the order in which to say them that has all of them said and proven soonest.
+    """Find the order in which to send them that has all of them sent and verified soonest.
 
     Returns:
         Indices into `parts`; among equal ones in the order they were given.
@@ -90,7 +90,7 @@ def _bound_s(parts: Sequence[Part]) -> float:
 
 
 def _moves(order: list[int], parts: Sequence[Part]) -> Iterable[tuple[float, list[int]]]:
-    """Give every order that differs by the place of one part, with the time it takes."""
+    """Return every order that differs by the place of one part, with the time it takes."""
     for place, index in enumerate(order):
         if place and parts[index] == parts[order[place - 1]]:
             continue  # moving its equal did the same

@@ -37,11 +37,9 @@ class PlannedChoice:
     """A choice made beforehand; it is never changed (not frozen: one is made for each exchange).
 
     Args:
-        request: What goes next.
-        from_s: It holds from this time on.
-        until_s: And until this one.
-        ahead: It goes first by its class's share.
-        waiting: The lower classes that have something to say, and what their first costs, seconds.
+        request: What goes next. from_s: It holds from this time on. until_s: And until this one.
+        ahead: It goes first by its class's share. waiting: The lower classes that have a request
+        that can go, and what their first costs, seconds.
     """
 
     request: Request
@@ -79,7 +77,7 @@ class Lookahead:
         self._found = None
 
     def holding(self, now_s: float) -> PlannedChoice | None:
-        """Give the choice if it still holds."""
+        """Return the choice if it still holds."""
         found = self._found
         if found is None or not found.from_s <= now_s < found.until_s:
             return None

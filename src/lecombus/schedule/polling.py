@@ -63,7 +63,7 @@ class PollingEntry:
         self.served = 0  # slots run
 
     def made(self) -> Request:
-        """Give the request for the slot at hand."""
+        """Return the request for the slot at hand."""
         request = self.request
         if request is None:
             request = self.request = self.cyclic.make()

@@ -89,7 +89,7 @@ Settle = Callable[[Outcome, str], None]
 
 @dataclass(slots=True, eq=False)
 class Request:
-    """One thing to be said to one drive (or, as a multicast, to several).
+    """One thing to be sent to one drive (or, as a multicast, to several).
 
     Args:
         drive: The drive it speaks to; for a multicast the group's name.
@@ -97,7 +97,7 @@ class Request:
         cost_s: Line time when answered normally, seconds.
         worst_s: The longest one attempt can hold the line, time-outs included, seconds.
         settle: Called exactly once with outcome and reason.
-        work: What the line is to say; opaque here.
+        work: The work of the line; opaque here.
         expires_at_s: It is not begun after this time.
         supersedes: A later request with the same key takes the place of this one while it waits.
         writes: It may change the drive: a stop of the drive ends it while it waits.

@@ -122,12 +122,12 @@ class Schedule(DriveTable):
         self._waiting.take_back(request, until_s, now_s)
 
     def join(self, stop: Request) -> bool:
-        """Let a stop that waits unsaid stand for a new one like it; say whether it can."""
+        """Let a stop that was not yet sent stand for a new one like it; return whether it can."""
         self._lookahead.invalidate()
         return self._waiting.join(stop)
 
     def withdraw(self, request: Request, outcome: Outcome, reason: str) -> bool:
-        """End a request if it still waits; say whether it did."""
+        """End a request if it still waits; return whether it did."""
         self._lookahead.invalidate()
         return self._waiting.withdraw(request, outcome, reason)
 

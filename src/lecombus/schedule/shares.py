@@ -154,7 +154,7 @@ def _had_its_turn(top: Priority, last: Priority | None) -> bool:
 
 
 def _last(last: Priority | None, used_by: Priority, turn: DispatchReason) -> Priority | None:
-    """Tell who has gone last by right after one more exchange; stops and feeds do not count."""
+    """Return who has gone last by right after one more exchange; stops and feeds do not count."""
     if turn is DispatchReason.FEED or used_by is Priority.STOP:
         return last
     return used_by if turn is DispatchReason.RIGHT else None
@@ -195,7 +195,7 @@ class Probe:
         self.refused = 0  # probes that could not be run without making a feed late
 
     def made(self) -> Request:
-        """Give the request for the next probe."""
+        """Return the request for the next probe."""
         request = self.request
         if request is None:
             request = self.request = self.make()

@@ -120,7 +120,7 @@ class Waiting:
         request.serial = request.place = self._serial
 
     def submit(self, request: Request, now_s: float) -> None:
-        """Take a new request; see `Schedule.submit`."""
+        """Take a new request. Limits and supersession are checked."""
         request.submitted_at_s = now_s
         if request.priority is Priority.STOP:
             self._submit_stop(request)
@@ -185,7 +185,7 @@ class Waiting:
         self._end_writes(request)
 
     def join(self, request: Request) -> bool:
-        """Let a stop that waits and was never said stand for another one asked for just now.
+        """Let a stop that waits and was never sent stand for another one asked for just now.
 
         Returns:
             Whether it can: it waits, so that nothing but other stops goes out before it, and
@@ -215,7 +215,7 @@ class Waiting:
     def place(self, request: Request, *, behind: bool) -> None:
         """Give a request that comes back a place ahead of its class, or behind what waits now.
 
-        Behind goes a stop that was said and has only to be proven: it must not keep the next
+        Behind goes a stop that was sent and has only to be proven: it must not keep the next
         drive waiting for its own. A stop of a silent drive goes behind those of all others.
         """
         request.latest_s = None
@@ -327,7 +327,7 @@ class Waiting:
     # -- ends -------------------------------------------------------------------------------------
 
     def withdraw(self, request: Request, outcome: Outcome, reason: str) -> bool:
-        """End a request if it still waits; say whether it did."""
+        """End a request if it still waits; return whether it did."""
         if request.state not in (QUEUED, DEFERRED):
             return False
         self.end_waiting(request, outcome, reason)

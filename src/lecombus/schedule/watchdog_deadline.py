@@ -56,7 +56,7 @@ class WatchdogCosts:
         self.take(request)
 
     def take(self, request: Request) -> bool:
-        """Take what the read costs now; say whether that is news."""
+        """Take what the read costs now; return whether that is news."""
         measured = (request.cost_s, request.worst_s + request.cut_by_s)
         told = request.told or measured
         news = (measured, told) != (self.measured, self.told)

@@ -218,7 +218,7 @@ class WatchdogSet:
         return own if now_s + other.cost_s + lost_s + own.cost_s > own.hard_s else None
 
     def never(self, worst_s: float, drive: str) -> str:
-        """Say why an exchange with a drive can never run, if it cannot; else an empty text."""
+        """Return why an exchange with a drive can never run, if it cannot; else an empty text."""
         most_s, whose = self.most_s(drive)
         if worst_s <= most_s:
             return ""
@@ -391,7 +391,7 @@ class WatchdogSet:
 def _room(
     feeds: list[WatchdogDeadline], now_s: float, worst_s: float, drive: str
 ) -> WatchdogDeadline | None:
-    """See `WatchdogSet.room`; the feeds are in the order of their hard deadlines."""
+    """Find the feed that must go first; the feeds are in the order of their hard deadlines."""
     end_s = now_s + worst_s
     total_s = 0.0
     earlier_s = math.inf  # by when the line must be free for the feeds before this one
