@@ -347,7 +347,7 @@ def test_a_quick_stop_taken_without_effect_becomes_an_inhibit_after_a_second() -
     outcome, reason = job.advance(late(value(150, "H0000"), 5.2)) or (None, "")
     assert outcome is REFUSED
     assert reason == (
-        "quick-stop was said, but C0135 reads H0004; inhibit was said, but C0150 reads H0000"
+        "quick-stop was sent, but C0135 reads H0004; inhibit was sent, but C0150 reads H0000"
     )
 
 

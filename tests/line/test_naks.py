@@ -75,7 +75,7 @@ def test_a_nak_to_a_read_is_an_answer_and_no_time_out() -> None:
         started_s = rig.now_s
         refused, other = rig.read("a", 6000), rig.read("b", 150)
         assert await ends(refused) is Outcome.REFUSED
-        assert "refused the question (NAK)" in refused.reason
+        assert "refused the read (NAK)" in refused.reason
         assert await ends(other) is Outcome.DONE
         # Nothing is quarantined: the other drive is asked as soon as the NAK stands alone.
         assert other.at_s - started_s < 0.25

@@ -172,7 +172,7 @@ def test_a_read_that_is_refused_by_nak_says_what_may_be_the_matter_and_the_drive
         reading = plant.site.store.reading("counter", Code(6000))
         assert reading is not None
         assert (reading.quality, reading.reason) == (
-            Quality.BAD, "the drive refused the question (NAK)",
+            Quality.BAD, "the drive refused the read (NAK)",
         )  # fmt: skip
         outcomes = {one.result.kind.value for one in plant.reports}
         assert outcomes == {"answered"}

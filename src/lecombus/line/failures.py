@@ -28,13 +28,13 @@ _BY_ANSWER: dict[type, tuple[type[ExchangeError], str]] = {
     NakAnswer: (NakError, "the drive refused it (NAK)"),
     TransmissionErrorAnswer: (
         ChecksumReportedError,
-        "the drive saw a transmission error in the question",
+        "the drive saw a transmission error in the request",
     ),
     UnknownCodeAnswer: (UnknownCodeError, "the drive has no such code"),
 }
 
 REFUSED_WRITE = "the drive refused the write (NAK): nothing was changed"
-REFUSED_READ = "the drive refused the question (NAK)"
+REFUSED_READ = "the drive refused the read (NAK)"
 
 _BY_KIND: dict[ResultKind, type[ExchangeError]] = {
     ResultKind.NO_REPLY: NoReplyError,

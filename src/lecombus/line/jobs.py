@@ -356,7 +356,7 @@ class MulticastJob:
     def advance(self, result: Result) -> Verdict:
         """End: it went out, or the line or its echo failed."""
         if result.kind is ResultKind.SENT:
-            return Outcome.DONE, "sent as one multicast; nobody acknowledges those"
+            return Outcome.DONE, "sent as one multicast; drives do not acknowledge it"
         self.error = error_of(self.station, self.step, result, 1)
         return Outcome.UNKNOWN, str(self.error)
 

@@ -389,15 +389,15 @@ class StopJob:
             if result.ended_s - self._since_s < self.patience_s + PROVING_S:
                 self._checking = proving.acknowledged
                 return None
-            text = f"{self._why}{self.action} was said and {self._shown}, but "
+            text = f"{self._why}{self.action} was sent and {self._shown}, but "
             return Outcome.UNKNOWN, text + proving.missing(self.station)
         if step.code not in confirm_codes(family, self.action):
-            text = f"{self._why}{self.action} was said, but {proving.missing(self.station)}"
+            text = f"{self._why}{self.action} was sent, but {proving.missing(self.station)}"
             return (Outcome.UNKNOWN, text) if over else None
         self.proof, self.proof_code = answer.value, step.code
         self._unshown += 1
         self._turn(refused=True)
-        reads = f"was said, but {step.code} reads {self.proof.raw}"
+        reads = f"was sent, but {step.code} reads {self.proof.raw}"
         if self._is_without_effect(result, over):
             self._inhibit(reads, result.ended_s)
             return None
@@ -447,6 +447,6 @@ class StopJob:
         unknown = no_code and self._failed_reads > 1
         over = over and self.attempts >= self._least_sayings
         if self.attempts and (over or unknown):
-            text = f"{self.action} was said but not read back: {self.error}"
+            text = f"{self.action} was sent but not read back: {self.error}"
             return Outcome.UNKNOWN, self._why + text
         return None

@@ -27,7 +27,7 @@ LineSubscriber = Callable[[LineChange], None]
 
 _REFUSALS: Final[Mapping[type, str]] = {
     UnknownCodeAnswer: NO_SUCH_CODE,
-    NakAnswer: "the drive refused the question (NAK)",
+    NakAnswer: "the drive refused the read (NAK)",
 }
 
 _OUTCOMES: Final[Mapping[ResultKind, str]] = {
