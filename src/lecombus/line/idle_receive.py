@@ -1,12 +1,12 @@
-"""Receiving between exchanges, and how long the line stays quiet for a late answer.
+"""Receives between exchanges, and decides how long the line stays quiet for a late answer.
 
-After an exchange without its answer there is a quarantine in any case (`bus_idle`). Where patience
-asks for it (`extended_listen`) the silence is drawn out until the answer of a very slow drive would
-have come. That costs others' cyclic reads up to a second; nothing else waits for it. It is not
-begun unless every watchdog can be fed in time after it, and it is over as soon as anything but
-cyclic and background work wants the line: a stop, a control word, a feed that presses, somebody who
-asks. The next telegram begins with EOT, which makes a drive drop what it was about to say
-(EDB2102EN 8.3); doubts and quarantine last as long as without it.
+After an exchange without its answer there is always a quarantine (`bus_idle`). If `extended_listen`
+asks for it, the quarantine is extended until the answer of a very slow drive would have come. That
+delays cyclic reads of other drives by up to a second, and nothing else. The extension begins only
+if every watchdog can still be fed in time after it. It ends when anything but cyclic and background
+work needs the line: a stop, a control word, an urgent feed, a client's request. The next telegram
+begins with EOT, which makes a drive drop an answer that it has not sent yet (EDB2102EN 8.3). Late
+replies stay pending, and the quarantine lasts, as long as without the extension.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ the time it could still take to arrive. While it does:
   immediately, but its acknowledgement is then not trusted;
 * a NAK is not taken for a read's answer while a NAK to anything else may still come.
 
-This module keeps the doubts and answers these questions; it sends nothing and waits for nothing.
+This module only keeps the pending answers and decides; it sends nothing and waits for nothing.
 Source: EDB2102EN 8.3 (telegrams without address in the answer), 8.3.5 (time monitoring).
 """
 
@@ -46,8 +46,8 @@ class PendingLateReplies:
     """The answers that may still arrive from exchanges given up.
 
     Args:
-        window_s: How long after giving up an answer may still come, seconds (0: no doubts at
-            all, for showing what they are good for).
+        window_s: How long after giving up an answer may still come, seconds (0: none is
+            ever pending; only for tests of what this module prevents).
     """
 
     def __init__(self, window_s: float) -> None:

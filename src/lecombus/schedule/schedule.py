@@ -191,7 +191,7 @@ class Schedule(DriveTable):
         return None if found is None else found.request
 
     def follow(self, done: Request, started_s: float, ended_s: float, now_s: float) -> None:
-        """Book an exchange that was answered, and what was foreseen as begun directly after it.
+        """Book an exchange that was answered, and what was planned as begun directly after it.
 
         Args:
             done: The request whose exchange it was.
@@ -200,7 +200,7 @@ class Schedule(DriveTable):
             now_s: When the request given by `planned` was begun.
         """
         found = self._lookahead.holding(now_s)
-        assert found is not None, "nothing was foreseen"
+        assert found is not None, "nothing was planned"
         self._lookahead.invalidate()
         self.finished(done, started_s, ended_s, reached=True)
         self._begin(found, now_s)
