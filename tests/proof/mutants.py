@@ -232,7 +232,7 @@ MUTANTS: dict[str, Mutant] = {
         ReadBackProof,
         "take",
         "if not _shows(",
-        "if type(what) is not Written and not _shows(",
+        "if type(what) is not WrittenValue and not _shows(",
         (259, 111),
         quick=True,
     ),
