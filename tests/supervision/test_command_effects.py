@@ -14,7 +14,7 @@ from lecombus.protocol.values import Value
 from lecombus.schedule import Outcome
 from lecombus.store import LineState, Store
 from lecombus.supervision.command_effects import ZERO_GAP_S, CommandEffects
-from support.single_drives import AskedLine, drive_of
+from support.single_drives import AskedLine, drive_of, read_of
 from support.site_host import Plant, roster_of, with_plant
 
 WORD, OUTPUT, OPERATING, INHIBIT, CONTROL = (Code(one) for one in (150, 50, 68, 40, 135))
@@ -46,7 +46,7 @@ class Desk:
     def reads(self, drive: str, code: Code, raw: str) -> None:
         self.now_s += 0.1
         self.store.value_read(drive, code, Value.parse(raw), self.now_s)
-        self.effects.seen(self.drives[drive], code, Value.parse(raw))
+        self.effects.exchange_ended(read_of(self.drives[drive], code, raw))
 
     def answers(self) -> None:
         self.line.settles.pop(0)(Outcome.DONE, "")

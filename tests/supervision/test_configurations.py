@@ -8,11 +8,10 @@ import pytest
 
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.exchange import ResultKind
-from lecombus.protocol.values import Value
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome
 from lecombus.supervision.configurations import Configurations
-from support.single_drives import AskedLine, drive_of
+from support.single_drives import AskedLine, drive_of, read_of
 from support.site_host import Plant, roster_of, until, with_plant
 
 C0005, C0135, C0150, C1921 = Code(5), Code(135), Code(150), Code(1921)
@@ -43,7 +42,7 @@ class Post:
         return [code for _, code, how in self.line.asked if how == "later"]
 
     def reads(self, raw: str, code: Code = C0005) -> None:
-        self.following.seen(self.drive, code, Value.parse(raw))
+        self.following.exchange_ended(read_of(self.drive, code, raw))
 
 
 def test_a_change_is_told_once() -> None:
@@ -76,7 +75,7 @@ def test_after_a_write_nothing_is_known_until_it_is_read() -> None:
 def test_other_codes_families_and_drives_say_nothing() -> None:
     post = Post()
     post.reads("1001", C0135)
-    post.following.seen(drive_of("b"), C0005, Value.decimal(1001))
+    post.following.exchange_ended(read_of(drive_of("b"), C0135, "1001"))
     inverter = Post("8200vector")
     inverter.reads("1001")
     inverter.following.written(inverter.drive, C0005)

@@ -8,12 +8,17 @@ from lecombus.config import parse_roster
 from lecombus.drive_runtime import Drive
 from lecombus.drives import Family, family
 from lecombus.errors import LineLostError
-from lecombus.line.station import Station
+from lecombus.line.observer import ExchangeReport
+from lecombus.line.station import JobStep, Station, StepKind
+from lecombus.line_events import ExchangeEvent
 from lecombus.protocol.addressing import Code
-from lecombus.schedule import Settle
+from lecombus.protocol.exchange import Result, ResultKind
+from lecombus.protocol.telegrams import ValueAnswer
+from lecombus.protocol.values import Value
+from lecombus.schedule import Priority, Settle
 from support.site_host import roster_of
 
-__all__ = ["AskedLine", "drive_of"]
+__all__ = ["AskedLine", "drive_of", "read_of"]
 
 
 def drive_of(
@@ -23,6 +28,16 @@ def drive_of(
     entry = parse_roster(roster_of([(name, 1, kind)]), "r.yaml").drives[0]
     described = family(kind)
     return Drive(entry, Station(name, 1, described, entry.forms), clock)
+
+
+def read_of(drive: Drive, code: Code, raw: str) -> ExchangeEvent:
+    """The event of a read of a drive that brought a value."""
+    value = Value.parse(raw)
+    result = Result(ResultKind.ANSWERED, 2.0, 3.0, ValueAnswer(b"00", value), "")
+    report = ExchangeReport(
+        drive.entry.name, JobStep(StepKind.READ, code), result, Priority.CYCLIC, 0.0, 0.0
+    )
+    return ExchangeEvent(report, (drive,), code, 3.0, "answered", read=value, answered=True)
 
 
 class AskedLine:

@@ -115,7 +115,7 @@ class Identities:
 
     def exchange_ended(self, event: ExchangeEvent) -> None:
         """Take an exchange: only values that were read say something."""
-        if event.read is not None:
+        if event.read is not None and event.code in event.drives[0].identity.found:
             self.seen(event.drives[0], event.code, event.read)
 
     def seen(self, drive: Drive, code: Code, value: Value) -> None:

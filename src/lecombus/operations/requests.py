@@ -252,9 +252,10 @@ class Requests:
 
     def cyclic_maker(self, name: str, code: Code) -> Callable[[], Request]:
         """Give the maker of a cyclic read; its next slot is its retry."""
+        drive = self.drives.get(name)
 
         def make() -> Request:
-            return self.maker.read(self.station(name), code, Priority.CYCLIC, retries=0)
+            return self.maker.read(drive.station, code, Priority.CYCLIC, retries=0)
 
         return make
 

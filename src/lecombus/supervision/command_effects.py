@@ -101,8 +101,11 @@ class CommandEffects:
         if event.is_write:
             for drive in event.drives:
                 self.written(drive, event.code)
-        if event.read is not None:
-            self.seen(event.drives[0], event.code, event.read)
+        elif event.read is not None and event.code in SPEED_CODES:
+            drive = event.drives[0]
+            is_new = drive.speed.raw.get(event.code) != event.read.raw
+            if is_new:
+                self.seen(drive, event.code, event.read)
 
     def written(self, drive: Drive, code: Code) -> None:
         """A code was written: read what shows the effect, if it stops drives or lets them run."""
@@ -116,9 +119,7 @@ class CommandEffects:
                 self._after_command.want(drive, one)
 
     def seen(self, drive: Drive, code: Code, value: Value) -> None:
-        """Take a value that was read: the speed, or a status word that shows that it is 0."""
-        if code not in SPEED_CODES or drive.speed.raw.get(code) == value.raw:
-            return
+        """Take a new value: of the speed, or of a status word that shows that it is 0."""
         drive.speed.raw[code] = value.raw
         number, family = value.number, drive.family
         if isinstance(number, str | bytes):

@@ -44,16 +44,16 @@ class Configurations:
         if event.is_write:
             for drive in event.drives:
                 self.written(drive, event.code)
-        if event.read is not None:
-            self.seen(event.drives[0], event.code, event.read)
+        elif event.read is not None:
+            family = event.drives[0].station.family
+            if event.code in (family.configured_by, family.shortened_code):
+                self.seen(event.drives[0], event.code, event.read)
 
     def seen(self, drive: Drive, code: Code, value: Value) -> None:
-        """Take a value that was read."""
-        family = drive.family
-        if code in (family.configured_by, family.shortened_code):
-            number = value.number
-            whole = not isinstance(number, str | bytes) and number == int(number)
-            self._take(drive, code, int(number) if whole else None)
+        """Take a value of a code that configures a drive."""
+        number = value.number
+        whole = not isinstance(number, str | bytes) and number == int(number)
+        self._take(drive, code, int(number) if whole else None)
 
     def written(self, drive: Drive, code: Code) -> None:
         """Take a write of a code: whether it took effect is known when it is read."""

@@ -82,6 +82,10 @@ class MetricsRecord:
             self._window.value(report.drive, event.code, event.ended_s)
         took_s = result.ended_s - result.started_s
         busy_s = took_s + report.quarantined_s
+        # A repetition and a stop of a silent drive wait otherwise than their class.
+        is_promised = report.attempt == 1
+        if report.priority is Priority.STOP and report.step.kind is not StepKind.MULTICAST:
+            is_promised &= all(one.health.state is not DriveState.OFFLINE for one in event.drives)
         self._counters.exchange(
             report.drive,
             report.step.kind,
@@ -94,7 +98,7 @@ class MetricsRecord:
         self._window.exchange(
             report.priority,
             busy_s,
-            None if _is_promised_more(event) else max(report.waited_s, 0.0),
+            max(report.waited_s, 0.0) if is_promised else None,
             result.ended_s,
             good=result.kind is ResultKind.ANSWERED or result.kind is ResultKind.SENT,
         )
@@ -105,13 +109,3 @@ class MetricsRecord:
         """Count an opening of the port."""
         if change.is_open:
             self._counters.port_opened()
-
-
-def _is_promised_more(event: ExchangeEvent) -> bool:
-    """Whether the wait is not one of its class: of a repetition, or of a stop of a silent drive."""
-    report = event.report
-    if report.attempt != 1:
-        return True
-    if report.priority is not Priority.STOP or report.step.kind is StepKind.MULTICAST:
-        return False
-    return any(drive.health.state is DriveState.OFFLINE for drive in event.drives)

@@ -61,7 +61,10 @@ class FaultWatch:
 
     def exchange_ended(self, event: ExchangeEvent) -> None:
         """Take an exchange: only values that were read say something."""
-        if event.read is not None:
+        if event.read is None:
+            return
+        fault = event.drives[0].fault
+        if fault.kind is not None or fault.raw.get(event.code) != event.read.raw:
             self.seen(event.drives[0], event.code, event.read)
 
     def seen(self, drive: Drive, code: Code, value: Value) -> None:
