@@ -266,6 +266,30 @@ def test_what_is_due_before_the_drive_that_is_stopped_goes_before_its_stop() -> 
     assert fired(world) == []
 
 
+def test_where_the_answered_stop_takes_too_long_for_others_the_feed_of_its_drive_goes() -> None:
+    world = World().drives("a", *(names := [f"d{number}" for number in range(10)]))
+    world.schedule.expect(FaultHypothesis(1, stop_s=0.3, stop_failed_s=0.53))
+    world.now_s = 0.09
+    world.feed("a", 1.0)
+    for name in names:
+        world.now_s += 0.01
+        world.feed(name, 1.0)
+    world.now_s = 0.3
+    world.silent = {"a"}
+    stop = world.submit("a", P.STOP, cost_s=0.25, worst_s=0.53)
+    repeat(world, stop, 2)
+    world.step()
+    world.silent = set()
+    world.run(3.0)
+    first, second = (at for at, sent in enumerate(world.sent) if sent.request is stop)
+    between = world.sent[first + 1 : second]
+    assert {sent.request.priority for sent in between} == {P.WATCHDOG}
+    assert [sent.request.drive for sent in between].count("a") == 1
+    assert sorted(sent.request.drive for sent in between) == sorted(["a", *names])
+    assert fired(world) == []
+    assert "a" not in world.schedule._waiting.silent
+
+
 def test_more_proof_of_a_stop_waits_for_feeds_though_its_drive_answers() -> None:
     world = World().drives("a", "b", "c")
     world.feed("b", 1.0)

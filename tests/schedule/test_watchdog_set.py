@@ -476,3 +476,19 @@ def test_the_slack_is_the_time_until_the_line_must_be_free() -> None:
 
 def slack_feed(name: str) -> Request:
     return Request(name, Priority.WATCHDOG, 0.03, 0.1, lambda outcome, reason: None)
+
+
+def test_a_drive_is_fed_before_room_made_for_it_leaves_none_for_the_stop_of_another() -> None:
+    def own(stop_failed_s: float, at_s: float) -> bool:
+        world = World().drives("a", "b")
+        world.schedule.expect(FaultHypothesis(1, stop_failed_s=stop_failed_s))
+        world.feed("a", 1.0)
+        world.feed("b", 1.0)
+        feeds = world.schedule._watchdogs
+        return feeds.own_before(at_s, feeds.by_drive["b"], "a") is feeds.by_drive["a"]
+
+    behind_s = 0.5 - 0.1 + 2 * COST_S
+    assert not own(0.5, HARD_PART - behind_s - 0.001)
+    assert own(0.5, HARD_PART - behind_s + 0.001)
+    assert not own(0.0, HARD_PART - behind_s + 0.001)
+    assert not own(5.0, 0.0), "no room is kept for a stop that never has it"

@@ -44,5 +44,16 @@ class FaultHypothesis:
         if not self.tolerate:
             return worst_s
         more_s = (self.tolerate - 1) * lost_s
+        return max(more_s + worst_s, cost_s + self.behind_s(lost_s, tenth_s))
+
+    def behind_s(self, lost_s: float, tenth_s: float) -> float:
+        """Return how much slack an exchange that is answered must leave, seconds.
+
+        Args:
+            lost_s: The longest feed that is not answered.
+            tenth_s: A tenth of the shortest watchdog time.
+        """
+        if not self.tolerate:
+            return 0.0
         stop_s = max(lost_s + self.stop_s, self.stop_failed_s) - tenth_s
-        return more_s + max(worst_s, cost_s + max(lost_s, stop_s))
+        return (self.tolerate - 1) * lost_s + max(lost_s, stop_s)

@@ -374,7 +374,7 @@ class Schedule(DriveTable):
             self._lookahead.invalidate()
             if request.priority is Priority.STOP and not request.members:
                 self._waiting.set_silent(request.drive, silent=True)
-        elif self._waiting.silent:
+        elif self._waiting.silent and self._silent_stops.ends_silence(request):
             self._waiting.set_silent(request.drive, silent=False)
         request.attempts += 1
         request.state = OUT

@@ -16,10 +16,11 @@ expire, because it may be the one telegram that is received. A drive that is lef
 Nor does it wait for so long that its own drive's watchdog acts: that drive may be there, and may
 have missed no more than the lost answers that are tolerated (fault_hypothesis.py). Its own feed
 does not go before its stop; if the next feed is due after its own and would make it late, the stop
-goes first.
+goes first. But where the stop, although answered, would take so long that others act (an 820X: 0.2
+s), the drive's feed goes in its place, and the stop when there is room, or after that time.
 
-A drive that answers anything is no longer silent, and its stop goes first again. Only what is read
-when it has acknowledged the stop and shown it, for more proof, waits in the same way: the plan
+A drive that answers anything else is no longer silent, and its stop goes first again. Only what is
+read when it has acknowledged the stop and shown it, for more proof, waits in the same way: the plan
 counts no more than one reading. Which stops come before which stands in waiting.py.
 
 Pure: the times are arguments.
@@ -47,12 +48,13 @@ class SilentStops:
         choice: Makes the telegrams that feed.
     """
 
-    __slots__ = ("_arbiter", "_waiting", "_watchdogs", "wake_at_s")
+    __slots__ = ("_arbiter", "_instead", "_waiting", "_watchdogs", "wake_at_s")
 
     def __init__(self, waiting: Waiting, feeds: WatchdogSet, choice: WatchdogArbiter) -> None:
         self._waiting = waiting
         self._watchdogs = feeds
         self._arbiter = choice
+        self._instead: Request | None = None  # the last feed that went in place of a stop
         self.wake_at_s = math.inf  # a stop waits until then for a drive that is left alone
 
     def held(self, stop: Request) -> bool:
@@ -85,9 +87,11 @@ class SilentStops:
         if feed is not None:
             own = feeds.own_before(now_s, feed, stop.drive)
             if own is not None:
-                return self._arbiter.plain(own)
+                return self._in_place(own)
             own = feeds.own_late(now_s + feed.cost_s, stop.drive)
-            return self._arbiter.plain(feed) if own is None or feed.hard_s < own.hard_s else stop
+            if own is None or feed.hard_s < own.hard_s:
+                return self._arbiter.plain(feed)
+            return self._own_turn(stop, own, now_s)
         held = feeds.first_held(now_s, stop.drive)
         if held is None or feeds.fits(now_s, stop.worst_s, stop.drive):
             return stop
@@ -96,6 +100,31 @@ class SilentStops:
         self.wake_at_s = held.held_until_s
         stop.latest_s = max(stop.latest_s, held.held_until_s + held.cost_s - ROUNDING_S)
         return None
+
+    def _own_turn(self, stop: Request, own: WatchdogDeadline, now_s: float) -> Request:
+        """Choose what feeds the drive to be stopped: its stop, or its feed where that is shorter.
+
+        A stop that is answered may take long, too: it must leave others the last tenth of theirs.
+        """
+        feeds = self._watchdogs
+        answered_s = min(stop.worst_s, max(stop.cost_s, feeds.faults.stop_s))
+        if own.held_until_s > now_s or answered_s <= own.cost_s:
+            return stop
+        if feeds.fits(now_s, answered_s - feeds.tenth_s(), stop.drive):
+            return stop
+        return self._in_place(own)
+
+    def _in_place(self, own: WatchdogDeadline) -> Request:
+        """Make the feed that goes in place of the stop of its drive."""
+        self._instead = self._arbiter.plain(own)
+        return self._instead
+
+    def ends_silence(self, request: Request) -> bool:
+        """Return whether the answer to a request ends the silence of its drive.
+
+        That to a feed in place of the stop does not: the stop would go before all other feeds.
+        """
+        return request is not self._instead
 
     def _late(self, now_s: float) -> WatchdogDeadline | None:
         """Find a drive that is fed too late, if it is not one that stays silent anyhow."""

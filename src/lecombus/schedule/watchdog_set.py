@@ -85,6 +85,12 @@ class WatchdogSet:
 
         Never more than there ever is, if the exchange fits at all: it must begin at some time.
         """
+        lost_s, tenth_s, most_s = self._losses()
+        need_s = self.faults.need_s(cost_s, worst_s, lost_s, tenth_s)
+        return max(min(need_s, most_s - ROUNDING_S), worst_s)
+
+    def _losses(self) -> tuple[float, float, float]:
+        """Give the longest lost feed, a tenth of the shortest watchdog time, and the most slack."""
         if self._lost is None:
             active = [feed for feed in self.by_drive.values() if feed.active]
             self._lost = (
@@ -92,14 +98,16 @@ class WatchdogSet:
                 (1.0 - HARD_PART) * min((feed.time_s for feed in active), default=0.0),
                 self.most_s("")[0],
             )
-        lost_s, tenth_s, most_s = self._lost
-        need_s = self.faults.need_s(cost_s, worst_s, lost_s, tenth_s)
-        return max(min(need_s, most_s - ROUNDING_S), worst_s)
+        return self._lost
 
     @property
     def is_measured(self) -> bool:
         """Whether something was measured that makes a feed longer than its manual does."""
         return any(feed.costs.is_longer for feed in self.by_drive.values())
+
+    def tenth_s(self) -> float:
+        """Return the last tenth of the shortest watchdog time, seconds: it is there to be used."""
+        return (1.0 - HARD_PART) * self.shortest_s()
 
     def shortest_s(self) -> float:
         """Return the shortest watchdog time, seconds."""
@@ -206,16 +214,19 @@ class WatchdogSet:
         """Find a drive's own feed if it goes before another's that makes room for that drive.
 
         The exchange that room is made for feeds the drive only if it is answered. Behind one more
-        feed there would be no time left for the lost answers that are tolerated. It does not go
-        before where it, not answered, would make another feed late whose deadline is earlier.
+        feed there would be no time left for the lost answers that are tolerated, or for a stop of
+        another drive, as far as there ever is such time. It does not go before where it, not
+        answered, would make another feed late whose deadline is earlier.
         """
         own = self.by_drive.get(drive)
         if own is None or not own.active or own.failures or own.free_s() > now_s:
             return None
         if own.hard_s > other.hard_s and not self.fits(now_s, own.worst_s, drive):
             return None
-        lost_s = self.faults.tolerate * own.worst_s
-        return own if now_s + other.cost_s + lost_s + own.cost_s > own.hard_s else None
+        lost_s, tenth_s, most_s = self._losses()
+        behind_s = min(self.faults.behind_s(lost_s, tenth_s), most_s)
+        behind_s = max(self.faults.tolerate * own.worst_s, behind_s)
+        return own if now_s + other.cost_s + behind_s + own.cost_s > own.hard_s else None
 
     def never(self, worst_s: float, drive: str) -> str:
         """Return why an exchange with a drive can never run, if it cannot; else an empty text."""
@@ -287,7 +298,7 @@ class WatchdogSet:
         """
         if not self._left_out:
             return None
-        tenth_s = (1.0 - HARD_PART) * self.shortest_s()
+        tenth_s = self.tenth_s()
 
         def may_go(feed: WatchdogDeadline) -> bool:
             if now_s + feed.cost_s <= feed.fed_at_s + feed.time_s:
