@@ -1,11 +1,11 @@
 """One drive of the running line: all that is known and set of it, in one object.
 
-`Drive` has one attribute for each thing that is followed, and each of these is changed by one
-module only (named beside it). `LineDrives` holds the drives of the line by name. A drive stays the
+`Drive` has one attribute for each thing that is followed; the modules that change it are named
+beside it, and no other does. `LineDrives` holds the drives of the line by name. A drive stays the
 same object for as long as its name is in the roster, also when a reload or a change of its address
 makes another entry of it: `Drive.begin` then forgets what was known of it, because another device
 may answer from now on. Drives are added, changed, moved and removed by
-`supervision.roster_changes`, and by nothing else.
+`supervision.drive_changes`, and by nothing else.
 
 Kept elsewhere by name, with the reason: the schedule (it knows no roster), the store (what API and
 metrics read, and what stays while the device stays), counters (a series may be a group's), the
@@ -181,7 +181,9 @@ class RunningAudit:
 
 @dataclass(slots=True)
 class AuditRecord:
-    """How far the drive's audit has come (`supervision.drive_supervisor`).
+    """How far the drive's audit has come.
+
+    Changed by `drive_supervisor`, `audit_queue` and `watchdogs` of `supervision`.
 
     Args:
         running: The audit under way or waiting to begin.
@@ -275,6 +277,8 @@ class EnableRecord:
 class LastingRecord:
     """What counts for the drive of this name with any entry, also when it comes back later.
 
+    Changed by `requests`, `context`, `verb_steps` and `wear` of `operations`.
+
     Args:
         stops: How often a stop was sent to it, for work of several steps: what is not in the
             schedule yet when a stop comes must not be written either.
@@ -337,6 +341,7 @@ class Drive:
             self.enable = EnableRecord()
         self.entry = entry
         self.station = station
+        """Changed by `drive_changes`, `write_prechecks` and `line_requests`."""
         self.health = HealthRecord()
         self.fault = FaultRecord()
         self.identity = IdentityRecord()
@@ -350,6 +355,8 @@ class Drive:
             watchdog_s=watched_s(entry),
             watchdog_inhibits=entry.watchdog is not None and entry.watchdog.action == "inhibit",
         )
+        """Changed by `event_records`, `audit_queue`, `drive_changes` and `write_prechecks`, and by
+        `stop_requests`, `writes` and `group_writes` of `operations`."""
 
     @property
     def family(self) -> Family:

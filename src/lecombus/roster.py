@@ -73,7 +73,7 @@ class LineEntry(_Model):
         retries: Repetitions after a failed exchange, 0 to 10.
         tolerate: Lost answers within any watchdog time that no watchdog may act upon, 0 to 3.
         adapter_latency_s: What the adapter adds to an answer; None: by the kind of port.
-        late_answer_s: How late an answer may still come (quarantine after a time-out).
+        late_answer_s: How late an answer may still come after a time-out.
         absent_share: Largest share of line time for probing absent drives, 0.01 to 0.5.
         stall_s: Silence of all drives after which the port is reopened; 0: never.
     """

@@ -1,6 +1,7 @@
 """What is known about the line, its drives and their values, at any moment.
 
-The line worker writes here (`value_read`, `value_failed`), health and supervisor write states and
+`supervision.event_records.StoreRecord` writes values here (`value_read`, `value_failed`), health
+and supervisor write states and
 remarks, and all interfaces read. Strategy: one mutable cell per drive and code, so that the write
 behind every exchange is two dictionary look-ups and three assignments; quality, age and time of
 day are calculated only for a request, from the state at that time (`judging`). So an old value
@@ -151,7 +152,7 @@ class Store:
         """Say how far the cyclic cadence is stretched at present, 1 or more."""
         self._line.stretch = max(1.0, stretch)
 
-    # -- what the line worker says ---------------------------------------------------------------
+    # -- what `StoreRecord` says of exchanges ----------------------------------------------------
 
     def value_read(self, drive: str, code: Code, value: Value, at_s: float) -> None:
         """Keep a value just read. Costs about a microsecond: it stands behind every exchange.

@@ -1,7 +1,8 @@
-"""The HTTP face of one line: `create_app` makes the application, `serve` listens with it.
+"""HTTP for one line: `create_app` makes the application, `serve` listens with it.
 
 Read `app` first (routes), then `problems` (what failures look like) and `server` (where it
-listens). `operations_protocol` is all that this room asks of the rest of the daemon.
+listens). `operations_protocol` has what this room asks of `operations`; it also reads
+`Store` and `Metrics`, and uses `operations.requests` and `operations.actions`.
 """
 
 from __future__ import annotations

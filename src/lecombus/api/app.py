@@ -1,9 +1,10 @@
 """The HTTP application: all routes, stops first, and what an error becomes.
 
 Strategy: Starlette finds the route. Answers are plain responses, so that no request holds the event
-loop for long. Every error becomes a problem document here. A request runs to its end also when its
-client goes away. Of the routes themselves only those for supervisors and `/openapi.json` stand
-here.
+loop for long. Every error becomes a problem document here. A request that was
+begun on the line runs to its end also when its client goes away; a write that was not sent by then
+is withdrawn. Of the routes themselves only `/metrics`, `/healthz`,
+`/readyz` and `/openapi.json` stand here.
 
 What must not live here: sockets (`server`), checks of requests (`request_checks`).
 """

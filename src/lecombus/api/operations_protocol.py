@@ -1,7 +1,9 @@
 """The operations that the HTTP API calls, as protocols.
 
-The API knows nothing else of schedule, worker and supervision, so it can be tested with fake
-operations. Errors come as `LecombusError`; `problems` decides which answer each becomes.
+Implemented by `operations.recorded`, put together by `operations.facade`. The API calls nothing
+else of schedule, worker and supervision, so it can be tested with fake operations. It also uses
+`Store`, `Metrics`, `operations.requests` and `operations.actions`. Errors come as `LecombusError`;
+`problems` decides which answer each becomes.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A plan: everything that a line promises, calculated from its roster alone, as data.
 
-Put together from the other modules of this room; `cli.plan` shows it. Times are seconds, shares
-are fractions, and a promise that cannot be given is None (JSON knows no infinity).
+Put together from the other modules of this room; `cli.line_plan` shows it. Times are seconds,
+shares are fractions, and a promise that cannot be given is None (JSON knows no infinity).
 """
 
 from __future__ import annotations

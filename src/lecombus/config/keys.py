@@ -73,7 +73,8 @@ _LINE: Final = Table("line", (
     Key("adapter_latency", Duration(0, 1),
         "What the adapter adds to an answer. Absent: by the kind of port."),
     Key("late_answer", Duration(0.01, 10),
-        "How late an answer may still come after a time-out; the line waits that long.",
+        "How late an answer may still come after a time-out; a request that it could seem to "
+        "answer waits that long.",
         default="500ms"),
     Key("absent_share", Percent(1, 50),
         "Largest share of line time spent on drives that do not answer.", default="10%"),

@@ -1,8 +1,9 @@
 """When the bus may be used again: turnaround, quarantine, and unsolicited bytes.
 
-After each answer the turnaround is kept. After an exchange without its answer nothing is sent while
-that answer could still come (quarantine). Bytes received during the quarantine extend it, up to a
-limit: otherwise a line with constant noise would never send again.
+After each answer the turnaround is kept. After an exchange without its answer nothing is sent for
+30 ms and twice the adapter's latency (quarantine): an adapter gives on what it still holds. An
+answer may come later than that; `late_replies` deals with it. Bytes received during the quarantine
+extend it, up to a limit: otherwise a line with constant noise would never send again.
 
 Pure: the time is an argument. Source: EDB2102EN 8.3.5 (time monitoring).
 """

@@ -15,10 +15,10 @@ telegram is sent first (`_follow`). After any other result, that result is evalu
   the exchange is judged: the process may have been suspended, and an answer that lies in the kernel
   is in time. The port is also read when a timer fired late, before the next telegram is sent: an
   old answer could otherwise pass for the answer to that telegram.
-* After a missing answer the line stays quiet for as long as that answer could still come
-  (quarantine). Bytes in that time are counted and dropped, and `late_replies` keeps what may still
-  come. A stop breaks a quarantine: it begins with EOT, which silences a drive, and it is verified
-  by reading back.
+* After a missing answer nothing is sent for 30 ms and twice the adapter's latency (quarantine).
+  Bytes in that time are counted and dropped. For `late_answer` after the time-out the answer may
+  still come: `late_replies` holds back only what it could seem to answer. A stop breaks a
+  quarantine: it begins with EOT, which silences a drive, and it is verified by reading back.
 
 Source of the timing rules: EDB2102EN 8.3.5.
 """

@@ -1,8 +1,8 @@
-"""The interface between the line worker and what carries the bytes.
+"""The interface between the exchange loop and what carries the bytes.
 
-Here live the two protocols (`Port`, which the worker calls, and `Receiver`, which a port calls)
+Here live the two protocols (`Port`, which the loop calls, and `Receiver`, which a port calls)
 and the settings a port is opened with. A serial device, a TCP connection and the simulator all
-stand behind the same six calls, so that the worker, its tests and the daemon know none of them.
+have the same six calls, so that the loop, its tests and the daemon know none of them.
 
 Theory of operation: a port gives bytes on as they come, in any pieces, and never interprets
 them. All calls happen on the one event loop thread. A lost port calls `Receiver.lost`
@@ -25,7 +25,7 @@ Parity = Literal["line", "port"]
 
 
 class Receiver(Protocol):
-    """What a port calls when something happens on it; the worker is one."""
+    """What a port calls when something happens on it; `ExchangeLoop` is one."""
 
     def received(self, data: bytes) -> None:
         """Take the bytes that came; never empty, in any pieces.

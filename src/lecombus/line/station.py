@@ -1,7 +1,7 @@
-"""What a job is to the worker: a station to speak to, the next step, and how it ended.
+"""What a job is to the exchange loop: a station to speak to, the next step, and how it ended.
 
 A job is the part of a request that knows the protocol. The schedule carries it without looking
-in; the worker asks it for the next step, runs that step as one exchange and gives it the result,
+in; the loop asks it for the next step, runs that step as one exchange and gives it the result,
 until the job says how the request ended. Between two steps of a job anything more urgent may run.
 """
 
@@ -84,7 +84,7 @@ class JobStep(NamedTuple):
 
 
 class Job(Protocol):
-    """What the worker needs of a job."""
+    """What the exchange loop needs of a job."""
 
     station: Station
     error: ExchangeError | None

@@ -1,6 +1,6 @@
 """Metrics of one line for Prometheus: instruments, and a page that never holds up a telegram.
 
-`Metrics` is what the daemon makes; `counters` counts, `gauges` reads current values, `exposition`
+`Metrics` is made by `LineRuntime`; `counters` counts, `gauges` reads current values, `exposition`
 writes lines and `page` decides when. Nothing here is global: two lines in one process (as in tests)
 share nothing.
 """

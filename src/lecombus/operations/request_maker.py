@@ -1,4 +1,4 @@
-"""The roster's drives as the line sees them, and the requests lecombus itself makes to them.
+"""The requests that lecombus makes to drives; their stations are made in `drive_changes`.
 
 Here roster, descriptions and cost model meet: every request is given its cost
 and its worst case here, so that the schedule, the time-outs and later the plan reckon with the

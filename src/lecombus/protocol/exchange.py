@@ -1,8 +1,8 @@
 """One exchange: a telegram that was sent, and what may be made of the bytes that come after it.
 
-Theory of operation. The worker begins an exchange at the moment it hands a telegram to the port,
-feeds it every byte that arrives with the time of arrival, and asks at the deadline. Between the
-two the exchange is in one phase::
+Theory of operation. The exchange loop begins an exchange at the moment it hands a telegram to
+the port, feeds it every byte that arrives with the time of arrival, and asks at the deadline.
+Between the two the exchange is in one phase::
 
     phase    bytes come                                        deadline passes
     -------  ------------------------------------------------  ----------------------------

@@ -1,8 +1,8 @@
 """Which telegram feeds a drive, and whether one must be fed now.
 
 A feed is a useful telegram: the drive's first waiting control or interactive request, else its
-next cyclic slot run early, else the read that its `Feeding` makes. What is urgent follows from the
-deadlines (watchdog_set.py); the order of the classes stands in schedule.py.
+next cyclic slot run early, else the read that its `WatchdogFeeding` makes. What is
+urgent follows from the deadlines (watchdog_set.py); the order of the classes stands in schedule.py.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ Strategy: failures are counted. When the port was opened, when no drive answers,
 while exchanges fail, the daemon is asked to look who else has the port open, which takes too long
 for the event loop. What was found is told once in the log and stands as a remark until it is over.
 
-What must not live here: looking at processes (`line.devices`), the words (`line.unheard`).
+What must not live here: looking at processes (`line.devices`), the words (`line.no_answers`).
 """
 
 from __future__ import annotations

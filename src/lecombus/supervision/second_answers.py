@@ -1,7 +1,7 @@
 """Remarks about answers that nobody asked for: two drives at one address, or every answer twice.
 
 What must not live here: counting them (`line.duplicates`), and what a stop makes of them
-(`line.proving`).
+(`line.read_back_proof`).
 """
 
 from __future__ import annotations
