@@ -388,7 +388,10 @@ class Store:
         return self._wall()
 
     def subscribe(self, subscriber: Subscriber) -> None:
-        """Call `subscriber` after every change; it must return immediately and never raise."""
+        """Call `subscriber` after every change; it must return immediately and never raise.
+
+        The daemon has no subscriber yet; a stream of events over HTTP will be one.
+        """
         self._subscribers = (*self._subscribers, subscriber)
 
     def unsubscribe(self, subscriber: Subscriber) -> None:

@@ -19,9 +19,9 @@ def submitted(world: World, priority: Priority) -> Request:
 @pytest.mark.parametrize("priority", [P.STOP, P.CONTROL, P.INTERACTIVE])
 def test_what_somebody_waits_for_presses(priority: Priority) -> None:
     world = World().drives("a")
-    assert world.schedule.presses_at_s(0.0) > 0.0
+    assert world.schedule.wanted_at_s(0.0) > 0.0
     submitted(world, priority)
-    assert world.schedule.presses_at_s(0.0) == 0.0
+    assert world.schedule.wanted_at_s(0.0) == 0.0
     assert not world.schedule.may_idle(0.0, 0.1)
 
 
@@ -36,8 +36,8 @@ def test_a_held_drive_s_request_presses_when_the_hold_ends() -> None:
     world = World().drives("a")
     world.schedule.hold("a", 0.5, 0.0)
     submitted(world, P.INTERACTIVE)
-    assert world.schedule.presses_at_s(0.0) == pytest.approx(0.5)
-    assert world.schedule.presses_at_s(0.5) == 0.5
+    assert world.schedule.wanted_at_s(0.0) == pytest.approx(0.5)
+    assert world.schedule.wanted_at_s(0.5) == 0.5
 
 
 def test_a_line_is_not_idle_for_longer_than_its_watchdogs_allow() -> None:
@@ -51,6 +51,6 @@ def test_a_line_is_not_idle_for_longer_than_its_watchdogs_allow() -> None:
 def test_a_feed_that_is_due_presses() -> None:
     world = World().drives("a")
     world.feed("a", 2.0)
-    presses_s = world.schedule.presses_at_s(0.0)
-    assert 1.0 < presses_s < 1.8
-    assert world.schedule.presses_at_s(presses_s + 0.001) == pytest.approx(presses_s + 0.001)
+    wanted_s = world.schedule.wanted_at_s(0.0)
+    assert 1.0 < wanted_s < 1.8
+    assert world.schedule.wanted_at_s(wanted_s + 0.001) == pytest.approx(wanted_s + 0.001)

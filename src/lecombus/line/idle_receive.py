@@ -136,9 +136,9 @@ class IdleReceive:
         if now_s >= awaited.until_s:
             self._extended_listen.in_vain(awaited.station, awaited.code, now_s)
         elif not stop_goes:
-            presses_s = self._schedule.presses_at_s(now_s)
-            if presses_s > now_s:
-                return min(presses_s, awaited.until_s)
+            wanted_s = self._schedule.wanted_at_s(now_s)
+            if wanted_s > now_s:
+                return min(wanted_s, awaited.until_s)
             self._extended_listen.cut(now_s)
         self._end(now_s)
         return self._bus_idle.quiet_until_s

@@ -42,8 +42,8 @@ class Arbiter:
 
     Args:
         waiting: What waits.
-        feed_choice: Which telegrams feed.
-        cadence: The cyclic entries.
+        watchdog_arbiter: Which telegrams feed.
+        polling: The cyclic entries.
         probes: The probes.
         shares: The credit of the classes.
     """
@@ -53,14 +53,14 @@ class Arbiter:
     def __init__(
         self,
         waiting: Waiting,
-        feed_choice: WatchdogArbiter,
-        cadence: Polling,
+        watchdog_arbiter: WatchdogArbiter,
+        polling: Polling,
         probes: Probes,
         shares: Shares,
     ) -> None:
         self._waiting = waiting
-        self._watchdog_arbiter = feed_choice
-        self._polling = cadence
+        self._watchdog_arbiter = watchdog_arbiter
+        self._polling = polling
         self._probes = probes
         self._shares = shares
         self._fed_last = False  # an urgent feed went last: it is the turn of interactive

@@ -54,8 +54,8 @@ class Lookahead:
 
     Args:
         waiting: What waits.
-        feeds: The watchdogs.
-        cadence: The cyclic entries.
+        watchdogs: The watchdogs.
+        polling: The cyclic entries.
         probes: The probes.
         shares: The credit of the classes.
     """
@@ -63,11 +63,16 @@ class Lookahead:
     __slots__ = ("_found", "_polling", "_probes", "_shares", "_waiting", "_watchdogs")
 
     def __init__(
-        self, waiting: Waiting, feeds: WatchdogSet, cadence: Polling, probes: Probes, shares: Shares
+        self,
+        waiting: Waiting,
+        watchdogs: WatchdogSet,
+        polling: Polling,
+        probes: Probes,
+        shares: Shares,
     ) -> None:
         self._waiting = waiting
-        self._watchdogs = feeds
-        self._polling = cadence
+        self._watchdogs = watchdogs
+        self._polling = polling
         self._probes = probes
         self._shares = shares
         self._found: PlannedChoice | None = None

@@ -30,7 +30,7 @@ from typing import Final
 
 from lecombus.schedule.arbiter import Arbiter, to_feed
 from lecombus.schedule.drive_table import DriveTable
-from lecombus.schedule.idle_time import presses_at_s
+from lecombus.schedule.idle_time import wanted_at_s
 from lecombus.schedule.lookahead import Lookahead, PlannedChoice
 from lecombus.schedule.polling import PollingEntry
 from lecombus.schedule.request import (
@@ -349,15 +349,15 @@ class Schedule(DriveTable):
         return min((at_s for at_s in times if at_s is not None), default=None)
 
     def may_idle(self, now_s: float, for_s: float) -> bool:
-        """Whether the line may be left idle for so long: no watchdog suffers, nothing presses."""
-        return self._watchdogs.fits(now_s, for_s, "") and self.presses_at_s(now_s) > now_s
+        """Whether the line may be left idle for so long: no watchdog suffers, nothing is urgent."""
+        return self._watchdogs.fits(now_s, for_s, "") and self.wanted_at_s(now_s) > now_s
 
-    def presses_at_s(self, now_s: float) -> float:
+    def wanted_at_s(self, now_s: float) -> float:
         """Return when anything but cyclic and background work may want the line (`idle_time`)."""
         self._lookahead.invalidate()
         if self._waiting.timers and self._waiting.timers[0][0] <= now_s:
             self._run_timers(now_s)
-        return presses_at_s(self._waiting, self._watchdogs, self._watchdog_arbiter, now_s)
+        return wanted_at_s(self._waiting, self._watchdogs, self._watchdog_arbiter, now_s)
 
     # -- what the line reports --------------------------------------------------------------------
 

@@ -44,16 +44,18 @@ class SilentStops:
 
     Args:
         waiting: Knows who is silent.
-        feeds: The watchdogs.
-        choice: Makes the telegrams that feed.
+        watchdogs: The watchdogs.
+        watchdog_arbiter: Makes the telegrams that feed.
     """
 
     __slots__ = ("_arbiter", "_instead", "_waiting", "_watchdogs", "wake_at_s")
 
-    def __init__(self, waiting: Waiting, feeds: WatchdogSet, choice: WatchdogArbiter) -> None:
+    def __init__(
+        self, waiting: Waiting, watchdogs: WatchdogSet, watchdog_arbiter: WatchdogArbiter
+    ) -> None:
         self._waiting = waiting
-        self._watchdogs = feeds
-        self._arbiter = choice
+        self._watchdogs = watchdogs
+        self._arbiter = watchdog_arbiter
         self._instead: Request | None = None  # the last feed that went in place of a stop
         self.wake_at_s = math.inf  # a stop waits until then for a drive that is left alone
 

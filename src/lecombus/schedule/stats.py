@@ -84,8 +84,8 @@ class ScheduleStats:
 
 def snapshot(
     waiting: Waiting,
-    feeds: WatchdogSet,
-    cadence: Polling,
+    watchdogs: WatchdogSet,
+    polling: Polling,
     probes: Probes,
     speaking_to: str | None,
     now_s: float,
@@ -94,33 +94,33 @@ def snapshot(
 
     Args:
         waiting: What waits.
-        feeds: The watchdogs.
-        cadence: The cyclic entries.
+        watchdogs: The watchdogs.
+        polling: The cyclic entries.
         probes: The probes.
         speaking_to: The drive of the exchange under way: whether it is fed shows at its end.
         now_s: Now.
     """
-    for name, feed in feeds.by_drive.items():
+    for name, feed in watchdogs.by_drive.items():
         if feed.active and name != speaking_to:
             feed.judge(now_s)
-    late_s, cadence.late_most_s = cadence.late_most_s, 0.0
+    late_s, polling.late_most_s = polling.late_most_s, 0.0
     by_class = {
         outcome: {priority: counts[priority] for priority in Priority}
         for outcome, counts in waiting.counts.items()
     }
     return ScheduleStats(
         depth={priority: waiting.queues[priority].depth for priority in Priority},
-        stretch=cadence.stretch(now_s),
+        stretch=polling.stretch(now_s),
         cyclic_late_most_s=late_s,
-        cyclic_skipped=cadence.skipped,
-        cyclic_dropped=cadence.dropped,
-        feeds={name: _feed_stats(f, now_s) for name, f in feeds.by_drive.items()},
-        feeds_due=len(feeds.due(now_s)),
+        cyclic_skipped=polling.skipped,
+        cyclic_dropped=polling.dropped,
+        feeds={name: _feed_stats(f, now_s) for name, f in watchdogs.by_drive.items()},
+        feeds_due=len(watchdogs.due(now_s)),
         refused=by_class[Outcome.REFUSED],
         expired=by_class[Outcome.EXPIRED],
         superseded=by_class[Outcome.SUPERSEDED],
         probes_refused=sum(probe.refused for probe in probes.by_drive.values()),
-        slack_s=feeds.slack_s(now_s),
+        slack_s=watchdogs.slack_s(now_s),
     )
 
 

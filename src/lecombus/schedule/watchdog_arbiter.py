@@ -26,29 +26,29 @@ class WatchdogArbiter:
 
     Args:
         waiting: What waits.
-        feeds: The watchdogs.
-        cadence: The cyclic entries.
+        watchdogs: The watchdogs.
+        polling: The cyclic entries.
     """
 
     __slots__ = ("_polling", "_waiting", "_watchdogs")
 
-    def __init__(self, waiting: Waiting, feeds: WatchdogSet, cadence: Polling) -> None:
+    def __init__(self, waiting: Waiting, watchdogs: WatchdogSet, polling: Polling) -> None:
         self._waiting = waiting
-        self._watchdogs = feeds
-        self._polling = cadence
+        self._watchdogs = watchdogs
+        self._polling = polling
 
     def can_wait(self, now_s: float) -> bool:
         """Return whether feeds leave time for something else to take its turn with them."""
-        feeds = self._watchdogs
-        return feeds.fits(now_s, TURNS_PART * feeds.spare_s(), "")
+        watchdogs = self._watchdogs
+        return watchdogs.fits(now_s, TURNS_PART * watchdogs.spare_s(), "")
 
     def early_slot(self, slot: Request, now_s: float) -> Request | None:
         """Find a cyclic slot, to be run in place of another, of a drive to be fed soon."""
-        cadence, entry = self._polling, slot.source
-        if type(entry) is not PollingEntry or not cadence.may_wait(entry, now_s):
+        polling, entry = self._polling, slot.source
+        if type(entry) is not PollingEntry or not polling.may_wait(entry, now_s):
             return None
         feed = self._watchdogs.pressing(now_s, SOON * self._watchdogs.spare_s())
-        early = cadence.early(feed.drive, now_s) if feed and feed.drive != slot.drive else None
+        early = polling.early(feed.drive, now_s) if feed and feed.drive != slot.drive else None
         fits = early is not None and feed and self._serves(early.made(), feed, now_s)
         return early.made() if early is not None and fits else None
 
