@@ -146,7 +146,7 @@ class Reading:
     text: str | None = None
 
     def as_json(self) -> dict[str, Json]:
-        """Return the JSON form every face of lecombus gives a value."""
+        """Return the JSON form of a value, the same in HTTP and in commands."""
         value = self.value
         return {
             "drive": self.drive,

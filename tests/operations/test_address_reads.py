@@ -10,7 +10,7 @@ import pytest
 from lecombus.errors import LineLostError, OperationError
 from lecombus.operations.address_reads import Heard, HeardKind
 from lecombus.protocol.addressing import Code, Form, is_drive_address
-from lecombus.scanning import Ask, Scan, ScanPlan
+from lecombus.scanning import Question, Scan, ScanPlan
 from lecombus.schedule import Priority
 from support.site_host import Plant, roster_of, until, with_plant
 
@@ -20,7 +20,7 @@ WATCHED = "{time: 1s, action: inhibit, configure: true}"
 EVERY = tuple(filter(is_drive_address, range(1, 100)))
 
 
-async def ask(plant: Plant, step: Ask) -> Heard:
+async def ask(plant: Plant, step: Question) -> Heard:
     return await plant.site.operations.read_address(
         step.address, step.code, form=step.form, family_name=step.family, patient=step.patient
     )
@@ -32,7 +32,7 @@ class ByOperations:
 
     plant: Plant
 
-    async def ask(self, step: Ask) -> Heard:
+    async def ask(self, step: Question) -> Heard:
         return await ask(self.plant, step)
 
     async def listen(self, baud: int, for_s: float) -> Heard:
@@ -77,11 +77,11 @@ def test_late_answers_of_the_rosters_drives_make_none_elsewhere(seed: int) -> No
 def test_what_comes_back_is_told_apart() -> None:
     async def test(plant: Plant) -> None:
         await until(lambda: plant.site.worker.is_open)
-        value = await ask(plant, Ask(0, 21, Code(9), Form.EXTENDED))
+        value = await ask(plant, Question(0, 21, Code(9), Form.EXTENDED))
         assert (value.kind, value.text, value.exists) == (HeardKind.VALUE, "21", True)
-        none = await ask(plant, Ask(0, 21, Code(6000)))
+        none = await ask(plant, Question(0, 21, Code(6000)))
         assert (none.kind, none.exists, none.is_answer) == (HeardKind.NO_SUCH_CODE, False, True)
-        silence = await ask(plant, Ask(0, 22, Code(9)))
+        silence = await ask(plant, Question(0, 22, Code(9)))
         assert (silence.kind, silence.exists, silence.is_answer) == (
             HeardKind.SILENCE,
             None,
@@ -89,7 +89,7 @@ def test_what_comes_back_is_told_apart() -> None:
         )
         before = silence.disturbances
         plant.line.faults.bad_bcc = 1.0
-        garbled = await ask(plant, Ask(0, 21, Code(9)))
+        garbled = await ask(plant, Question(0, 21, Code(9)))
         assert garbled.kind is HeardKind.GARBLED
         assert garbled.received
         assert garbled.disturbances > before
@@ -108,7 +108,7 @@ def test_what_may_not_be_asked_is_refused_before_anything_is_sent(
     async def test(plant: Plant) -> None:
         await until(lambda: plant.site.worker.is_open)
         with pytest.raises(OperationError) as refused:
-            await ask(plant, Ask(0, address, Code(9), family=family))
+            await ask(plant, Question(0, address, Code(9), family=family))
         assert refused.value.kind == kind
         assert not [one for one in plant.reports if one.drive.startswith("address ")]
 
@@ -121,6 +121,6 @@ def test_without_a_line_nothing_is_asked() -> None:
         plant.end.unplug()
         await until(lambda: not plant.site.worker.is_open)
         with pytest.raises(LineLostError):
-            await ask(plant, Ask(0, 21, Code(9)))
+            await ask(plant, Question(0, 21, Code(9)))
 
     with_plant(test, roster_of(FED))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from lecombus.protocol.addressing import is_drive_address
-from lecombus.scanning import Ask, ForeignTalkError, Heard, Scan, ScanPlan
+from lecombus.scanning import ForeignTalkError, Heard, Question, Scan, ScanPlan
 from lecombus.simulator import SimLine, build
 from lecombus.simulator.wire import PARITY_TABLE
 from support.scanning import ScannedLine
@@ -148,7 +148,7 @@ def test_another_masters_question_ends_the_scan() -> None:
     talk = read_telegram(77, 150).translate(PARITY_TABLE)
 
     class Overheard(ScannedLine):
-        async def ask(self, ask: Ask) -> Heard:
+        async def ask(self, ask: Question) -> Heard:
             heard = await super().ask(ask)
             return heard if len(self.asked) < 20 else replace(heard, received=talk)
 

@@ -15,7 +15,7 @@ from lecombus.protocol import with_parity
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value
 from lecombus.rebaud import LineAccess, Rebaud, Subject
-from lecombus.scanning import Ask, HeardKind
+from lecombus.scanning import HeardKind, Question
 from lecombus.simulator import SimDrive, SimLine
 from support.scanning import ScannedLine, run_now
 from support.sim_host import write_telegram
@@ -171,7 +171,7 @@ class RebaudLine:
         return WriteResult(came == "done", came, "" if came == "done" else f"write: {came}")
 
     def _read(self, subject: Subject, step: Read) -> ReadResult:
-        ask = Ask(step.baud, subject.address, step.code, subject.form, subject.family.name)
+        ask = Question(step.baud, subject.address, step.code, subject.form, subject.family.name)
         heard = self.scanned.hear(ask)
         if heard.kind is HeardKind.VALUE:
             return ReadResult(step.code, heard.value)

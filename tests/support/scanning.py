@@ -17,7 +17,7 @@ from lecombus.protocol.telegrams import (
     UnknownCodeAnswer,
     ValueAnswer,
 )
-from lecombus.scanning import Ask, Heard, HeardKind
+from lecombus.scanning import Heard, HeardKind, Question
 from lecombus.simulator import SimLine
 from support.sim_host import Host, read_telegram
 
@@ -51,7 +51,7 @@ class ScannedLine:
     def __init__(self, line: SimLine) -> None:
         self.line = line
         self.host = Host(line)
-        self.asked: list[Ask] = []
+        self.asked: list[Question] = []
         self.writes = 0
         self.disturbances = 0
         line.on_request = lambda _, heard: self._count(heard.text)
@@ -63,14 +63,14 @@ class ScannedLine:
         """Carry out a scan, or a part of it, to its end."""
         return run_now(work)
 
-    async def ask(self, ask: Ask) -> Heard:
+    async def ask(self, ask: Question) -> Heard:
         return self.hear(ask)
 
     async def listen(self, baud: int, for_s: float) -> Heard:
         self.line.host_baud = baud
         return Heard(HeardKind.SILENCE, received=self.host.hear(until_s=self.host.now_s + for_s))
 
-    def hear(self, step: Ask) -> Heard:
+    def hear(self, step: Question) -> Heard:
         host = self.host
         self.line.host_baud = step.baud
         self.asked.append(step)

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from lecombus.drives import FAMILY_NAMES, family
 from lecombus.drives.field_types import Words, read_words, whole
-from lecombus.drives.yaml_models import FILE_TABLE, KEY, Reads, YamlFile, mistake
+from lecombus.drives.yaml_models import FILE_TABLE, KEY, ReadBy, YamlFile, mistake
 from lecombus.errors import CodeValueError
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
@@ -42,7 +42,7 @@ def _read_value(given: object) -> Value:
         raise mistake(str(exc)) from exc
 
 
-Values = dict[str, Annotated[Value, Reads(_read_value)]]
+Values = dict[str, Annotated[Value, ReadBy(_read_value)]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +53,7 @@ class _BackupFile:
     drive: Words
     line: Words
     address: Annotated[int, whole(1, 99)]
-    family: Annotated[str, Reads(_read_family)]
+    family: Annotated[str, ReadBy(_read_family)]
     taken: Words
     lecombus: Words
     identity: Values = field(default_factory=dict)

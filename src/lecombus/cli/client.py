@@ -27,7 +27,7 @@ from lecombus.readings import Json
 __all__ = [
     "RUNTIME_DIR",
     "Answer",
-    "Daemon",
+    "DaemonClient",
     "answer_of",
     "body_text",
     "connect",
@@ -76,7 +76,7 @@ class Answer:
     data: Any
 
 
-class Daemon:
+class DaemonClient:
     """A running daemon.
 
     Args:
@@ -132,7 +132,7 @@ class Daemon:
 
 
 @contextmanager
-def connect(socket: str | None, url: str | None) -> Iterator[Daemon]:
+def connect(socket: str | None, url: str | None) -> Iterator[DaemonClient]:
     """Connect to the daemon that a command line means.
 
     Args:
@@ -150,7 +150,7 @@ def connect(socket: str | None, url: str | None) -> Iterator[Daemon]:
         base_url=base or LOCAL, transport=transport, timeout=TIMEOUT, trust_env=False
     )
     with client:
-        yield Daemon(client, path or base)
+        yield DaemonClient(client, path or base)
 
 
 @asynccontextmanager

@@ -7,7 +7,7 @@ from urllib.parse import quote
 import click
 
 from lecombus.cli.arguments import CODE, daemon_options
-from lecombus.cli.client import Daemon, connect
+from lecombus.cli.client import DaemonClient, connect
 from lecombus.cli.document_rows import Document, show_write, status_of
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.screen import age, on_terminal, show_rows, table_text
@@ -79,7 +79,7 @@ def accept_command(
     return Exit.DONE
 
 
-def _ask_again(daemon: Daemon, drive: str, found: dict[str, str]) -> None:
+def _ask_again(daemon: DaemonClient, drive: str, found: dict[str, str]) -> None:
     """Read the identity from the drive again: its audit may be long ago."""
     path = f"/v1/drives/{quote(drive, safe='')}"
     for code in found:

@@ -25,10 +25,10 @@ from lecombus.errors import LecombusError
 from lecombus.line.loop import run
 from lecombus.protocol import BAUDS, Code
 from lecombus.rebaud import (
-    Drive,
     DrivePlace,
     LineAccess,
     Rebaud,
+    RebaudDrive,
     RebaudEnd,
     Subject,
     ending_of,
@@ -231,7 +231,7 @@ def _ask_drives(work: Rebaud, roster: Roster, *, quiet: bool) -> None:
         CommandError: It could not be finished.
     """
     try:
-        _carry(work, work.check, roster, Shown("asking drives", Drive.is_seen, quiet=quiet))
+        _carry(work, work.check, roster, Shown("asking drives", RebaudDrive.is_seen, quiet=quiet))
     except LecombusError as exc:
         raise CommandError(Exit.FAILED, Problem(str(exc), "nothing was written")) from exc
     if work.line.interrupted:
@@ -272,7 +272,7 @@ class Shown:
     """
 
     title: str
-    counts: Callable[[Drive], bool]
+    counts: Callable[[RebaudDrive], bool]
     quiet: bool
 
 
@@ -356,11 +356,11 @@ def show_plan(work: Rebaud, roster: Roster, *, as_json: bool) -> None:
         )
 
 
-def _now(drive: Drive) -> str:
+def _now(drive: RebaudDrive) -> str:
     return f"{drive.rate} baud" if drive.rate is not None else "silent"
 
 
-def _step(drive: Drive, work: Rebaud) -> str:
+def _step(drive: RebaudDrive, work: Rebaud) -> str:
     if drive.place is DrivePlace.NEW or drive.rate is None:
         return ""
     subject = drive.subject
@@ -406,7 +406,7 @@ def _head(work: Rebaud, roster: Roster) -> dict[str, object]:
     }
 
 
-def _as_json(drive: Drive, work: Rebaud) -> dict[str, object]:
+def _as_json(drive: RebaudDrive, work: Rebaud) -> dict[str, object]:
     return {
         "drive": drive.name,
         "address": drive.subject.address,

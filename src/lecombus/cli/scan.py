@@ -18,7 +18,7 @@ import click
 
 from lecombus.cli import client
 from lecombus.cli.arguments import daemon_options
-from lecombus.cli.client import Daemon, connect
+from lecombus.cli.client import DaemonClient, connect
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.own_line import OwnPort, own_port
 from lecombus.cli.progress_bar import Bar, progress
@@ -32,11 +32,11 @@ from lecombus.operations.address_reads import read_address
 from lecombus.protocol import BAUDS, Code, Form, is_drive_address
 from lecombus.protocol.values import Value
 from lecombus.scanning import (
-    Ask,
     Finding,
     Heard,
     HeardKind,
     ProposedLine,
+    Question,
     Scan,
     ScanPlan,
     check_place,
@@ -288,7 +288,7 @@ def _found_line(one: Finding) -> str:
     return f"{one.address} at {one.baud} baud: {one.family}{sure}{labels}"
 
 
-def _line_of(daemon: Daemon) -> LineEntry:
+def _line_of(daemon: DaemonClient) -> LineEntry:
     """Ask the daemon what line it has."""
     line = daemon.get("/v1/line").data
     if "port" not in line or "baud" not in line:
@@ -421,7 +421,7 @@ async def scan_own_port(scan: Scan, line: LineEntry, watch: Watch) -> int:
         return port.bytes_heard
 
 
-def scan_by_daemon(scan: Scan, daemon: Daemon, watch: Watch) -> None:
+def scan_by_daemon(scan: Scan, daemon: DaemonClient, watch: Watch) -> None:
     """Scan through a running daemon, which asks in its background class.
 
     Raises:
@@ -443,7 +443,7 @@ class _OnOwnPort:
     port: OwnPort
     watch: Watch
 
-    async def ask(self, ask: Ask) -> Heard:
+    async def ask(self, ask: Question) -> Heard:
         """Read a code at an address, once."""
         self.watch()
         own = await self.port.at(ask.baud)
@@ -470,10 +470,10 @@ class _OnOwnPort:
 class _ByDaemon:
     """`AddressAccess` through a running daemon."""
 
-    daemon: Daemon
+    daemon: DaemonClient
     watch: Watch
 
-    async def ask(self, ask: Ask) -> Heard:
+    async def ask(self, ask: Question) -> Heard:
         """Read a code at an address, once."""
         self.watch()
         answer: dict[str, Any] = self.daemon.get(

@@ -1,6 +1,6 @@
 """What the demo shows: a table on a terminal, plain lines in a pipe.
 
-Only the store is read, as every other face does it.
+Only the store is read.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import HIGHEST_DECIMAL, LOWEST_DECIMAL, Value
 
 from .texts import Text
-from .yaml_models import KEY, LIST_RIGHT, TEXT_RIGHT, FileContext, Quoted, Reads, mistake
+from .yaml_models import KEY, LIST_RIGHT, TEXT_RIGHT, FileContext, Quoted, ReadBy, mistake
 
 __all__ = [
     "WORD_MAX",
@@ -94,14 +94,14 @@ def whole_number(given: object, low: int, high: int, *below: int | str) -> int:
     return number
 
 
-def whole(low: int, high: int) -> Reads:
+def whole(low: int, high: int) -> ReadBy:
     """Mark a whole number from `low` to `high`."""
-    return Reads(lambda given: whole_number(given, low, high))
+    return ReadBy(lambda given: whole_number(given, low, high))
 
 
-def milliseconds(low: int = 1, high: int = LONGEST_MS) -> Reads:
+def milliseconds(low: int = 1, high: int = LONGEST_MS) -> ReadBy:
     """Mark a time that stands in milliseconds in the file and is kept in seconds."""
-    return Reads(lambda given: whole_number(given, low, high) / 1000)
+    return ReadBy(lambda given: whole_number(given, low, high) / 1000)
 
 
 def ends(key: str, what: str, *, equal: bool = False) -> tuple[WrapValidator, FieldInfo, FieldInfo]:
@@ -195,18 +195,18 @@ def _refuse_number_twice(given: Any) -> Any:
 numbered: Final = BeforeValidator(_refuse_number_twice)
 """Marks a table whose keys are numbers."""
 
-Words = Annotated[str, Reads(read_words)]
-Flag = Annotated[bool, Reads(_read_flag)]
-CodeNumber = Annotated[Code, Reads(read_code)]
-DescribedCode = Annotated[Code, Reads(_read_described, informed=True)]
-WritableCode = Annotated[Code, Reads(_read_writable, informed=True)]
-ShownCode = Annotated[Code, Reads(_read_shown, informed=True)]
+Words = Annotated[str, ReadBy(read_words)]
+Flag = Annotated[bool, ReadBy(_read_flag)]
+CodeNumber = Annotated[Code, ReadBy(read_code)]
+DescribedCode = Annotated[Code, ReadBy(_read_described, informed=True)]
+WritableCode = Annotated[Code, ReadBy(_read_writable, informed=True)]
+ShownCode = Annotated[Code, ReadBy(_read_shown, informed=True)]
 """A code that is read without a request: every user sees its value."""
-WordCode = Annotated[Code, Reads(_read_word_code, informed=True)]
-Number = Annotated[Decimal, Reads(read_number)]
-BothLanguages = Annotated[Text, Reads(_read_both)]
-Source = Annotated[str, Reads(_read_source, informed=True)]
+WordCode = Annotated[Code, ReadBy(_read_word_code, informed=True)]
+Number = Annotated[Decimal, ReadBy(read_number)]
+BothLanguages = Annotated[Text, ReadBy(_read_both)]
+Source = Annotated[str, ReadBy(_read_source, informed=True)]
 """Section of the manual; kept with the manual's name before it."""
 WordNumber = Annotated[int, whole(0, WORD_MAX)]
-WordValue = Annotated[Value, Reads(lambda given: Value.decimal(whole_number(given, 0, WORD_MAX)))]
+WordValue = Annotated[Value, ReadBy(lambda given: Value.decimal(whole_number(given, 0, WORD_MAX)))]
 """A whole number that is written as a decimal."""

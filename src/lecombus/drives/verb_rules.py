@@ -30,7 +30,7 @@ from .field_types import (
     whole_number,
 )
 from .stops import Proofs
-from .yaml_models import FILE_TABLE, ReadAs, Reads, mistake, without_keys
+from .yaml_models import FILE_TABLE, ReadAs, ReadBy, mistake, without_keys
 
 __all__ = [
     "Access",
@@ -94,7 +94,7 @@ class Condition:
 
     code: DescribedCode
     values: frozenset[Annotated[int, whole(0, HIGHEST_SETTING)]]
-    digit: Annotated[int, Reads(_read_digit)] = 0
+    digit: Annotated[int, ReadBy(_read_digit)] = 0
 
     def holds(self, value: Value | None) -> bool:
         """Return whether a setting that was read is as wanted; one that is not known is not."""

@@ -21,7 +21,7 @@ from .commands import ControlWordInfo
 from .field_types import Source, WordCode, Words, numbered, read_words
 from .operating import OperatingState, StateRule
 from .words import Bit, WordField, WordFieldEntry, WordInfo
-from .yaml_models import FILE_TABLE, ReadAs, Reads, mistake, without_keys
+from .yaml_models import FILE_TABLE, ReadAs, ReadBy, mistake, without_keys
 
 __all__ = ["CONTROL_WORDS", "STATUS_WORDS"]
 
@@ -43,7 +43,7 @@ def _read_configuration(given: object) -> str:
     return read_words(given)
 
 
-Configurations = tuple[Annotated[str, Reads(_read_configuration)], ...]
+Configurations = tuple[Annotated[str, ReadBy(_read_configuration)], ...]
 
 FieldOrName = Annotated[
     Annotated[Words, Tag("[name]")] | Annotated[WordFieldEntry, Tag("[field]")],

@@ -43,7 +43,7 @@ __all__ = [
     "FileContext",
     "Quoted",
     "ReadAs",
-    "Reads",
+    "ReadBy",
     "YamlFile",
     "by_key",
     "context_of",
@@ -99,7 +99,7 @@ def context_of(info: ValidationInfo) -> FileContext:
 
 
 @dataclass(frozen=True)
-class Reads:
+class ReadBy:
     """Marks a field that a function reads; pydantic's own `PlainValidator` takes twice as long.
 
     Args:
@@ -155,7 +155,7 @@ def _refuse_key(_: object) -> NoReturn:
     raise PydanticCustomError("unexpected_keyword_argument", "this is no key")
 
 
-NOT_A_KEY: Final = Reads(_refuse_key)
+NOT_A_KEY: Final = ReadBy(_refuse_key)
 """Marks a field that no file gives."""
 
 

@@ -2,12 +2,12 @@
 
 An answer carries no address and an acknowledgement carries nothing at all, so an answer that
 comes after the master has given up on it could pass for the answer to the next question. After
-every exchange that ended without its answer, the answer it would have had stays *in doubt* for
-the time it could still take to arrive. While it does:
+every exchange that ended without its answer, the answer it would have had may still come for
+`late_answer`. Until then:
 
 * no read is sent whose answer would look the same: the other addressing form is used where the
   drive knows both (its answer repeats the form), else the read waits;
-* no write is sent while an acknowledgement is in doubt, except a stop: it is sent
+* no write is sent while an acknowledgement may still come, except a stop: it is sent
   immediately, but its acknowledgement is then not trusted;
 * a NAK is not taken for a read's answer while a NAK to anything else may still come.
 
@@ -88,7 +88,7 @@ class PendingLateReplies:
         return self._asked.get(field) if self.blocked_until_s(field, now_s) > now_s else None
 
     def answered(self, field: bytes, now_s: float) -> None:
-        """Note that an answer came: an acknowledgement may be the old one that was in doubt."""
+        """Note that an answer came: an acknowledgement may be the old, late one."""
         if field == ACK_FIELD and self.blocked_until_s(field, now_s) > now_s:
             self.add(field, now_s)
 
@@ -105,7 +105,7 @@ class PendingLateReplies:
         An acknowledgement is never taken as resolved: noise makes a single byte too easily.
 
         Returns:
-            Whether it had been in doubt.
+            Whether it could still have come.
         """
         return field != ACK_FIELD and self._until_s.pop(field, None) is not None
 

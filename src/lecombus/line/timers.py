@@ -1,4 +1,4 @@
-"""What the worker waits for besides bytes: a time, a nudge, a deadline that moves.
+"""What worker and exchange loop wait for besides bytes: a time, a nudge, a moving deadline.
 
 All belong to one line and its event loop thread. `WakeableSleep` lets the worker's task sleep until
 a time or until `nudge`. `WakeableTimer` is the same for callbacks: waking a task costs twice as

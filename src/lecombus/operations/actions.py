@@ -1,6 +1,6 @@
 """Who moved a motor: one log event for each operation on a drive that a client asked for.
 
-Strategy: who asks is found in a context variable (`ACTOR`), which every door sets for the task of a
+Strategy: who asks is found in a context variable (`ACTOR`), which the API sets for the task of a
 request; without a request it is lecombus itself. An event is logged after the thing was done, so
 nothing waits for it. Of one kind of thing that one user's program does to one drive `EACH` events
 are logged in `WINDOW_S`; what is beyond is counted and logged as one sum after that. No more than

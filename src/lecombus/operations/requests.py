@@ -2,7 +2,8 @@
 
 The supervisor and the operations that users start both wait here. Cancelling the wait drops the
 result and never a telegram: a request that still waits in the schedule runs or expires as it
-would have, and the worker never knows who was waiting.
+would have. Only a write whose client has closed its connection before it was sent is withdrawn
+(`IS_GONE`, ADR 56).
 """
 
 from __future__ import annotations

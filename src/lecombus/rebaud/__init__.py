@@ -12,16 +12,16 @@ from __future__ import annotations
 
 from lecombus.rebaud.access import LineAccess
 from lecombus.rebaud.checking import Obstacle, check
-from lecombus.rebaud.drives import Drive, DrivePlace, Subject
+from lecombus.rebaud.drives import DrivePlace, RebaudDrive, Subject
 from lecombus.rebaud.moving import Rebaud
 from lecombus.rebaud.report import RebaudEnd, ending_of, situation, what_to_do
 
 __all__ = [
-    "Drive",
     "DrivePlace",
     "LineAccess",
     "Obstacle",
     "Rebaud",
+    "RebaudDrive",
     "RebaudEnd",
     "Subject",
     "check",

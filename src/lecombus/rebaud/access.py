@@ -7,7 +7,7 @@ from typing import Protocol
 from lecombus.drives.access import DriveAccess, ReadResult, WriteResult
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
-from lecombus.rebaud.drives import Drive
+from lecombus.rebaud.drives import RebaudDrive
 
 __all__ = ["InterruptedRebaudError", "LineAccess", "RebaudLine"]
 
@@ -46,7 +46,7 @@ class RebaudLine:
         self.interrupted = False
 
     async def read(
-        self, drive: Drive, baud: int, code: Code, *, retries: int = TRIES_MORE
+        self, drive: RebaudDrive, baud: int, code: Code, *, retries: int = TRIES_MORE
     ) -> ReadResult:
         """Read a code of a drive."""
         self.check_interruption()
@@ -57,13 +57,13 @@ class RebaudLine:
         self.check_interruption()
         await self.access.wait(baud, for_s)
 
-    async def write(self, drive: Drive, baud: int, code: Code, number: int) -> WriteResult:
+    async def write(self, drive: RebaudDrive, baud: int, code: Code, number: int) -> WriteResult:
         """Write a number to a code of a drive, once."""
         self.check_interruption()
         access = self.access.at(baud, drive.name, retries=0)
         return await access.write(code, Value.decimal(number), verify=False)
 
-    async def read_rate(self, drive: Drive, baud: int, *, retries: int = 0) -> int | None:
+    async def read_rate(self, drive: RebaudDrive, baud: int, *, retries: int = 0) -> int | None:
         """Read the number of a drive's baud rate; None: it does not answer with one."""
         answer = await self.read(drive, baud, drive.subject.code, retries=retries)
         number = answer.value.number if answer.value is not None else None

@@ -22,7 +22,7 @@ from lecombus.durations import format_duration
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value
 from lecombus.rebaud.access import RebaudLine
-from lecombus.rebaud.drives import Drive, DrivePlace
+from lecombus.rebaud.drives import DrivePlace, RebaudDrive
 
 __all__ = ["Obstacle", "check", "is_same_drive", "standstill"]
 
@@ -47,7 +47,9 @@ class Obstacle:
     kind: str
 
 
-async def check(line: RebaudLine, drives: Iterable[Drive], old: int, new: int) -> list[Obstacle]:
+async def check(
+    line: RebaudLine, drives: Iterable[RebaudDrive], old: int, new: int
+) -> list[Obstacle]:
     """Ask every drive whether its baud rate may be changed.
 
     Args:
@@ -60,7 +62,7 @@ async def check(line: RebaudLine, drives: Iterable[Drive], old: int, new: int) -
         Every obstacle; none: the change may begin.
     """
     obstacles: list[Obstacle] = []
-    silent: list[Drive] = []
+    silent: list[RebaudDrive] = []
     for drive in drives:
         number = await line.read_rate(drive, old, retries=2)
         if number is None:
@@ -76,7 +78,7 @@ async def check(line: RebaudLine, drives: Iterable[Drive], old: int, new: int) -
     return obstacles
 
 
-def _silent(drive: Drive, old: int, new: int) -> Obstacle:
+def _silent(drive: RebaudDrive, old: int, new: int) -> Obstacle:
     return Obstacle(
         drive.name,
         f"{drive.name} (address {drive.subject.address}) does not say its baud rate "
@@ -87,7 +89,9 @@ def _silent(drive: Drive, old: int, new: int) -> Obstacle:
     )
 
 
-async def _check_one(line: RebaudLine, drive: Drive, rate: int, number: int) -> list[Obstacle]:
+async def _check_one(
+    line: RebaudLine, drive: RebaudDrive, rate: int, number: int
+) -> list[Obstacle]:
     """Check a drive that answers at a rate."""
     code, right = drive.subject.spoken, drive.subject.number(rate)
     if number != right:
@@ -105,7 +109,7 @@ async def _check_one(line: RebaudLine, drive: Drive, rate: int, number: int) -> 
 # ---- who it is ----------------------------------------------------------------------------------
 
 
-async def _identity(line: RebaudLine, drive: Drive, rate: int) -> list[Obstacle]:
+async def _identity(line: RebaudLine, drive: RebaudDrive, rate: int) -> list[Obstacle]:
     found, differing = {}, []
     for code in drive.subject.asked:
         answer = await line.read(drive, rate, code)
@@ -130,7 +134,7 @@ async def _identity(line: RebaudLine, drive: Drive, rate: int) -> list[Obstacle]
     return [Obstacle(drive.name, f"{drive.name} is another drive: {told}", remedy, "swapped")]
 
 
-async def is_same_drive(line: RebaudLine, drive: Drive, rate: int) -> str:
+async def is_same_drive(line: RebaudLine, drive: RebaudDrive, rate: int) -> str:
     """Read the identity again; return what differs, empty when it is the same."""
     for code, before in drive.identity.items():
         answer = await line.read(drive, rate, code)
@@ -144,7 +148,7 @@ async def is_same_drive(line: RebaudLine, drive: Drive, rate: int) -> str:
 # ---- whether it can be written to ---------------------------------------------------------------
 
 
-async def _addressing(line: RebaudLine, drive: Drive, rate: int) -> list[Obstacle]:
+async def _addressing(line: RebaudLine, drive: RebaudDrive, rate: int) -> list[Obstacle]:
     """In standard addressing a code bank would make another code of C0125."""
     subject = drive.subject
     if subject.form is Form.EXTENDED or subject.family.info(REDIRECTING[1]) is None:
@@ -159,7 +163,7 @@ async def _addressing(line: RebaudLine, drive: Drive, rate: int) -> list[Obstacl
     return []
 
 
-async def _software(line: RebaudLine, drive: Drive, rate: int) -> list[Obstacle]:
+async def _software(line: RebaudLine, drive: RebaudDrive, rate: int) -> list[Obstacle]:
     gate = drive.subject.family.software
     if gate is None:
         return []
@@ -174,7 +178,7 @@ async def _software(line: RebaudLine, drive: Drive, rate: int) -> list[Obstacle]
     return [Obstacle(drive.name, problem, remedy, "locked")]
 
 
-async def _permission(line: RebaudLine, drive: Drive, rate: int) -> list[Obstacle]:
+async def _permission(line: RebaudLine, drive: RebaudDrive, rate: int) -> list[Obstacle]:
     """Ask an SMVector whether its network may set parameters."""
     if drive.subject.family.info(NETWORK_LEVEL) is None:
         return []
@@ -189,7 +193,7 @@ async def _permission(line: RebaudLine, drive: Drive, rate: int) -> list[Obstacl
 # ---- whether it is stopped ----------------------------------------------------------------------
 
 
-async def _stopped(line: RebaudLine, drive: Drive, rate: int) -> list[Obstacle]:
+async def _stopped(line: RebaudLine, drive: RebaudDrive, rate: int) -> list[Obstacle]:
     found = await standstill(line, drive, rate)
     drive.motion = found.known
     if not found.obstacle:
@@ -200,7 +204,7 @@ async def _stopped(line: RebaudLine, drive: Drive, rate: int) -> list[Obstacle]:
     return [Obstacle(drive.name, f"{drive.name} {found.obstacle}", remedy, "not-stopped")]
 
 
-async def standstill(line: RebaudLine, drive: Drive, rate: int) -> Standstill:
+async def standstill(line: RebaudLine, drive: RebaudDrive, rate: int) -> Standstill:
     """Read what a drive reports of its motion."""
 
     async def read(code: Code) -> Value | None:
@@ -209,7 +213,7 @@ async def standstill(line: RebaudLine, drive: Drive, rate: int) -> Standstill:
     return await ask_standstill(read, drive.subject.family, drive.subject.code, "its baud rate")
 
 
-async def _watchdog(line: RebaudLine, drive: Drive, rate: int) -> None:
+async def _watchdog(line: RebaudLine, drive: RebaudDrive, rate: int) -> None:
     """Note what the watchdog will do: it is not fed while the rates differ."""
     traits = drive.subject.family.watchdog
     if traits is None:

@@ -17,7 +17,7 @@ from lecombus.drives import Family, baud_code, baud_numbers
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Value
 
-__all__ = ["Drive", "DrivePlace", "Subject"]
+__all__ = ["DrivePlace", "RebaudDrive", "Subject"]
 
 
 class DrivePlace(StrEnum):
@@ -76,7 +76,7 @@ class Subject:
 
 
 @dataclass(slots=True, eq=False)
-class Drive:
+class RebaudDrive:
     """What is known of one drive.
 
     Args:

@@ -26,7 +26,7 @@ from collections.abc import Sequence
 from lecombus.drives import saving_rule
 from lecombus.rebaud.access import InterruptedRebaudError, LineAccess, RebaudLine
 from lecombus.rebaud.checking import Obstacle, check, is_same_drive, standstill
-from lecombus.rebaud.drives import Drive, DrivePlace, Subject
+from lecombus.rebaud.drives import DrivePlace, RebaudDrive, Subject
 
 __all__ = ["Rebaud"]
 
@@ -52,12 +52,12 @@ class Rebaud:
     """
 
     def __init__(self, subjects: Sequence[Subject], old: int, new: int) -> None:
-        self.drives = [Drive(one) for one in subjects]
+        self.drives = [RebaudDrive(one) for one in subjects]
         self.old = old
         self.new = new
         self.line = RebaudLine()
         self.obstacles: list[Obstacle] = []
-        self._began_there: list[Drive] = []
+        self._began_there: list[RebaudDrive] = []
 
     async def check(self, access: LineAccess) -> None:
         """Ask every drive whether the change may begin; changes nothing."""
@@ -113,7 +113,7 @@ class Rebaud:
             if drive.place not in (DrivePlace.WRITTEN, DrivePlace.NEW):
                 return
 
-    async def _one_back(self, drive: Drive) -> None:
+    async def _one_back(self, drive: RebaudDrive) -> None:
         """Write the old rate to a drive, wherever it is."""
         drive.writes = 0
         rate, number = self.new, drive.subject.number(self.new)
@@ -140,7 +140,7 @@ class Rebaud:
                 if drive.place is DrivePlace.WRITTEN:
                     await self._was_not_taken(drive, here, there, "it acknowledged twice")
 
-    async def _carry(self, drive: Drive, here: int, there: int) -> None:
+    async def _carry(self, drive: RebaudDrive, here: int, there: int) -> None:
         """Write a rate to a drive that answers at `here`; look for it if nothing comes back."""
         number = drive.subject.number(there)
         assert number is not None, "the rates were checked beforehand"
@@ -154,7 +154,7 @@ class Rebaud:
             if not (await self._was_not_taken(drive, here, there, written.text)):
                 return
 
-    async def _was_not_taken(self, drive: Drive, here: int, there: int, text: str) -> bool:
+    async def _was_not_taken(self, drive: RebaudDrive, here: int, there: int, text: str) -> bool:
         """Find out where a drive is after a write, and whether it is to be written once more."""
         found = await self._search(drive, here, there)
         if found is None:
@@ -175,7 +175,7 @@ class Rebaud:
         drive.be(place, rate, f"it does not take {there} baud: {text}")
         return False
 
-    async def _search(self, drive: Drive, first: int, second: int) -> tuple[int, int] | None:
+    async def _search(self, drive: RebaudDrive, first: int, second: int) -> tuple[int, int] | None:
         """Look for a drive at both rates; gives the rate and the number it holds."""
         for pause_s in PAUSES_S:
             if pause_s:
@@ -186,7 +186,7 @@ class Rebaud:
                     return rate, number
         return None
 
-    async def _settle(self, drive: Drive, rate: int) -> None:
+    async def _settle(self, drive: RebaudDrive, rate: int) -> None:
         """A drive was found at a rate that it holds: it must also be the same."""
         differs = await is_same_drive(self.line, drive, rate)
         if differs:
@@ -194,7 +194,7 @@ class Rebaud:
         else:
             drive.be(DrivePlace.OLD if rate == self.old else DrivePlace.NEW, rate)
 
-    async def _save(self, drives: Sequence[Drive], rate: int) -> None:
+    async def _save(self, drives: Sequence[RebaudDrive], rate: int) -> None:
         """Make drives save what was written, where their family needs that."""
         for drive in drives:
             rule = saving_rule(drive.subject.family)

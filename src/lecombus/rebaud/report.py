@@ -11,7 +11,7 @@ from __future__ import annotations
 from enum import StrEnum
 
 from lecombus.drives import saving_rule
-from lecombus.rebaud.drives import Drive, DrivePlace
+from lecombus.rebaud.drives import DrivePlace, RebaudDrive
 from lecombus.rebaud.moving import Rebaud
 
 __all__ = ["RebaudEnd", "ending_of", "situation", "what_to_do"]
@@ -36,7 +36,7 @@ def ending_of(work: Rebaud) -> RebaudEnd:
     return RebaudEnd.UNCHANGED if places <= {DrivePlace.OLD, DrivePlace.UNSEEN} else RebaudEnd.MIXED
 
 
-def situation(drive: Drive, work: Rebaud) -> str:
+def situation(drive: RebaudDrive, work: Rebaud) -> str:
     """Return where a drive is."""
     old, new = work.old, work.new
     match drive.place:
@@ -111,13 +111,13 @@ def _one_by_one(work: Rebaud) -> list[str]:
     return told
 
 
-def _needs_saving(drive: Drive, work: Rebaud) -> bool:
+def _needs_saving(drive: RebaudDrive, work: Rebaud) -> bool:
     """Whether a drive forgets at power-off what rate it was given here."""
     if saving_rule(drive.subject.family) is None or drive.saved:
         return False
     return drive.place is DrivePlace.NEW and (drive.saved is False or drive.writes > 0)
 
 
-def _saving_code(drive: Drive) -> str:
+def _saving_code(drive: RebaudDrive) -> str:
     rule = saving_rule(drive.subject.family)
     return str(rule.codes[0]) if rule is not None else ""

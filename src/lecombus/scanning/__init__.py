@@ -11,7 +11,7 @@ drive.
 
 from __future__ import annotations
 
-from lecombus.scanning.asking import AddressAccess, Ask, Heard, HeardKind
+from lecombus.scanning.asking import AddressAccess, Heard, HeardKind, Question
 from lecombus.scanning.diagnosis import why_nothing
 from lecombus.scanning.finding import Finding, FoundWatchdog, Unclear
 from lecombus.scanning.proposal import ProposedLine, check_place, entries, propose
@@ -19,13 +19,13 @@ from lecombus.scanning.search import ForeignTalkError, Scan, ScanPlan
 
 __all__ = [
     "AddressAccess",
-    "Ask",
     "Finding",
     "ForeignTalkError",
     "FoundWatchdog",
     "Heard",
     "HeardKind",
     "ProposedLine",
+    "Question",
     "Scan",
     "ScanPlan",
     "Unclear",

@@ -13,14 +13,14 @@ from typing import Protocol
 from lecombus.operations.address_reads import Heard, HeardKind
 from lecombus.protocol.addressing import Code, Form
 
-__all__ = ["AddressAccess", "Ask", "Heard", "HeardKind", "read_surely"]
+__all__ = ["AddressAccess", "Heard", "HeardKind", "Question", "read_surely"]
 
 TRIES = 3
 """How often a drive that is known to be there is asked for one code."""
 
 
 @dataclass(frozen=True, slots=True)
-class Ask:
+class Question:
     """Read a code at an address.
 
     Args:
@@ -43,14 +43,14 @@ class Ask:
 class AddressAccess(Protocol):
     """A line on which addresses are asked: a port of a command, or a running daemon."""
 
-    async def ask(self, ask: Ask) -> Heard:
+    async def ask(self, ask: Question) -> Heard:
         """Read a code at an address, once."""
 
     async def listen(self, baud: int, for_s: float) -> Heard:
         """Send nothing for some seconds; return what was heard."""
 
 
-async def read_surely(access: AddressAccess, ask: Ask) -> Heard:
+async def read_surely(access: AddressAccess, ask: Question) -> Heard:
     """Ask a drive that is there until its answer is certain.
 
     One damaged character turns a value into "no such code", so that must come twice.

@@ -29,7 +29,7 @@ from decimal import Decimal
 from lecombus.drives import Family, family
 from lecombus.protocol.addressing import Code, Form
 from lecombus.protocol.values import Format
-from lecombus.scanning.asking import AddressAccess, Ask, Heard, HeardKind, read_surely
+from lecombus.scanning.asking import AddressAccess, Heard, HeardKind, Question, read_surely
 from lecombus.scanning.finding import Finding, FoundWatchdog
 
 __all__ = ["identify"]
@@ -74,7 +74,7 @@ class DriveQuestions:
 
     async def read(self, code: Code, form: Form = Form.EXTENDED, waiting: str = "generic") -> Heard:
         """Read a code; `waiting`: by whose answer times."""
-        ask = Ask(self.baud, self.address, code, form, waiting, self.patient)
+        ask = Question(self.baud, self.address, code, form, waiting, self.patient)
         return await read_surely(self.access, ask)
 
     async def label(self, code: Code) -> Heard:

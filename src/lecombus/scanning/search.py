@@ -30,7 +30,7 @@ from lecombus.errors import LineError
 from lecombus.protocol.addressing import Code
 from lecombus.protocol.host_parser import RequestParser
 from lecombus.protocol.telegrams import ReadRequest, WriteRequest
-from lecombus.scanning.asking import AddressAccess, Ask, Heard, HeardKind
+from lecombus.scanning.asking import AddressAccess, Heard, HeardKind, Question
 from lecombus.scanning.finding import Finding, Unclear
 from lecombus.scanning.identifying import identify
 
@@ -183,7 +183,7 @@ class Scan:
         self._probe = (self._probe + 1) % len(PROBES)
         self.address = address
         self._recent.append(address)
-        heard = await self._access.ask(Ask(self.baud, address, code, patient=patient))
+        heard = await self._access.ask(Question(self.baud, address, code, patient=patient))
         self.looks += 1
         self._note(heard, address)
         return heard

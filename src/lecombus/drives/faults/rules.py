@@ -15,7 +15,7 @@ from lecombus.protocol.addressing import Code
 from lecombus.protocol.values import Value
 
 from ..field_types import WORD_MAX, CodeNumber, WordNumber, Words, whole_number
-from ..yaml_models import FILE_TABLE, ReadAs, Reads, by_key, mistake
+from ..yaml_models import FILE_TABLE, ReadAs, ReadBy, by_key, mistake
 
 __all__ = ["Condition", "Families", "ValueCondition", "each_once"]
 
@@ -74,7 +74,7 @@ def _read_one(given: object) -> frozenset[int]:
     return frozenset({whole_number(given, 0, WORD_MAX)})
 
 
-One = Annotated[frozenset[int], Reads(_read_one)] | None
+One = Annotated[frozenset[int], ReadBy(_read_one)] | None
 Several = Annotated[frozenset[WordNumber], AfterValidator(_not_empty)] | None
 
 
