@@ -1,6 +1,7 @@
 """What the daemon shows of drives and motors, held against the drives themselves.
 
-* Who has not answered for long is shown as offline, and no value of it as good.
+* Who has not answered for long is shown as offline, and no value of it as good. When the port is
+  opened again, each drive is `starting` until it was asked: what was said before counts no more.
 * A value that is shown as good is the one that the drive gave last, and no older than is allowed.
 * A drive that lost its supply and is online again has its watchdog set as the roster says, or a
   remark that it could not be.
@@ -73,6 +74,7 @@ class Shown:
         self._loses_many = isinstance(line, TolerantLine) and line.losses > 1
         self._names = {drive.address: drive.name for drive in line.roster.drives}
         self._silent = dict.fromkeys(self._names.values(), 0)
+        self._line_since_s = site.store.line().since_s
         self._guards = {
             drive.name: round(drive.watchdog.time_s * 1000)
             for drive in line.roster.drives
@@ -191,6 +193,10 @@ class Shown:
         self._sim.advance(self._clock())
         for drive in self._sim.drives:
             self._look_at_motor(drive)
+        since_s = store.line().since_s
+        if since_s != self._line_since_s:
+            self._line_since_s = since_s
+            self._silent = dict.fromkeys(self._silent, 0)
         for name, silent in self._silent.items():
             state = store.state(name)
             if silent > SILENT and state is not DriveState.OFFLINE:
