@@ -492,3 +492,17 @@ def test_a_drive_is_fed_before_room_made_for_it_leaves_none_for_the_stop_of_anot
     assert own(0.5, HARD_PART - behind_s + 0.001)
     assert not own(0.0, HARD_PART - behind_s + 0.001)
     assert not own(5.0, 0.0), "no room is kept for a stop that never has it"
+
+
+@pytest.mark.parametrize("hold_s", [0.0, 0.2])
+def test_a_drive_is_fed_before_a_write_whose_pause_its_watchdog_does_not_outlast(
+    hold_s: float,
+) -> None:
+    world = World().drives("a")
+    world.schedule.expect(FaultHypothesis(1))
+    world.feed("a", 1.0)
+    world.now_s = 0.65
+    write = world.submit("a", P.CONTROL, writes=True, hold_s=hold_s)
+    first = world.step()
+    assert (first is write) is (hold_s == 0.0)
+    assert write in (first, world.step())

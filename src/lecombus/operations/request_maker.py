@@ -242,6 +242,7 @@ class RequestMaker:
             expires_at_s=expires_at_s,
             supersedes=(station.name, code) if setpoint else None,
             writes=True,
+            hold_s=station.hold_s,
             told=self._told(told, cost),
         )
 

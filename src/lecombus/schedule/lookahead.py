@@ -186,7 +186,7 @@ class Lookahead:
         if not feeds.by_drive:
             return math.inf
         own = feeds.by_drive.get(chosen.drive)
-        if own is not None and chosen.worst_s > own.worst_s:
+        if own is not None and chosen.unfed_s > own.worst_s:
             return -math.inf
         spare_s = feeds.spare_s()
         if type(chosen.source) is PollingEntry:

@@ -110,6 +110,8 @@ class Request:
             it off between two of its steps. The line sets it as soon as something went out that
             may have changed the drive (`UNKNOWN`), and again once that was acknowledged (`DONE`).
         yields: For a stop: only more proof is wanted, and it waits for feeds (`silent_stops`).
+        hold_s: Its drive may have to be left alone for so long afterwards, also if it is not
+            answered, seconds.
         is_gone: Says whether the client that asked for it has left. The line asks directly before
             the first telegram; None: it is sent even if its client has left.
 
@@ -131,6 +133,7 @@ class Request:
     cut_outcome: Outcome | None = None
     told: tuple[float, float] | None = None
     yields: bool = False
+    hold_s: float = 0.0
     is_gone: Callable[[], bool] | None = None
     settled: bool = field(default=False, repr=False)
     # -- bookkeeping of the schedule ------------------------------------------------------------
@@ -167,6 +170,11 @@ class Request:
         elif self.attempts and (self.writes or self.supersedes is not None):
             outcome = Outcome.UNKNOWN
         self.end(outcome, reason)
+
+    @property
+    def unfed_s(self) -> float:
+        """The longest until its drive can be spoken to again after it was not answered, seconds."""
+        return self.worst_s + self.hold_s
 
     @property
     def is_unwanted(self) -> bool:

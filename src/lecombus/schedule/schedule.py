@@ -227,7 +227,7 @@ class Schedule(DriveTable):
     def _admit(self, request: Request, now_s: float) -> Request | None:
         """Let a request go if no watchdog can suffer; else run what must go first, or end it."""
         feeds = self._watchdogs
-        own = feeds.own_first(now_s, request.worst_s, request.drive)
+        own = feeds.own_first(now_s, request.unfed_s, request.drive)
         if own is not None and request.fed_first < FEEDS_FIRST:
             request.fed_first += 1
             return to_feed(self._watchdog_arbiter.plain(own))

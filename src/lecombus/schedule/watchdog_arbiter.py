@@ -98,9 +98,9 @@ class WatchdogArbiter:
     def _serves(self, request: Request, feed: WatchdogDeadline, now_s: float) -> bool:
         if has_expired(request, now_s):
             return False
-        if request.worst_s <= feed.worst_s and request.cost_s <= feed.cost_s:
+        if request.unfed_s <= feed.worst_s and request.cost_s <= feed.cost_s:
             return True
-        if not feed.outlasts(now_s, request.worst_s):
+        if not feed.outlasts(now_s, request.unfed_s):
             return False
         feeds = self._watchdogs
         return feeds.fits(now_s, feeds.need_s(request.cost_s, request.worst_s), feed.drive)
