@@ -260,6 +260,9 @@ class Schedule(DriveTable):
             if feed is not None:
                 request.rooms += 1
                 own = feeds.own_before(now_s, feed, request.drive)
+                if own is None:  # it lost an answer, and must not be late for what it wants itself
+                    own = feeds.own_late(now_s + feed.cost_s, request.drive)
+                    own = None if own is None or own.free_s() > now_s else own
                 return to_feed(self._watchdog_arbiter.telegram(own or feed, now_s))
         self._put_off(request, feeds.retry_s(now_s))
         return None

@@ -93,7 +93,7 @@ class SilentStops:
             own = feeds.own_late(now_s + feed.cost_s, stop.drive)
             if own is None or feed.hard_s < own.hard_s:
                 return self._arbiter.plain(feed)
-            return self._own_turn(stop, own, now_s)
+            return self._own_turn(stop, own, feed, now_s)
         held = feeds.first_held(now_s, stop.drive)
         if held is None or feeds.fits(now_s, stop.worst_s, stop.drive):
             return stop
@@ -103,17 +103,22 @@ class SilentStops:
         stop.latest_s = max(stop.latest_s, held.held_until_s + held.cost_s - ROUNDING_S)
         return None
 
-    def _own_turn(self, stop: Request, own: WatchdogDeadline, now_s: float) -> Request:
+    def _own_turn(
+        self, stop: Request, own: WatchdogDeadline, other: WatchdogDeadline, now_s: float
+    ) -> Request:
         """Choose what feeds the drive to be stopped: its stop, or its feed where that is shorter.
 
         A stop that is answered may take long, too: it must leave others the last tenth of theirs.
+        While its drive is left alone, the other feed goes.
         """
         feeds = self._watchdogs
         answered_s = min(stop.worst_s, max(stop.cost_s, feeds.faults.stop_s))
-        if own.held_until_s > now_s or answered_s <= own.cost_s:
+        if answered_s <= own.cost_s:
             return stop
         if feeds.fits(now_s, answered_s - feeds.tenth_s(), stop.drive):
             return stop
+        if own.held_until_s > now_s:
+            return self._arbiter.plain(other)
         return self._in_place(own)
 
     def _in_place(self, own: WatchdogDeadline) -> Request:
