@@ -211,15 +211,8 @@ class RequestMaker:
         What moves the drive runs in the control class, also against `urgency`; a later setpoint
         for the same code replaces one that still waits. A stop ends any write.
         """
-        cost = write_cost(
-            self.timing,
-            station.family,
-            code,
-            value,
-            form_of(station, code),
-            station.answer_s(code, write=True),
-        )
-        form = form_of(station, code)
+        form, answer_s = form_of(station, code), station.answer_s(code, write=True)
+        cost = write_cost(self.timing, station.family, code, value, form, answer_s)
         told = write_cost(self.timing, station.family, code, value, form, station.answer_time_s)
         info = station.family.info(code)
         write_class = station.family.write_class(code, value)
