@@ -18,8 +18,8 @@ import pytest
 
 from lecombus.line.observer import ExchangeReport
 from lecombus.line.worker import WorkerOptions
+from lecombus.parameters import Format
 from lecombus.protocol.telegrams import ValueAnswer
-from lecombus.protocol.values import Format
 from lecombus.schedule import Outcome
 from support.site_host import Ended, Rig
 from support.virtual_loop import run

@@ -5,8 +5,7 @@ from __future__ import annotations
 from lecombus.control_word import ControlWord, unknown_until_ended
 from lecombus.drives import family
 from lecombus.drives.stops import StopProof, inhibit_proofs
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome
 
 WORD, INHIBIT = Code(135), Code(40)

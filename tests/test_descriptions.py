@@ -6,7 +6,7 @@ import pytest
 
 from lecombus.descriptions import code_document, family_document
 from lecombus.drives import FAMILY_NAMES, family
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from openapi.answer_models import CodeDocument
 
 

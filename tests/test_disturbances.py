@@ -9,7 +9,7 @@ from itertools import pairwise
 import anyio
 import pytest
 
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.protocol.exchange import ResultKind
 from lecombus.protocol.timing import MAX_ANSWER_CHARS
 from lecombus.readings import DriveState

@@ -17,7 +17,7 @@ from lecombus.api.problems import STATUS_BY_KIND
 from lecombus.cli.entry import COMMANDS, main
 from lecombus.config import roster_json_schema
 from lecombus.drives import FAMILY_NAMES, family
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from support.site_host import Plant, roster_of, until, with_plant
 
 ROOT = Path(__file__).parent.parent

@@ -10,8 +10,7 @@ import pytest
 from lecombus.config import parse_roster
 from lecombus.drives import StopAction
 from lecombus.errors import ConfigError, OperationError
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.readings import DriveState, LineState, Quality
 from lecombus.schedule import Outcome
 from lecombus.simulator.faults import Faults

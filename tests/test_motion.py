@@ -9,7 +9,7 @@ import pytest
 from lecombus.drives import family
 from lecombus.drives.faults import FaultKind
 from lecombus.motion import Doing, Motion, learnt_setpoint, motion_of
-from lecombus.protocol import Code, Value
+from lecombus.parameters import Code, Value
 from lecombus.readings import WRITTEN_SINCE, ActiveFault, Quality, Reading
 
 ENABLED = "H0600"

@@ -7,7 +7,7 @@ from itertools import pairwise
 import anyio
 import pytest
 
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.readings import DriveState, Quality
 from lecombus.schedule import Priority
 from support.site_host import Plant, roster_of, until, with_plant

@@ -9,8 +9,7 @@ import pytest
 from lecombus.drives import Family, OperatingState, family
 from lecombus.errors import OperationError
 from lecombus.motion import Doing
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.readings import rfc3339
 from lecombus.store import (
     ON_DEMAND_LIMIT,

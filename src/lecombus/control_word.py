@@ -25,8 +25,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Final
 
 from lecombus.drives.stops import StopProof, inhibit_mask, inhibit_proofs, usable_word
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Settle
 
 if TYPE_CHECKING:

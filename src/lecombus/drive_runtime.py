@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from lecombus.drives.faults import FaultKind
     from lecombus.drives.measured import SlowAnswers
     from lecombus.line.station import Station
-    from lecombus.protocol.addressing import Code
+    from lecombus.parameters import Code
     from lecombus.schedule import PollingEntry, Request
 
 __all__ = [

@@ -22,7 +22,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from lecombus.drives import OperatingState, believed_states, join_states
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.readings import (
     ADDRESSING_LOCK,
     NOT_CYCLIC,
@@ -37,7 +37,7 @@ from lecombus.records import Cell, DriveRecord, LineRecord
 
 if TYPE_CHECKING:
     from lecombus.drives import CodeInfo
-    from lecombus.protocol.values import Value
+    from lecombus.parameters import Value
 
 __all__ = ["ON_DEMAND_FRESH_S", "Judge", "is_before_command"]
 

@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from lecombus.drive_runtime import Drive
     from lecombus.drives import Family
     from lecombus.line.observer import ExchangeReport
-    from lecombus.protocol.addressing import Code
-    from lecombus.protocol.values import Value
+    from lecombus.parameters import Code, Value
     from lecombus.schedule import Settle
 
 __all__ = ["ExchangeEvent", "LineChange", "LineRequests"]

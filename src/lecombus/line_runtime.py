@@ -36,7 +36,7 @@ from lecombus.operations.recorded import RecordedMaintenance, RecordedOperations
 from lecombus.operations.request_maker import RequestMaker
 from lecombus.operations.requests import Requests
 from lecombus.operations.wear import Wear
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.readings import DriveState, Json
 from lecombus.schedule import Schedule
 from lecombus.schedule.stats import ScheduleStats

@@ -17,8 +17,7 @@ from enum import StrEnum
 from typing import Final
 
 from lecombus.drives import Family, OperatingState, believed_states
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.readings import (
     WRITTEN_SINCE,
     ActiveFault,

@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from lecombus.drives import Fault, FaultKind, OperatingState
-    from lecombus.protocol.addressing import Code
-    from lecombus.protocol.values import Value
+    from lecombus.parameters import Code, Value
 
 __all__ = [
     "ADDRESSING_LOCK",

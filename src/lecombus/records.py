@@ -13,8 +13,7 @@ from lecombus.readings import ActiveFault, DriveState, LineState
 
 if TYPE_CHECKING:
     from lecombus.drives import CodeInfo, Family
-    from lecombus.protocol.addressing import Code
-    from lecombus.protocol.values import Value
+    from lecombus.parameters import Code, Value
 
 __all__ = ["Cell", "DriveRecord", "LineRecord", "make_cell", "set_remark"]
 

@@ -14,7 +14,8 @@ from typing import Final, Literal
 from pydantic import BaseModel, ConfigDict
 
 from lecombus.drives.measured import SlowAnswers
-from lecombus.protocol.addressing import Code, Form
+from lecombus.parameters import Code
+from lecombus.protocol.addressing import Form
 
 __all__ = [
     "Addressing",

@@ -35,8 +35,7 @@ from lecombus.records import Cell, DriveRecord, LineRecord, make_cell, set_remar
 
 if TYPE_CHECKING:
     from lecombus.drives import Family
-    from lecombus.protocol.addressing import Code
-    from lecombus.protocol.values import Value
+    from lecombus.parameters import Code, Value
 
 __all__ = [
     "ON_DEMAND_LIMIT",

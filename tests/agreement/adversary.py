@@ -24,9 +24,8 @@ from lecombus.config import line_timing
 from lecombus.drives import StopAction
 from lecombus.line.observer import ExchangeReport, Observer
 from lecombus.line_runtime import LineRuntime
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code, Value
 from lecombus.protocol.exchange import ResultKind
-from lecombus.protocol.values import Value
 from lecombus.schedule import Outcome, Priority, Request
 from lecombus.schedule.polling import PollingEntry
 

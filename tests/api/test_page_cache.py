@@ -7,7 +7,7 @@ import httpx2
 import pytest
 
 from lecombus.api.page_cache import KEEPS_S, PageCache
-from lecombus.protocol.values import Value
+from lecombus.parameters import Value
 from lecombus.readings import DriveState
 from support.api_line import FREQUENCY, Line
 

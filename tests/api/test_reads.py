@@ -21,8 +21,7 @@ from lecombus.errors import (
     QueueFullError,
     UnknownCodeError,
 )
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.schedule.request import Priority
 from lecombus.store import DriveState
 from openapi.answer_models import (

@@ -17,7 +17,7 @@ from lecombus.api import Served, serve
 from lecombus.errors import OperationError
 from lecombus.operations.actions import ACTOR, Actor
 from lecombus.operations.reports import WriteReport
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.schedule import Outcome
 from support.api_line import Line
 

@@ -14,7 +14,7 @@ from lecombus.api.limits import is_stop
 from lecombus.drives import StopAction, Verb
 from lecombus.errors import LecombusError, LineLostError, OperationError
 from lecombus.operations.reports import WriteReport
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.schedule.request import Outcome
 from openapi.answer_models import GroupOutcomeDocument
 from support.api_line import Line

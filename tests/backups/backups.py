@@ -6,8 +6,7 @@ from collections.abc import Mapping
 
 from lecombus.backups import Backup, BackupEntry, Head, ReadResult
 from lecombus.drives import Family, family, load_family
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 
 __all__ = ["DRIVE", "TEXT", "answers", "backup_of"]
 

@@ -11,8 +11,7 @@ from backups.backups import DRIVE, backup_of
 from lecombus.backups import read_backup, wanted_codes, write_backup
 from lecombus.drives import FAMILY_NAMES, family
 from lecombus.errors import ConfigError
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 
 VECTOR = {
     "C0001": "3", "C0011": "50.00", "C2011": "060.10", "C0150": "H8678", "C1810": "S33S2102I_10000",

@@ -6,7 +6,7 @@ from backups.backups import DRIVE, TEXT, answers, backup_of
 from lecombus.backups import ReadResult, RestorePlan, make_plan
 from lecombus.backups.plan import codes_to_read
 from lecombus.drives import family, load_family
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 
 FILE = {
     "C0001": "3", "C0009": "11", "C0011": "50.0", "C0012": "5", "C2001": "3", "C0046": "20",

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from lecombus.backups import Progress, done_line, head_line, read_progress
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 
 HEAD = Progress("feeder.yaml", "0123456789abcdef", "2026-11-22T01:54:43Z", enabled=True)
 TEXT = (

@@ -8,8 +8,7 @@ from collections.abc import Mapping
 from backups.backups import answers, backup_of
 from lecombus.backups import Restored, make_plan, restore
 from lecombus.drives import family
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from support.fake_drive import ENABLED, Ear, FakeDrive
 
 FILE = {"C0001": "3", "C0011": "60", "C2011": "70"}

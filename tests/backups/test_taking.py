@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 from lecombus.backups import Taken, take
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from support.fake_drive import Ear, FakeDrive
 
 CODES = [Code(number) for number in (1, 11, 12, 13)]

@@ -19,7 +19,8 @@ from pathlib import Path
 from statistics import median
 
 from lecombus.drives import LineTiming, family, read_cost
-from lecombus.protocol.addressing import Code, Form
+from lecombus.parameters import Code
+from lecombus.protocol.addressing import Form
 from support.children import MASTER_CORE, OTHER_CORE, Child, child
 from support.paced_line import ADDRESSES, FAMILY
 

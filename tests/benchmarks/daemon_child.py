@@ -25,7 +25,7 @@ from lecombus.daemon import SWITCH_INTERVAL_S, Daemon
 from lecombus.drives import StopAction
 from lecombus.line.loop import run as run_loop
 from lecombus.line_runtime import LineRuntime
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority
 from lecombus.supervision import drive_supervisor

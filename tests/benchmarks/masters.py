@@ -30,7 +30,8 @@ from lecombus.line.opening import open_port
 from lecombus.line.port import PortSettings
 from lecombus.line.station import Station
 from lecombus.line.worker import LineWorker, WorkerOptions
-from lecombus.protocol.addressing import Code, Form
+from lecombus.parameters import Code
+from lecombus.protocol.addressing import Form
 from lecombus.protocol.controls import with_parity
 from lecombus.protocol.telegrams import read_telegram
 from lecombus.schedule import Cyclic, Outcome, Priority, Request, Schedule

@@ -17,7 +17,8 @@ from typing import Any
 
 import serial_asyncio
 
-from lecombus.protocol.addressing import Code, Form
+from lecombus.parameters import Code
+from lecombus.protocol.addressing import Form
 from lecombus.protocol.controls import with_parity
 from lecombus.protocol.telegrams import read_telegram
 from support.children import answer_lines

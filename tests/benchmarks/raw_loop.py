@@ -13,7 +13,8 @@ import select
 import sys
 import time
 
-from lecombus.protocol.addressing import Code, Form
+from lecombus.parameters import Code
+from lecombus.protocol.addressing import Form
 from lecombus.protocol.controls import with_parity
 from lecombus.protocol.telegrams import read_telegram
 from support.paced_line import ADDRESSES

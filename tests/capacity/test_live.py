@@ -17,7 +17,7 @@ from lecombus.capacity.plan import make_plan
 from lecombus.config import parse_roster
 from lecombus.drives import StopAction
 from lecombus.metrics.rolling_window import RollingWindow
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.readings import DriveState
 from lecombus.schedule import Priority
 from support.site_host import Plant, until, with_plant

@@ -14,7 +14,7 @@ from lecombus.capacity.watchdog_demand import faults_of
 from lecombus.capacity.work_ahead import NO_EXCHANGE
 from lecombus.config import Roster, line_timing
 from lecombus.drives.measured import SlowAnswers
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.schedule import Cyclic, Outcome, Priority, Request, Schedule, WatchdogFeeding
 
 from .rosters import roster_of

@@ -19,8 +19,7 @@ from lecombus.backups import Restored, make_plan, wanted_codes
 from lecombus.cli.backup_files import Notes
 from lecombus.cli.restore import result_json, show_result
 from lecombus.drives import family
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 
 pytestmark = pytest.mark.clock
 

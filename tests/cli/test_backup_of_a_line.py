@@ -32,7 +32,7 @@ from lecombus.backups.plan import codes_to_read
 from lecombus.cli.backup import read_drive
 from lecombus.cli.drive_access import HttpDrive
 from lecombus.drives import CodeInfo, Family, family, not_restored
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.schedule import Priority, Request
 from lecombus.simulator.parameters import Refusal
 from support.fake_drive import Ear

@@ -11,7 +11,7 @@ from lecombus.backups.document import wanted_codes
 from lecombus.cli import describe
 from lecombus.cli.describe import GERMAN
 from lecombus.drives import FAMILY_NAMES, family
-from lecombus.protocol import Code
+from lecombus.parameters import Code
 
 ENGLISH = {english for english, german in GERMAN.items() if english != german}
 

@@ -17,7 +17,7 @@ from lecombus.cli import main
 from lecombus.config import load_roster
 from lecombus.drives.measured import AnswerRow, SlowAnswers
 from lecombus.metrics.rolling_window import RollingWindow
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.schedule.request import Priority
 
 pytestmark = pytest.mark.clock

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from config.rosters import CONFIG, GOOD, drive_with, line_with, parsed, roster_with
 from lecombus.config import LeaseEntry, load_roster
 from lecombus.drives import FAMILY_NAMES, family
-from lecombus.protocol.addressing import Code, Form, group_reach
+from lecombus.parameters import Code
+from lecombus.protocol.addressing import Form, group_reach
 from lecombus.roster import multicast_address
 
 ADDRESSES = [number for number in range(1, 100) if number % 10]
@@ -76,7 +77,7 @@ def test_a_drive_without_extended_addressing_reads_only_what_it_can() -> None:
     (drive,) = parsed(drive_with("addressing: standard", family="93xx")).drives
     assert drive.forms == (Form.STANDARD,)
     assert drive.cyclic
-    assert all(entry.code.knows(Form.STANDARD) for entry in drive.cyclic)
+    assert all(Form.STANDARD.carries(entry.code) for entry in drive.cyclic)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from lecombus.drives import family
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 
 LATER_82XX = ("821x", "822x", "824x", "8200vector")
 

@@ -13,8 +13,7 @@ from collections.abc import Callable
 import pytest
 
 from lecombus.drives import Storage, family
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Format
+from lecombus.parameters import Code, Format
 
 ALL = "820x 821x 822x 824x 8200vector 93xx"
 INVERTERS = "820x 821x 822x 824x 8200vector"

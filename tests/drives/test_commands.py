@@ -6,7 +6,7 @@ import pytest
 
 from lecombus.drives import ControlWordInfo, Family, family
 from lecombus.errors import CodeValueError
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 
 CONTROL = Code(135)
 

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from lecombus.drives import Family, encode_for, family
 from lecombus.errors import CodeValueError
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 
 VECTOR = family("8200vector")
 GENERIC = family("generic")

@@ -9,8 +9,7 @@ import pytest
 from lecombus.drives import Family, Language, Storage
 from lecombus.drives.family_files import load_family
 from lecombus.errors import DescriptionError
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 
 GOOD = """\
 family: test

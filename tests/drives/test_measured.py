@@ -21,7 +21,8 @@ from lecombus.drives.measured import (
     SlowAnswers,
     manual_s,
 )
-from lecombus.protocol.addressing import Code, Form
+from lecombus.parameters import Code
+from lecombus.protocol.addressing import Form
 
 FAMILY = family("8200vector")
 STATUS, OTHER, THIRD = Code(150), Code(50), Code(61)

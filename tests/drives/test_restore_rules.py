@@ -17,7 +17,7 @@ from lecombus.drives import (
 )
 from lecombus.drives.family_files import load_family
 from lecombus.errors import DescriptionError
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,7 @@ from decimal import Decimal
 import pytest
 
 from lecombus.drives import FaultKind, Storage, Text, WriteClass, family
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Format, Value
+from lecombus.parameters import Code, Format, Value
 
 # Register, format, access (r, rw; -w: could be written, lecombus never does), values, default.
 TABLE_9 = """

@@ -18,8 +18,7 @@ from lecombus.drives import (
     stop_value,
 )
 from lecombus.errors import OperationError
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 
 INHIBIT, QUICK_STOP = StopAction.INHIBIT, StopAction.QUICK_STOP
 DESCRIBED = [name for name in FAMILY_NAMES if name != "generic"]

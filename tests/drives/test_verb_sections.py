@@ -8,7 +8,7 @@ from lecombus.drives import FAMILY_NAMES, family
 from lecombus.drives.family_files import load_family
 from lecombus.drives.verb_rules import Access, VerbRules
 from lecombus.errors import DescriptionError
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 
 GOOD = """\
 family: test

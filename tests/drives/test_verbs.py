@@ -22,8 +22,7 @@ from lecombus.drives.verbs import (
     states,
 )
 from lecombus.errors import OperationError
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 
 DESCRIBED = [name for name in FAMILY_NAMES if name != "generic"]
 LATER_82XX = ["821x", "822x", "824x", "8200vector"]

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lecombus.drives import FAMILY_NAMES, OperatingState, family, german_name, join_states
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 
 C0068, C0150 = Code(68), Code(150)
 SLIP = ("821x", "822x", "824x")

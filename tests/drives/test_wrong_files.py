@@ -19,7 +19,7 @@ from lecombus.drives.faults import load_link_report, load_table
 from lecombus.drives.faults.causes import load_causes
 from lecombus.drives.faults.reasons import load_reasons
 from lecombus.errors import DescriptionError
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 
 OTHERS = ("x", "''", "7", "-1", "0x8", "99999999999", "true", "[]", "{}", "[7]", "[a, b]", "{a: b}",
           "C0150", "C9999", "~", "[[]]", "{1: [a, b]}", "others", '"7"', "[0, 0]")  # fmt: skip

@@ -7,7 +7,7 @@ from itertools import pairwise
 from lecombus.drives import family
 from lecombus.line.extended_listen import ExtendedListen
 from lecombus.line.station import Station
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.schedule.shares import LISTEN_EVERY_S
 
 STATUS, OTHER = Code(150), Code(46)

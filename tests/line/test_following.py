@@ -9,7 +9,7 @@ from lecombus.drives import StopAction
 from lecombus.errors import LineLostError
 from lecombus.line.observer import ExchangeReport
 from lecombus.line.worker import WorkerOptions
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.schedule import Cyclic, Outcome, Priority
 from support.site_host import Ended, Recorder, Rig, reader, stop, until, with_rig
 

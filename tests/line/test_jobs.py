@@ -15,10 +15,10 @@ from lecombus.line.jobs import MulticastJob, ReadBackJob, ReadJob, WriteJob
 from lecombus.line.read_back_proof import WrittenValue
 from lecombus.line.station import Job, JobStep, Station, StepKind
 from lecombus.line.stop_job import StopJob
-from lecombus.protocol.addressing import Code, Form, encode_code
+from lecombus.parameters import Code, Value
+from lecombus.protocol.addressing import Form, encode_code
 from lecombus.protocol.exchange import Result, ResultKind
 from lecombus.protocol.telegrams import AckAnswer, Answer, NakAnswer, UnknownCodeAnswer, ValueAnswer
-from lecombus.protocol.values import Value
 from lecombus.schedule.request import Outcome
 
 VECTOR = family("8200vector")

@@ -10,9 +10,9 @@ from lecombus.line.late_replies import PendingLateReplies
 from lecombus.line.prepared_telegrams import PreparedTelegram, TelegramPreparer
 from lecombus.line.station import Job, Station
 from lecombus.line.stop_job import StopJob
-from lecombus.protocol.addressing import Code, Form, encode_code
+from lecombus.parameters import Code, Value
+from lecombus.protocol.addressing import Form, encode_code
 from lecombus.protocol.exchange import ACK_FIELD
-from lecombus.protocol.values import Value
 
 VECTOR, SLOW = family("8200vector"), family("820x")
 TIMING = LineTiming(9600, adapter_latency_s=0.016, quarantine_s=0.05)

@@ -13,11 +13,11 @@ from lecombus.drives.measured import MeasuredTimes
 from lecombus.line.late_replies import PendingLateReplies, UnansweredRead
 from lecombus.line.station import Station
 from lecombus.line.unsolicited_bytes import UnsolicitedBytes
-from lecombus.protocol.addressing import Code, Form, encode_code
+from lecombus.parameters import Code, Value
+from lecombus.protocol.addressing import Form, encode_code
 from lecombus.protocol.exchange import ACK_FIELD
 from lecombus.protocol.parser import with_parity
 from lecombus.protocol.telegrams import ACK_ANSWER, unknown_code_answer, value_answer
-from lecombus.protocol.values import Value
 
 FIELD = encode_code(Code(150), Form.STANDARD)
 OTHER = encode_code(Code(150), Form.EXTENDED)

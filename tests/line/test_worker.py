@@ -13,9 +13,8 @@ import pytest
 from lecombus.drives import StopAction
 from lecombus.line.station import Station
 from lecombus.line.worker import WorkerOptions
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code, Value
 from lecombus.protocol.telegrams import ValueAnswer
-from lecombus.protocol.values import Value
 from lecombus.schedule import Outcome, Priority
 from lecombus.schedule.request import Request
 from lecombus.simulator.faults import Faults, LateKind

@@ -22,8 +22,7 @@ from lecombus.metrics import (
     wants_openmetrics,
 )
 from lecombus.metrics.exposition import Block
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.schedule.request import Outcome, Priority
 from lecombus.store import DriveState, LineState, Store
 from support.real_parts import require

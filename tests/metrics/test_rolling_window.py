@@ -10,7 +10,7 @@ import pytest
 
 from lecombus.api.decimal_json import encode
 from lecombus.metrics.rolling_window import MARKS_S, SLOTS, WINDOW_S, Highest, RollingWindow
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.schedule.request import Priority
 
 

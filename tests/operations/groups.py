@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from lecombus.drives import StopAction
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from support.site_host import Plant, roster_of
 
 TEENS = [("a", 11, "8200vector"), ("b", 12, "8200vector"), ("c", 13, "821x")]

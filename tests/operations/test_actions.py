@@ -23,7 +23,7 @@ from lecombus.operations.actions import (
 )
 from lecombus.operations.recorded import RecordedMaintenance, RecordedOperations
 from lecombus.operations.reports import GroupReport, VerbReport, WriteReport
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.schedule import Outcome
 
 FREQUENCY, PASSWORD = Code(46), Code(94)

@@ -9,7 +9,8 @@ import pytest
 
 from lecombus.errors import LineLostError, OperationError
 from lecombus.operations.address_reads import Heard, HeardKind
-from lecombus.protocol.addressing import Code, Form, is_drive_address
+from lecombus.parameters import Code
+from lecombus.protocol.addressing import Form, is_drive_address
 from lecombus.scanning import Question, Scan, ScanPlan
 from lecombus.schedule import Priority
 from support.site_host import Plant, roster_of, until, with_plant

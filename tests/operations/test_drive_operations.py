@@ -22,7 +22,7 @@ from lecombus.errors import (
     UnknownCodeError,
 )
 from lecombus.operations.reports import WriteReport
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.readings import LineState, Quality
 from lecombus.schedule import Outcome, Priority
 from lecombus.simulator.faults import Faults

@@ -9,7 +9,7 @@ import anyio.lowlevel
 import pytest
 
 from lecombus.errors import OperationError, QueueFullError
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority
 from lecombus.simulator.faults import Faults

@@ -11,8 +11,7 @@ import pytest
 from lecombus.errors import ExchangeError
 from lecombus.line.station import StepKind
 from lecombus.operations.writes import Writes
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority
 from lecombus.schedule.fan_out import least_order, took_s

@@ -12,7 +12,7 @@ from lecombus.api.problems import problem_of, report_problem
 from lecombus.drives import StopAction
 from lecombus.errors import NakError, UnknownCodeError
 from lecombus.operations.reports import WriteReport
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.readings import DriveState, Quality
 from lecombus.schedule import Outcome
 from support.site_host import Plant, roster_of, with_plant

@@ -15,7 +15,7 @@ import anyio
 import pytest
 
 from lecombus.drives import FAMILY_NAMES, StopAction, Verb
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.schedule import Outcome
 from lecombus.simulator.model import Model
 from support.site_host import Plant, roster_of, until, with_plant

@@ -12,8 +12,7 @@ from lecombus.drives import StopAction
 from lecombus.errors import OperationError
 from lecombus.line.station import Station
 from lecombus.operations.reports import WriteReport
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome
 from lecombus.simulator.drive import SimDrive

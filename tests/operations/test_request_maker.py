@@ -9,8 +9,8 @@ from lecombus.errors import OperationError
 from lecombus.line.jobs import MulticastJob, ReadJob, WriteJob
 from lecombus.line.station import Station
 from lecombus.operations.request_maker import RequestMaker, form_of, ignore_end
-from lecombus.protocol.addressing import Code, Form
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
+from lecombus.protocol.addressing import Form
 from lecombus.schedule import Outcome, Priority, Request
 
 COUNTED: list[tuple[Priority, Outcome]] = []

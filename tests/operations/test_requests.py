@@ -14,8 +14,7 @@ from lecombus.errors import (
     QueueFullError,
 )
 from lecombus.operations.requests import Requests, never_sent
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Priority
 from lecombus.simulator.faults import Faults
 from support.single_drives import drive_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from lecombus.errors import OperationError
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.schedule import Outcome, Priority
 from support.site_host import Plant, roster_of, with_plant
 

@@ -13,7 +13,7 @@ import pytest
 
 from lecombus.drives import StopAction
 from lecombus.operations.reports import GroupReport
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.readings import LineState
 from lecombus.schedule import Outcome
 from lecombus.simulator.faults import parse_faults

@@ -14,7 +14,7 @@ import pytest
 from lecombus.daemon import tell_goodbye
 from lecombus.drives import StopAction, Verb
 from lecombus.operations.reports import GroupReport, VerbReport, WriteReport
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.schedule import Outcome
 from support.site_host import Plant, with_plant
 

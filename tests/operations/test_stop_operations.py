@@ -11,8 +11,8 @@ import pytest
 from lecombus.drives import FAMILY_NAMES, StopAction
 from lecombus.errors import OperationError
 from lecombus.line.station import StepKind
-from lecombus.protocol.addressing import Code, Form, encode_code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
+from lecombus.protocol.addressing import Form, encode_code
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome
 from lecombus.simulator.faults import Faults

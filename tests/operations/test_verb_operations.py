@@ -14,7 +14,7 @@ import pytest
 from lecombus.drives import FAMILY_NAMES, StopAction, Verb
 from lecombus.errors import ExchangeError, LineError, OperationError
 from lecombus.operations.reports import VerbReport
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome
 from lecombus.simulator.families.inverter82xx import Drive82XX

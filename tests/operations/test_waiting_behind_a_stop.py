@@ -12,7 +12,7 @@ import pytest
 from lecombus.drives import StopAction, Verb
 from lecombus.operations.reports import VerbReport, WriteReport
 from lecombus.operations.requests import CAME_S
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.schedule import Outcome
 from support.site_host import Plant, roster_of, until, with_plant
 

@@ -11,7 +11,7 @@ from lecombus.drives import family
 from lecombus.errors import OperationError
 from lecombus.operations.reports import WriteReport
 from lecombus.operations.wear import counts, wears
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.schedule import Outcome
 from lecombus.simulator.faults import Faults
 from lecombus.simulator.receiver import ReceivedRequest

@@ -14,8 +14,7 @@ from lecombus.drives.faults.reasons import Weight, asked_codes, load_reasons, re
 from lecombus.errors import DescriptionError, OperationError
 from lecombus.operations.findings import WhyReport, lapse_finding
 from lecombus.operations.reports import VerbReport
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome
 from support.site_host import Plant, roster_of, until, with_plant

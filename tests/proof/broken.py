@@ -17,9 +17,9 @@ from lecombus.capacity.plan import Promises, make_promises
 from lecombus.config import Roster
 from lecombus.line.bus_idle import BusIdleTimer
 from lecombus.line.exchange_loop import ExchangeLoop
+from lecombus.parameters import Value
 from lecombus.protocol.exchange import Ask, Exchange, Result
 from lecombus.protocol.telegrams import ValueAnswer
-from lecombus.protocol.values import Value
 from lecombus.schedule import (
     Cyclic,
     Outcome,

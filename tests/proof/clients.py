@@ -13,7 +13,7 @@ from lecombus.config import DriveEntry
 from lecombus.drives import StopAction, Verb
 from lecombus.errors import LecombusError
 from lecombus.line_runtime import LineRuntime
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.schedule import Priority
 from lecombus.simulator.line import SimLine
 from proof.invariants import Invariants

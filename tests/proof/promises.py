@@ -22,7 +22,7 @@ from lecombus.capacity.exchange_costs import read_times, watched_s
 from lecombus.capacity.plan import Promises as LinePromises
 from lecombus.config import line_timing
 from lecombus.line.observer import ExchangeReport
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.protocol.exchange import ResultKind
 from lecombus.protocol.telegrams import ValueAnswer
 from lecombus.schedule import Priority

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 from lecombus.drives import address_code, family
 from lecombus.line.jobs import ReadBackJob, ReadJob, WriteJob
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.schedule import Outcome, Priority, Request
 from lecombus.simulator.families.inverter82xx import Drive82XX
 from lecombus.simulator.line import SimLine

@@ -21,7 +21,7 @@ from itertools import cycle
 from lecombus.line.observer import ExchangeReport
 from lecombus.line.station import StepKind
 from lecombus.line_runtime import LineRuntime
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.protocol.telegrams import ValueAnswer
 from lecombus.readings import DriveState, Quality
 from lecombus.schedule import Outcome, Priority

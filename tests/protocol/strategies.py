@@ -6,15 +6,14 @@ import itertools
 
 from hypothesis import strategies as st
 
+from lecombus.parameters import Code, Value
 from lecombus.protocol import (
     AckAnswer,
     Answer,
-    Code,
     Form,
     NakAnswer,
     TransmissionErrorAnswer,
     UnknownCodeAnswer,
-    Value,
     ValueAnswer,
     encode_code,
 )

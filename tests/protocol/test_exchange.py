@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lecombus.protocol.addressing import Code, Form, encode_code
+from lecombus.parameters import Code, Value
+from lecombus.protocol.addressing import Form, encode_code
 from lecombus.protocol.exchange import ACK_FIELD, Ask, Exchange, Result, ResultKind
 from lecombus.protocol.telegrams import (
     ACK_ANSWER,
@@ -21,7 +22,6 @@ from lecombus.protocol.telegrams import (
     unknown_code_answer,
     value_answer,
 )
-from lecombus.protocol.values import Value
 
 CODE, OTHER = Code(46), Code(50)
 

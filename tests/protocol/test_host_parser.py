@@ -4,16 +4,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lecombus.parameters import Code, Value
 from lecombus.protocol import (
     MAX_ANSWER_CHARS,
     BadRequest,
-    Code,
     Form,
     HostRequest,
     ReadRequest,
     RequestParser,
     TelegramFault,
-    Value,
     WriteRequest,
     encode_code,
     read_telegram,

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from lecombus.parameters import Code, Value
 from lecombus.protocol import (
     MAX_ANSWER_CHARS,
     TAIL_LIMIT,
@@ -13,11 +14,9 @@ from lecombus.protocol import (
     Answer,
     AnswerParser,
     BadAnswer,
-    Code,
     Form,
     NakAnswer,
     TelegramFault,
-    Value,
     ValueAnswer,
     bcc,
     encode_answer,

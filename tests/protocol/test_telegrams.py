@@ -3,14 +3,13 @@ from __future__ import annotations
 import pytest
 
 from lecombus.errors import CodeValueError
+from lecombus.parameters import Code, Value
 from lecombus.protocol import (
     ACK_ANSWER,
     NAK_ANSWER,
     BadAnswer,
-    Code,
     Form,
     TelegramFault,
-    Value,
     encode_answer,
     read_telegram,
     transmission_error_answer,

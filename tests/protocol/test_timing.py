@@ -7,14 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lecombus.errors import CodeValueError
+from lecombus.parameters import Code, Value
 from lecombus.protocol import (
     ACK_ANSWER,
     ACK_CHARS,
     BAUDS,
     MAX_ANSWER_CHARS,
-    Code,
     Form,
-    Value,
     answer_chars,
     char_time_s,
     encode_code,

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lecombus.errors import CodeValueError, LecombusError
-from lecombus.protocol import Format, Value, ValueFormatError
+from lecombus.parameters import Format, Value, ValueFormatError
 
 counts = st.integers(-(2**31), 2**31 - 1)
 

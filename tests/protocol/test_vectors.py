@@ -6,14 +6,13 @@ from typing import Any
 
 import pytest
 
+from lecombus.parameters import Code, Format, Value
 from lecombus.protocol import (
     AckAnswer,
     Answer,
     AnswerParser,
     BadAnswer,
-    Code,
     Form,
-    Format,
     HostRequest,
     NakAnswer,
     ReadRequest,
@@ -21,7 +20,6 @@ from lecombus.protocol import (
     TelegramFault,
     TransmissionErrorAnswer,
     UnknownCodeAnswer,
-    Value,
     ValueAnswer,
     WriteRequest,
     encode_answer,

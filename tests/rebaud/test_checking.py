@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from lecombus.protocol.addressing import Code, Form
+from lecombus.parameters import Code
+from lecombus.protocol.addressing import Form
 from lecombus.rebaud import DrivePlace, Subject
 from lecombus.simulator import SimDrive
 from lecombus.simulator.motor import Motor

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.scanning import Finding, FoundWatchdog
 from lecombus.scanning.identifying import identify
 from lecombus.simulator import SimDrive, SimLine, build

@@ -10,8 +10,7 @@ import pytest
 from lecombus.drives import LineTiming, family
 from lecombus.line.station import Station
 from lecombus.operations.request_maker import RequestMaker
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.schedule.fan_out import Part, least_order, took_s
 
 SETPOINT, OTHER = Code(46), Code(11)

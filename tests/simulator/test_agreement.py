@@ -12,8 +12,8 @@ import pytest
 from lecombus.drives import FAMILY_NAMES, CodeInfo, Family, family
 from lecombus.drives.codes import Storage
 from lecombus.line.port import PortOpener
-from lecombus.protocol.addressing import Code, Form, encode_code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
+from lecombus.protocol.addressing import Form, encode_code
 from lecombus.simulator import MemoryEnd, SimDrive, SimLine, build
 from lecombus.simulator.families import MODELS
 from lecombus.simulator.parameters import Kept

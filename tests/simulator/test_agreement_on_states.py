@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from lecombus.drives import FAMILY_NAMES, family
 from lecombus.drives.faults import FaultKind
 from lecombus.drives.operating import OperatingState
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.simulator import SimDrive
 from lecombus.simulator.model import INHIBIT, QSP, Model
 from lecombus.simulator.troubles import Kind

@@ -9,8 +9,7 @@ import pytest
 
 from lecombus.drives import StopAction, Verb, family
 from lecombus.motion import Doing
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome
 from lecombus.store import LineState, Store
 from lecombus.supervision.command_effects import ZERO_GAP_S, CommandEffects

@@ -6,7 +6,7 @@ from decimal import Decimal
 
 import pytest
 
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.protocol.exchange import ResultKind
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome

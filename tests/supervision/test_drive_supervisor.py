@@ -10,7 +10,7 @@ import pytest
 
 from lecombus.drive_runtime import Drive
 from lecombus.errors import LecombusError
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.readings import DriveState
 from lecombus.simulator.faults import Faults
 from lecombus.simulator.parameters import CommError, ExtendedError, Refusal

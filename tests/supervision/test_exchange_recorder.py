@@ -9,10 +9,9 @@ from lecombus.line.observer import ExchangeReport
 from lecombus.line.station import JobStep, StepKind
 from lecombus.line_events import ExchangeEvent, LineChange
 from lecombus.metrics import Metrics
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code, Value
 from lecombus.protocol.exchange import Result, ResultKind
 from lecombus.protocol.telegrams import AckAnswer, Answer, NakAnswer, UnknownCodeAnswer, ValueAnswer
-from lecombus.protocol.values import Value
 from lecombus.schedule import Priority
 from lecombus.store import Store
 from lecombus.supervision.exchange_recorder import ExchangeRecorder

@@ -9,8 +9,7 @@ import pytest
 
 from lecombus.drives import family
 from lecombus.drives.faults import FaultKind
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.readings import ActiveFault
 from lecombus.schedule import Outcome
 from lecombus.simulator.families.smvector import SMVector

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import anyio
 
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.readings import DriveState
 from lecombus.schedule import Priority
 from support.site_host import Plant, roster_of, until, with_plant

@@ -9,7 +9,7 @@ import pytest
 
 from lecombus.drives import StopAction
 from lecombus.errors import OperationError
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.readings import DriveState, Quality
 from lecombus.schedule import Outcome
 from lecombus.simulator.parameters import CommError, ExtendedError, Refusal

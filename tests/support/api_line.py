@@ -29,8 +29,8 @@ from lecombus.operations.reports import (
 )
 from lecombus.operations.requests import IS_GONE, refuse_for_gone_client
 from lecombus.operations.wear import CodeWear, WearReport
-from lecombus.protocol.addressing import Code, Form
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
+from lecombus.protocol.addressing import Form
 from lecombus.schedule.request import Outcome, Priority
 from lecombus.store import DriveState, LineState, Reading, Store
 

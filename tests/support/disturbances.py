@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import anyio
 
 from lecombus.errors import LecombusError
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.protocol.exchange import ResultKind
 from lecombus.readings import DriveState
 from lecombus.simulator.faults import Faults, parse_faults

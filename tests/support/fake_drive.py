@@ -11,8 +11,7 @@ from dataclasses import dataclass, field
 
 from lecombus.backups import ReadResult, WriteResult
 from lecombus.drives import Family, StopAction, confirm_codes, family
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 
 __all__ = ["Ear", "FakeDrive"]
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from lecombus.drives import family
 from lecombus.drives.access import ReadResult, WriteResult
 from lecombus.drives.identity import identity_codes
+from lecombus.parameters import Code, Value
 from lecombus.protocol import with_parity
-from lecombus.protocol.addressing import Code, Form
-from lecombus.protocol.values import Value
+from lecombus.protocol.addressing import Form
 from lecombus.rebaud import LineAccess, Rebaud, Subject
 from lecombus.scanning import HeardKind, Question
 from lecombus.simulator import SimDrive, SimLine

@@ -11,10 +11,9 @@ from lecombus.errors import LineLostError
 from lecombus.line.observer import ExchangeReport
 from lecombus.line.station import JobStep, Station, StepKind
 from lecombus.line_events import ExchangeEvent
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code, Value
 from lecombus.protocol.exchange import Result, ResultKind
 from lecombus.protocol.telegrams import ValueAnswer
-from lecombus.protocol.values import Value
 from lecombus.schedule import Priority, Settle
 from support.site_host import roster_of
 

@@ -24,8 +24,7 @@ from lecombus.line.station import Station
 from lecombus.line.worker import LineWorker, WorkerOptions
 from lecombus.line_runtime import LineRuntime
 from lecombus.operations.request_maker import RequestMaker
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority, Request, Schedule
 from lecombus.simulator.drive import SimDrive

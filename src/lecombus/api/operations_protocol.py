@@ -25,7 +25,8 @@ from lecombus.operations.reports import (
     WriteReport,
 )
 from lecombus.operations.wear import WearReport
-from lecombus.protocol.addressing import Code, Form
+from lecombus.parameters import Code
+from lecombus.protocol.addressing import Form
 from lecombus.schedule.request import Priority
 from lecombus.store import Reading
 

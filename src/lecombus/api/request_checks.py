@@ -31,7 +31,7 @@ from lecombus.api.decimal_json import NotJsonError, decode, decode_texts, short
 from lecombus.api.limits import BODY_LIMIT, BODY_TOO_BIG
 from lecombus.api.problems import Problem, ProblemError
 from lecombus.errors import CodeValueError
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 
 __all__ = ["code_of", "read_body", "read_query", "read_stop", "refuse_query"]
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
 from lecombus.drives.access import DriveAccess, ReadResult, WriteResult
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 
 __all__ = ["Listener", "RestoreAccess", "wait_until_usable"]
 

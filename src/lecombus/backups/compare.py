@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 
 from .document import Backup, BackupEntry, Section, is_own, section_of
 from .writing import meaning_of

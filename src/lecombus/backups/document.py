@@ -15,8 +15,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from lecombus.drives import CodeInfo, Family, Storage, WriteClass, must_be_same
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Format, Value
+from lecombus.parameters import Code, Format, Value
 
 __all__ = ["Backup", "BackupEntry", "Head", "Section", "is_own", "section_of", "wanted_codes"]
 

@@ -24,8 +24,7 @@ from lecombus.drives import (
 )
 from lecombus.drives.access import ReadResult
 from lecombus.errors import CodeValueError
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 
 from .document import Backup, BackupEntry, Section, section_of
 from .writing import meaning_of

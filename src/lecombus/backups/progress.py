@@ -18,8 +18,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from lecombus.errors import CodeValueError
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 
 __all__ = ["Progress", "done_line", "head_line", "read_progress"]
 

@@ -16,8 +16,7 @@ from lecombus.drives import FAMILY_NAMES, family
 from lecombus.drives.field_types import Words, read_words, whole
 from lecombus.drives.yaml_models import FILE_TABLE, KEY, ReadBy, YamlFile, mistake
 from lecombus.errors import CodeValueError
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 
 from .document import Backup, BackupEntry, Head, Section
 from .writing import FORMAT_KEY, FORMAT_VERSION, NOT_READ

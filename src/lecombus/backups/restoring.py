@@ -22,8 +22,7 @@ from typing import Final
 
 from lecombus.drives import Family, StopAction, confirm_codes, is_last, knows_stop, stop_confirmed
 from lecombus.drives.access import DriveAccess, ReadResult, WriteResult, is_passing
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 
 from .access import Listener, RestoreAccess, wait_until_usable
 from .plan import RestorePlan, RestoreStep

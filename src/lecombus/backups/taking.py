@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from lecombus.drives.access import ReadResult, is_passing
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 
 from .access import Listener, RestoreAccess, wait_until_usable
 

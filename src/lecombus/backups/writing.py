@@ -19,7 +19,7 @@ from typing import Final
 import yaml
 
 from lecombus.drives import CodeInfo, Family
-from lecombus.protocol.values import Value
+from lecombus.parameters import Value
 
 from .document import Backup, BackupEntry, Section
 

@@ -21,8 +21,8 @@ from lecombus.drives import (
     write_cost,
 )
 from lecombus.drives.costs import Cost
-from lecombus.protocol.addressing import Code, Form
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
+from lecombus.protocol.addressing import Form
 from lecombus.roster import DriveEntry, LineEntry, is_network_port
 
 __all__ = [
@@ -70,7 +70,7 @@ class Times:
 
 def form_for(drive: DriveEntry, code: Code) -> Form:
     """Give the addressing form in which a drive is asked for a code."""
-    return next((form for form in drive.forms if code.knows(form)), Form.EXTENDED)
+    return next((form for form in drive.forms if form.carries(code)), Form.EXTENDED)
 
 
 def read_times(
@@ -85,7 +85,7 @@ def dearest_read_times(drive: DriveEntry, code: Code, timing: LineTiming) -> Tim
 
     While an old answer could be taken for one in the usual form, the other one is used.
     """
-    forms = [form for form in drive.forms if code.knows(form)] or [Form.EXTENDED]
+    forms = [form for form in drive.forms if form.carries(code)] or [Form.EXTENDED]
     return _read_times(drive, code, timing, forms)
 
 
@@ -167,7 +167,7 @@ def stop_attempt_s(drive: DriveEntry, timing: LineTiming) -> float:
     for action in of.stops:
         for code, value in [*stop_steps(of, action), (address_code(of), None)]:
             for form in drive.forms:
-                if not code.knows(form):
+                if not form.carries(code):
                     continue
                 if value is None:
                     times = read_times(drive, code, timing, form)

@@ -31,8 +31,7 @@ from lecombus.capacity.exchange_costs import (
 from lecombus.capacity.load import load_on
 from lecombus.capacity.watchdog_demand import faults_of
 from lecombus.drives import CodeInfo, LineTiming, family, stop_value
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Format, Value
+from lecombus.parameters import Code, Format, Value
 from lecombus.roster import DriveEntry, Roster
 from lecombus.schedule import Outcome, Priority, Request, WatchdogFeeding
 from lecombus.schedule.watchdog_deadline import (
@@ -287,7 +286,7 @@ def _writes(drive: DriveEntry, timing: LineTiming) -> Iterator[Longest]:
 
 
 def _is_said(drive: DriveEntry, code: Code) -> bool:
-    return any(code.knows(form) for form in drive.forms)
+    return any(form.carries(code) for form in drive.forms)
 
 
 def _longest_value(info: CodeInfo) -> Value:
@@ -332,7 +331,7 @@ def _one_form(roster: Roster, timing: LineTiming) -> Iterable[tuple[Stream, ...]
     found: dict[Code, list[Stream]] = {}
     for drive in roster.drives:
         for entry in drive.cyclic:
-            if sum(entry.code.knows(form) for form in drive.forms) < 2:
+            if sum(form.carries(entry.code) for form in drive.forms) < 2:
                 cost_s = _read_s(drive, entry.code, timing)
                 one = Stream(f"{entry.code} of {drive.name}", cost_s, entry.every_s)
                 found.setdefault(entry.code, []).append(one)

@@ -21,7 +21,7 @@ from lecombus.durations import (
     parse_duration,
 )
 from lecombus.errors import CodeValueError
-from lecombus.protocol import Code
+from lecombus.parameters import Code
 
 __all__ = [
     "CODE",

@@ -30,7 +30,7 @@ from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.progress_bar import progress
 from lecombus.cli.screen import counted
 from lecombus.drives import family
-from lecombus.protocol import Code
+from lecombus.parameters import Code
 from lecombus.readings import Json
 
 __all__ = ["backup_command", "entry_json", "read_drive"]

@@ -19,7 +19,7 @@ from urllib.parse import quote
 from lecombus.backups import Backup, Progress, done_line, head_line, read_backup, read_progress
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.errors import ConfigError
-from lecombus.protocol import Code, Value
+from lecombus.parameters import Code, Value
 
 __all__ = ["Notes", "check_target", "digest_of", "load_backup", "read_text", "save"]
 

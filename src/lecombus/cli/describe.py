@@ -15,7 +15,7 @@ from lecombus.cli.screen import on_terminal, show_rows
 from lecombus.descriptions import bits_document, code_document, family_document
 from lecombus.drives import FAMILY_NAMES, CodeInfo, Family, Language, WriteClass, family
 from lecombus.drives.codes import BY_OWN_MANUAL, OTHERS
-from lecombus.protocol import Code
+from lecombus.parameters import Code
 
 __all__ = ["GERMAN", "describe_command"]
 

@@ -16,7 +16,7 @@ from lecombus.line.loop import run
 from lecombus.line.no_answers import END_IT, others_at, shared, unheard_remedy
 from lecombus.line.port import PortSettings
 from lecombus.line.station import Station
-from lecombus.protocol import Code, Value
+from lecombus.parameters import Code, Value
 from lecombus.readings import Quality, Reading
 from lecombus.schedule import Priority
 

@@ -24,7 +24,7 @@ from lecombus.cli.client import answer_of, body_text, unreachable
 from lecombus.cli.document_rows import kind_of
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.errors import CodeValueError
-from lecombus.protocol import Code, Value
+from lecombus.parameters import Code, Value
 from lecombus.readings import Json
 
 __all__ = ["HttpDrive", "RestoreRights", "Whose"]

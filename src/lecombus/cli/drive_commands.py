@@ -11,7 +11,7 @@ from lecombus.cli.client import DaemonClient, connect
 from lecombus.cli.document_rows import Document, show_write, status_of
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.screen import age, on_terminal, show_rows, table_text
-from lecombus.protocol import Code
+from lecombus.parameters import Code
 
 __all__ = ["accept_command", "forget_times_command", "readdress_command", "wear_command"]
 

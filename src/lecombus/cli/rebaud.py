@@ -23,7 +23,8 @@ from lecombus.drives import family, saving_rule
 from lecombus.drives.identity import identity_codes
 from lecombus.errors import LecombusError
 from lecombus.line.loop import run
-from lecombus.protocol import BAUDS, Code
+from lecombus.parameters import Code
+from lecombus.protocol import BAUDS
 from lecombus.rebaud import (
     DrivePlace,
     LineAccess,

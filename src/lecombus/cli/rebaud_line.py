@@ -24,8 +24,8 @@ from lecombus.errors import (
 )
 from lecombus.line.station import Station
 from lecombus.line_runtime import options_of
-from lecombus.protocol.addressing import Code, Form
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
+from lecombus.protocol.addressing import Form
 from lecombus.rebaud import LineAccess, Subject
 from lecombus.schedule import Outcome, Priority
 

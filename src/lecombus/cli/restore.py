@@ -37,7 +37,7 @@ from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.progress_bar import progress
 from lecombus.cli.screen import counted, on_terminal, show_rows
 from lecombus.drives import family
-from lecombus.protocol import Code, Value
+from lecombus.parameters import Code, Value
 from lecombus.readings import Json
 
 __all__ = ["restore_command", "result_json", "show_result"]

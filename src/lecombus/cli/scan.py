@@ -29,8 +29,8 @@ from lecombus.drives import family, read_cost
 from lecombus.line.loop import run
 from lecombus.line.no_answers import END_IT, others_at, shared
 from lecombus.operations.address_reads import read_address
-from lecombus.protocol import BAUDS, Code, Form, is_drive_address
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
+from lecombus.protocol import BAUDS, Form, is_drive_address
 from lecombus.scanning import (
     Finding,
     Heard,

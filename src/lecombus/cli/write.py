@@ -9,7 +9,7 @@ import click
 from lecombus.cli.arguments import CODE, EXPIRY, VALUE, CommandWithNumbers, Given, daemon_options
 from lecombus.cli.client import connect
 from lecombus.cli.document_rows import Document, show_group, show_write, status_of
-from lecombus.protocol import Code
+from lecombus.parameters import Code
 from lecombus.readings import Json
 
 __all__ = ["group_command", "write_command", "write_document"]

@@ -13,7 +13,8 @@ from lecombus.config.checks import default_socket, drives_of
 from lecombus.config.container_types import Fields, Items
 from lecombus.config.keys import ALL
 from lecombus.drives import family
-from lecombus.protocol.addressing import Code, Form
+from lecombus.parameters import Code
+from lecombus.protocol.addressing import Form
 from lecombus.roster import (
     ApiEntry,
     CyclicEntry,
@@ -81,7 +82,7 @@ def _drive(entry: Fields, lease: LeaseEntry) -> DriveEntry:
     status = [
         CyclicEntry(code=code, every_s=every_s)
         for code, every_s in of.status
-        if any(code.knows(form) for form in forms)
+        if any(form.carries(code) for form in forms)
     ]
     writable: Items | None = entry.get("writable")
     simple = {key: entry.get(key) for key in ("name", "address", "family")}

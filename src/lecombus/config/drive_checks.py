@@ -20,7 +20,8 @@ from lecombus.drives import (
 )
 from lecombus.durations import format_duration
 from lecombus.errors import CodeValueError
-from lecombus.protocol.addressing import Code, Form
+from lecombus.parameters import Code
+from lecombus.protocol.addressing import Form
 
 __all__ = ["check_drive", "check_lapse"]
 
@@ -166,7 +167,7 @@ def _check_forms(drive: Fields, mistakes: Mistakes) -> None:
         return
     for key in ("cyclic", *WRITABLE, "identity"):
         for item in _codes(drive, key):
-            if not item.value.knows(Form.STANDARD):
+            if not Form.STANDARD.carries(item.value):
                 what = f"{item.value} needs extended addressing, which this drive does not have"
                 right = "codes 0 to 6229 without subcode would be right, or addressing: both"
                 mistakes.note(item.node, what, right)

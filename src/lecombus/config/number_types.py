@@ -14,7 +14,7 @@ from lecombus.config.mistakes import one_of
 from lecombus.config.scalar_types import ScalarType, WrongText
 from lecombus.durations import DurationError, format_duration, parse_duration
 from lecombus.errors import CodeValueError
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 
 __all__ = ["Address", "CodeType", "Duration", "Percent", "Whole", "WholeChoice"]
 

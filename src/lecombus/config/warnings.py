@@ -24,7 +24,7 @@ from lecombus.capacity.watchdog_demand import demand_of, least_time_s
 from lecombus.capacity.watchdog_feasibility import rounded_up
 from lecombus.drives import LineTiming, Verb, WriteClass, family
 from lecombus.durations import format_duration
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.roster import DriveEntry, LineEntry, Roster, is_network_port
 from lecombus.schedule.watchdog_deadline import HARD_PART
 

@@ -21,7 +21,7 @@ from lecombus.daemon import Daemon, plain_errors
 from lecombus.demo.view import View
 from lecombus.errors import LecombusError, OperationError
 from lecombus.line.loop import run as run_loop
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 
 __all__ = ["run_demo"]
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TextIO
 
 from lecombus.config import Roster
 from lecombus.line_runtime import LineRuntime
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.readings import Quality, Reading
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 
 from .family import Family
 

@@ -13,11 +13,12 @@ from typing import Annotated, Any
 
 from pydantic import ValidationInfo, WrapValidator
 
-from lecombus.protocol.addressing import HIGHEST_SUBCODE, Code
-from lecombus.protocol.values import (
+from lecombus.parameters import (
     HIGHEST_DECIMAL,
+    HIGHEST_SUBCODE,
     HIGHEST_VALUE_CHARS,
     LOWEST_DECIMAL,
+    Code,
     Format,
     Value,
 )

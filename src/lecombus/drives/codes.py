@@ -14,7 +14,7 @@ from decimal import Decimal
 from enum import StrEnum
 from typing import Annotated
 
-from lecombus.protocol.values import HIGHEST_VALUE_CHARS, LOWEST_DECIMAL, Format, Value
+from lecombus.parameters import HIGHEST_VALUE_CHARS, LOWEST_DECIMAL, Format, Value
 
 from .field_types import (
     WORD_MAX,

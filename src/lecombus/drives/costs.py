@@ -21,7 +21,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
-from lecombus.protocol.addressing import Code, Form
+from lecombus.parameters import HIGHEST_VALUE_CHARS, Code, Format, Value
+from lecombus.protocol.addressing import Form
 from lecombus.protocol.timing import (
     ACK_CHARS,
     answer_chars,
@@ -29,7 +30,6 @@ from lecombus.protocol.timing import (
     read_request_chars,
     write_request_chars,
 )
-from lecombus.protocol.values import HIGHEST_VALUE_CHARS, Format, Value
 
 from .codes import CodeInfo
 from .family import Family

@@ -19,8 +19,7 @@ from decimal import Decimal
 from typing import Final
 
 from lecombus.errors import CodeValueError
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Format, Value
+from lecombus.parameters import Code, Format, Value
 
 from .codes import CodeInfo
 from .family import Family

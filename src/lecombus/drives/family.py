@@ -14,8 +14,8 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field
 
-from lecombus.protocol.addressing import Code, Form
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
+from lecombus.protocol.addressing import Form
 
 from .codes import CodeInfo, WriteClass
 from .commands import ControlWordInfo

@@ -14,8 +14,7 @@ from pydantic import AliasPath, BeforeValidator, Field, WrapValidator
 from pydantic.fields import FieldInfo
 
 from lecombus.errors import CodeValueError
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import HIGHEST_DECIMAL, LOWEST_DECIMAL, Value
+from lecombus.parameters import HIGHEST_DECIMAL, LOWEST_DECIMAL, Code, Value
 
 from .texts import Text
 from .yaml_models import KEY, LIST_RIGHT, TEXT_RIGHT, FileContext, Quoted, ReadBy, mistake

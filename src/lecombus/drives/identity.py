@@ -8,8 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from lecombus.errors import CodeValueError
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 
 __all__ = ["identity_codes", "is_identity", "is_same_text", "text_of"]
 

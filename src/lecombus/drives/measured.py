@@ -24,7 +24,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 
 from .costs import LATENESS_S
 from .family import Family

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 from pydantic import Field, ValidationInfo
 
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 
 from .codes import CodeInfo, Storage, WriteClass
 from .field_types import DescribedCode, Source, WordNumber, Words

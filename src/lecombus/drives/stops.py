@@ -23,8 +23,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 from pydantic import Field
 
 from lecombus.errors import OperationError
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 
 from .commands import INHIBIT
 from .field_types import WORD_MAX, DescribedCode, Source, WordNumber, WordValue, WritableCode, whole

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 
 from lecombus.errors import OperationError
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 
 from .commands import DIRECTION, INHIBIT, JOG, QUICK_STOP, TRIP_RESET
 from .family import Family

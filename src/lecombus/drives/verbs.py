@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from lecombus.errors import OperationError
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 
 from .family import Family
 from .operating import OperatingState, join_states

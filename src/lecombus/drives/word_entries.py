@@ -15,7 +15,7 @@ from typing import Annotated, Final, TypeVar
 
 from pydantic import BeforeValidator, Discriminator, Tag, ValidationInfo
 
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 
 from .commands import ControlWordInfo
 from .field_types import Source, WordCode, Words, numbered, read_words

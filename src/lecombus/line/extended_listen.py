@@ -17,7 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from ..protocol.addressing import Code
+from ..parameters import Code
 from ..schedule.shares import LISTEN_EVERY_S
 from .station import Station
 

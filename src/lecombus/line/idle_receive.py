@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ..protocol.addressing import Code
+from ..parameters import Code
 from ..protocol.exchange import Result, ResultKind
 from ..schedule import Priority, Request, Schedule
 from ..schedule.shares import LISTEN_S

@@ -19,10 +19,10 @@ from collections.abc import Mapping
 from ..drives import WriteClass
 from ..drives.stops import usable_word
 from ..errors import ExchangeError, NakError
-from ..protocol.addressing import Code, Form
+from ..parameters import Code, Value
+from ..protocol.addressing import Form
 from ..protocol.exchange import Result, ResultKind
 from ..protocol.telegrams import AckAnswer, Answer, NakAnswer, UnknownCodeAnswer, ValueAnswer
-from ..protocol.values import Value
 from ..schedule.request import Outcome
 from .duplicates import Duplicates
 from .failures import error_of

@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from ..protocol.addressing import Code
+from ..parameters import Code
 from ..protocol.exchange import ACK_FIELD
 from .station import Station
 

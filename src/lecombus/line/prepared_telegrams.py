@@ -16,7 +16,8 @@ from dataclasses import dataclass, replace
 
 from ..drives import Cost, LineTiming, read_cost, write_cost
 from ..drives.measured import SlowAnswers, slow_from_s
-from ..protocol.addressing import Code, Form, encode_code
+from ..parameters import Code
+from ..protocol.addressing import Form, encode_code
 from ..protocol.exchange import ACK_FIELD, Ask
 from ..protocol.parser import with_parity
 from ..protocol.telegrams import read_telegram, write_telegram
@@ -151,7 +152,7 @@ class TelegramPreparer:
         if kept is None or kept.slow is not slow:
             if len(self._reads) >= MAX_CACHED:
                 self._reads.clear()
-            forms = [form for form in station.forms if code.knows(form)]
+            forms = [form for form in station.forms if form.carries(code)]
             kept = _Kept(slow, tuple(self._to_read(station, code, form) for form in forms))
             self._reads[station, code] = kept
         return kept.preparer
@@ -171,7 +172,7 @@ class TelegramPreparer:
 
     def _write(self, station: Station, step: JobStep) -> PreparedTelegram:
         assert step.value is not None
-        form = next(form for form in station.forms if step.code.knows(form))
+        form = next(form for form in station.forms if form.carries(step.code))
         cost = write_cost(
             self._timing,
             station.family,
@@ -189,7 +190,7 @@ class TelegramPreparer:
     def _multicast(self, job: MulticastJob, step: JobStep) -> PreparedTelegram:
         """The slowest member is left its processing time before anything else is sent."""
         assert step.value is not None
-        form = next(form for form in job.station.forms if step.code.knows(form))
+        form = next(form for form in job.station.forms if form.carries(step.code))
         telegram = write_telegram(job.station.address, step.code, step.value, form)
         char_s = self._timing.char_s
         request_s = write_request_chars(form, len(step.value.raw)) * char_s

@@ -19,9 +19,9 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from ..drives import Family, StopAction, address_code, confirm_codes, stop_confirmed
-from ..protocol.addressing import Code, Form, encode_code
+from ..parameters import Code, Value
+from ..protocol.addressing import Form, encode_code
 from ..protocol.telegrams import UnknownCodeAnswer, ValueAnswer
-from ..protocol.values import Value
 from .duplicates import COPY_S, Duplicates
 from .station import JobStep, Station, StepKind
 
@@ -89,7 +89,7 @@ class ReadBackProof:
         fields = [one for one in self._fields(station, what) if one[0] not in self._shown]
         if self._has_enough(station, what) and not self._knows_it:
             code = address_code(station.family)
-            forms = [form for form in self._forms(station) if code.knows(form)]
+            forms = [form for form in self._forms(station) if form.carries(code)]
             forms.sort(key=lambda form: other_s(encode_code(code, form), station.name))
             form = forms[self._asked_itself % len(forms)] if forms else None
             return JobStep(StepKind.READ, code, form=form)
@@ -210,5 +210,5 @@ class ReadBackProof:
             codes = codes[:1]
         for code in codes:
             for form in forms:
-                if code.knows(form):
+                if form.carries(code):
                     yield encode_code(code, form), code, form

@@ -14,9 +14,9 @@ from typing import NamedTuple, Protocol
 from ..drives import Family
 from ..drives.measured import MeasuredTimes, manual_s
 from ..errors import ExchangeError
-from ..protocol.addressing import Code, Form
+from ..parameters import Code, Value
+from ..protocol.addressing import Form
 from ..protocol.exchange import Result
-from ..protocol.values import Value
 from ..schedule.request import Outcome
 
 __all__ = ["Job", "JobStep", "Station", "StepKind", "Verdict"]

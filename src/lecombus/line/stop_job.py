@@ -43,10 +43,9 @@ from ..drives.stops import (
     usable_word,
 )
 from ..errors import ExchangeError
-from ..protocol.addressing import Code
+from ..parameters import Code, Value
 from ..protocol.exchange import Result, ResultKind
 from ..protocol.telegrams import AckAnswer, NakAnswer, UnknownCodeAnswer, ValueAnswer
-from ..protocol.values import Value
 from ..schedule.request import Outcome
 from .duplicates import Duplicates
 from .failures import error_of

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 from typing import Final
 
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.readings import Json
 from lecombus.schedule.request import Priority
 

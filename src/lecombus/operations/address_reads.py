@@ -27,8 +27,8 @@ from lecombus.errors import (
 )
 from lecombus.line.station import Station
 from lecombus.operations.requests import Requests
-from lecombus.protocol.addressing import Code, Form, is_drive_address
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
+from lecombus.protocol.addressing import Form, is_drive_address
 from lecombus.schedule import Priority
 
 __all__ = ["Heard", "HeardKind", "check_address", "read_address"]

@@ -16,8 +16,7 @@ from lecombus.operations.permissions import Permissions
 from lecombus.operations.requests import Requests
 from lecombus.operations.wear import Wear
 from lecombus.operations.why import Why
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.readings import DriveState
 from lecombus.store import Store
 

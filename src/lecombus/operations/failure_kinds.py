@@ -8,7 +8,7 @@ from typing import Final
 from lecombus.errors import CutReplyError, NakError
 from lecombus.operations.reports import WriteReport
 from lecombus.operations.requests import Ending, is_line_lost
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.schedule import Outcome
 from lecombus.schedule.request import CLIENT_GONE, STOPPED
 

@@ -17,8 +17,7 @@ from lecombus.drives import Family, Language, Text
 from lecombus.drives.faults import Fault
 from lecombus.drives.faults.reasons import Reason, Weight
 from lecombus.drives.operating import OperatingState
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.readings import (
     ActiveFault,
     DriveInfo,

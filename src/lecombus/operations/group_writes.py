@@ -38,8 +38,7 @@ from lecombus.operations.request_maker import shared_form
 from lecombus.operations.requests import Ending, client_check, refuse_for_gone_client
 from lecombus.operations.wear import wears
 from lecombus.operations.writes import Writes
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Priority
 from lecombus.schedule.fan_out import least_order
 

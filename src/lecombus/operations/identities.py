@@ -22,8 +22,7 @@ from lecombus.drive_runtime import Drive, LineDrives
 from lecombus.drives.identity import is_identity, is_same_text, text_of
 from lecombus.errors import OperationError
 from lecombus.line_events import ExchangeEvent, LineRequests
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.readings import IDENTITY_LOCK, DriveState, Json, rfc3339
 from lecombus.state import State
 from lecombus.store import Store

@@ -40,8 +40,7 @@ from lecombus.errors import (
 from lecombus.line.station import Station
 from lecombus.operations.reports import WriteReport
 from lecombus.operations.requests import Requests
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.readings import Quality
 from lecombus.schedule import Outcome, Priority
 from lecombus.store import Store

@@ -29,8 +29,7 @@ from lecombus.errors import CodeValueError, LineClosedError, OperationError
 from lecombus.line.station import Station
 from lecombus.operations.reports import RestoreRights
 from lecombus.operations.requests import Requests
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.readings import DriveState, LineState
 from lecombus.store import Store
 

@@ -42,8 +42,7 @@ from lecombus.operations.failure_kinds import stopped_first
 from lecombus.operations.identities import Identities
 from lecombus.operations.reports import WriteReport
 from lecombus.operations.requests import Requests
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.readings import DriveState, rfc3339
 from lecombus.schedule import Outcome, Priority
 from lecombus.state import Moved, State

@@ -5,7 +5,8 @@ from __future__ import annotations
 from lecombus.errors import OperationError, RefusedError
 from lecombus.operations.address_reads import Heard, check_address, read_address
 from lecombus.operations.context import OperationContext
-from lecombus.protocol.addressing import Code, Form
+from lecombus.parameters import Code
+from lecombus.protocol.addressing import Form
 from lecombus.readings import Reading
 from lecombus.schedule import Priority
 

@@ -21,7 +21,7 @@ from lecombus.operations.reports import (
     WriteReport,
 )
 from lecombus.operations.wear import WearReport
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.schedule import Outcome
 
 __all__ = ["RecordedMaintenance", "RecordedOperations"]

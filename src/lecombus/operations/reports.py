@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from lecombus.drives import OperatingState, Verb
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.readings import Json, Reading
 from lecombus.schedule.request import Outcome
 

@@ -30,9 +30,9 @@ from lecombus.line.jobs import MulticastJob, ReadBackJob, ReadJob, WriteJob
 from lecombus.line.read_back_proof import WrittenValue
 from lecombus.line.station import Station
 from lecombus.line.stop_job import StopJob
-from lecombus.protocol.addressing import Code, Form
+from lecombus.parameters import Code, Value
+from lecombus.protocol.addressing import Form
 from lecombus.protocol.timing import ACK_CHARS, write_request_chars
-from lecombus.protocol.values import Value
 from lecombus.schedule import Outcome, Priority, Request, Settle
 from lecombus.schedule.fan_out import Part
 
@@ -153,7 +153,7 @@ class RequestMaker:
         costs = [
             read_cost(self.timing, station.family, code, form, answer_s)
             for form in station.forms
-            if code.knows(form)
+            if form.carries(code)
         ]
         usual_s = max(cost.expected_s for cost in costs) + pause_s
         return usual_s, max(cost.worst_s for cost in costs) + pause_s
@@ -303,7 +303,7 @@ class RequestMaker:
         for code, value in [*stop_steps(of, action), (address_code(of), None)]:
             answer_s = station.answer_s(code, write=value is not None)
             for form in station.forms:
-                if not code.knows(form):
+                if not form.carries(code):
                     continue
                 if value is None:
                     cost = read_cost(self.timing, of, code, form, answer_s)
@@ -378,7 +378,7 @@ def form_of(station: Station, code: Code) -> Form:
         OperationError: `no-such-code`: none can; it could never be sent.
     """
     for form in station.forms:
-        if code.knows(form):
+        if form.carries(code):
             return form
     raise OperationError(
         f"{station.name}: {code} cannot be asked for in standard addressing",
@@ -396,7 +396,7 @@ def shared_form(stations: Sequence[Station], code: Code) -> Form | None:
     A drive whose code bank is set is addressed in extended addressing only: a multicast in the
     other would write another code of it.
     """
-    known = (form for form in stations[0].forms if code.knows(form))
+    known = (form for form in stations[0].forms if form.carries(code))
     return next((form for form in known if all(form in one.forms for one in stations)), None)
 
 

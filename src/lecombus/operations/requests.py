@@ -25,8 +25,7 @@ from lecombus.line.jobs import ReadBackJob, ReadJob
 from lecombus.line.station import Station
 from lecombus.line.worker import LineWorker
 from lecombus.operations.request_maker import RequestMaker
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Priority, Request
 
 __all__ = [

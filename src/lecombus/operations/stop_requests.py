@@ -22,8 +22,7 @@ from lecombus.operations.reports import GroupReport, Proof, WriteReport, group_r
 from lecombus.operations.request_maker import ignore_end, shared_form
 from lecombus.operations.requests import Ending
 from lecombus.operations.writes import Writes
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority, Request
 

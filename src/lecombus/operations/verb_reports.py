@@ -13,7 +13,7 @@ from lecombus.drives.verbs import fault_number, has_fault, shown_stops
 from lecombus.errors import LineError
 from lecombus.line.station import Station
 from lecombus.operations.reports import Proof, VerbReport, WriteReport
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.readings import Reading
 from lecombus.schedule import Outcome
 

@@ -46,8 +46,7 @@ from lecombus.operations.verb_reports import (
     superseded,
 )
 from lecombus.operations.writes import Writes
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority
 

@@ -24,7 +24,7 @@ from lecombus.drives import Family, Storage, WriteClass
 from lecombus.durations import format_duration
 from lecombus.errors import CodeValueError, OperationError
 from lecombus.line_events import ExchangeEvent
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.readings import Json, seconds
 from lecombus.state import State
 

@@ -40,7 +40,7 @@ from lecombus.operations.findings import (
 )
 from lecombus.operations.reports import VerbReport
 from lecombus.operations.requests import Requests
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.readings import (
     NO_SUCH_CODE,
     WRITE_LOCKS,

@@ -33,8 +33,7 @@ from lecombus.operations.requests import (
     refuse_for_gone_client,
 )
 from lecombus.operations.wear import wears
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Priority
 from lecombus.schedule.request import STOPPED
 

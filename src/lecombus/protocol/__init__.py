@@ -1,4 +1,4 @@
-"""Pure LECOM-A/B: characters, codes, values, telegrams, parsers and telegram times.
+"""Pure LECOM-A/B: characters, code fields, telegrams, parsers and telegram times.
 
 Bytes and numbers only: no clock, no port, no task, no log. Read `telegrams` first (what is said),
 then `parser` (how it is read back).
@@ -7,10 +7,7 @@ then `parser` (how it is read back).
 from __future__ import annotations
 
 from lecombus.protocol.addressing import (
-    HIGHEST_CODE,
     HIGHEST_STANDARD_CODE,
-    HIGHEST_SUBCODE,
-    Code,
     Form,
     decode_code,
     encode_address,
@@ -68,15 +65,6 @@ from lecombus.protocol.timing import (
     write_request_chars,
     write_wire_s,
 )
-from lecombus.protocol.values import (
-    HIGHEST_DECIMAL,
-    HIGHEST_VALUE_CHARS,
-    LOWEST_DECIMAL,
-    SENDABLE_STRING_CHARS,
-    Format,
-    Value,
-    ValueFormatError,
-)
 
 __all__ = [
     "ACK",
@@ -87,16 +75,10 @@ __all__ = [
     "ENQ",
     "EOT",
     "ETX",
-    "HIGHEST_CODE",
-    "HIGHEST_DECIMAL",
     "HIGHEST_STANDARD_CODE",
-    "HIGHEST_SUBCODE",
-    "HIGHEST_VALUE_CHARS",
-    "LOWEST_DECIMAL",
     "MAX_ANSWER_CHARS",
     "NAK",
     "NAK_ANSWER",
-    "SENDABLE_STRING_CHARS",
     "STX",
     "TAIL_LIMIT",
     "AckAnswer",
@@ -104,9 +86,7 @@ __all__ = [
     "AnswerParser",
     "BadAnswer",
     "BadRequest",
-    "Code",
     "Form",
-    "Format",
     "HostRequest",
     "NakAnswer",
     "ReadRequest",
@@ -114,9 +94,7 @@ __all__ = [
     "TelegramFault",
     "TransmissionErrorAnswer",
     "UnknownCodeAnswer",
-    "Value",
     "ValueAnswer",
-    "ValueFormatError",
     "WriteRequest",
     "answer_chars",
     "bcc",

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from lecombus.parameters import Value, ValueFormatError
 from lecombus.protocol.controls import ENQ, EOT, STX, bcc
 from lecombus.protocol.telegrams import (
     BadRequest,
@@ -18,7 +19,6 @@ from lecombus.protocol.telegrams import (
     WriteRequest,
 )
 from lecombus.protocol.text import TelegramText
-from lecombus.protocol.values import Value, ValueFormatError
 
 __all__ = ["RequestParser"]
 

@@ -21,6 +21,7 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Final
 
+from lecombus.parameters import Value, ValueFormatError
 from lecombus.protocol.addressing import field_length, is_code_field
 from lecombus.protocol.controls import (
     ACK,
@@ -45,7 +46,6 @@ from lecombus.protocol.telegrams import (
 )
 from lecombus.protocol.text import TelegramText
 from lecombus.protocol.timing import MAX_ANSWER_CHARS
-from lecombus.protocol.values import Value, ValueFormatError
 
 __all__ = ["TAIL_LIMIT", "AnswerParser", "RequestParser", "strip_parity", "with_parity"]
 

@@ -23,9 +23,9 @@ from functools import lru_cache
 from typing import Final
 
 from lecombus.errors import CodeValueError
-from lecombus.protocol.addressing import Code, Form, encode_address, encode_code
+from lecombus.parameters import SENDABLE_STRING_CHARS, Code, Format, Value
+from lecombus.protocol.addressing import Form, encode_address, encode_code
 from lecombus.protocol.controls import ACK, ENQ, EOT, ETX, NAK, STX, bcc
-from lecombus.protocol.values import SENDABLE_STRING_CHARS, Format, Value
 
 __all__ = [
     "ACK_ANSWER",

@@ -10,10 +10,10 @@ Bounded: a text ends, or has a fault, after a code field, 241 characters and one
 
 from __future__ import annotations
 
+from lecombus.parameters import HIGHEST_VALUE_CHARS
 from lecombus.protocol.addressing import field_length, fits_field
 from lecombus.protocol.controls import ETX
 from lecombus.protocol.telegrams import TelegramFault
-from lecombus.protocol.values import HIGHEST_VALUE_CHARS
 
 __all__ = ["TelegramText"]
 

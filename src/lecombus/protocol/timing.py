@@ -14,8 +14,8 @@ from __future__ import annotations
 from typing import Final
 
 from lecombus.errors import CodeValueError
+from lecombus.parameters import HIGHEST_VALUE_CHARS
 from lecombus.protocol.addressing import Form
-from lecombus.protocol.values import HIGHEST_VALUE_CHARS
 
 __all__ = [
     "ACK_CHARS",

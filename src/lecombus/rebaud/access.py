@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from lecombus.drives.access import DriveAccess, ReadResult, WriteResult
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.rebaud.drives import RebaudDrive
 
 __all__ = ["InterruptedRebaudError", "LineAccess", "RebaudLine"]

@@ -19,8 +19,8 @@ from lecombus.drives.access import is_passing
 from lecombus.drives.identity import is_identity, text_of
 from lecombus.drives.standstill import Standstill, ask_standstill
 from lecombus.durations import format_duration
-from lecombus.protocol.addressing import Code, Form
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
+from lecombus.protocol.addressing import Form
 from lecombus.rebaud.access import RebaudLine
 from lecombus.rebaud.drives import DrivePlace, RebaudDrive
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from lecombus.drives import Family, baud_code, baud_numbers
-from lecombus.protocol.addressing import Code, Form
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
+from lecombus.protocol.addressing import Form
 
 __all__ = ["DrivePlace", "RebaudDrive", "Subject"]
 

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from lecombus.operations.address_reads import Heard, HeardKind
-from lecombus.protocol.addressing import Code, Form
+from lecombus.parameters import Code
+from lecombus.protocol.addressing import Form
 
 __all__ = ["AddressAccess", "Heard", "HeardKind", "Question", "read_surely"]
 

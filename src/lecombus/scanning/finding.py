@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 
 __all__ = ["Finding", "FoundWatchdog", "Unclear"]
 

@@ -27,8 +27,8 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 
 from lecombus.drives import Family, family
-from lecombus.protocol.addressing import Code, Form
-from lecombus.protocol.values import Format
+from lecombus.parameters import Code, Format
+from lecombus.protocol.addressing import Form
 from lecombus.scanning.asking import AddressAccess, Heard, HeardKind, Question, read_surely
 from lecombus.scanning.finding import Finding, FoundWatchdog
 

@@ -27,7 +27,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from lecombus.errors import LineError
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.protocol.host_parser import RequestParser
 from lecombus.protocol.telegrams import ReadRequest, WriteRequest
 from lecombus.scanning.asking import AddressAccess, Heard, HeardKind, Question

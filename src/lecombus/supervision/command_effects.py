@@ -25,8 +25,7 @@ from lecombus.drives import OperatingState
 from lecombus.drives.verbs import status_shows_quick_stop
 from lecombus.errors import LecombusError
 from lecombus.line_events import ExchangeEvent, LineRequests
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Settle
 from lecombus.store import Store
 

@@ -20,8 +20,7 @@ import logging
 from lecombus.drive_runtime import Drive
 from lecombus.errors import LecombusError
 from lecombus.line_events import ExchangeEvent, LineRequests
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome
 
 __all__ = ["Configurations"]

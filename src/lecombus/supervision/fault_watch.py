@@ -25,8 +25,7 @@ from lecombus.drives import Family
 from lecombus.drives.faults import NO_FAULT, FaultKind, FaultTable, fits_digit
 from lecombus.errors import LecombusError
 from lecombus.line_events import ExchangeEvent, LineRequests
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.readings import ActiveFault
 from lecombus.schedule import Outcome, Settle
 from lecombus.store import Store

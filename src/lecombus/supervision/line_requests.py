@@ -8,7 +8,7 @@ from dataclasses import replace
 from lecombus.drive_runtime import Drive
 from lecombus.drives import Family
 from lecombus.operations.requests import Requests
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 from lecombus.schedule import Priority, Settle
 from lecombus.store import Store
 from lecombus.supervision.audit_queue import AuditQueue

@@ -20,8 +20,7 @@ from lecombus.drives import WatchdogTraits
 from lecombus.errors import LecombusError, OperationError, UnknownCodeError
 from lecombus.line.station import Station
 from lecombus.operations.requests import Requests
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Priority
 from lecombus.store import Store
 

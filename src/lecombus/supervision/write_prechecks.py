@@ -30,8 +30,8 @@ from lecombus.line.station import Station
 from lecombus.operations.identities import Identities
 from lecombus.operations.readdress import Readdress
 from lecombus.operations.requests import Requests
-from lecombus.protocol.addressing import Code, Form
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
+from lecombus.protocol.addressing import Form
 from lecombus.readings import ADDRESSING_LOCK, SOFTWARE_LOCK
 from lecombus.schedule import Priority
 from lecombus.store import Store

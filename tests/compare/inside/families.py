@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from lecombus.drives import FAMILY_NAMES, Family, family
-from lecombus.protocol import Code, Value
+from lecombus.parameters import Code, Value
 
 CALLED: dict[str, str] = {}
 """New name of a field: its name in the rows."""

@@ -17,8 +17,7 @@ from lecombus.drives.faults.causes import (
     load_causes,
 )
 from lecombus.errors import DescriptionError
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 
 VECTOR = family("8200vector")
 SETPOINT, MODE = Code(46), Code(1)

@@ -8,7 +8,7 @@ import pytest
 
 from lecombus.drives import FAMILY_NAMES, family
 from lecombus.drives.faults import FaultKind, fits_digit, link_report
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 
 # EDB2102EN 8.2, fault memory (P82XX): number, keypad, and a word the meaning must have in it.
 TABLE_82XX = """

@@ -17,8 +17,7 @@ from typing import Annotated, Final
 
 from pydantic import Field
 
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 
 from ..codes import CodeInfo, Storage
 from ..field_types import BothLanguages, CodeNumber, Flag, Words, whole

@@ -14,7 +14,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from lecombus.protocol.addressing import Code
+from lecombus.parameters import Code
 
 from ..field_types import BothLanguages, Source, Words, whole
 from ..texts import NOTHING, Text

@@ -12,8 +12,7 @@ from enum import StrEnum
 from functools import cache
 from typing import Annotated
 
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 
 from ..field_types import BothLanguages, Words
 from ..operating import OperatingState

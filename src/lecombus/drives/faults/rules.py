@@ -11,8 +11,7 @@ from typing import Annotated, Final, Protocol, TypeVar
 
 from pydantic import AfterValidator, Field
 
-from lecombus.protocol.addressing import Code
-from lecombus.protocol.values import Value
+from lecombus.parameters import Code, Value
 
 from ..field_types import WORD_MAX, CodeNumber, WordNumber, Words, whole_number
 from ..yaml_models import FILE_TABLE, ReadAs, ReadBy, by_key, mistake

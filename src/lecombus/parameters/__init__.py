@@ -1,0 +1,31 @@
+"""Parameters of drives: codes and values, exact, without a word of any line protocol.
+
+What must not live here: how a code or a value stands in a telegram (`protocol`), what it means
+(`drives`).
+"""
+
+from __future__ import annotations
+
+from lecombus.parameters.codes import HIGHEST_CODE, HIGHEST_SUBCODE, Code
+from lecombus.parameters.values import (
+    HIGHEST_DECIMAL,
+    HIGHEST_VALUE_CHARS,
+    LOWEST_DECIMAL,
+    SENDABLE_STRING_CHARS,
+    Format,
+    Value,
+    ValueFormatError,
+)
+
+__all__ = [
+    "HIGHEST_CODE",
+    "HIGHEST_DECIMAL",
+    "HIGHEST_SUBCODE",
+    "HIGHEST_VALUE_CHARS",
+    "LOWEST_DECIMAL",
+    "SENDABLE_STRING_CHARS",
+    "Code",
+    "Format",
+    "Value",
+    "ValueFormatError",
+]
