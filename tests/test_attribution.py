@@ -16,10 +16,10 @@ from dataclasses import dataclass, field
 import anyio
 import pytest
 
-from lecombus.line.observer import ExchangeReport
+from lecombus.fieldbus.lecom.protocol.telegrams import ValueAnswer
+from lecombus.fieldbus.observer import ExchangeReport
 from lecombus.line.worker import WorkerOptions
 from lecombus.parameters import Format
-from lecombus.protocol.telegrams import ValueAnswer
 from lecombus.schedule import Outcome
 from support.site_host import Ended, Rig
 from support.virtual_loop import run

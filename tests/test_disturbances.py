@@ -9,11 +9,11 @@ from itertools import pairwise
 import anyio
 import pytest
 
+from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
+from lecombus.fieldbus.lecom.protocol.timing import MAX_ANSWER_CHARS
+from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.parameters import Code
-from lecombus.protocol.exchange import ResultKind
-from lecombus.protocol.timing import MAX_ANSWER_CHARS
 from lecombus.readings import DriveState
-from lecombus.simulator.faults import Faults
 from support.disturbances import AFTER_S, LINES, PATTERNS, Picture, look, roster_text
 from support.site_host import Plant, roster_of, until, with_plant
 from support.virtual_loop import Paused

@@ -6,8 +6,8 @@ import anyio
 import pytest
 
 from lecombus.drives import StopAction
+from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
 from lecombus.parameters import Code
-from lecombus.protocol.exchange import ResultKind
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome
 from support.site_host import Plant, roster_of, until, with_plant

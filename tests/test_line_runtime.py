@@ -10,10 +10,10 @@ import pytest
 from lecombus.config import parse_roster
 from lecombus.drives import StopAction
 from lecombus.errors import ConfigError, OperationError
+from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.parameters import Code, Value
 from lecombus.readings import DriveState, LineState, Quality
 from lecombus.schedule import Outcome
-from lecombus.simulator.faults import Faults
 from support.site_host import Plant, roster_of, until, with_plant
 
 AB = [("a", 11, "8200vector"), ("b", 12, "8200vector")]

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from lecombus.drives import Family, Verb
     from lecombus.drives.faults import FaultKind
     from lecombus.drives.measured import SlowAnswers
-    from lecombus.line.station import Station
+    from lecombus.fieldbus.station import Station
     from lecombus.parameters import Code
     from lecombus.schedule import PollingEntry, Request
 

@@ -21,6 +21,7 @@ from lecombus.config import Roster, line_timing, with_address
 from lecombus.drive_runtime import Drive, LineDrives
 from lecombus.drives import LineTiming, StopAction
 from lecombus.errors import ConfigError
+from lecombus.fieldbus.lecom.request_maker import RequestMaker
 from lecombus.line.port import PortOpener, PortSettings
 from lecombus.line.worker import LineWorker, WorkerOptions
 from lecombus.line_events import LineRequests
@@ -33,7 +34,6 @@ from lecombus.operations.identities import Identities
 from lecombus.operations.maintenance import Maintenance
 from lecombus.operations.readdress import Readdress
 from lecombus.operations.recorded import RecordedMaintenance, RecordedOperations
-from lecombus.operations.request_maker import RequestMaker
 from lecombus.operations.requests import Requests
 from lecombus.operations.wear import Wear
 from lecombus.parameters import Code

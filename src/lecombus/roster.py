@@ -14,8 +14,8 @@ from typing import Final, Literal
 from pydantic import BaseModel, ConfigDict
 
 from lecombus.drives.measured import SlowAnswers
+from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.parameters import Code
-from lecombus.protocol.addressing import Form
 
 __all__ = [
     "Addressing",

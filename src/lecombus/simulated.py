@@ -14,7 +14,7 @@ from lecombus.line.opening import open_port
 from lecombus.line.port import PortOpener
 
 if TYPE_CHECKING:
-    from lecombus.simulator.line import SimLine
+    from lecombus.fieldbus.lecom.simulator.line import SimLine
 
 __all__ = ["SIM_URL", "opener_for", "simulated_line"]
 
@@ -23,7 +23,7 @@ SIM_URL = "sim:"
 
 def simulated_line(roster: Roster, *, faults: str = "", seed: int = 0) -> SimLine:
     """Build the simulated drives of a roster."""
-    from lecombus.simulator.world import build
+    from lecombus.fieldbus.lecom.simulator.world import build
 
     drives = [(entry.name, entry.address, entry.family) for entry in roster.drives]
     return build(drives, baud=roster.line.baud, faults=faults, seed=seed)
@@ -33,6 +33,6 @@ def opener_for(roster: Roster) -> PortOpener:
     """Give what opens the roster's port: a real one, or `sim:`."""
     if roster.line.port != SIM_URL:
         return open_port
-    from lecombus.simulator.memory import MemoryEnd
+    from lecombus.fieldbus.lecom.simulator.memory import MemoryEnd
 
     return MemoryEnd(simulated_line(roster)).open

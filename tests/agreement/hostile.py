@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from lecombus.config import Roster, line_timing
-from lecombus.simulator import SimLine
-from lecombus.simulator.drive import SimDrive
-from lecombus.simulator.faults import Faults
-from lecombus.simulator.receiver import ReceivedRequest
+from lecombus.fieldbus.lecom.simulator import SimLine
+from lecombus.fieldbus.lecom.simulator.drive import SimDrive
+from lecombus.fieldbus.lecom.simulator.faults import Faults
+from lecombus.fieldbus.lecom.simulator.receiver import ReceivedRequest
 from support.drives import presets
 
 __all__ = ["Drip", "HostileLine", "hostile_line"]

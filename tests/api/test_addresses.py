@@ -9,9 +9,9 @@ import pytest
 
 from api.test_server import over_tcp, over_unix, serving
 from lecombus.errors import OperationError
+from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.operations.address_reads import Heard, HeardKind
 from lecombus.parameters import Code, Value
-from lecombus.protocol.addressing import Form
 from openapi.answer_models import HeardDocument
 from support.api_line import Line
 

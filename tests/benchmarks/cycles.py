@@ -19,8 +19,8 @@ from pathlib import Path
 from statistics import median
 
 from lecombus.drives import LineTiming, family, read_cost
+from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.parameters import Code
-from lecombus.protocol.addressing import Form
 from support.children import MASTER_CORE, OTHER_CORE, Child, child
 from support.paced_line import ADDRESSES, FAMILY
 

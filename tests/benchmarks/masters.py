@@ -23,17 +23,17 @@ from typing import Any
 import serial_asyncio
 
 from lecombus.drives import LineTiming, family
-from lecombus.line.jobs import ReadJob
+from lecombus.fieldbus.lecom.exchanges.jobs import ReadJob
+from lecombus.fieldbus.lecom.protocol.addressing import Form
+from lecombus.fieldbus.lecom.protocol.controls import with_parity
+from lecombus.fieldbus.lecom.protocol.telegrams import read_telegram
+from lecombus.fieldbus.observer import ExchangeReport
+from lecombus.fieldbus.station import Station
 from lecombus.line.loop import new_event_loop
-from lecombus.line.observer import ExchangeReport
 from lecombus.line.opening import open_port
 from lecombus.line.port import PortSettings
-from lecombus.line.station import Station
 from lecombus.line.worker import LineWorker, WorkerOptions
 from lecombus.parameters import Code
-from lecombus.protocol.addressing import Form
-from lecombus.protocol.controls import with_parity
-from lecombus.protocol.telegrams import read_telegram
 from lecombus.schedule import Cyclic, Outcome, Priority, Request, Schedule
 from support.children import answer_lines
 

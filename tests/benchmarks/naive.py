@@ -17,10 +17,10 @@ from typing import Any
 
 import serial_asyncio
 
+from lecombus.fieldbus.lecom.protocol.addressing import Form
+from lecombus.fieldbus.lecom.protocol.controls import with_parity
+from lecombus.fieldbus.lecom.protocol.telegrams import read_telegram
 from lecombus.parameters import Code
-from lecombus.protocol.addressing import Form
-from lecombus.protocol.controls import with_parity
-from lecombus.protocol.telegrams import read_telegram
 from support.children import answer_lines
 from support.paced_line import ADDRESSES
 

@@ -13,10 +13,10 @@ import select
 import sys
 import time
 
+from lecombus.fieldbus.lecom.protocol.addressing import Form
+from lecombus.fieldbus.lecom.protocol.controls import with_parity
+from lecombus.fieldbus.lecom.protocol.telegrams import read_telegram
 from lecombus.parameters import Code
-from lecombus.protocol.addressing import Form
-from lecombus.protocol.controls import with_parity
-from lecombus.protocol.telegrams import read_telegram
 from support.paced_line import ADDRESSES
 
 __all__ = ["main"]

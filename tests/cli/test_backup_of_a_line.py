@@ -32,9 +32,9 @@ from lecombus.backups.plan import codes_to_read
 from lecombus.cli.backup import read_drive
 from lecombus.cli.drive_access import HttpDrive
 from lecombus.drives import CodeInfo, Family, family, not_restored
+from lecombus.fieldbus.lecom.simulator.parameters import Refusal
 from lecombus.parameters import Code
 from lecombus.schedule import Priority, Request
-from lecombus.simulator.parameters import Refusal
 from support.fake_drive import Ear
 from support.site_host import Plant, roster_of, with_plant
 

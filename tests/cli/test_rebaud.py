@@ -22,8 +22,8 @@ from lecombus.cli import rebaud
 from lecombus.cli.rebaud_line import carry_out
 from lecombus.config import Roster, parse_roster
 from lecombus.errors import LineLostError
+from lecombus.fieldbus.lecom.rebaud import LineAccess, Subject
 from lecombus.line.loop import run as run_loop
-from lecombus.rebaud import LineAccess, Subject
 from support.rebauding import RebaudLine, Step, Write
 
 pytestmark = pytest.mark.clock

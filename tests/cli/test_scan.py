@@ -21,7 +21,7 @@ from cli.daemon_stub import DaemonStub
 from cli.test_simulate import simulated
 from lecombus.cli import scan
 from lecombus.config import load_roster
-from lecombus.protocol import bcc
+from lecombus.fieldbus.lecom.protocol import bcc
 
 pytestmark = pytest.mark.clock
 

@@ -13,9 +13,9 @@ from lecombus.drives import (
     read_cost,
     write_cost,
 )
+from lecombus.fieldbus.lecom.protocol.addressing import Form
+from lecombus.fieldbus.lecom.protocol.timing import BAUDS
 from lecombus.parameters import Code, Value
-from lecombus.protocol.addressing import Form
-from lecombus.protocol.timing import BAUDS
 
 STANDARD, EXTENDED = Form.STANDARD, Form.EXTENDED
 AT_9600 = LineTiming(9600, adapter_latency_s=0.016, quarantine_s=0.5)

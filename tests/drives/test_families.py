@@ -9,8 +9,8 @@ import pytest
 from lecombus.drives import FAMILY_NAMES, WriteClass, family
 from lecombus.drives.family_files import _packaged, load_family
 from lecombus.errors import ConfigError
+from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.parameters import Code, Format, Value
-from lecombus.protocol.addressing import Form
 
 DESCRIBED = [name for name in FAMILY_NAMES if name != "generic"]
 MODULE = [name for name in DESCRIBED if name != "smvector"]

@@ -21,8 +21,8 @@ from lecombus.drives.measured import (
     SlowAnswers,
     manual_s,
 )
+from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.parameters import Code
-from lecombus.protocol.addressing import Form
 
 FAMILY = family("8200vector")
 STATUS, OTHER, THIRD = Code(150), Code(50), Code(61)

@@ -10,15 +10,21 @@ import pytest
 from lecombus.drives import StopAction, WriteClass, family
 from lecombus.drives.stops import STOP_PAUSE_S
 from lecombus.errors import ExchangeError, NakError, NoReplyError, UnknownCodeError
-from lecombus.line.duplicates import Duplicates
-from lecombus.line.jobs import MulticastJob, ReadBackJob, ReadJob, WriteJob
-from lecombus.line.read_back_proof import WrittenValue
-from lecombus.line.station import Job, JobStep, Station, StepKind
-from lecombus.line.stop_job import StopJob
+from lecombus.fieldbus.lecom.exchanges.duplicates import Duplicates
+from lecombus.fieldbus.lecom.exchanges.jobs import MulticastJob, ReadBackJob, ReadJob, WriteJob
+from lecombus.fieldbus.lecom.exchanges.read_back_proof import WrittenValue
+from lecombus.fieldbus.lecom.exchanges.stop_job import StopJob
+from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
+from lecombus.fieldbus.lecom.protocol.exchange import Result, ResultKind
+from lecombus.fieldbus.lecom.protocol.telegrams import (
+    AckAnswer,
+    Answer,
+    NakAnswer,
+    UnknownCodeAnswer,
+    ValueAnswer,
+)
+from lecombus.fieldbus.station import Job, JobStep, Station, StepKind
 from lecombus.parameters import Code, Value
-from lecombus.protocol.addressing import Form, encode_code
-from lecombus.protocol.exchange import Result, ResultKind
-from lecombus.protocol.telegrams import AckAnswer, Answer, NakAnswer, UnknownCodeAnswer, ValueAnswer
 from lecombus.schedule.request import Outcome
 
 VECTOR = family("8200vector")

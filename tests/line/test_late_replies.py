@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import anyio
 
+from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.line.worker import WorkerOptions
 from lecombus.schedule import Outcome, Priority, WatchdogFeeding
-from lecombus.simulator.faults import Faults
 from support.site_host import Rig, reader, stop, until, with_rig
 
 STOP_A = b"\x0401\x02400\x03"

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from lecombus.line.late_replies import PendingLateReplies
-from lecombus.line.station import StepKind
-from lecombus.protocol.exchange import ACK_FIELD, ResultKind
-from lecombus.protocol.telegrams import NakAnswer
+from lecombus.fieldbus.lecom.exchanges.late_replies import PendingLateReplies
+from lecombus.fieldbus.lecom.protocol.exchange import ACK_FIELD, ResultKind
+from lecombus.fieldbus.lecom.protocol.telegrams import NakAnswer
+from lecombus.fieldbus.lecom.simulator.faults import Faults
+from lecombus.fieldbus.station import StepKind
 from lecombus.schedule import Outcome
-from lecombus.simulator.faults import Faults
 from support.site_host import Ended, Rig, until, with_rig
 
 DEVICES = (("a", 1, "generic"), ("b", 2, "8200vector"))

@@ -8,10 +8,10 @@ import anyio
 import pytest
 
 from lecombus.errors import LineClosedError, LineLostError
+from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.line.port import Port, PortSettings, Receiver
 from lecombus.line.worker import WorkerOptions
 from lecombus.schedule import Cyclic, Outcome, Priority, WatchdogFeeding
-from lecombus.simulator.faults import Faults
 from support.site_host import Rig, reader, stop, until, with_rig
 
 STOP_A = b"\x0401\x02400\x03"

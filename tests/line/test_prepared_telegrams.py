@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 
 from lecombus.drives import LineTiming, StopAction, WriteClass, family, read_cost
-from lecombus.line.jobs import MulticastJob, ReadJob, WriteJob
-from lecombus.line.late_replies import PendingLateReplies
-from lecombus.line.prepared_telegrams import PreparedTelegram, TelegramPreparer
-from lecombus.line.station import Job, Station
-from lecombus.line.stop_job import StopJob
+from lecombus.fieldbus.lecom.exchanges.jobs import MulticastJob, ReadJob, WriteJob
+from lecombus.fieldbus.lecom.exchanges.late_replies import PendingLateReplies
+from lecombus.fieldbus.lecom.exchanges.prepared_telegrams import PreparedTelegram, TelegramPreparer
+from lecombus.fieldbus.lecom.exchanges.stop_job import StopJob
+from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
+from lecombus.fieldbus.lecom.protocol.exchange import ACK_FIELD
+from lecombus.fieldbus.station import Job, Station
 from lecombus.parameters import Code, Value
-from lecombus.protocol.addressing import Form, encode_code
-from lecombus.protocol.exchange import ACK_FIELD
 
 VECTOR, SLOW = family("8200vector"), family("820x")
 TIMING = LineTiming(9600, adapter_latency_s=0.016, quarantine_s=0.05)

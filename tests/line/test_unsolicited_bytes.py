@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 
 from lecombus.drives import family
 from lecombus.drives.measured import MeasuredTimes
-from lecombus.line.late_replies import PendingLateReplies, UnansweredRead
-from lecombus.line.station import Station
-from lecombus.line.unsolicited_bytes import UnsolicitedBytes
+from lecombus.fieldbus.lecom.exchanges.late_replies import PendingLateReplies, UnansweredRead
+from lecombus.fieldbus.lecom.exchanges.unsolicited_bytes import UnsolicitedBytes
+from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
+from lecombus.fieldbus.lecom.protocol.exchange import ACK_FIELD
+from lecombus.fieldbus.lecom.protocol.parser import with_parity
+from lecombus.fieldbus.lecom.protocol.telegrams import ACK_ANSWER, unknown_code_answer, value_answer
+from lecombus.fieldbus.station import Station
 from lecombus.parameters import Code, Value
-from lecombus.protocol.addressing import Form, encode_code
-from lecombus.protocol.exchange import ACK_FIELD
-from lecombus.protocol.parser import with_parity
-from lecombus.protocol.telegrams import ACK_ANSWER, unknown_code_answer, value_answer
 
 FIELD = encode_code(Code(150), Form.STANDARD)
 OTHER = encode_code(Code(150), Form.EXTENDED)

@@ -11,13 +11,13 @@ import anyio
 import pytest
 
 from lecombus.drives import StopAction
-from lecombus.line.station import Station
+from lecombus.fieldbus.lecom.protocol.telegrams import ValueAnswer
+from lecombus.fieldbus.lecom.simulator.faults import Faults, LateKind
+from lecombus.fieldbus.station import Station
 from lecombus.line.worker import WorkerOptions
 from lecombus.parameters import Code, Value
-from lecombus.protocol.telegrams import ValueAnswer
 from lecombus.schedule import Outcome, Priority
 from lecombus.schedule.request import Request
-from lecombus.simulator.faults import Faults, LateKind
 from support.site_host import Ended, Recorder, Rig, stop, until, with_rig
 from support.virtual_loop import run
 

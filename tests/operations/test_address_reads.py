@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import pytest
 
 from lecombus.errors import LineLostError, OperationError
+from lecombus.fieldbus.lecom.protocol.addressing import Form, is_drive_address
+from lecombus.fieldbus.lecom.scanning import Question, Scan, ScanPlan
 from lecombus.operations.address_reads import Heard, HeardKind
 from lecombus.parameters import Code
-from lecombus.protocol.addressing import Form, is_drive_address
-from lecombus.scanning import Question, Scan, ScanPlan
 from lecombus.schedule import Priority
 from support.site_host import Plant, roster_of, until, with_plant
 

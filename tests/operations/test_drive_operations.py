@@ -21,11 +21,11 @@ from lecombus.errors import (
     QueueFullError,
     UnknownCodeError,
 )
+from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.operations.reports import WriteReport
 from lecombus.parameters import Code
 from lecombus.readings import LineState, Quality
 from lecombus.schedule import Outcome, Priority
-from lecombus.simulator.faults import Faults
 from support.site_host import Plant, roster_of, until, with_plant
 
 AB = [("a", 11, "8200vector"), ("b", 12, "8200vector")]

@@ -9,10 +9,10 @@ import anyio.lowlevel
 import pytest
 
 from lecombus.errors import OperationError, QueueFullError
+from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.parameters import Code
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority
-from lecombus.simulator.faults import Faults
 from operations.groups import (
     CAUTIOUS,
     ENABLE,

@@ -9,7 +9,7 @@ from itertools import permutations
 import pytest
 
 from lecombus.errors import ExchangeError
-from lecombus.line.station import StepKind
+from lecombus.fieldbus.station import StepKind
 from lecombus.operations.writes import Writes
 from lecombus.parameters import Code, Value
 from lecombus.readings import DriveState

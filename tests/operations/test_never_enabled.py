@@ -15,9 +15,9 @@ import anyio
 import pytest
 
 from lecombus.drives import FAMILY_NAMES, StopAction, Verb
+from lecombus.fieldbus.lecom.simulator.model import Model
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome
-from lecombus.simulator.model import Model
 from support.site_host import Plant, roster_of, until, with_plant
 
 DESCRIBED = [name for name in FAMILY_NAMES if name != "generic"]

@@ -10,14 +10,14 @@ import pytest
 from lecombus.config import DriveEntry
 from lecombus.drives import StopAction
 from lecombus.errors import OperationError
-from lecombus.line.station import Station
+from lecombus.fieldbus.lecom.simulator.drive import SimDrive
+from lecombus.fieldbus.lecom.simulator.faults import Faults
+from lecombus.fieldbus.lecom.simulator.receiver import ReceivedRequest
+from lecombus.fieldbus.station import Station
 from lecombus.operations.reports import WriteReport
 from lecombus.parameters import Code, Value
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome
-from lecombus.simulator.drive import SimDrive
-from lecombus.simulator.faults import Faults
-from lecombus.simulator.receiver import ReceivedRequest
 from lecombus.state import State
 from support.site_host import Plant, roster_of, until, with_plant
 

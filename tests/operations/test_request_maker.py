@@ -6,11 +6,11 @@ import pytest
 
 from lecombus.drives import LineTiming, StopAction, family
 from lecombus.errors import OperationError
-from lecombus.line.jobs import MulticastJob, ReadJob, WriteJob
-from lecombus.line.station import Station
-from lecombus.operations.request_maker import RequestMaker, form_of, ignore_end
+from lecombus.fieldbus.lecom.exchanges.jobs import MulticastJob, ReadJob, WriteJob
+from lecombus.fieldbus.lecom.protocol.addressing import Form
+from lecombus.fieldbus.lecom.request_maker import RequestMaker, form_of, ignore_end
+from lecombus.fieldbus.station import Station
 from lecombus.parameters import Code, Value
-from lecombus.protocol.addressing import Form
 from lecombus.schedule import Outcome, Priority, Request
 
 COUNTED: list[tuple[Priority, Outcome]] = []

@@ -13,10 +13,10 @@ from lecombus.errors import (
     OperationError,
     QueueFullError,
 )
+from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.operations.requests import Requests, never_sent
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Priority
-from lecombus.simulator.faults import Faults
 from support.single_drives import drive_of
 from support.site_host import Rig, with_rig
 

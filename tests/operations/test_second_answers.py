@@ -12,11 +12,11 @@ import anyio
 import pytest
 
 from lecombus.drives import StopAction
+from lecombus.fieldbus.lecom.simulator.faults import parse_faults
 from lecombus.operations.reports import GroupReport
 from lecombus.parameters import Code
 from lecombus.readings import LineState
 from lecombus.schedule import Outcome
-from lecombus.simulator.faults import parse_faults
 from support.site_host import Plant, roster_of, with_plant
 
 FAMILIES = ("8200vector", "821x", "822x", "smvector", "93xx", "8200vector", "820x", "824x")

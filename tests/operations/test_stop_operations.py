@@ -10,12 +10,12 @@ import pytest
 
 from lecombus.drives import FAMILY_NAMES, StopAction
 from lecombus.errors import OperationError
-from lecombus.line.station import StepKind
+from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
+from lecombus.fieldbus.lecom.simulator.faults import Faults
+from lecombus.fieldbus.station import StepKind
 from lecombus.parameters import Code, Value
-from lecombus.protocol.addressing import Form, encode_code
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome
-from lecombus.simulator.faults import Faults
 from operations.groups import (
     ENABLE,
     GROUPS,

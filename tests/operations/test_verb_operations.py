@@ -13,12 +13,12 @@ import pytest
 
 from lecombus.drives import FAMILY_NAMES, StopAction, Verb
 from lecombus.errors import ExchangeError, LineError, OperationError
+from lecombus.fieldbus.lecom.simulator.families.inverter82xx import Drive82XX
+from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.operations.reports import VerbReport
 from lecombus.parameters import Code
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome
-from lecombus.simulator.families.inverter82xx import Drive82XX
-from lecombus.simulator.faults import Faults
 from support.site_host import Plant, roster_of, until, with_plant
 
 DESCRIBED = [name for name in FAMILY_NAMES if name != "generic"]

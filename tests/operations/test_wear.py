@@ -9,12 +9,12 @@ import pytest
 
 from lecombus.drives import family
 from lecombus.errors import OperationError
+from lecombus.fieldbus.lecom.simulator.faults import Faults
+from lecombus.fieldbus.lecom.simulator.receiver import ReceivedRequest
 from lecombus.operations.reports import WriteReport
 from lecombus.operations.wear import counts, wears
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome
-from lecombus.simulator.faults import Faults
-from lecombus.simulator.receiver import ReceivedRequest
 from lecombus.state import State
 from support.site_host import Plant, roster_of, with_plant
 

@@ -15,11 +15,11 @@ from typing import Any
 
 from lecombus.capacity.plan import Promises, make_promises
 from lecombus.config import Roster
+from lecombus.fieldbus.lecom.exchanges.exchange_loop import ExchangeLoop
+from lecombus.fieldbus.lecom.protocol.exchange import Ask, Exchange, Result
+from lecombus.fieldbus.lecom.protocol.telegrams import ValueAnswer
 from lecombus.line.bus_idle import BusIdleTimer
-from lecombus.line.exchange_loop import ExchangeLoop
 from lecombus.parameters import Value
-from lecombus.protocol.exchange import Ask, Exchange, Result
-from lecombus.protocol.telegrams import ValueAnswer
 from lecombus.schedule import (
     Cyclic,
     Outcome,

@@ -12,10 +12,10 @@ import anyio
 from lecombus.config import DriveEntry
 from lecombus.drives import StopAction, Verb
 from lecombus.errors import LecombusError
+from lecombus.fieldbus.lecom.simulator.line import SimLine
 from lecombus.line_runtime import LineRuntime
 from lecombus.parameters import Code
 from lecombus.schedule import Priority
-from lecombus.simulator.line import SimLine
 from proof.invariants import Invariants
 from proof.lines import TROUBLED, RandomLine
 

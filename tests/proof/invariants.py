@@ -21,10 +21,10 @@ from collections import Counter
 from collections.abc import Callable
 
 from lecombus.capacity.plan import make_promises
-from lecombus.line.observer import ExchangeReport
+from lecombus.fieldbus.lecom.simulator.line import SimLine
+from lecombus.fieldbus.lecom.simulator.receiver import ReceivedRequest
+from lecombus.fieldbus.observer import ExchangeReport
 from lecombus.line_runtime import LineRuntime
-from lecombus.simulator.line import SimLine
-from lecombus.simulator.receiver import ReceivedRequest
 from proof.lines import RandomLine
 from proof.losses import Losses, TolerantLine
 from proof.outcomes import Outcomes

@@ -15,10 +15,10 @@ from random import Random
 from lecombus.capacity.exchange_costs import watched_s
 from lecombus.capacity.watchdog_demand import demand_of, least_time_s
 from lecombus.config import Roster, parse_roster
+from lecombus.fieldbus.lecom.simulator.faults import Faults
+from lecombus.fieldbus.lecom.simulator.line import SimLine
 from lecombus.line_runtime import LineRuntime
 from lecombus.schedule import Priority
-from lecombus.simulator.faults import Faults
-from lecombus.simulator.line import SimLine
 from proof.lines import ADDRESSES, FAMILIES, RandomLine
 
 __all__ = ["MOST_TOLERATED", "Losses", "TolerantLine", "tolerant_line"]

@@ -17,15 +17,15 @@ import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from lecombus.fieldbus.lecom.exchanges.exchange_loop import ExchangeLoop
+from lecombus.fieldbus.lecom.exchanges.jobs import ReadJob, WriteJob
+from lecombus.fieldbus.lecom.exchanges.late_replies import PendingLateReplies
+from lecombus.fieldbus.lecom.exchanges.prepared_telegrams import TelegramPreparer
+from lecombus.fieldbus.lecom.exchanges.read_back_proof import ReadBackProof
+from lecombus.fieldbus.lecom.exchanges.stop_job import StopJob
+from lecombus.fieldbus.lecom.protocol.exchange import Exchange
 from lecombus.judging import Judge
 from lecombus.line.bus_idle import BusIdleTimer
-from lecombus.line.exchange_loop import ExchangeLoop
-from lecombus.line.jobs import ReadJob, WriteJob
-from lecombus.line.late_replies import PendingLateReplies
-from lecombus.line.prepared_telegrams import TelegramPreparer
-from lecombus.line.read_back_proof import ReadBackProof
-from lecombus.line.stop_job import StopJob
-from lecombus.protocol.exchange import Exchange
 from lecombus.schedule.schedule import Schedule
 from lecombus.schedule.shares import Shares
 from lecombus.schedule.silent_stops import SilentStops

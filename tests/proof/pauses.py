@@ -15,10 +15,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from lecombus.simulator.drive import SimDrive
-from lecombus.simulator.families.inverter82xx import Drive82XX
-from lecombus.simulator.line import SimLine
-from lecombus.simulator.receiver import ReceivedRequest
+from lecombus.fieldbus.lecom.simulator.drive import SimDrive
+from lecombus.fieldbus.lecom.simulator.families.inverter82xx import Drive82XX
+from lecombus.fieldbus.lecom.simulator.line import SimLine
+from lecombus.fieldbus.lecom.simulator.receiver import ReceivedRequest
 from proof.lines import RandomLine
 from proof.telegrams import CHARACTER_BITS, Telegram
 

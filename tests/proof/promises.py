@@ -21,13 +21,13 @@ from collections.abc import Callable
 from lecombus.capacity.exchange_costs import read_times, watched_s
 from lecombus.capacity.plan import Promises as LinePromises
 from lecombus.config import line_timing
-from lecombus.line.observer import ExchangeReport
+from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
+from lecombus.fieldbus.lecom.protocol.telegrams import ValueAnswer
+from lecombus.fieldbus.lecom.simulator.line import SimLine
+from lecombus.fieldbus.observer import ExchangeReport
 from lecombus.parameters import Code
-from lecombus.protocol.exchange import ResultKind
-from lecombus.protocol.telegrams import ValueAnswer
 from lecombus.schedule import Priority
 from lecombus.schedule.watchdog_deadline import HARD_PART
-from lecombus.simulator.line import SimLine
 from proof.lines import QUICK_ADAPTER_S, RandomLine
 
 __all__ = ["Promises"]

@@ -18,11 +18,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from lecombus.drives import address_code, family
-from lecombus.line.jobs import ReadBackJob, ReadJob, WriteJob
+from lecombus.fieldbus.lecom.exchanges.jobs import ReadBackJob, ReadJob, WriteJob
+from lecombus.fieldbus.lecom.simulator.families.inverter82xx import Drive82XX
+from lecombus.fieldbus.lecom.simulator.line import SimLine
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome, Priority, Request
-from lecombus.simulator.families.inverter82xx import Drive82XX
-from lecombus.simulator.line import SimLine
 from proof.lines import RandomLine
 from proof.telegrams import Telegram
 

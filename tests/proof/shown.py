@@ -18,16 +18,16 @@ import math
 from collections.abc import Callable
 from itertools import cycle
 
-from lecombus.line.observer import ExchangeReport
-from lecombus.line.station import StepKind
+from lecombus.fieldbus.lecom.protocol.telegrams import ValueAnswer
+from lecombus.fieldbus.lecom.simulator.drive import SimDrive
+from lecombus.fieldbus.lecom.simulator.line import SimLine
+from lecombus.fieldbus.lecom.simulator.model import INHIBIT
+from lecombus.fieldbus.observer import ExchangeReport
+from lecombus.fieldbus.station import StepKind
 from lecombus.line_runtime import LineRuntime
 from lecombus.parameters import Code
-from lecombus.protocol.telegrams import ValueAnswer
 from lecombus.readings import DriveState, Quality
 from lecombus.schedule import Outcome, Priority
-from lecombus.simulator.drive import SimDrive
-from lecombus.simulator.line import SimLine
-from lecombus.simulator.model import INHIBIT
 from lecombus.supervision.watchdogs import REMARK
 from proof.lines import RandomLine
 from proof.losses import TolerantLine

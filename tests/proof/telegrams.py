@@ -12,13 +12,13 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-from lecombus.line.observer import ExchangeReport
-from lecombus.protocol.exchange import ResultKind
+from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
+from lecombus.fieldbus.lecom.simulator.drive import SimDrive
+from lecombus.fieldbus.lecom.simulator.line import SimLine
+from lecombus.fieldbus.lecom.simulator.receiver import RequestReceiver
+from lecombus.fieldbus.lecom.simulator.wire import read_code_field
+from lecombus.fieldbus.observer import ExchangeReport
 from lecombus.schedule import Priority
-from lecombus.simulator.drive import SimDrive
-from lecombus.simulator.line import SimLine
-from lecombus.simulator.receiver import RequestReceiver
-from lecombus.simulator.wire import read_code_field
 
 __all__ = ["Telegram", "Telegrams"]
 

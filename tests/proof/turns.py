@@ -13,8 +13,8 @@ from collections import Counter
 from collections.abc import Callable
 
 from lecombus.capacity.plan import Promises
-from lecombus.line.observer import ExchangeReport
-from lecombus.protocol.exchange import ResultKind
+from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
+from lecombus.fieldbus.observer import ExchangeReport
 from lecombus.schedule import Priority
 from proof.lines import RandomLine
 

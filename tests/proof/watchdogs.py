@@ -13,10 +13,10 @@ from collections.abc import Callable
 
 from lecombus.capacity.exchange_costs import watched_s
 from lecombus.capacity.plan import Promises
-from lecombus.line.observer import ExchangeReport
-from lecombus.protocol.exchange import ResultKind
+from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
+from lecombus.fieldbus.lecom.simulator.line import SimLine
+from lecombus.fieldbus.observer import ExchangeReport
 from lecombus.schedule import Priority
-from lecombus.simulator.line import SimLine
 from proof.lines import RandomLine
 
 __all__ = ["Watchdogs"]

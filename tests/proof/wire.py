@@ -22,20 +22,20 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from lecombus.line.observer import ExchangeReport
-from lecombus.line.station import StepKind
-from lecombus.protocol.exchange import EARLIEST_SHARE, ResultKind
-from lecombus.protocol.telegrams import (
+from lecombus.fieldbus.lecom.protocol.exchange import EARLIEST_SHARE, ResultKind
+from lecombus.fieldbus.lecom.protocol.telegrams import (
     AckAnswer,
     NakAnswer,
     TransmissionErrorAnswer,
     UnknownCodeAnswer,
     ValueAnswer,
 )
+from lecombus.fieldbus.lecom.simulator.drive import SimDrive
+from lecombus.fieldbus.lecom.simulator.families.inverter82xx import Drive82XX
+from lecombus.fieldbus.lecom.simulator.line import SimLine
+from lecombus.fieldbus.observer import ExchangeReport
+from lecombus.fieldbus.station import StepKind
 from lecombus.schedule import Priority
-from lecombus.simulator.drive import SimDrive
-from lecombus.simulator.families.inverter82xx import Drive82XX
-from lecombus.simulator.line import SimLine
 from support.taps import STRIPPED
 
 __all__ = ["Wire", "is_whole"]

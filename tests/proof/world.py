@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import anyio
 
+from lecombus.fieldbus.lecom.simulator.line import SimLine
+from lecombus.fieldbus.lecom.simulator.world import build
 from lecombus.schedule import Priority
-from lecombus.simulator.line import SimLine
-from lecombus.simulator.world import build
 from proof.clients import Clients
 from proof.invariants import Invariants
 from proof.lines import RandomLine

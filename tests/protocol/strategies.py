@@ -6,8 +6,7 @@ import itertools
 
 from hypothesis import strategies as st
 
-from lecombus.parameters import Code, Value
-from lecombus.protocol import (
+from lecombus.fieldbus.lecom.protocol import (
     AckAnswer,
     Answer,
     Form,
@@ -17,6 +16,7 @@ from lecombus.protocol import (
     ValueAnswer,
     encode_code,
 )
+from lecombus.parameters import Code, Value
 
 addressed = st.one_of(
     st.tuples(st.integers(0, 6229).map(Code), st.just(Form.STANDARD)),

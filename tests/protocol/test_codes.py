@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lecombus.errors import CodeValueError
-from lecombus.parameters import Code
-from lecombus.protocol import (
+from lecombus.fieldbus.lecom.protocol import (
     Form,
     decode_code,
     encode_address,
@@ -18,7 +17,8 @@ from lecombus.protocol import (
     is_drive_address,
     is_group_address,
 )
-from lecombus.protocol.addressing import field_length, fits_field
+from lecombus.fieldbus.lecom.protocol.addressing import field_length, fits_field
+from lecombus.parameters import Code
 from protocol.vectors import load
 
 codes = st.builds(Code, st.integers(0, 65535), st.integers(0, 255))

@@ -3,7 +3,17 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lecombus.protocol import ACK, ENQ, EOT, ETX, NAK, STX, bcc, strip_parity, with_parity
+from lecombus.fieldbus.lecom.protocol import (
+    ACK,
+    ENQ,
+    EOT,
+    ETX,
+    NAK,
+    STX,
+    bcc,
+    strip_parity,
+    with_parity,
+)
 
 seven_bit = st.binary(max_size=64).map(lambda data: bytes(byte & 0x7F for byte in data))
 

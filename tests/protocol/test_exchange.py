@@ -8,10 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lecombus.parameters import Code, Value
-from lecombus.protocol.addressing import Form, encode_code
-from lecombus.protocol.exchange import ACK_FIELD, Ask, Exchange, Result, ResultKind
-from lecombus.protocol.telegrams import (
+from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
+from lecombus.fieldbus.lecom.protocol.exchange import ACK_FIELD, Ask, Exchange, Result, ResultKind
+from lecombus.fieldbus.lecom.protocol.telegrams import (
     ACK_ANSWER,
     NAK_ANSWER,
     AckAnswer,
@@ -22,6 +21,7 @@ from lecombus.protocol.telegrams import (
     unknown_code_answer,
     value_answer,
 )
+from lecombus.parameters import Code, Value
 
 CODE, OTHER = Code(46), Code(50)
 

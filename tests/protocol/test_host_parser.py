@@ -4,8 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lecombus.parameters import Code, Value
-from lecombus.protocol import (
+from lecombus.fieldbus.lecom.protocol import (
     MAX_ANSWER_CHARS,
     BadRequest,
     Form,
@@ -19,6 +18,7 @@ from lecombus.protocol import (
     with_parity,
     write_telegram,
 )
+from lecombus.parameters import Code, Value
 from protocol.strategies import addressed, cut, sendable
 
 C46 = encode_code(Code(46), Form.STANDARD)

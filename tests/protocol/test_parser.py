@@ -6,8 +6,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from lecombus.parameters import Code, Value
-from lecombus.protocol import (
+from lecombus.fieldbus.lecom.protocol import (
     MAX_ANSWER_CHARS,
     TAIL_LIMIT,
     AckAnswer,
@@ -24,7 +23,8 @@ from lecombus.protocol import (
     value_answer,
     with_parity,
 )
-from lecombus.protocol.parser import _whole
+from lecombus.fieldbus.lecom.protocol.parser import _whole
+from lecombus.parameters import Code, Value
 from protocol.strategies import answers, cut, fields, values
 from protocol.vectors import feed_all, load, splits, wire
 

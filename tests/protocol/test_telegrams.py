@@ -3,8 +3,7 @@ from __future__ import annotations
 import pytest
 
 from lecombus.errors import CodeValueError
-from lecombus.parameters import Code, Value
-from lecombus.protocol import (
+from lecombus.fieldbus.lecom.protocol import (
     ACK_ANSWER,
     NAK_ANSWER,
     BadAnswer,
@@ -17,6 +16,7 @@ from lecombus.protocol import (
     value_answer,
     write_telegram,
 )
+from lecombus.parameters import Code, Value
 
 C46 = Code(46)
 

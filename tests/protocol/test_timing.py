@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lecombus.errors import CodeValueError
-from lecombus.parameters import Code, Value
-from lecombus.protocol import (
+from lecombus.fieldbus.lecom.protocol import (
     ACK_ANSWER,
     ACK_CHARS,
     BAUDS,
@@ -28,6 +27,7 @@ from lecombus.protocol import (
     write_telegram,
     write_wire_s,
 )
+from lecombus.parameters import Code, Value
 from protocol.vectors import load
 
 TABLE = load("times.yaml")

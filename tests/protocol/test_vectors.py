@@ -6,8 +6,7 @@ from typing import Any
 
 import pytest
 
-from lecombus.parameters import Code, Format, Value
-from lecombus.protocol import (
+from lecombus.fieldbus.lecom.protocol import (
     AckAnswer,
     Answer,
     AnswerParser,
@@ -28,6 +27,7 @@ from lecombus.protocol import (
     with_parity,
     write_telegram,
 )
+from lecombus.parameters import Code, Format, Value
 from protocol.vectors import feed_all, load, named, splits, wire
 
 ANSWERS = named("answers.yaml")

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import yaml
 
-from lecombus.protocol import Answer, AnswerParser
+from lecombus.fieldbus.lecom.protocol import Answer, AnswerParser
 
 FOLDER = Path(__file__).parent.parent / "vectors"
 

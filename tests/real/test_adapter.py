@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from lecombus.simulator import PtyEnd
+from lecombus.fieldbus.lecom.simulator import PtyEnd
 from support.daemon_host import (
     Daemon,
     Wanted,

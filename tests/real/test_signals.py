@@ -16,8 +16,8 @@ import pytest
 from lecombus import daemon as daemon_module
 from lecombus import line_runtime
 from lecombus.config import parse_roster
+from lecombus.fieldbus.lecom.simulator import PtyEnd
 from lecombus.line.worker import LineWorker
-from lecombus.simulator import PtyEnd
 from support.daemon_host import Daemon, Wanted, roster_text, running, short_dir, sim_line, until
 
 pytestmark = [pytest.mark.real, pytest.mark.timeout(40)]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from lecombus.simulator import PtyEnd
+from lecombus.fieldbus.lecom.simulator import PtyEnd
 from real.test_ser2net import ser2net
 from support.daemon_host import (
     Daemon,

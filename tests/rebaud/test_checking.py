@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
+from lecombus.fieldbus.lecom.protocol.addressing import Form
+from lecombus.fieldbus.lecom.rebaud import DrivePlace, Subject
+from lecombus.fieldbus.lecom.simulator import SimDrive
+from lecombus.fieldbus.lecom.simulator.motor import Motor
 from lecombus.parameters import Code
-from lecombus.protocol.addressing import Form
-from lecombus.rebaud import DrivePlace, Subject
-from lecombus.simulator import SimDrive
-from lecombus.simulator.motor import Motor
 from support.rebauding import RebaudLine, Write, subject_of
 
 FAMILIES = ("820x", "821x", "822x", "824x", "8200vector", "93xx", "smvector")

@@ -6,8 +6,8 @@ import random
 
 import pytest
 
-from lecombus.rebaud import DrivePlace, RebaudEnd, ending_of, situation, what_to_do
-from lecombus.simulator import SimDrive
+from lecombus.fieldbus.lecom.rebaud import DrivePlace, RebaudEnd, ending_of, situation, what_to_do
+from lecombus.fieldbus.lecom.simulator import SimDrive
 from rebaud.test_checking import FAMILIES, standing
 from support.rebauding import Read, RebaudLine, Step, Write, baud_of
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from lecombus.fieldbus.lecom.scanning import Finding, FoundWatchdog
+from lecombus.fieldbus.lecom.scanning.identifying import identify
+from lecombus.fieldbus.lecom.simulator import SimDrive, SimLine, build
 from lecombus.parameters import Code
-from lecombus.scanning import Finding, FoundWatchdog
-from lecombus.scanning.identifying import identify
-from lecombus.simulator import SimDrive, SimLine, build
 from support.scanning import ScannedLine
 
 ADDRESS = 23

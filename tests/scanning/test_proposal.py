@@ -8,9 +8,16 @@ from hypothesis import strategies as st
 
 from lecombus.config import RosterError, WatchdogEntry, parse_roster
 from lecombus.drives import FAMILY_NAMES, family
+from lecombus.fieldbus.lecom.protocol.addressing import is_drive_address
+from lecombus.fieldbus.lecom.scanning import (
+    Finding,
+    FoundWatchdog,
+    ProposedLine,
+    Unclear,
+    check_place,
+    propose,
+)
 from lecombus.parameters import Code
-from lecombus.protocol.addressing import is_drive_address
-from lecombus.scanning import Finding, FoundWatchdog, ProposedLine, Unclear, check_place, propose
 
 PLACE = ProposedLine("hall-3", "/dev/serial/by-id/usb-x")
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from lecombus.protocol.addressing import is_drive_address
-from lecombus.scanning import ForeignTalkError, Heard, Question, Scan, ScanPlan
-from lecombus.simulator import SimLine, build
-from lecombus.simulator.wire import PARITY_TABLE
+from lecombus.fieldbus.lecom.protocol.addressing import is_drive_address
+from lecombus.fieldbus.lecom.scanning import ForeignTalkError, Heard, Question, Scan, ScanPlan
+from lecombus.fieldbus.lecom.simulator import SimLine, build
+from lecombus.fieldbus.lecom.simulator.wire import PARITY_TABLE
 from support.scanning import ScannedLine
 from support.sim_host import read_telegram
 

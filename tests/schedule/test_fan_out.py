@@ -8,8 +8,8 @@ from itertools import combinations_with_replacement, permutations
 import pytest
 
 from lecombus.drives import LineTiming, family
-from lecombus.line.station import Station
-from lecombus.operations.request_maker import RequestMaker
+from lecombus.fieldbus.lecom.request_maker import RequestMaker
+from lecombus.fieldbus.station import Station
 from lecombus.parameters import Code, Value
 from lecombus.schedule.fan_out import Part, least_order, took_s
 

@@ -11,13 +11,13 @@ import pytest
 
 from lecombus.drives import FAMILY_NAMES, CodeInfo, Family, family
 from lecombus.drives.codes import Storage
+from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
+from lecombus.fieldbus.lecom.simulator import MemoryEnd, SimDrive, SimLine, build
+from lecombus.fieldbus.lecom.simulator.families import MODELS
+from lecombus.fieldbus.lecom.simulator.parameters import Kept
+from lecombus.fieldbus.lecom.simulator.wire import code_field
 from lecombus.line.port import PortOpener
 from lecombus.parameters import Code, Value
-from lecombus.protocol.addressing import Form, encode_code
-from lecombus.simulator import MemoryEnd, SimDrive, SimLine, build
-from lecombus.simulator.families import MODELS
-from lecombus.simulator.parameters import Kept
-from lecombus.simulator.wire import code_field
 from support.sim_host import Host, read_telegram, write_telegram
 
 
@@ -122,7 +122,7 @@ def test_both_write_the_same_code_fields(number: int) -> None:
 
 
 def test_the_masters_telegrams_are_those_a_drive_hears() -> None:
-    from lecombus.protocol import telegrams
+    from lecombus.fieldbus.lecom.protocol import telegrams
 
     value = Value.parse("95.2")
     assert telegrams.read_telegram(34, Code(46), Form.STANDARD) == read_telegram(34, 46)

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from lecombus.drives import FAMILY_NAMES, family
 from lecombus.drives.faults import FaultKind
 from lecombus.drives.operating import OperatingState
+from lecombus.fieldbus.lecom.simulator import SimDrive
+from lecombus.fieldbus.lecom.simulator.model import INHIBIT, QSP, Model
+from lecombus.fieldbus.lecom.simulator.troubles import Kind
 from lecombus.parameters import Code
-from lecombus.simulator import SimDrive
-from lecombus.simulator.model import INHIBIT, QSP, Model
-from lecombus.simulator.troubles import Kind
 
 DESCRIBED = [name for name in FAMILY_NAMES if name != "generic"]
 KINDS = {

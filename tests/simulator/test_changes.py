@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from lecombus.simulator import SimDrive, SimLine, build
-from lecombus.simulator.families import MODELS
-from lecombus.simulator.parameters import Kept
+from lecombus.fieldbus.lecom.simulator import SimDrive, SimLine, build
+from lecombus.fieldbus.lecom.simulator.families import MODELS
+from lecombus.fieldbus.lecom.simulator.parameters import Kept
 from support.sim_host import Host, write_telegram
 
 DESCRIBED = [name for name in MODELS if name != "generic"]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import pytest
 
-from lecombus.simulator import SimDrive, SimLine
+from lecombus.fieldbus.lecom.simulator import SimDrive, SimLine
 from support.sim_host import Host
 
 BANKED = ("820x", "821x", "822x", "824x", "8200vector", "93xx", "smvector")

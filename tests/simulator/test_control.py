@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from lecombus.simulator import (
+from lecombus.fieldbus.lecom.simulator import (
     Control,
     ControlError,
     ControlSocket,

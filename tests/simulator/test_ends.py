@@ -16,8 +16,8 @@ from pathlib import Path
 
 import pytest
 
-from lecombus.simulator import PtyEnd, SimLine, TcpEnd, build
-from lecombus.simulator.wire import PARITY_TABLE
+from lecombus.fieldbus.lecom.simulator import PtyEnd, SimLine, TcpEnd, build
+from lecombus.fieldbus.lecom.simulator.wire import PARITY_TABLE
 from support.sim_host import read_telegram
 
 pytestmark = pytest.mark.real

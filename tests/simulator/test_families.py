@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from lecombus.simulator import SimDrive, SimLine
-from lecombus.simulator.families import MODELS
+from lecombus.fieldbus.lecom.simulator import SimDrive, SimLine
+from lecombus.fieldbus.lecom.simulator.families import MODELS
 from support.sim_host import Host, read_telegram, write_telegram
 
 INVERTERS_82XX = ("820x", "821x", "822x", "824x", "8200vector")

@@ -6,9 +6,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lecombus.simulator import Faults, LateKind, SimDrive, SimLine, build, parse_faults
-from lecombus.simulator.spoiling import make_noise
-from lecombus.simulator.wire import PARITY_TABLE
+from lecombus.fieldbus.lecom.simulator import (
+    Faults,
+    LateKind,
+    SimDrive,
+    SimLine,
+    build,
+    parse_faults,
+)
+from lecombus.fieldbus.lecom.simulator.spoiling import make_noise
+from lecombus.fieldbus.lecom.simulator.wire import PARITY_TABLE
 from support.sim_host import Host, read_telegram, write_telegram
 
 CHAR_S = 10 / 19200

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lecombus.simulator import Faults, LateKind, SimDrive, SimLine, build
+from lecombus.fieldbus.lecom.simulator import Faults, LateKind, SimDrive, SimLine, build
 from support.sim_host import Host, read_telegram, write_telegram
 
 CHAR_S = 10 / 9600

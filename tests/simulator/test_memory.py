@@ -7,8 +7,8 @@ import asyncio
 import pytest
 
 from lecombus.errors import LineLostError
-from lecombus.simulator import MemoryEnd, MemoryPort, SimLine, build
-from lecombus.simulator.wire import PARITY_TABLE
+from lecombus.fieldbus.lecom.simulator import MemoryEnd, MemoryPort, SimLine, build
+from lecombus.fieldbus.lecom.simulator.wire import PARITY_TABLE
 from support.sim_host import read_telegram
 from support.virtual_loop import run
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lecombus.simulator import SimDrive, SimLine
+from lecombus.fieldbus.lecom.simulator import SimDrive, SimLine
 from support.sim_host import Host
 
 

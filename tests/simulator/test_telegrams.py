@@ -6,8 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lecombus.simulator import Faults, SimDrive, SimLine
-from lecombus.simulator.wire import code_field, decimal_text, read_code_field, read_decimal
+from lecombus.fieldbus.lecom.simulator import Faults, SimDrive, SimLine
+from lecombus.fieldbus.lecom.simulator.wire import (
+    code_field,
+    decimal_text,
+    read_code_field,
+    read_decimal,
+)
 from support.sim_host import Host, read_telegram, write_telegram
 
 

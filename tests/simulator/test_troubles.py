@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from lecombus.simulator import SimDrive, SimLine
-from lecombus.simulator.families import MODELS
+from lecombus.fieldbus.lecom.simulator import SimDrive, SimLine
+from lecombus.fieldbus.lecom.simulator.families import MODELS
 from support.sim_host import Host
 
 RESETS = {"821x": (43, "0"), "8200vector": (43, "0"), "93xx": (43, "0"), "smvector": (43, "1")}

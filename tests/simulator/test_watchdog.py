@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lecombus.simulator import SimDrive, SimLine
+from lecombus.fieldbus.lecom.simulator import SimDrive, SimLine
 from support.sim_host import Host, read_telegram, write_telegram
 
 BEHIND_2102 = ("820x", "821x", "822x", "824x", "8200vector", "93xx")

@@ -12,11 +12,11 @@ from random import Random
 
 import pytest
 
-from lecombus.simulator.line import SimLine
-from lecombus.simulator.outbox import Speech
-from lecombus.simulator.receiver import ReceivedRequest
-from lecombus.simulator.wire import EOT, ETX, PARITY_TABLE, STX, bcc, code_field
-from lecombus.simulator.world import build
+from lecombus.fieldbus.lecom.simulator.line import SimLine
+from lecombus.fieldbus.lecom.simulator.outbox import Speech
+from lecombus.fieldbus.lecom.simulator.receiver import ReceivedRequest
+from lecombus.fieldbus.lecom.simulator.wire import EOT, ETX, PARITY_TABLE, STX, bcc, code_field
+from lecombus.fieldbus.lecom.simulator.world import build
 
 DRIVES = [("a", 1, "8200vector"), ("b", 2, "820x"), ("c", 12, "93xx"), ("d", 13, "smvector")]
 FAULTS = (

@@ -6,8 +6,8 @@ from decimal import Decimal
 
 import pytest
 
+from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
 from lecombus.parameters import Code
-from lecombus.protocol.exchange import ResultKind
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome
 from lecombus.supervision.configurations import Configurations

@@ -10,10 +10,10 @@ import pytest
 
 from lecombus.drive_runtime import Drive
 from lecombus.errors import LecombusError
+from lecombus.fieldbus.lecom.simulator.faults import Faults
+from lecombus.fieldbus.lecom.simulator.parameters import CommError, ExtendedError, Refusal
 from lecombus.parameters import Code
 from lecombus.readings import DriveState
-from lecombus.simulator.faults import Faults
-from lecombus.simulator.parameters import CommError, ExtendedError, Refusal
 from lecombus.store import DriveChanged, LineState
 from support.site_host import Plant, plainly, roster_of, until, with_plant
 

@@ -5,13 +5,19 @@ from __future__ import annotations
 import pytest
 
 from lecombus.drive_runtime import LineDrives
-from lecombus.line.observer import ExchangeReport
-from lecombus.line.station import JobStep, StepKind
+from lecombus.fieldbus.lecom.protocol.exchange import Result, ResultKind
+from lecombus.fieldbus.lecom.protocol.telegrams import (
+    AckAnswer,
+    Answer,
+    NakAnswer,
+    UnknownCodeAnswer,
+    ValueAnswer,
+)
+from lecombus.fieldbus.observer import ExchangeReport
+from lecombus.fieldbus.station import JobStep, StepKind
 from lecombus.line_events import ExchangeEvent, LineChange
 from lecombus.metrics import Metrics
 from lecombus.parameters import Code, Value
-from lecombus.protocol.exchange import Result, ResultKind
-from lecombus.protocol.telegrams import AckAnswer, Answer, NakAnswer, UnknownCodeAnswer, ValueAnswer
 from lecombus.schedule import Priority
 from lecombus.store import Store
 from lecombus.supervision.exchange_recorder import ExchangeRecorder

@@ -9,10 +9,10 @@ import pytest
 
 from lecombus.drives import family
 from lecombus.drives.faults import FaultKind
+from lecombus.fieldbus.lecom.simulator.families.smvector import SMVector
 from lecombus.parameters import Code, Value
 from lecombus.readings import ActiveFault
 from lecombus.schedule import Outcome
-from lecombus.simulator.families.smvector import SMVector
 from lecombus.store import Store
 from lecombus.supervision.fault_watch import TRIES, FaultWatch
 from support.single_drives import AskedLine, drive_of

@@ -9,10 +9,10 @@ import pytest
 
 from lecombus.drives import StopAction
 from lecombus.errors import OperationError
+from lecombus.fieldbus.lecom.simulator.parameters import CommError, ExtendedError, Refusal
 from lecombus.parameters import Code
 from lecombus.readings import DriveState, Quality
 from lecombus.schedule import Outcome
-from lecombus.simulator.parameters import CommError, ExtendedError, Refusal
 from lecombus.state import DriveFacts, State
 from support.site_host import Plant, roster_of, until, with_plant
 

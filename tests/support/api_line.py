@@ -15,6 +15,7 @@ from lecombus.drives import OperatingState, StopAction, Text, Verb, family
 from lecombus.drives.faults.reasons import Weight
 from lecombus.drives.measured import AnswerRow
 from lecombus.errors import LecombusError
+from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.metrics import Metrics
 from lecombus.operations.address_reads import Heard, HeardKind
 from lecombus.operations.findings import Finding, MemoryEntry, WhyReport
@@ -30,7 +31,6 @@ from lecombus.operations.reports import (
 from lecombus.operations.requests import IS_GONE, refuse_for_gone_client
 from lecombus.operations.wear import CodeWear, WearReport
 from lecombus.parameters import Code, Value
-from lecombus.protocol.addressing import Form
 from lecombus.schedule.request import Outcome, Priority
 from lecombus.store import DriveState, LineState, Reading, Store
 

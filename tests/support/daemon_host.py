@@ -27,7 +27,7 @@ from typing import Any, TypeVar
 import httpx2
 import pytest
 
-from lecombus.simulator import PtyEnd, SimLine, build
+from lecombus.fieldbus.lecom.simulator import PtyEnd, SimLine, build
 
 __all__ = [
     "FIVE",

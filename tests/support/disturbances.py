@@ -17,10 +17,10 @@ from dataclasses import dataclass, field
 import anyio
 
 from lecombus.errors import LecombusError
+from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
+from lecombus.fieldbus.lecom.simulator.faults import Faults, parse_faults
 from lecombus.parameters import Code
-from lecombus.protocol.exchange import ResultKind
 from lecombus.readings import DriveState
-from lecombus.simulator.faults import Faults, parse_faults
 from support.site_host import Plant
 from support.virtual_loop import Machine, Paused, Starved
 

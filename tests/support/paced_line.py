@@ -24,10 +24,10 @@ from pathlib import Path
 from typing import Any
 
 from lecombus.config import load_roster
-from lecombus.simulator import PtyEnd, SimLine
-from lecombus.simulator.drive import SimDrive
-from lecombus.simulator.faults import parse_faults
-from lecombus.simulator.receiver import ReceivedRequest
+from lecombus.fieldbus.lecom.simulator import PtyEnd, SimLine
+from lecombus.fieldbus.lecom.simulator.drive import SimDrive
+from lecombus.fieldbus.lecom.simulator.faults import parse_faults
+from lecombus.fieldbus.lecom.simulator.receiver import ReceivedRequest
 from support.drives import presets
 
 __all__ = ["ADDRESSES", "FAMILY", "WatchedLine", "drives", "main"]

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from lecombus.drives import family
 from lecombus.drives.access import ReadResult, WriteResult
 from lecombus.drives.identity import identity_codes
+from lecombus.fieldbus.lecom.protocol import with_parity
+from lecombus.fieldbus.lecom.protocol.addressing import Form
+from lecombus.fieldbus.lecom.rebaud import LineAccess, Rebaud, Subject
+from lecombus.fieldbus.lecom.scanning import HeardKind, Question
+from lecombus.fieldbus.lecom.simulator import SimDrive, SimLine
 from lecombus.parameters import Code, Value
-from lecombus.protocol import with_parity
-from lecombus.protocol.addressing import Form
-from lecombus.rebaud import LineAccess, Rebaud, Subject
-from lecombus.scanning import HeardKind, Question
-from lecombus.simulator import SimDrive, SimLine
 from support.scanning import ScannedLine, run_now
 from support.sim_host import write_telegram
 

@@ -9,16 +9,16 @@ from __future__ import annotations
 from collections.abc import Awaitable
 from typing import TypeVar
 
-from lecombus.protocol.addressing import Form, encode_code
-from lecombus.protocol.parser import AnswerParser
-from lecombus.protocol.telegrams import (
+from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
+from lecombus.fieldbus.lecom.protocol.parser import AnswerParser
+from lecombus.fieldbus.lecom.protocol.telegrams import (
     BadAnswer,
     TransmissionErrorAnswer,
     UnknownCodeAnswer,
     ValueAnswer,
 )
-from lecombus.scanning import Heard, HeardKind, Question
-from lecombus.simulator import SimLine
+from lecombus.fieldbus.lecom.scanning import Heard, HeardKind, Question
+from lecombus.fieldbus.lecom.simulator import SimLine
 from support.sim_host import Host, read_telegram
 
 PATIENCE_S, PATIENT_S, PAUSE_S = 0.13, 0.65, 0.06

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from lecombus.simulator import SimLine
-from lecombus.simulator.wire import PARITY_TABLE, bcc, code_field
+from lecombus.fieldbus.lecom.simulator import SimLine
+from lecombus.fieldbus.lecom.simulator.wire import PARITY_TABLE, bcc, code_field
 
 __all__ = ["Host", "read_telegram", "write_telegram"]
 

@@ -8,12 +8,12 @@ from lecombus.config import parse_roster
 from lecombus.drive_runtime import Drive
 from lecombus.drives import Family, family
 from lecombus.errors import LineLostError
-from lecombus.line.observer import ExchangeReport
-from lecombus.line.station import JobStep, Station, StepKind
+from lecombus.fieldbus.lecom.protocol.exchange import Result, ResultKind
+from lecombus.fieldbus.lecom.protocol.telegrams import ValueAnswer
+from lecombus.fieldbus.observer import ExchangeReport
+from lecombus.fieldbus.station import JobStep, Station, StepKind
 from lecombus.line_events import ExchangeEvent
 from lecombus.parameters import Code, Value
-from lecombus.protocol.exchange import Result, ResultKind
-from lecombus.protocol.telegrams import ValueAnswer
 from lecombus.schedule import Priority, Settle
 from support.site_host import roster_of
 

@@ -18,19 +18,19 @@ import anyio
 
 from lecombus.config import Roster, parse_roster
 from lecombus.drives import LineTiming, StopAction, family
-from lecombus.line.observer import ExchangeReport
+from lecombus.fieldbus.lecom.request_maker import RequestMaker
+from lecombus.fieldbus.lecom.simulator.drive import SimDrive
+from lecombus.fieldbus.lecom.simulator.line import SimLine
+from lecombus.fieldbus.lecom.simulator.memory import MemoryEnd
+from lecombus.fieldbus.lecom.simulator.world import build
+from lecombus.fieldbus.observer import ExchangeReport
+from lecombus.fieldbus.station import Station
 from lecombus.line.port import Port, PortSettings, Receiver
-from lecombus.line.station import Station
 from lecombus.line.worker import LineWorker, WorkerOptions
 from lecombus.line_runtime import LineRuntime
-from lecombus.operations.request_maker import RequestMaker
 from lecombus.parameters import Code, Value
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority, Request, Schedule
-from lecombus.simulator.drive import SimDrive
-from lecombus.simulator.line import SimLine
-from lecombus.simulator.memory import MemoryEnd
-from lecombus.simulator.world import build
 from lecombus.state import State
 from support.taps import STRIPPED, WALL_S, ObserverTap, PortTap, ReceiverTap, running
 from support.virtual_loop import run

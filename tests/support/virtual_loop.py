@@ -28,7 +28,7 @@ __all__ = [
     "run",
 ]
 
-from lecombus.simulator.memory import MemoryPort
+from lecombus.fieldbus.lecom.simulator.memory import MemoryPort
 
 T = TypeVar("T")
 Ts = TypeVarTuple("Ts")

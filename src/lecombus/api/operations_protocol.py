@@ -13,6 +13,7 @@ from decimal import Decimal
 from typing import Protocol
 
 from lecombus.drives import StopAction, Verb
+from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.operations.address_reads import Heard
 from lecombus.operations.findings import WhyReport
 from lecombus.operations.identities import IdentityReport
@@ -26,7 +27,6 @@ from lecombus.operations.reports import (
 )
 from lecombus.operations.wear import WearReport
 from lecombus.parameters import Code
-from lecombus.protocol.addressing import Form
 from lecombus.schedule.request import Priority
 from lecombus.store import Reading
 

@@ -27,7 +27,7 @@ from lecombus.api.page_cache import PageCache
 from lecombus.api.problems import Problem, ProblemError
 from lecombus.api.request_checks import code_of, read_query, refuse_query
 from lecombus.descriptions import code_document, family_document
-from lecombus.protocol.addressing import Form
+from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.readings import DriveInfo, Json, json_value
 from lecombus.store import Store
 

@@ -21,8 +21,8 @@ from lecombus.drives import (
     write_cost,
 )
 from lecombus.drives.costs import Cost
+from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.parameters import Code, Value
-from lecombus.protocol.addressing import Form
 from lecombus.roster import DriveEntry, LineEntry, is_network_port
 
 __all__ = [

@@ -12,8 +12,8 @@ from decimal import Decimal
 from typing import Any
 
 from lecombus.drives.measured import AnswerRow, SlowAnswers
+from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.parameters import Code
-from lecombus.protocol.addressing import Form
 from lecombus.roster import ApiEntry, CyclicEntry, DriveEntry, LineEntry, Roster, WatchdogEntry
 
 __all__ = ["answers_of", "facts_of", "roster_of", "slow_of"]

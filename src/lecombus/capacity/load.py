@@ -22,7 +22,7 @@ from lecombus.capacity.exchange_costs import (
 )
 from lecombus.capacity.watchdog_demand import demand_of, least_time_s
 from lecombus.drives import LineTiming
-from lecombus.protocol.timing import BAUDS
+from lecombus.fieldbus.lecom.protocol.timing import BAUDS
 from lecombus.roster import DriveEntry, Roster
 from lecombus.schedule.shares import BACKOFF_MOST_S, LISTEN_EVERY_S, LISTEN_S
 from lecombus.schedule.watchdog_deadline import HARD_PART, SOFT_PART, SPARE_ATTEMPTS

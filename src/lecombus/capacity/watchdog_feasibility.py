@@ -34,7 +34,7 @@ from lecombus.capacity.watchdog_demand import (
 )
 from lecombus.drives import LineTiming
 from lecombus.durations import format_duration
-from lecombus.protocol.timing import BAUDS
+from lecombus.fieldbus.lecom.protocol.timing import BAUDS
 from lecombus.roster import DriveEntry, Roster
 from lecombus.schedule.watchdog_deadline import HARD_PART
 

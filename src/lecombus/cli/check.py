@@ -13,7 +13,7 @@ from lecombus.cli.exits import Exit
 from lecombus.cli.screen import on_terminal, show_rows
 from lecombus.config import RosterError, load_roster
 from lecombus.config.describing import DescribedDrive, DescribedGroup, Description, describe
-from lecombus.protocol.addressing import group_reach
+from lecombus.fieldbus.lecom.protocol.addressing import group_reach
 
 __all__ = ["check_command", "report_lines"]
 

@@ -12,10 +12,10 @@ from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.own_line import own_line
 from lecombus.drives import LineTiming, family
 from lecombus.errors import ExchangeError, NoReplyError
+from lecombus.fieldbus.station import Station
 from lecombus.line.loop import run
 from lecombus.line.no_answers import END_IT, others_at, shared, unheard_remedy
 from lecombus.line.port import PortSettings
-from lecombus.line.station import Station
 from lecombus.parameters import Code, Value
 from lecombus.readings import Quality, Reading
 from lecombus.schedule import Priority

@@ -17,11 +17,11 @@ from lecombus.config import LineEntry, line_timing
 from lecombus.drive_runtime import LineDrives
 from lecombus.drives import LineTiming
 from lecombus.errors import LecombusError, LineLostError
-from lecombus.line.observer import ExchangeReport
+from lecombus.fieldbus.lecom.request_maker import RequestMaker
+from lecombus.fieldbus.observer import ExchangeReport
 from lecombus.line.opening import open_port
 from lecombus.line.port import Port, PortSettings, Receiver
 from lecombus.line.worker import LineWorker, WorkerOptions
-from lecombus.operations.request_maker import RequestMaker
 from lecombus.operations.requests import Requests
 from lecombus.schedule import Outcome, Priority, Schedule
 

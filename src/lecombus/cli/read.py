@@ -11,9 +11,9 @@ from lecombus.cli.arguments import CODE, daemon_options
 from lecombus.cli.client import connect
 from lecombus.cli.document_rows import show_reading
 from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.fieldbus.lecom.protocol import BAUDS as ALL_BAUDS
+from lecombus.fieldbus.lecom.protocol import is_drive_address
 from lecombus.parameters import Code
-from lecombus.protocol import BAUDS as ALL_BAUDS
-from lecombus.protocol import is_drive_address
 
 __all__ = ["read_command"]
 

@@ -22,10 +22,8 @@ from lecombus.config import DriveEntry, Roster, load_roster
 from lecombus.drives import family, saving_rule
 from lecombus.drives.identity import identity_codes
 from lecombus.errors import LecombusError
-from lecombus.line.loop import run
-from lecombus.parameters import Code
-from lecombus.protocol import BAUDS
-from lecombus.rebaud import (
+from lecombus.fieldbus.lecom.protocol import BAUDS
+from lecombus.fieldbus.lecom.rebaud import (
     DrivePlace,
     LineAccess,
     Rebaud,
@@ -36,6 +34,8 @@ from lecombus.rebaud import (
     situation,
     what_to_do,
 )
+from lecombus.line.loop import run
+from lecombus.parameters import Code
 from lecombus.state import State
 
 __all__ = ["rebaud_command"]

@@ -22,11 +22,11 @@ from lecombus.errors import (
     NakError,
     UnknownCodeError,
 )
-from lecombus.line.station import Station
+from lecombus.fieldbus.lecom.protocol.addressing import Form
+from lecombus.fieldbus.lecom.rebaud import LineAccess, Subject
+from lecombus.fieldbus.station import Station
 from lecombus.line_runtime import options_of
 from lecombus.parameters import Code, Value
-from lecombus.protocol.addressing import Form
-from lecombus.rebaud import LineAccess, Subject
 from lecombus.schedule import Outcome, Priority
 
 __all__ = ["carry_out", "form_of"]

@@ -26,12 +26,8 @@ from lecombus.cli.screen import on_terminal, show_rows
 from lecombus.config import LineEntry, line_timing
 from lecombus.config.building import STATE_DIR
 from lecombus.drives import family, read_cost
-from lecombus.line.loop import run
-from lecombus.line.no_answers import END_IT, others_at, shared
-from lecombus.operations.address_reads import read_address
-from lecombus.parameters import Code, Value
-from lecombus.protocol import BAUDS, Form, is_drive_address
-from lecombus.scanning import (
+from lecombus.fieldbus.lecom.protocol import BAUDS, Form, is_drive_address
+from lecombus.fieldbus.lecom.scanning import (
     Finding,
     Heard,
     HeardKind,
@@ -44,6 +40,10 @@ from lecombus.scanning import (
     propose,
     why_nothing,
 )
+from lecombus.line.loop import run
+from lecombus.line.no_answers import END_IT, others_at, shared
+from lecombus.operations.address_reads import read_address
+from lecombus.parameters import Code, Value
 from lecombus.schedule import Priority
 
 __all__ = ["scan_command"]

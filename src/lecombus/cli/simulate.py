@@ -16,7 +16,7 @@ import click
 from lecombus.cli.arguments import json_option
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.config import Roster, load_roster
-from lecombus.simulator import (
+from lecombus.fieldbus.lecom.simulator import (
     LONGEST_PATH,
     Control,
     ControlError,

@@ -13,8 +13,8 @@ from lecombus.config.checks import default_socket, drives_of
 from lecombus.config.container_types import Fields, Items
 from lecombus.config.keys import ALL
 from lecombus.drives import family
+from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.parameters import Code
-from lecombus.protocol.addressing import Form
 from lecombus.roster import (
     ApiEntry,
     CyclicEntry,

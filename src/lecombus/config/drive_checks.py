@@ -20,8 +20,8 @@ from lecombus.drives import (
 )
 from lecombus.durations import format_duration
 from lecombus.errors import CodeValueError
+from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.parameters import Code
-from lecombus.protocol.addressing import Form
 
 __all__ = ["check_drive", "check_lapse"]
 

@@ -23,7 +23,7 @@ from lecombus.config.endpoint_types import (
 from lecombus.config.number_types import Address, CodeType, Duration, Percent, Whole, WholeChoice
 from lecombus.config.scalar_types import Keyword, Name, TextLine, YesNo
 from lecombus.drives import FAMILY_NAMES
-from lecombus.protocol.timing import BAUDS
+from lecombus.fieldbus.lecom.protocol.timing import BAUDS
 
 __all__ = ["ALL", "CYCLIC_SHORTEST_S", "ROSTER", "roster_json_schema"]
 

@@ -21,15 +21,15 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
-from lecombus.parameters import HIGHEST_VALUE_CHARS, Code, Format, Value
-from lecombus.protocol.addressing import Form
-from lecombus.protocol.timing import (
+from lecombus.fieldbus.lecom.protocol.addressing import Form
+from lecombus.fieldbus.lecom.protocol.timing import (
     ACK_CHARS,
     answer_chars,
     char_time_s,
     read_request_chars,
     write_request_chars,
 )
+from lecombus.parameters import HIGHEST_VALUE_CHARS, Code, Format, Value
 
 from .codes import CodeInfo
 from .family import Family

@@ -14,8 +14,8 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field
 
+from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.parameters import Code, Value
-from lecombus.protocol.addressing import Form
 
 from .codes import CodeInfo, WriteClass
 from .commands import ControlWordInfo

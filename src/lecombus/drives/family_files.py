@@ -18,8 +18,8 @@ from typing import Annotated, Any, Final, TypeVar
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo
 
 from lecombus.errors import ConfigError, DescriptionError, meant
+from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.parameters import Code
-from lecombus.protocol.addressing import Form
 
 from .code_entries import ALL_CODES
 from .codes import CodeInfo, WriteClass

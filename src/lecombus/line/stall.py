@@ -7,7 +7,7 @@ reopened less and less often.
 
 from __future__ import annotations
 
-from ..protocol.exchange import Result, ResultKind
+from lecombus.fieldbus.lecom.protocol.exchange import Result, ResultKind
 
 __all__ = ["StallWatch"]
 

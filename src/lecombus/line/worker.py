@@ -14,11 +14,12 @@ import asyncio
 
 import anyio
 
+from lecombus.fieldbus.lecom.exchanges.exchange_loop import ExchangeLoop
+from lecombus.fieldbus.observer import ExchangeReport, Observer
+
 from ..drives import LineTiming
 from ..errors import LineClosedError, LineLostError
 from ..schedule import Priority, Request, Schedule
-from .exchange_loop import ExchangeLoop
-from .observer import ExchangeReport, Observer
 from .options import WorkerOptions
 from .port import PortOpener, PortSettings
 from .port_connection import PortConnection

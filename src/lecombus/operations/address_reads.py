@@ -25,10 +25,10 @@ from lecombus.errors import (
     OperationError,
     UnknownCodeError,
 )
-from lecombus.line.station import Station
+from lecombus.fieldbus.lecom.protocol.addressing import Form, is_drive_address
+from lecombus.fieldbus.station import Station
 from lecombus.operations.requests import Requests
 from lecombus.parameters import Code, Value
-from lecombus.protocol.addressing import Form, is_drive_address
 from lecombus.schedule import Priority
 
 __all__ = ["Heard", "HeardKind", "check_address", "read_address"]

@@ -10,7 +10,7 @@ from lecombus.control_word import ControlWord
 from lecombus.drive_runtime import LastingRecord
 from lecombus.drives.stops import asks_to_stop
 from lecombus.errors import OperationError, meant
-from lecombus.line.station import Station
+from lecombus.fieldbus.station import Station
 from lecombus.operations.nak_diagnosis import NakDiagnosis
 from lecombus.operations.permissions import Permissions
 from lecombus.operations.requests import Requests

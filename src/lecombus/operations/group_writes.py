@@ -24,7 +24,8 @@ from lecombus.errors import (
     QueueFullError,
     ScheduleError,
 )
-from lecombus.line.station import Station
+from lecombus.fieldbus.lecom.request_maker import shared_form
+from lecombus.fieldbus.station import Station
 from lecombus.operations.context import OperationContext
 from lecombus.operations.failure_kinds import REMEDIES, kind_of, stopped_first
 from lecombus.operations.reports import (
@@ -34,7 +35,6 @@ from lecombus.operations.reports import (
     WriteReport,
     group_report,
 )
-from lecombus.operations.request_maker import shared_form
 from lecombus.operations.requests import Ending, client_check, refuse_for_gone_client
 from lecombus.operations.wear import wears
 from lecombus.operations.writes import Writes

@@ -37,7 +37,7 @@ from lecombus.errors import (
     RefusedError,
     UnknownCodeError,
 )
-from lecombus.line.station import Station
+from lecombus.fieldbus.station import Station
 from lecombus.operations.reports import WriteReport
 from lecombus.operations.requests import Requests
 from lecombus.parameters import Code, Value

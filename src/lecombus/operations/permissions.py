@@ -26,7 +26,7 @@ from lecombus.drives import (
     shifts_addressing,
 )
 from lecombus.errors import CodeValueError, LineClosedError, OperationError
-from lecombus.line.station import Station
+from lecombus.fieldbus.station import Station
 from lecombus.operations.reports import RestoreRights
 from lecombus.operations.requests import Requests
 from lecombus.parameters import Code, Value

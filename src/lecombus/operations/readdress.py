@@ -16,7 +16,7 @@ can still end well:
    Found at neither: that is said, with what to do, and stands as a remark that outlives the daemon.
 
 A baud rate is not changed here: all drives of a line share it, and no daemon can feed those that
-are at another. `lecombus rebaud` changes it, without a daemon (`lecombus.rebaud`).
+are at another. `lecombus rebaud` changes it, without a daemon (`lecombus.fieldbus.lecom.rebaud`).
 
 What must not live here: HTTP, the roster's file.
 Source: EDB2102EN 5 (C0009, C0125 over LECOM), 6.2.2, 8.3.4; CMVLC401A 4.2 (P410).
@@ -37,7 +37,7 @@ from lecombus.drives.identity import text_of
 from lecombus.drives.restore_rules import saving_rule
 from lecombus.drives.standstill import ask_standstill
 from lecombus.errors import ExchangeError, NoReplyError, OperationError
-from lecombus.line.station import Station
+from lecombus.fieldbus.station import Station
 from lecombus.operations.failure_kinds import stopped_first
 from lecombus.operations.identities import Identities
 from lecombus.operations.reports import WriteReport

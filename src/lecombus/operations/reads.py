@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from lecombus.errors import OperationError, RefusedError
+from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.operations.address_reads import Heard, check_address, read_address
 from lecombus.operations.context import OperationContext
 from lecombus.parameters import Code
-from lecombus.protocol.addressing import Form
 from lecombus.readings import Reading
 from lecombus.schedule import Priority
 

@@ -21,10 +21,10 @@ from lecombus.errors import (
     LineError,
     OperationError,
 )
-from lecombus.line.jobs import ReadBackJob, ReadJob
-from lecombus.line.station import Station
+from lecombus.fieldbus.lecom.exchanges.jobs import ReadBackJob, ReadJob
+from lecombus.fieldbus.lecom.request_maker import RequestMaker
+from lecombus.fieldbus.station import Station
 from lecombus.line.worker import LineWorker
-from lecombus.operations.request_maker import RequestMaker
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Priority, Request
 

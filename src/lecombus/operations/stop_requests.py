@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 from lecombus.drives import StopAction, knows_stop, needs_control_word, stop_value
 from lecombus.drives.stops import STOP_PATIENCE_S, usable_word
 from lecombus.errors import OperationError
-from lecombus.line.jobs import MulticastJob
-from lecombus.line.station import JobStep, Station
-from lecombus.line.stop_job import StopJob
+from lecombus.fieldbus.lecom.exchanges.jobs import MulticastJob
+from lecombus.fieldbus.lecom.exchanges.stop_job import StopJob
+from lecombus.fieldbus.lecom.request_maker import ignore_end, shared_form
+from lecombus.fieldbus.station import JobStep, Station
 from lecombus.operations.context import OperationContext
 from lecombus.operations.failure_kinds import kind_of
 from lecombus.operations.reports import GroupReport, Proof, WriteReport, group_report
-from lecombus.operations.request_maker import ignore_end, shared_form
 from lecombus.operations.requests import Ending
 from lecombus.operations.writes import Writes
 from lecombus.parameters import Code, Value

@@ -11,7 +11,7 @@ from lecombus.drives import OperatingState, StopAction, Verb
 from lecombus.drives.verb_facts import Known, rules_of
 from lecombus.drives.verbs import fault_number, has_fault, shown_stops
 from lecombus.errors import LineError
-from lecombus.line.station import Station
+from lecombus.fieldbus.station import Station
 from lecombus.operations.reports import Proof, VerbReport, WriteReport
 from lecombus.parameters import Code
 from lecombus.readings import Reading

@@ -34,7 +34,7 @@ from lecombus.errors import (
     ScheduleError,
     UnknownCodeError,
 )
-from lecombus.line.station import Station
+from lecombus.fieldbus.station import Station
 from lecombus.operations.context import OperationContext
 from lecombus.operations.reports import WriteReport
 from lecombus.operations.stop_requests import Stops

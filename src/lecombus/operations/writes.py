@@ -15,8 +15,8 @@ from lecombus.errors import (
     LecombusError,
     OperationError,
 )
-from lecombus.line.jobs import WriteJob
-from lecombus.line.station import Station
+from lecombus.fieldbus.lecom.exchanges.jobs import WriteJob
+from lecombus.fieldbus.station import Station
 from lecombus.operations.context import OperationContext
 from lecombus.operations.failure_kinds import (
     CUT_REMEDY,

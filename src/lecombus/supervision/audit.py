@@ -17,7 +17,7 @@ from contextlib import AbstractAsyncContextManager
 
 from lecombus.drive_runtime import Drive
 from lecombus.errors import LecombusError, RefusedError, UnknownCodeError
-from lecombus.line.station import Station
+from lecombus.fieldbus.station import Station
 from lecombus.motion import learnt_setpoint
 from lecombus.operations.requests import Requests, is_of_the_line
 from lecombus.schedule import Priority

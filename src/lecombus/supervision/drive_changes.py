@@ -15,7 +15,7 @@ from lecombus.config import DriveEntry
 from lecombus.drive_runtime import Drive
 from lecombus.drives import family
 from lecombus.drives.measured import MeasuredTimes
-from lecombus.line.station import Station
+from lecombus.fieldbus.station import Station
 from lecombus.metrics import Metrics
 from lecombus.operations.requests import Requests
 from lecombus.schedule import Schedule, WatchdogDeadline

@@ -25,7 +25,7 @@ import anyio
 
 from lecombus.drive_runtime import Drive, RunningAudit
 from lecombus.errors import LecombusError
-from lecombus.line.station import Station
+from lecombus.fieldbus.station import Station
 from lecombus.operations.requests import Requests, is_of_the_line
 from lecombus.readings import DriveState
 from lecombus.schedule import Schedule, WatchdogFeeding, WatchdogStats

@@ -5,10 +5,10 @@ Store and metrics know no events, and a control word is one drive's; so their pa
 
 from __future__ import annotations
 
-from lecombus.line.station import StepKind
+from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
+from lecombus.fieldbus.station import StepKind
 from lecombus.line_events import ExchangeEvent, LineChange
 from lecombus.metrics import Metrics
-from lecombus.protocol.exchange import ResultKind
 from lecombus.readings import DriveState, LineState
 from lecombus.schedule import Priority
 from lecombus.store import Store

@@ -10,12 +10,17 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 from lecombus.drive_runtime import LineDrives
-from lecombus.line.observer import ExchangeReport
-from lecombus.line.station import StepKind
+from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
+from lecombus.fieldbus.lecom.protocol.telegrams import (
+    AckAnswer,
+    NakAnswer,
+    UnknownCodeAnswer,
+    ValueAnswer,
+)
+from lecombus.fieldbus.observer import ExchangeReport
+from lecombus.fieldbus.station import StepKind
 from lecombus.line_events import ExchangeEvent, LineChange
 from lecombus.metrics import Metrics
-from lecombus.protocol.exchange import ResultKind
-from lecombus.protocol.telegrams import AckAnswer, NakAnswer, UnknownCodeAnswer, ValueAnswer
 from lecombus.readings import NO_SUCH_CODE
 
 __all__ = ["ExchangeRecorder", "ExchangeSubscriber", "LineSubscriber"]

@@ -21,9 +21,9 @@ import logging
 from collections.abc import Callable
 
 from lecombus.drive_runtime import Drive, LineDrives
-from lecombus.line.station import StepKind
+from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
+from lecombus.fieldbus.station import StepKind
 from lecombus.line_events import ExchangeEvent, LineChange
-from lecombus.protocol.exchange import ResultKind
 from lecombus.readings import DriveState
 from lecombus.schedule import Schedule
 from lecombus.store import Store

@@ -22,7 +22,7 @@ import anyio
 from lecombus.drive_runtime import Drive
 from lecombus.drives import WatchdogTraits
 from lecombus.errors import LecombusError
-from lecombus.line.station import Station
+from lecombus.fieldbus.station import Station
 from lecombus.operations.requests import Requests
 from lecombus.readings import DriveState
 from lecombus.supervision.health import Health

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Final
 
 from lecombus.drive_runtime import LineDrives
-from lecombus.line.duplicates import Found
+from lecombus.fieldbus.lecom.exchanges.duplicates import Found
 from lecombus.store import Store
 
 __all__ = ["SecondAnswers"]

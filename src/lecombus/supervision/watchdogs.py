@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator
 from lecombus.drive_runtime import Drive, WatchdogSetting
 from lecombus.drives import WatchdogTraits
 from lecombus.errors import LecombusError, OperationError, UnknownCodeError
-from lecombus.line.station import Station
+from lecombus.fieldbus.station import Station
 from lecombus.operations.requests import Requests
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Priority

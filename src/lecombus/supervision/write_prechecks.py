@@ -26,12 +26,12 @@ from lecombus.drive_runtime import Drive
 from lecombus.drives import SoftwareGate
 from lecombus.drives.identity import identity_codes
 from lecombus.errors import OperationError, UnknownCodeError
-from lecombus.line.station import Station
+from lecombus.fieldbus.lecom.protocol.addressing import Form
+from lecombus.fieldbus.station import Station
 from lecombus.operations.identities import Identities
 from lecombus.operations.readdress import Readdress
 from lecombus.operations.requests import Requests
 from lecombus.parameters import Code, Value
-from lecombus.protocol.addressing import Form
 from lecombus.readings import ADDRESSING_LOCK, SOFTWARE_LOCK
 from lecombus.schedule import Priority
 from lecombus.store import Store

@@ -1,0 +1,499 @@
+"""Runs one exchange after the other on an open port, driven by callbacks of the receive path.
+
+Theory of operation. `start` sends the first telegram. After that each answer, time-out and timer
+starts the next telegram, until the port is lost or `end` was called. When no exchange is under way,
+`_go_on` checks in this order: is the turnaround over; is the quarantine over (only a stop may break
+it); which request does the schedule give. If nothing may or need be sent, a timer is set for the
+time when that changes; `nudge` ends it early.
+
+The result of an exchange is published only after the next telegram was sent: bookkeeping then runs
+while a drive prepares its answer, and costs no time on the line. In the same time the next request
+is chosen and its telegram prepared (`_look_ahead`). After a read that returned its value that
+telegram is sent first (`_follow`). After any other result, that result is evaluated first.
+
+* An exchange receives the bytes and has one timer. When the timer fires, the port is read before
+  the exchange is judged: the process may have been suspended, and an answer that lies in the kernel
+  is in time. The port is also read when a timer fired late, before the next telegram is sent: an
+  old answer could otherwise pass for the answer to that telegram.
+* After a missing answer nothing is sent for 30 ms and twice the adapter's latency (quarantine).
+  Bytes in that time are counted and dropped. For `late_answer` after the time-out the answer may
+  still come: `late_replies` holds back only what it could seem to answer. A stop breaks a
+  quarantine: it begins with EOT, which silences a drive, and it is verified by reading back.
+
+Source of the timing rules: EDB2102EN 8.3.5.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from typing import Final
+
+from lecombus.drives import LineTiming
+from lecombus.errors import LineLostError
+from lecombus.fieldbus.observer import Observer
+from lecombus.fieldbus.station import Job
+from lecombus.line.bus_idle import BusIdleTimer
+from lecombus.line.options import WorkerOptions
+from lecombus.line.port import Port
+from lecombus.line.port_connection import PortConnection
+from lecombus.line.stall import StallWatch
+from lecombus.line.timers import Deadline, Lateness, WakeableTimer
+from lecombus.schedule import Outcome, Priority, Request, Schedule
+from lecombus.schedule.request import CLIENT_GONE
+
+from ..protocol.exchange import Exchange, Result, ResultKind
+from ..protocol.telegrams import NakAnswer, ValueAnswer
+from .deferred_reports import DeferredReports
+from .duplicates import Duplicates
+from .idle_receive import IdleReceive
+from .jobs import MulticastJob, ReadJob
+from .late_replies import PendingLateReplies, UnansweredRead
+from .prepared_telegrams import PreparedTelegram, TelegramPreparer
+from .stop_job import StopJob
+from .telegram_log import TelegramLog
+
+__all__ = ["ExchangeLoop"]
+
+logger = logging.getLogger(__name__)
+
+LATE_S: Final = 0.002
+"""If a timer fires later than this, bytes may have arrived that were not read yet, seconds."""
+
+LONGEST_REST_S: Final = 1.0
+"""An idle line checks the schedule at least this often; the count of checks is its heartbeat."""
+
+PreparedStep = tuple[Request, Job, PreparedTelegram]
+"""A request, its job, and the telegram of its next step."""
+
+
+def _loop_time() -> float:
+    """Return the time before `start` was called: a port may deliver bytes while it is opened."""
+    return asyncio.get_running_loop().time()
+
+
+class ExchangeLoop:
+    """Sends telegrams and receives answers on the port of one line.
+
+    Args:
+        schedule: Gives the next request.
+        timing: Baud rate and latencies for time-outs.
+        options: Turnaround, echo, time-outs of the line.
+        connection: The port.
+        line: The line's name, for logs.
+        observer: Is called for each event on the line.
+        lateness: Records how late timers fired.
+
+    Attributes:
+        observer: As given; tests replace it.
+        exchanges: Exchanges so far.
+        rests: How often nothing was due.
+        duplicates: Answers without a request, and who was asked last for each answer.
+    """
+
+    def __init__(
+        self,
+        schedule: Schedule,
+        timing: LineTiming,
+        options: WorkerOptions,
+        connection: PortConnection,
+        line: str,
+        observer: Observer,
+        lateness: Lateness,
+    ) -> None:
+        self.observer = observer
+        self.exchanges = 0
+        self.rests = 0
+        self._schedule = schedule
+        self._options = options
+        self._connection = connection
+        self._log = TelegramLog(line) if logger.isEnabledFor(logging.DEBUG) else None
+        self.duplicates = Duplicates()
+        late_s = options.late_answer_s if options.quarantine else 0.0
+        self._late_replies = PendingLateReplies(late_s)
+        self._preparer = TelegramPreparer(timing, self._late_replies)
+        self._exchange = Exchange(parity=True, echo=options.echo)
+        self._deferred = DeferredReports()
+        self._bus_idle = BusIdleTimer(options.turnaround_s)
+        self._idle_receive = IdleReceive(
+            schedule, self._bus_idle, self._late_replies, self.nudge, self.duplicates
+        )
+        self._stall = StallWatch(options.stall_s)
+        self._under_way: PreparedStep | None = None
+        self._ready: PreparedStep | None = None
+        self._deadline = Deadline(self._on_deadline)
+        self._pause = WakeableTimer(self._wake, lateness)
+        self._ended: asyncio.Future[None] | None = None
+        self._time: Callable[[], float] = _loop_time
+        self._looked_s = 0.0  # when nothing lay in the port last
+        self._ending = False
+        self._nudged = False  # since the schedule was asked last
+
+    # ---- what the worker calls ----------------------------------------------------------------
+
+    def start(self, port: Port) -> asyncio.Future[None]:
+        """Start on a port that was just opened.
+
+        Returns:
+            Done when the port is lost or `end` was called; raises the error that ended it.
+        """
+        loop = asyncio.get_running_loop()
+        self._time = loop.time
+        self._exchange = Exchange(parity=port.carries_parity, echo=self._options.echo)
+        self._preparer.parity = port.carries_parity
+        self._stall.opened()
+        self._idle_receive.opened(loop.time(), parity=port.carries_parity)
+        self._ended = ended = loop.create_future()
+        self._wake()
+        return ended
+
+    def end(self) -> None:
+        """End after the exchange under way; call `nudge` to end an idle line."""
+        self._ending = True
+
+    def clear(self) -> None:
+        """Cancel all timers: the port is gone."""
+        self._pause.clear()
+        self._deadline.clear()
+
+    def nudge(self) -> None:
+        """Check the schedule again: something changed in it."""
+        self._nudged = True
+        self._pause.nudge()
+
+    def stop_came(self) -> None:
+        """A stop was submitted: prepare its telegram for the end of the exchange under way."""
+        if self._under_way is not None:
+            self._hasten(*self._under_way)
+            self._look_ahead(self._time())
+
+    def _hasten(self, request: Request, job: Job, prepared: PreparedTelegram) -> None:
+        """Shorten the time-out of a slow drive to that of its manual: a stop is waiting."""
+        if prepared.documented_ask is not None and request.priority is not Priority.STOP:
+            self._exchange.hasten(prepared.documented_ask)
+            self._deadline.set(self._exchange.deadline_s())
+
+    # ---- what the port calls --------------------------------------------------------------------
+
+    def received(self, data: bytes) -> None:
+        """Process bytes from the port."""
+        now = self._time()
+        if self._log is not None:
+            (self._log.stray if self._under_way is None else self._log.heard)(data)
+        if self._under_way is not None:
+            result = self._exchange.feed(data, now, self._looked_s)
+            if result is not None:
+                self._end_exchange(result)
+            elif self._exchange.disturbed:  # it waits for a gap: check for that
+                self._deadline.set(self._exchange.look_s())
+            return
+        late = self._idle_receive.stray(data, now, self._preparer.gap_s)
+        self.observer.stray_bytes(data, late)
+
+    def lost(self, exc: Exception | None) -> None:
+        """Handle the loss of the port."""
+        self._connection.note_loss(exc)
+        if self._under_way is not None:
+            self._end_exchange(self._exchange.lost(self._time()))
+        elif self._pause.is_on:
+            self._pause.clear()
+            self._wake()
+
+    # ---- between two exchanges ------------------------------------------------------------------
+
+    def _wake(self) -> None:
+        """Continue after a timer; an error ends the loop instead of vanishing in a callback."""
+        try:
+            if self._pause.late_s > LATE_S:
+                self._stall.excuse(self._pause.late_s)
+                self._look()
+            self._go_on()
+        except BaseException as exc:
+            if not self._ends_by(exc):
+                raise
+
+    def _look(self) -> None:
+        """Read what the kernel holds: a suspended process has not received it yet."""
+        if self._connection.port is not None and not self._connection.is_lost:
+            self._connection.port.look()
+
+    def _ends_by(self, exc: BaseException) -> bool:
+        """End the loop by an error of any kind: it must not vanish in a callback."""
+        if self._ended is None or self._ended.done():
+            return False
+        self._ended.set_exception(exc)
+        return True
+
+    def _go_on(self) -> None:
+        """Send the next telegram, or set the timer for when it may be sent."""
+        while not self._ending and not self._connection.is_lost:
+            now, self._nudged = self._time(), False
+            if now < self._bus_idle.free_at_s:
+                self._turn_round(now)
+                return
+            silent = now < self._bus_idle.quiet_until_s or self._idle_receive.is_on
+            if silent and self._stay_quiet(now):
+                return
+            request = self._schedule.next(now)
+            if request is None:
+                self._rest(now)
+                return
+            self._say(request, now)
+            if self._under_way is not None:
+                return
+        self._publish()
+        if self._ended is not None and not self._ended.done():
+            self._ended.set_result(None)
+
+    def _turn_round(self, now: float) -> None:
+        """Wait for the end of the turnaround; nothing shortens it."""
+        self._publish()
+        if not self._is_ready(self._bus_idle.free_at_s) and self._bus_idle.is_over(now):
+            self._look_ahead(now)
+        self._pause.until(self._bus_idle.free_at_s, deaf=True)
+
+    def _stay_quiet(self, now: float) -> bool:
+        """Wait for the end of quarantine or extended listen; False: it is over, or a stop goes."""
+        stop_goes = self._schedule.stop_goes(now)
+        look_at_s = self._idle_receive.quiet_until_s(now, stop_goes=stop_goes)
+        if stop_goes or self._bus_idle.is_over(now):
+            return False
+        self._publish()
+        self._pause.until(now if self._nudged else look_at_s)
+        return True
+
+    def _rest(self, now: float) -> None:
+        """Nothing is due: wait, but not so long that an idle line looks stuck."""
+        self._publish()  # a caller woken by the result finds it in the store
+        self.rests += 1
+        wake_at_s = now if self._nudged else self._schedule.wake_at_s(now)
+        latest_s = now + LONGEST_REST_S
+        self._pause.until(latest_s if wake_at_s is None else min(wake_at_s, latest_s))
+
+    # ---- an exchange begins ---------------------------------------------------------------------
+
+    def _say(self, request: Request, now: float) -> None:
+        """Start the exchange of the next step of a request."""
+        if request.is_unwanted:
+            self._withdraw(request, now)
+            return
+        job: Job = request.work  # type: ignore[assignment]
+        ready, self._ready = self._ready, None
+        is_ready = ready is not None and ready[0] is request
+        prepared = ready[2] if ready and is_ready else self._ask(request, job, now)
+        if not isinstance(prepared, PreparedTelegram):
+            self._postpone(request, prepared, now)
+            return
+        if request.cut_by_s:
+            prepared = prepared.cut_by(request.cut_by_s)
+        self._under_way = (request, job, prepared)
+        self._begin(prepared, now, self._connection.say(prepared.ask.sent))
+
+    def _ask(self, request: Request, job: Job, now: float) -> PreparedTelegram | float:
+        """Prepare the telegram of the next step, or return the time before which it must wait."""
+        if type(job) is not StopJob:
+            return self._preparer.ask(job, now, urgent=request.priority is Priority.STOP)
+        if job.asks_for_word:
+            self._publish()  # the job uses the control word as of the last exchange
+        prepared = self._preparer.ask(job, now, urgent=True)
+        if type(prepared) is float and job.cannot_read():
+            prepared = self._preparer.ask(job, now, urgent=True)
+        return prepared
+
+    def _begin(self, prepared: PreparedTelegram, now: float, loss: LineLostError | None) -> None:
+        """Start the exchange of a telegram that was sent; then publish and look ahead."""
+        self._looked_s = self._time()
+        takes_nak = not self._late_replies.nak_may_come(now)
+        self._exchange.begin(prepared.ask, now, self._looked_s, takes_nak=takes_nak)
+        if loss is not None:
+            self._connection.note_loss(loss)
+            self._end_exchange(self._exchange.lost(now))
+            return
+        if self._log is not None and self._under_way is not None:
+            self._log.sent(self._under_way[1], prepared.ask.sent)
+        ask = prepared.ask
+        if self._under_way is not None and ask.field:
+            self.duplicates.asked(ask.field, self._under_way[1].station.name, now)
+        self._deadline.set(self._looked_s + min(ask.late_s, ask.first_byte_s))
+        self._publish()
+        self._look_ahead(now)
+        self.observer.thinking(prepared.thinking_s)
+
+    def _look_ahead(self, now: float) -> None:
+        """Choose the next request and prepare its telegram while nothing can be sent."""
+        self._ready = None
+        if self._under_way is None:
+            request = self._schedule.look_ahead(None, now, max(now, self._bus_idle.free_at_s))
+        else:
+            under_way, started_s = self._under_way[0], self._exchange.started_s
+            expected_s = started_s + under_way.cost_s - self._options.turnaround_s
+            request = self._schedule.look_ahead(under_way, started_s, expected_s)
+        if request is None:
+            return
+        job: Job = request.work  # type: ignore[assignment]
+        if (type(job) is StopJob and job.asks_for_word) or self._late_replies.any(now):
+            return  # depends on the result of the exchange under way
+        prepared = self._preparer.ask(job, now, urgent=request.priority is Priority.STOP)
+        if isinstance(prepared, PreparedTelegram):
+            self._ready = (request, job, prepared)
+
+    def _is_ready(self, at_s: float) -> bool:
+        """Whether the prepared telegram is still the one to send."""
+        return self._ready is not None and self._schedule.planned(at_s) is self._ready[0]
+
+    def _withdraw(self, request: Request, now: float) -> None:
+        """End a write that was chosen and not sent: no motor starts for a client that has left."""
+        self._ready = None
+        self._schedule.defer(request, now, now)
+        self._schedule.withdraw(request, Outcome.REFUSED, CLIENT_GONE)
+
+    def _postpone(self, request: Request, until_s: float, now: float) -> None:
+        """Send it later: a late answer that could pass for its own may still come.
+
+        A feed is ended instead, as a failed attempt: the watchdog still needs one, so the schedule
+        would choose the same telegram again immediately.
+        """
+        if request.priority is not Priority.WATCHDOG:
+            self._schedule.defer(request, until_s, now)
+            return
+        self._schedule.finished(request, now, now, reached=False)
+        request.end(Outcome.REFUSED, "an old answer that could pass for its own may still come")
+
+    # ---- an exchange ends -----------------------------------------------------------------------
+
+    def _on_deadline(self) -> None:
+        under_way = self._under_way
+        if under_way is None:
+            return
+        now, look_s = self._time(), self._exchange.look_s()
+        if now >= look_s:
+            self._look()
+            if self._under_way is not under_way:
+                return  # the answer was in the kernel
+            self._looked_s = now
+            result = self._exchange.expire(now)
+            if result is not None:
+                self._end_exchange(result)
+                return
+            look_s = self._exchange.look_s()
+        self._deadline.set(look_s)
+
+    def _end_exchange(self, result: Result) -> None:
+        """Evaluate the exchange and continue; an error ends the loop, not the callback."""
+        done, self._under_way = self._under_way, None
+        if done is None:
+            return
+        if self._log is not None:
+            self._log.ended(done[1], result)
+        try:
+            if not self._follow(done, result):
+                self._conclude(*done, result)
+                self._go_on()
+        except BaseException as exc:
+            if not self._ends_by(exc):
+                raise
+
+    def _follow(self, done: PreparedStep, result: Result) -> bool:
+        """Send the prepared telegram before the result of the last exchange is evaluated.
+
+        Only after a read that returned its value: that cannot change what is sent next.
+        """
+        ready = self._ready
+        if ready is None or type(result.answer) is not ValueAnswer or type(done[1]) is not ReadJob:
+            return False
+        if ready[0].is_unwanted:
+            return False
+        now = self._time()
+        if now < max(result.ended_s + self._options.turnaround_s, self._bus_idle.quiet_until_s):
+            return False
+        if self._ending or self._connection.is_lost or not self._is_ready(now):
+            return False
+        loss = self._connection.say(ready[2].ask.sent)
+        self._ready = None
+        if result.others:
+            self._note_others(result)
+        self.exchanges += 1
+        self._bus_idle.exchange_ended(result.ended_s)
+        self._heard()
+        self._deferred.put_off(*done, result)
+        self._schedule.follow(done[0], result.started_s, result.ended_s, now)
+        self._under_way = ready
+        self._begin(ready[2], now, loss)
+        return True
+
+    def _conclude(
+        self, request: Request, job: Job, prepared: PreparedTelegram, result: Result
+    ) -> None:
+        """Update schedule, late replies and job; report, and settle a read, after the next send."""
+        ended = result.ended_s
+        answered = result.kind is ResultKind.ANSWERED
+        self.exchanges += 1
+        if result.others:
+            self._note_others(result)
+        if type(result.answer) is not ValueAnswer:
+            self._ready = None  # the result may change what is sent next: choose again
+        quarantined_s = self._after(request, job, prepared, result)
+        self._schedule.finished(request, result.started_s, ended + quarantined_s, answered)
+        if type(result.answer) is ValueAnswer and type(job) is ReadJob:
+            self._deferred.put_off(request, job, prepared, result)
+            return
+        self._deferred.report(request, job, prepared, result, quarantined_s)
+        if prepared.hold_s and result.kind is not ResultKind.LOST:
+            # The drive may have taken the write although its answer was damaged or missing.
+            taken_s = ended if answered else min(ended, result.started_s + prepared.ask.late_s)
+            self._schedule.hold(request.drive, taken_s + prepared.hold_s, ended)
+        if type(job) is MulticastJob:
+            for drive, hold_s in job.holds.items():
+                self._schedule.hold(drive, ended + hold_s, ended)
+        verdict = job.advance(result)
+        if verdict is None:
+            request.cut_outcome = job.cut_outcome
+            behind, not_before_s = False, ended
+            if type(job) is StopJob:
+                behind, request.yields = job.goes_behind, job.only_proves
+                if job.pause_s:  # others may use the line only after the quarantine
+                    not_before_s += quarantined_s + job.pause_s
+            self._schedule.again(request, ended, not_before_s, behind=behind)
+        else:
+            request.end(*verdict)
+
+    def _note_others(self, result: Result) -> None:
+        """Record complete answers to other requests, unless such an answer is still missing."""
+        for field in result.others:
+            if self._late_replies.blocked_until_s(field, result.started_s) <= result.started_s:
+                self.duplicates.came(field, result.ended_s)
+
+    def _after(
+        self, request: Request, job: Job, prepared: PreparedTelegram, result: Result
+    ) -> float:
+        """Set when the line is free again; return the quarantine in seconds."""
+        ended = result.ended_s
+        self._bus_idle.exchange_ended(ended)
+        if result.kind is ResultKind.ANSWERED:
+            self._heard()
+            if type(result.answer) is NakAnswer:
+                self._late_replies.refused(prepared.ask.field, ended)
+            self._late_replies.answered(prepared.ask.field, ended)
+            return 0.0
+        if result.kind is ResultKind.SENT:
+            return 0.0
+        sent_s = result.started_s + prepared.ask.request_s
+        asked = UnansweredRead(job.station, job.step.code, sent_s)
+        self._late_replies.add(prepared.ask.field, ended, asked)
+        silent_s = self._stall.failed(result)
+        if silent_s is not None:
+            self._connection.reopen(
+                f"no byte from any drive for {silent_s:.0f} s: the port is reopened"
+            )
+        if not self._options.quarantine or result.kind is ResultKind.LOST:
+            return 0.0
+        self._idle_receive.missed(request, job, prepared, result)
+        return prepared.quarantine_s
+
+    def _heard(self) -> None:
+        if self._stall.answered():
+            self._connection.settled()
+
+    def _publish(self) -> None:
+        self._deferred.publish(self.observer)

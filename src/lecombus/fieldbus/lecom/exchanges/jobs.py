@@ -1,0 +1,366 @@
+"""The steps of one request: a read, a write with its verification, a multicast.
+
+Rules (EDB2102EN 8.3.5; CMVLC401A 6):
+
+* a read may be repeated, a limited number of times;
+* a write whose acknowledgement did not come is read back first. Only a plain value is then
+  written again; an edge, a step, a save is not: it may have happened;
+* NAK is an answer: nothing was changed. It can also mean that the telegram was damaged on its way
+  (EDB2102EN 8.3.1; CMVLC401A 6.1), so a plain value is written once more, and a read is asked once
+  more; never an edge, a step or a save. That counts as one of the repetitions;
+* what was written is proven by reading it back: an answer that may be another drive's, because it
+  was asked for the same, takes more readings (`read_back_proof`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from lecombus.drives import WriteClass
+from lecombus.drives.stops import usable_word
+from lecombus.errors import ExchangeError, NakError
+from lecombus.fieldbus.station import JobStep, Station, StepKind, Verdict
+from lecombus.parameters import Code, Value
+from lecombus.schedule.request import Outcome
+
+from ..protocol.addressing import Form
+from ..protocol.exchange import Result, ResultKind
+from ..protocol.telegrams import AckAnswer, Answer, NakAnswer, UnknownCodeAnswer, ValueAnswer
+from .duplicates import Duplicates
+from .failures import error_of
+from .read_back_proof import ReadBackProof, WrittenValue
+
+__all__ = ["MulticastJob", "ReadBackJob", "ReadJob", "WriteJob"]
+
+MOST_READINGS = 10
+"""Reading back ends after so many: two of the value, the others of the drive's own address."""
+
+
+class ReadJob:
+    """Read one code; the value stands in `value` afterwards.
+
+    Args:
+        station: The drive.
+        code: What to read.
+        retries: How often a failed attempt is repeated.
+        instead: Codes that will do as well while an old answer to `code` may still come.
+        form: The addressing form to ask in where that is free; None: the station's first.
+        only: Wait until that form is free, and ask in no other.
+    """
+
+    __slots__ = ("attempts", "error", "instead", "retries", "station", "step", "value")
+
+    def __init__(
+        self,
+        station: Station,
+        code: Code,
+        retries: int,
+        instead: tuple[Code, ...] = (),
+        form: Form | None = None,
+        *,
+        only: bool = False,
+    ) -> None:
+        self.station = station
+        self.instead = instead
+        self.step = JobStep(StepKind.READ, code, form=form, only=only)
+        self.retries = retries
+        self.attempts = 0
+        self.value: Value | None = None
+        self.error: ExchangeError | None = None
+
+    def advance(self, result: Result) -> Verdict:
+        """End with the value, with the drive's refusal, or after the last retry."""
+        self.attempts += 1
+        answer = result.answer
+        if type(answer) is ValueAnswer:
+            self.value = answer.value
+            return Outcome.DONE, ""
+        self.error = error_of(self.station, self.step, result, self.attempts)
+        if self.attempts <= self.retries and not _is_lost(result):
+            # One damaged character makes "no such code" of a value, and a NAK of a question.
+            doubtful = type(answer) in (UnknownCodeAnswer, NakAnswer) and self.attempts == 1
+            if self.error.retryable or doubtful:
+                return None
+        refused = result.kind is ResultKind.ANSWERED
+        return (Outcome.REFUSED if refused else Outcome.UNKNOWN), str(self.error)
+
+    @property
+    def cut_outcome(self) -> Outcome | None:
+        """A read changes nothing."""
+        return None
+
+
+class ReadBackJob:
+    """Read back what was written, as often as it takes to be sure whose answer it is.
+
+    Args:
+        station: The drive.
+        written: The code and what it should read as.
+        retries: How often a failed reading is repeated.
+        duplicates: What is known of answers that come twice on this line; None: there are none.
+
+    Attributes:
+        value: What the code read as last; None: it could not be read.
+        is_shown: It reads as written, in an answer that is this drive's.
+    """
+
+    __slots__ = ("_proving", "_reading", "_readings", "_retries", "error", "is_shown", "station",
+                 "step", "value", "written")  # fmt: skip
+
+    def __init__(
+        self,
+        station: Station,
+        written: WrittenValue,
+        retries: int,
+        duplicates: Duplicates | None = None,
+    ) -> None:
+        self.station = station
+        self.written = written
+        self.error: ExchangeError | None = None
+        self.value: Value | None = None
+        self.is_shown = False
+        self._retries = retries
+        self._proving = ReadBackProof(duplicates, silent=False)
+        self._begin()
+
+    @property
+    def cut_outcome(self) -> Outcome | None:
+        """A reading changes nothing."""
+        return None
+
+    def said(self, *, answered: bool) -> None:
+        """Begin again, behind another write; where that had no answer, the drive may be gone."""
+        self._proving.said(acknowledged=False)
+        self._proving.silent |= not answered
+        self._begin()
+
+    def advance(self, result: Result) -> Verdict:
+        """Read on until the value is shown, differs, or cannot be had."""
+        self._proving.silent |= result.kind is not ResultKind.ANSWERED
+        verdict = self._reading.advance(result)
+        if verdict is None:
+            return None
+        self._readings += 1
+        self.error = self._reading.error
+        code, answer = self._reading.step.code, result.answer
+        if type(answer) is ValueAnswer:
+            if code == self.written.code:
+                self.value = answer.value
+            shows = self._proving.take(self.station, self.written, answer, code)
+            if not shows and code == self.written.code:
+                return Outcome.REFUSED, ""
+            if shows and self._proving.is_written(self.station, self.written, result.ended_s):
+                self.is_shown, self.error = True, None
+                return Outcome.VERIFIED, ""
+        elif not self._proving.refused(self.station, code, answer):
+            if self.value is not None:
+                return self._in_doubt()
+            return Outcome.UNKNOWN, f"could not be read back: {verdict[1]}"
+        if self._readings >= MOST_READINGS or self._proving.has_no_address:
+            return self._in_doubt()
+        self._next()
+        return None
+
+    def _in_doubt(self) -> Verdict:
+        assert self.value is not None
+        text = f"it reads {self.value.raw}, but {self._proving.not_its_own(self.station)}"
+        return Outcome.UNKNOWN, text
+
+    def _begin(self) -> None:
+        self.value, self._readings = None, 0
+        self._next()
+
+    def _next(self) -> None:
+        """Read next what is still missing; in the form shown already it would prove no more."""
+        wanted, only = self._proving.step(self.station, self.written), self._proving.has_shown
+        self._reading = ReadJob(
+            self.station, wanted.code, self._retries, form=wanted.form, only=only
+        )
+        self.step = self._reading.step
+
+
+class WriteJob:
+    """Write one code, and prove it where that is asked for or the acknowledgement is missing.
+
+    Args:
+        station: The drive.
+        code: What to write.
+        value: The value, in the code's format.
+        write_class: Whether it may be repeated.
+        retries: How often a failed attempt is repeated.
+        verify: Read back after the acknowledgement too.
+        duplicates: What is known of answers that come twice on this line; None: there are none.
+    """
+
+    __slots__ = (
+        "_acknowledged",
+        "_back",
+        "_duplicates",
+        "_proving",
+        "_refused",
+        "attempts",
+        "code",
+        "error",
+        "proof",
+        "retries",
+        "station",
+        "step",
+        "value",
+        "verify",
+        "write_class",
+    )  # fmt: skip
+
+    def __init__(
+        self,
+        station: Station,
+        code: Code,
+        value: Value,
+        *,
+        write_class: WriteClass,
+        retries: int,
+        verify: bool = False,
+        duplicates: Duplicates | None = None,
+    ) -> None:
+        self.station = station
+        self.code = code
+        self.value = value
+        self.write_class = write_class
+        self.retries = retries
+        self.verify = verify
+        self.step = JobStep(StepKind.WRITE, code, value)
+        self.proof: Value | None = None
+        self.error: ExchangeError | None = None
+        self.attempts = 0
+        self._acknowledged = False
+        self._refused = False
+        self._duplicates = duplicates
+        self._back: ReadBackJob | None = None
+        self._proving = False
+
+    def advance(self, result: Result) -> Verdict:
+        """Go from the write to its proof, back to a repetition, or to the end."""
+        if self._back is not None and self._proving:
+            return self._proven(self._back, result)
+        self.attempts += 1
+        answer = result.answer
+        if type(answer) is AckAnswer:
+            self._acknowledged = True
+            self.error = None
+            return self._prove() if self.verify else (Outcome.DONE, "")
+        self.error = error_of(self.station, self.step, result, self.attempts)
+        if result.kind is ResultKind.ANSWERED:
+            if self._repeats_after(answer):
+                return None
+            return Outcome.REFUSED, str(self.error)
+        if _is_lost(result) or self.write_class is not WriteClass.PLAIN:
+            return Outcome.UNKNOWN, f"{self.error}; not repeated, it may have happened"
+        return self._prove()
+
+    @property
+    def cut_outcome(self) -> Outcome | None:
+        """Acknowledged, refused and not yet sent again, or perhaps done."""
+        if self._acknowledged:
+            return Outcome.DONE
+        return Outcome.REFUSED if isinstance(self.error, NakError) else Outcome.UNKNOWN
+
+    def _repeats_after(self, answer: Answer | None) -> bool:
+        """Whether a refusal may have been a damaged telegram: a plain value is sent once more."""
+        plain = self.write_class is WriteClass.PLAIN and self.attempts <= self.retries
+        if type(answer) is not NakAnswer or self._refused or not plain:
+            return False
+        self._refused = True
+        return True
+
+    def _prove(self) -> Verdict:
+        if self._back is None:
+            written = WrittenValue(self.code, self.value)
+            self._back = ReadBackJob(self.station, written, self.retries, self._duplicates)
+        self._back.said(answered=self._acknowledged)
+        self._proving = True
+        self.step = self._back.step
+        return None
+
+    def _proven(self, back: ReadBackJob, result: Result) -> Verdict:
+        verdict = back.advance(result)
+        self.step = back.step
+        if verdict is None:
+            return None
+        self.proof = back.value
+        what = "acknowledged" if self._acknowledged else "not acknowledged"
+        if self.proof is None:
+            self.error = back.error
+            return Outcome.UNKNOWN, f"the write was {what} and {verdict[1]}"
+        if self._is_no_word(self.proof):
+            text = f"it reads {self.proof.raw} afterwards, which is no control word"
+            return Outcome.UNKNOWN, text
+        if back.is_shown:
+            self.error = None
+            return verdict
+        if self.proof.means_same(self.value):
+            self.error = back.error
+            return Outcome.UNKNOWN, f"the write was {what}; {verdict[1]}"
+        if self._acknowledged:
+            # An edge or a step may have happened and still read as before.
+            plain = self.write_class is WriteClass.PLAIN
+            outcome = Outcome.REFUSED if plain else Outcome.UNKNOWN
+            return outcome, f"acknowledged, but it reads {self.proof.raw} afterwards"
+        if self.attempts <= self.retries:
+            return self._again()
+        return Outcome.REFUSED, f"{self.error}; it still reads {self.proof.raw}"
+
+    def _is_no_word(self, value: Value) -> bool:
+        """Whether what should be a control word has more than 16 bits: it is something else."""
+        number = value.number
+        if self.code not in self.station.family.control_words or not isinstance(number, int):
+            return False
+        return usable_word(number) is None
+
+    def _again(self) -> Verdict:
+        self._proving = False
+        self.step = JobStep(StepKind.WRITE, self.code, self.value)
+        return None
+
+
+class MulticastJob:
+    """Send one write to a group address; no drive answers it.
+
+    Args:
+        station: The group's name and address.
+        code: What to write.
+        value: The value.
+        processing_s: How long the line waits for members to have done with it, seconds.
+        holds: How long single members are left alone after that, seconds by name.
+    """
+
+    __slots__ = ("error", "holds", "processing_s", "station", "step")
+
+    def __init__(
+        self,
+        station: Station,
+        code: Code,
+        value: Value,
+        *,
+        processing_s: float,
+        holds: Mapping[str, float] | None = None,
+    ) -> None:
+        self.station = station
+        self.processing_s = processing_s
+        self.holds = holds or {}
+        self.step = JobStep(StepKind.MULTICAST, code, value)
+        self.error: ExchangeError | None = None
+
+    @property
+    def cut_outcome(self) -> Outcome | None:
+        """It has one step only."""
+        return Outcome.UNKNOWN
+
+    def advance(self, result: Result) -> Verdict:
+        """End: it went out, or the line or its echo failed."""
+        if result.kind is ResultKind.SENT:
+            return Outcome.DONE, "sent as one multicast; drives do not acknowledge it"
+        self.error = error_of(self.station, self.step, result, 1)
+        return Outcome.UNKNOWN, str(self.error)
+
+
+def _is_lost(result: Result) -> bool:
+    return result.kind is ResultKind.LOST

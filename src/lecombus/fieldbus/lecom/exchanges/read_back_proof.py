@@ -1,0 +1,215 @@
+"""When a stop, or a write, counts as shown: which codes are read, and how many answers it takes.
+
+The usual proof is one reading that shows it. Consecutive proofs of several drives alternate
+the addressing form, which the answer repeats, so that a second copy of a neighbour's answer does
+not pass for the next drive's.
+
+Where that is not enough (the drive did not answer before, or second answers came lately) it takes
+three things: an acknowledgement of the drive's own, two readings in two forms or of two codes, and
+its own address, read from the drive itself: that is the one answer that no other drive of the line
+gives.
+
+A write is proven with less: an answer that no other drive was asked for lately is this drive's, and
+an acknowledgement that was lost is not asked for again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from lecombus.drives import Family, StopAction, address_code, confirm_codes, stop_confirmed
+from lecombus.fieldbus.station import JobStep, Station, StepKind
+from lecombus.parameters import Code, Value
+
+from ..protocol.addressing import Form, encode_code
+from ..protocol.telegrams import UnknownCodeAnswer, ValueAnswer
+from .duplicates import COPY_S, Duplicates
+
+__all__ = ["ReadBackProof", "WrittenValue"]
+
+WANTED = 2
+"""Readings that it takes in two forms where one may be another drive's."""
+
+
+class WrittenValue(NamedTuple):
+    """What a code should read as after a write."""
+
+    code: Code
+    value: Value
+
+
+def _codes(family: Family, what: StopAction | WrittenValue) -> tuple[Code, ...]:
+    """Name the codes that show it, the most conclusive first."""
+    return (what.code,) if isinstance(what, WrittenValue) else confirm_codes(family, what)
+
+
+def _shows(family: Family, what: StopAction | WrittenValue, code: Code, value: Value) -> bool:
+    """Say whether a reading shows it."""
+    if isinstance(what, WrittenValue):
+        return value.means_same(what.value)
+    return stop_confirmed(family, what, code, value)
+
+
+class ReadBackProof:
+    """What has been shown of one stop or one write.
+
+    Args:
+        duplicates: From which drives answers were requested; None: from no other drive.
+        silent: The drive did not answer before.
+
+    Attributes:
+        acknowledged: The drive acknowledged the stop itself.
+        silent: It did not answer before, or not always since.
+        has_no_address: It does not know the code of its own address.
+        repeated: The last reading showed what an earlier one had shown in the same form: the other
+            form may not be asked for while a late answer in it may still come.
+    """
+
+    def __init__(self, duplicates: Duplicates | None, *, silent: bool) -> None:
+        self._duplicates = duplicates or Duplicates()
+        self.silent = silent
+        self.acknowledged = False
+        self.repeated = False
+        self._shown: set[bytes] = set()
+        self._is_itself = False
+        self.has_no_address = False
+        self._asked_itself = 0
+        self._led_astray: set[Form] = set()
+
+    def said(self, *, acknowledged: bool) -> None:
+        """Record that it was sent: a value read before the acknowledgement is too early."""
+        self.repeated = False
+        if not self.acknowledged:
+            self.acknowledged = acknowledged
+            self._shown.clear()
+
+    def step(self, station: Station, what: StopAction | WrittenValue) -> JobStep:
+        """Return the next reading."""
+        other_s = self._duplicates.other_s
+        fields = [one for one in self._fields(station, what) if one[0] not in self._shown]
+        if self._has_enough(station, what) and not self._knows_it:
+            code = address_code(station.family)
+            forms = [form for form in self._forms(station) if form.carries(code)]
+            forms.sort(key=lambda form: other_s(encode_code(code, form), station.name))
+            form = forms[self._asked_itself % len(forms)] if forms else None
+            return JobStep(StepKind.READ, code, form=form)
+        if not fields:
+            fields = list(self._fields(station, what))
+        _, code, form = min(fields, key=lambda one: other_s(one[0], station.name))
+        return JobStep(StepKind.READ, code, form=form)
+
+    def take(
+        self, station: Station, what: StopAction | WrittenValue, answer: ValueAnswer, code: Code
+    ) -> bool:
+        """Take a reading; return whether it shows what it should."""
+        self.repeated = answer.field in self._shown
+        if code == address_code(station.family) and code not in _codes(station.family, what):
+            self._asked_itself += 1
+            self._is_itself = answer.value.number == station.address
+            return self._is_itself
+        if not _shows(station.family, what, code, answer.value):
+            if self._shown:
+                self._lead_astray(station, answer.field)
+            self._shown.clear()
+            return False
+        self._shown.add(answer.field)
+        return True
+
+    def refused(self, station: Station, code: Code, answer: object) -> bool:
+        """Record a read without value; return whether to continue in another way."""
+        if type(answer) is UnknownCodeAnswer and code != address_code(station.family):
+            shown = bool(self._shown)
+            return shown and self._lead_astray(station, answer.field)
+        if code != address_code(station.family):
+            return False
+        self._asked_itself += 1
+        self.has_no_address |= type(answer) is UnknownCodeAnswer
+        return True
+
+    def _lead_astray(self, station: Station, field: bytes) -> bool:
+        """Ask no more in a form that leads to another code; return whether there is another.
+
+        A code bank or an input selection that was left set does that (C0249, C0248).
+        """
+        form = Form.EXTENDED if field[:1] == b"!" else Form.STANDARD
+        left = [one for one in self._forms(station) if one is not form]
+        if left:
+            self._led_astray.add(form)
+        return bool(left)
+
+    @property
+    def has_shown(self) -> bool:
+        """Whether a reading showed it."""
+        return bool(self._shown)
+
+    @property
+    def is_begun(self) -> bool:
+        """Whether the drive acknowledged the stop and showed it, so that only more is wanted."""
+        return self.acknowledged and bool(self._shown)
+
+    def begin(self) -> None:
+        """Start again, with another stop."""
+        self.acknowledged = False
+        self._shown.clear()
+
+    def is_enough(self, station: Station, what: StopAction | WrittenValue, now_s: float) -> bool:
+        """Whether the stop is shown."""
+        if not (self.silent or self._duplicates.doubtful(now_s)):
+            return bool(self._shown)
+        if not self.acknowledged or not self._has_enough(station, what):
+            return False
+        return self._knows_it and not (
+            self.has_no_address and any(self._is_old(one, station, now_s) for one in self._shown)
+        )
+
+    def is_written(self, station: Station, what: WrittenValue, now_s: float) -> bool:
+        """Whether a write is shown, acknowledged or not."""
+        own = any(not self._is_old(one, station, now_s) for one in self._shown)
+        if own or not (self.silent or self._duplicates.doubtful(now_s)):
+            return bool(self._shown)
+        if what.code == address_code(station.family):
+            return bool(self._shown)  # no other drive reads as this one's address
+        return self._is_itself and self._has_enough(station, what)
+
+    def missing(self, station: Station) -> str:
+        """Say what is not shown, where a reading showed the stop."""
+        if not self.acknowledged:
+            return "the drive did not acknowledge it: the answer may be another drive's"
+        return self.not_its_own(station)
+
+    def not_its_own(self, station: Station) -> str:
+        """Return why a reading that shows it may be another drive's."""
+        if not self._knows_it:
+            code = address_code(station.family)
+            return f"{code} does not read {station.address}: the answer may be another drive's"
+        return "second answers come on this line: the answer may be another drive's"
+
+    @property
+    def _knows_it(self) -> bool:
+        return self._is_itself or self.has_no_address
+
+    def _forms(self, station: Station) -> tuple[Form, ...]:
+        return tuple(form for form in station.forms if form not in self._led_astray)
+
+    def _has_enough(self, station: Station, what: StopAction | WrittenValue) -> bool:
+        there = sum(1 for _ in self._fields(station, what))
+        return len(self._shown) >= min(WANTED, there)
+
+    def _is_old(self, field: bytes, station: Station, now_s: float) -> bool:
+        return now_s - self._duplicates.other_s(field, station.name) < COPY_S
+
+    def _fields(
+        self, station: Station, what: StopAction | WrittenValue
+    ) -> Iterator[tuple[bytes, Code, Form]]:
+        """Name the answers that may show it: those of the most conclusive code, in each form.
+
+        Where there is one form only, those of the other codes too.
+        """
+        codes, forms = _codes(station.family, what), self._forms(station)
+        if len(forms) > 1:
+            codes = codes[:1]
+        for code in codes:
+            for form in forms:
+                if form.carries(code):
+                    yield encode_code(code, form), code, form

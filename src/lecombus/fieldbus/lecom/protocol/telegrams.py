@@ -1,0 +1,249 @@
+"""Every telegram of both directions: how it is written, and what it is called once read.
+
+The functions return 7-bit characters without parity (`controls.with_parity` adds it). The frozen
+classes are the events that the parsers yield: `Answer` for what a drive says, `HostRequest` for
+what a host says. An answer carries no address, and an acknowledgement nothing at all: whose it is
+follows only from when it comes, which is the business of the line, not of this room.
+
+::
+
+    read      EOT AD1 AD2 C1 C2 ENQ                          value    STX C1 C2 V1..Vn ETX BCC
+    write     EOT AD1 AD2 STX C1 C2 V1..Vn ETX BCC           error    STX C1 C2 ? ETX BCC
+    multicast a write to an address ending in 0              unknown  STX C1 C2 EOT
+                                                             written  ACK  or  NAK
+
+Source: EDB2102EN 8.3.2 to 8.3.4; CMVLC401A 6.1 to 6.4. No bytes are searched here: see `parser`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import lru_cache
+from typing import Final
+
+from lecombus.errors import CodeValueError
+from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_address, encode_code
+from lecombus.fieldbus.lecom.protocol.controls import ACK, ENQ, EOT, ETX, NAK, STX, bcc
+from lecombus.parameters import SENDABLE_STRING_CHARS, Code, Format, Value
+
+__all__ = [
+    "ACK_ANSWER",
+    "NAK_ANSWER",
+    "AckAnswer",
+    "Answer",
+    "BadAnswer",
+    "BadRequest",
+    "HostRequest",
+    "NakAnswer",
+    "ReadRequest",
+    "TelegramFault",
+    "TransmissionErrorAnswer",
+    "UnknownCodeAnswer",
+    "ValueAnswer",
+    "WriteRequest",
+    "encode_answer",
+    "read_telegram",
+    "transmission_error_answer",
+    "unknown_code_answer",
+    "value_answer",
+    "write_telegram",
+]
+
+ACK_ANSWER: Final = bytes((ACK,))
+"""The answer to a write that was done."""
+NAK_ANSWER: Final = bytes((NAK,))
+"""The answer to a write that changed nothing."""
+
+
+class TelegramFault(StrEnum):
+    """Why a telegram is bad."""
+
+    BCC = "bcc"
+    """The block check character is not that of the text."""
+    PARITY = "parity"
+    """A character has odd parity, or its bit 7 is set where the port frames 7 bits."""
+    FORMAT = "format"
+    """The telegram is whole and its BCC right, but its value is in no known format."""
+    UNEXPECTED = "unexpected"
+    """A character stands where it cannot."""
+    TOO_LONG = "too-long"
+    """No value is that long."""
+    INTERRUPTED = "interrupted"
+    """A request was cut by a new EOT; answers never have this fault."""
+
+
+@dataclass(frozen=True, slots=True)
+class ValueAnswer:
+    """A drive's value for the code in the field."""
+
+    field: bytes
+    value: Value
+
+
+@dataclass(frozen=True, slots=True)
+class UnknownCodeAnswer:
+    """The drive has no such code."""
+
+    field: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class TransmissionErrorAnswer:
+    """The drive saw a transmission error in the question."""
+
+    field: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class AckAnswer:
+    """A write was done."""
+
+
+@dataclass(frozen=True, slots=True)
+class NakAnswer:
+    """A write changed nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class BadAnswer:
+    """Something came that is no answer.
+
+    Args:
+        fault: Why.
+        received: The bytes as they came, parity included, up to the one that showed the fault.
+        expected_bcc: For a BCC fault: what it had to be.
+        got_bcc: For a BCC fault: what came.
+    """
+
+    fault: TelegramFault
+    received: bytes
+    expected_bcc: int | None = None
+    got_bcc: int | None = None
+
+    @property
+    def reason(self) -> str:
+        """Say why in words, for logs and errors."""
+        if self.fault is TelegramFault.BCC:
+            return f"BCC is {self.got_bcc:02X}h, {self.expected_bcc:02X}h was due"
+        return _REASONS[self.fault].format(self.received[-1:].hex().upper())
+
+
+_REASONS: Final = {
+    TelegramFault.PARITY: "character {}h has wrong parity",
+    TelegramFault.FORMAT: "the value is in no known format",
+    TelegramFault.UNEXPECTED: "character {}h was not to be expected there",
+    TelegramFault.TOO_LONG: "longer than any value",
+    TelegramFault.INTERRUPTED: "interrupted by a new telegram",
+}
+
+Answer = (
+    ValueAnswer | UnknownCodeAnswer | TransmissionErrorAnswer | AckAnswer | NakAnswer | BadAnswer
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ReadRequest:
+    """A host asks a drive for a code."""
+
+    address: int
+    field: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class WriteRequest:
+    """A host writes a code of a drive, or of a group if the address ends in 0."""
+
+    address: int
+    field: bytes
+    value: Value
+
+
+@dataclass(frozen=True, slots=True)
+class BadRequest:
+    """Something came that is no request.
+
+    Args:
+        fault: Why.
+        received: The bytes as they came, parity included, up to the one that showed the fault.
+        address: Whom it was for, when that was received.
+    """
+
+    fault: TelegramFault
+    received: bytes
+    address: int | None = None
+
+
+HostRequest = ReadRequest | WriteRequest | BadRequest
+
+
+def read_telegram(address: int, code: Code, form: Form) -> bytes:
+    """Return the RECEIVE telegram: ask one drive for a code.
+
+    Raises:
+        CodeValueError: No such address, or the form cannot carry the code.
+
+    Source: EDB2102EN 8.3.2; CMVLC401A 6.2.
+    """
+    return _read_telegram(address, code, form)
+
+
+@lru_cache(maxsize=8192)
+def _read_telegram(address: int, code: Code, form: Form) -> bytes:
+    return b"%c%b%b%c" % (EOT, encode_address(address), encode_code(code, form), ENQ)
+
+
+def write_telegram(address: int, code: Code, value: Value, form: Form) -> bytes:
+    """Return the SEND telegram: write a code of one drive, or of a group (address ending in 0).
+
+    Raises:
+        CodeValueError: No such address, the form cannot carry the code, or the value is a string
+            of more than 20 characters.
+
+    Source: EDB2102EN 8.3.3, 8.3.4; CMVLC401A 6.4.
+    """
+    if value.format is Format.VS and len(value.raw) > 1 + SENDABLE_STRING_CHARS:
+        raise CodeValueError(
+            f"a string of {len(value.raw) - 1} characters cannot be sent: "
+            f"at most {SENDABLE_STRING_CHARS} can",
+            code=str(code), value=value.raw, high=SENDABLE_STRING_CHARS,
+        )  # fmt: skip
+    text = _text(encode_code(code, form), value.raw.encode("ascii"))
+    return b"%c%b%b" % (EOT, encode_address(address), text)
+
+
+def value_answer(field: bytes, value: Value) -> bytes:
+    """Return a drive's value answer; the field repeats that of the question."""
+    return _text(field, value.raw.encode("ascii"))
+
+
+def transmission_error_answer(field: bytes) -> bytes:
+    """Return a drive's `?` answer: it saw a transmission error in the question."""
+    return _text(field, b"?")
+
+
+def unknown_code_answer(field: bytes) -> bytes:
+    """Return a drive's answer to a code it does not have."""
+    return b"%c%b%c" % (STX, field, EOT)
+
+
+def encode_answer(answer: Answer) -> bytes:
+    """Return the 7-bit characters an answer was read from; a bad one as it came."""
+    match answer:
+        case ValueAnswer(field, value):
+            return value_answer(field, value)
+        case TransmissionErrorAnswer(field):
+            return transmission_error_answer(field)
+        case UnknownCodeAnswer(field):
+            return unknown_code_answer(field)
+        case AckAnswer():
+            return ACK_ANSWER
+        case NakAnswer():
+            return NAK_ANSWER
+        case BadAnswer():
+            return answer.received
+
+
+def _text(field: bytes, value: bytes) -> bytes:
+    body = b"%b%b%c" % (field, value, ETX)
+    return b"%c%b%c" % (STX, body, bcc(body))

@@ -1,0 +1,411 @@
+"""The requests that lecombus makes to drives; their stations are made in `drive_changes`.
+
+Here roster, descriptions and cost model meet: every request is given its cost
+and its worst case here, so that the schedule, the time-outs and later the plan reckon with the
+same numbers. What a read costs is kept, for the same few are made for years, until the station is
+another one or its measured times are.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+
+from lecombus.drives import (
+    Cost,
+    LineTiming,
+    StopAction,
+    address_code,
+    read_cost,
+    stop_steps,
+    write_cost,
+)
+from lecombus.drives.measured import SlowAnswers
+from lecombus.drives.stops import STOP_PATIENCE_S
+from lecombus.errors import OperationError
+from lecombus.fieldbus.lecom.exchanges.duplicates import Duplicates
+from lecombus.fieldbus.lecom.exchanges.jobs import MulticastJob, ReadBackJob, ReadJob, WriteJob
+from lecombus.fieldbus.lecom.exchanges.read_back_proof import WrittenValue
+from lecombus.fieldbus.lecom.exchanges.stop_job import StopJob
+from lecombus.fieldbus.lecom.protocol.addressing import Form
+from lecombus.fieldbus.lecom.protocol.timing import ACK_CHARS, write_request_chars
+from lecombus.fieldbus.station import Station
+from lecombus.parameters import Code, Value
+from lecombus.schedule import Outcome, Priority, Request, Settle
+from lecombus.schedule.fan_out import Part
+
+__all__ = ["RequestMaker", "ignore_end", "shared_form"]
+
+
+MAX_KEPT: Final = 8192
+"""Costs of reads kept: a line has at most 90 drives with some ten codes each."""
+
+
+class _ReadCost(NamedTuple):
+    """What a read costs, by the measured times it was reckoned with."""
+
+    slow: SlowAnswers
+    cost: Cost
+    line_s: float
+    worst_s: float
+    told: tuple[float, float] | None
+
+
+class _FeedCost(NamedTuple):
+    """Cost and longest time of a feed, as measured and as documented, seconds; see `_ReadCost`."""
+
+    slow: SlowAnswers
+    measured: tuple[float, float]
+    told: tuple[float, float]
+
+
+def ignore_end(outcome: Outcome, reason: str) -> None:
+    """The end of a request without a waiter: its result is in the store."""
+
+
+@dataclass(frozen=True, slots=True)
+class RequestMaker:
+    """Makes requests with their costs.
+
+    Args:
+        timing: Baud rate and latencies of the line.
+        retries: How often a failed attempt is repeated.
+        count: Called at the end of every request.
+    """
+
+    timing: LineTiming
+    retries: int
+    count: Callable[[Priority, Outcome], None]
+    _costs: dict[tuple[Station, Code], _ReadCost] = field(default_factory=dict, init=False)
+    _feed_costs: dict[Station, _FeedCost] = field(default_factory=dict, init=False)
+    _unheeded: dict[Priority, Settle] = field(default_factory=dict, init=False)
+
+    def _counted(self, priority: Priority, settle: Settle) -> Settle:
+        """Count the end of a request, then call its waiter; most requests have none."""
+        count = self.count
+        if settle is ignore_end:
+            if priority not in self._unheeded:
+                self._unheeded[priority] = lambda outcome, reason: count(priority, outcome)
+            return self._unheeded[priority]
+
+        def end(outcome: Outcome, reason: str) -> None:
+            count(priority, outcome)
+            settle(outcome, reason)
+
+        return end
+
+    def read(
+        self,
+        station: Station,
+        code: Code,
+        priority: Priority,
+        *,
+        settle: Settle = ignore_end,
+        retries: int | None = None,
+        instead: tuple[Code, ...] = (),
+        expires_at_s: float | None = None,
+    ) -> Request:
+        """Make a request that reads one code."""
+        cost = self._read_cost(station, code)
+        job = ReadJob(station, code, self.retries if retries is None else retries, instead)
+        return Request(
+            station.name,
+            priority,
+            cost.line_s,
+            cost.worst_s,
+            self._counted(priority, settle),
+            job,
+            expires_at_s=expires_at_s,
+            told=cost.told,
+        )
+
+    def _told(self, told: Cost, measured: Cost) -> tuple[float, float] | None:
+        """Give cost and longest time by manual and roster, where others were measured."""
+        pause_s = self.timing.turnaround_s
+        return None if told == measured else (told.expected_s + pause_s, told.worst_s + pause_s)
+
+    def feed(self, station: Station, instead: tuple[Code, ...]) -> Request:
+        """Make the read that feeds a watchdog, reckoned with in the longest form it may be said in.
+
+        Behind a lost answer it is said in the other form, and must be in time then, too.
+        """
+        code = station.family.feed_code
+        request = self.read(station, code, Priority.WATCHDOG, retries=0, instead=instead)
+        kept, slow = self._feed_costs.get(station), station.measured.slow
+        if kept is None or kept.slow is not slow:
+            if len(self._feed_costs) >= MAX_KEPT:
+                self._feed_costs.clear()
+            kept = self._feed_costs[station] = _FeedCost(
+                slow,
+                self._dearest(station, code, station.answer_s(code)),
+                self._dearest(station, code, station.answer_time_s),
+            )
+        request.cost_s, request.worst_s = kept.measured
+        if request.told is not None:
+            request.told = kept.told
+        return request
+
+    def _dearest(self, station: Station, code: Code, answer_s: float | None) -> tuple[float, float]:
+        """Return cost and longest time of a read, in any addressing form."""
+        pause_s = self.timing.turnaround_s
+        costs = [
+            read_cost(self.timing, station.family, code, form, answer_s)
+            for form in station.forms
+            if form.carries(code)
+        ]
+        usual_s = max(cost.expected_s for cost in costs) + pause_s
+        return usual_s, max(cost.worst_s for cost in costs) + pause_s
+
+    def cost_of_read_s(self, station: Station, code: Code) -> float:
+        """Give the line time of a read that is answered, seconds."""
+        return self._read_cost(station, code).cost.expected_s
+
+    def _read_cost(self, station: Station, code: Code) -> _ReadCost:
+        kept = self._costs.get((station, code))
+        slow = station.measured.slow
+        if kept is None or kept.slow is not slow:
+            if len(self._costs) >= MAX_KEPT:
+                self._costs.clear()
+            form, pause_s = form_of(station, code), self.timing.turnaround_s
+            cost = read_cost(self.timing, station.family, code, form, station.answer_s(code))
+            told = read_cost(self.timing, station.family, code, form, station.answer_time_s)
+            kept = _ReadCost(
+                slow, cost, cost.expected_s + pause_s, cost.worst_s + pause_s,
+                self._told(told, cost),
+            )  # fmt: skip
+            self._costs[station, code] = kept
+        return kept
+
+    def part_of_write(self, station: Station, code: Code, value: Value) -> Part:
+        """Give what a write that is read back takes of the line.
+
+        A drive with shortened response time acknowledges without delay and gets a pause after it.
+        """
+        cost = write_cost(
+            self.timing, station.family, code, value, form_of(station, code),
+            station.answer_s(code, write=True),
+        )  # fmt: skip
+        said_s = cost.expected_s
+        if station.answers_early:
+            said_s = cost.request_s + ACK_CHARS * self.timing.char_s
+        turnaround_s = self.timing.turnaround_s
+        prove_s = self.cost_of_read_s(station, code) + turnaround_s
+        return Part(said_s + turnaround_s, station.hold_s, prove_s)
+
+    def write(
+        self,
+        station: Station,
+        code: Code,
+        value: Value,
+        *,
+        settle: Settle,
+        verify: bool,
+        expires_at_s: float | None = None,
+        urgency: Priority | None = None,
+        duplicates: Duplicates | None = None,
+    ) -> Request:
+        """Make a request that writes one code.
+
+        What moves the drive runs in the control class, also against `urgency`; a later setpoint
+        for the same code replaces one that still waits. A stop ends any write.
+        """
+        form, answer_s = form_of(station, code), station.answer_s(code, write=True)
+        cost = write_cost(self.timing, station.family, code, value, form, answer_s)
+        told = write_cost(self.timing, station.family, code, value, form, station.answer_time_s)
+        info = station.family.info(code)
+        write_class = station.family.write_class(code, value)
+        job = WriteJob(
+            station, code, value, write_class=write_class, retries=self.retries, verify=verify,
+            duplicates=duplicates,
+        )  # fmt: skip
+        # Read back in either form: after another drive's proof it is the longer one.
+        back_s = self._dearest(station, code, station.answer_s(code))[1] if verify else 0.0
+        motion = info is not None and info.motion
+        setpoint = motion and value.format == "VD" and not is_switch(station, code)
+        priority = Priority.CONTROL if motion else urgency or Priority.INTERACTIVE
+        return Request(
+            station.name,
+            priority,
+            cost.expected_s + self.timing.turnaround_s,
+            max(cost.worst_s + self.timing.turnaround_s, back_s),
+            self._counted(priority, settle),
+            job,
+            expires_at_s=expires_at_s,
+            supersedes=(station.name, code) if setpoint else None,
+            writes=True,
+            hold_s=station.hold_s,
+            told=self._told(told, cost),
+        )
+
+    def read_back(
+        self,
+        station: Station,
+        code: Code,
+        value: Value,
+        priority: Priority,
+        *,
+        settle: Settle,
+        expires_at_s: float,
+        duplicates: Duplicates | None = None,
+    ) -> Request:
+        """Make a request that reads whether a code holds a value, and whose answer that is."""
+        cost = self._read_cost(station, code)
+        job = ReadBackJob(station, WrittenValue(code, value), self.retries, duplicates)
+        return Request(
+            station.name,
+            priority,
+            cost.line_s,
+            cost.worst_s,
+            self._counted(priority, settle),
+            job,
+            expires_at_s=expires_at_s,
+            told=cost.told,
+        )
+
+    def stop(
+        self,
+        station: Station,
+        action: StopAction,
+        *,
+        word: Callable[[], int | None],
+        inhibited: Callable[[], bool | None] = lambda: False,
+        last_word: Callable[[], int | None] = lambda: None,
+        said: bool,
+        settle: Settle,
+        silent: bool = False,
+        may_inhibit: bool = True,
+        duplicates: Duplicates | None = None,
+        patience_s: float = STOP_PATIENCE_S,
+    ) -> Request:
+        """Make a request that stops one drive and proves it."""
+        job = StopJob(
+            station, action, word=word, inhibited=inhibited, retries=self.retries, said=said,
+            silent=silent, may_inhibit=may_inhibit, duplicates=duplicates, patience_s=patience_s,
+            last_word=last_word,
+        )  # fmt: skip
+        usual = self._read_cost(station, station.family.stops[action].code)
+        return Request(
+            station.name,
+            Priority.STOP,
+            usual.line_s,
+            self._longest_stop_s(station, action) + self.timing.turnaround_s,
+            self._counted(Priority.STOP, settle),
+            job,
+            stops=(station.name,),
+        )
+
+    def _longest_stop_s(self, station: Station, action: StopAction) -> float:
+        """Return the longest that one telegram of a stop can hold the line, in any form."""
+        of, found = station.family, 0.0
+        # A stop may take the drive's own address to be shown.
+        for code, value in [*stop_steps(of, action), (address_code(of), None)]:
+            answer_s = station.answer_s(code, write=value is not None)
+            for form in station.forms:
+                if not form.carries(code):
+                    continue
+                if value is None:
+                    cost = read_cost(self.timing, of, code, form, answer_s)
+                else:
+                    cost = write_cost(self.timing, of, code, value, form, answer_s)
+                found = max(found, cost.worst_s)
+        return found
+
+    def multicast(
+        self,
+        group: Station,
+        members: tuple[Station, ...],
+        code: Code,
+        value: Value,
+        priority: Priority,
+        *,
+        settle: Settle,
+        stops: tuple[str, ...] = (),
+        expires_at_s: float | None = None,
+    ) -> Request:
+        """Make a request that writes one code of all members with one telegram.
+
+        The line waits for the slowest member to have done with it. A member with shortened
+        response time is left alone instead, and others are spoken to meanwhile; but not after a
+        stop, whose proofs leave nobody alone.
+        """
+        waiting = members
+        if priority is not Priority.STOP:
+            waiting = tuple(one for one in members if not one.answers_early)
+        waited_for_s = max((thinks_s(one, code) for one in waiting), default=0.0)
+        form = form_of(group, code)
+        wire_s = write_request_chars(form, len(value.raw)) * self.timing.char_s
+        whole_s = wire_s + waited_for_s + self.timing.adapter_latency_s
+        job = MulticastJob(
+            group, code, value, processing_s=waited_for_s,
+            holds={one.name: one.hold_s for one in members if one.hold_s},
+        )  # fmt: skip
+        return Request(
+            group.name,
+            priority,
+            whole_s,
+            whole_s,
+            self._counted(priority, settle),
+            job,
+            stops=stops,
+            writes=not stops,
+            members=tuple(one.name for one in members),
+            expires_at_s=expires_at_s,
+        )
+
+    def probe(self, station: Station) -> Callable[[], Request]:
+        """Give the maker of the read that asks an offline drive whether it is back.
+
+        Its code and form are chosen so that a late answer to it blocks no other reads.
+        """
+        forms = tuple(reversed(station.forms))
+        quiet = dataclasses.replace(station, forms=forms)
+        polled = {code for code, _ in station.family.status}
+        rare = [code for code in station.family.identity if code not in polled]
+        code = rare[0] if rare else station.family.feed_code
+
+        def make() -> Request:
+            return self.read(quiet, code, Priority.CYCLIC, retries=0)
+
+        return make
+
+
+def form_of(station: Station, code: Code) -> Form:
+    """The form a code is usually said in: the first of the station's that can carry it.
+
+    Raises:
+        OperationError: `no-such-code`: none can; it could never be sent.
+    """
+    for form in station.forms:
+        if form.carries(code):
+            return form
+    raise OperationError(
+        f"{station.name}: {code} cannot be asked for in standard addressing",
+        kind="no-such-code",
+        drive=station.name,
+        code=str(code),
+        remedy="standard addressing carries C0000 to C6229 without subcodes; write "
+        "`addressing: both` for this drive if it knows extended addressing",
+    )
+
+
+def shared_form(stations: Sequence[Station], code: Code) -> Form | None:
+    """The form of one telegram to several drives: the first that all of them know.
+
+    A drive whose code bank is set is addressed in extended addressing only: a multicast in the
+    other would write another code of it.
+    """
+    known = (form for form in stations[0].forms if form.carries(code))
+    return next((form for form in known if all(form in one.forms for one in stations)), None)
+
+
+def thinks_s(station: Station, code: Code) -> float:
+    """How long a drive may take over a write without acknowledgement, seconds."""
+    longest_s = station.family.longest_answer_time_s(code, write=True)
+    return max(longest_s, station.answer_s(code, write=True) or 0.0)
+
+
+def is_switch(station: Station, code: Code) -> bool:
+    """Whether a code switches rather than sets, such as C0040: every write of it counts."""
+    return any(rule.code == code for rule in station.family.stops.values())

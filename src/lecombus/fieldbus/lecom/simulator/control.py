@@ -1,0 +1,327 @@
+"""Lines a person types to a running simulator: `trip feeder 50`, `unplug 3s`, `help`.
+
+Strategy: one table names every command with its form and what it does; a line is split into words
+and handed to the command's function with the end's lock held. What is wrong with a line is a
+`ControlError` whose text says what would be right. `unplug 3s` waits in the caller's thread.
+"""
+
+from __future__ import annotations
+
+import shlex
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Final, Protocol, TypeVar
+
+from lecombus.durations import DurationError, parse_duration
+from lecombus.fieldbus.lecom.simulator.drive import SimDrive
+from lecombus.fieldbus.lecom.simulator.faults import Faults, parse_faults
+from lecombus.fieldbus.lecom.simulator.keypad import set_value, value_of
+from lecombus.fieldbus.lecom.simulator.line import SimLine
+from lecombus.fieldbus.lecom.simulator.looking import code_text, describe, parse_code, summary
+
+__all__ = ["Control", "ControlError"]
+
+
+SWAP_S = 10.0
+"""The least time of a replacement of a drive, seconds: its master loses it for that time."""
+
+_T = TypeVar("_T")
+
+
+class ControlError(ValueError):
+    """A line that is not understood or cannot be done."""
+
+
+class Plug(Protocol):
+    """What can be pulled off a line and put back."""
+
+    def unplug(self) -> None:
+        """Pull the plug."""
+
+    def replug(self) -> None:
+        """Plug in again."""
+
+
+class Control:
+    """Does what lines of text say to a simulated line.
+
+    Args:
+        line: The line.
+        lock: What to hold while touching it.
+        plug: The end the host has plugged in.
+    """
+
+    def __init__(self, line: SimLine, lock: threading.RLock, plug: Plug) -> None:
+        self.line = line
+        self.lock = lock
+        self.plug = plug
+
+    def do(self, text: str) -> str:
+        """Do a line.
+
+        Args:
+            text: A command and its words; an empty line does nothing.
+
+        Returns:
+            What to show; no newline at its end.
+
+        Raises:
+            ControlError: It is not understood, or cannot be done.
+        """
+        try:
+            words = shlex.split(text)
+        except ValueError as exc:
+            raise ControlError(f"{text!r}: {exc}; close the quotation mark") from None
+        if not words:
+            return ""
+        name, *rest = words
+        command = _COMMANDS.get(name)
+        if command is None:
+            raise ControlError(f"there is no `{name}`: one of {', '.join(_COMMANDS)}")
+        if not command.least <= len(rest) <= command.most:
+            raise ControlError(f"write {command.form}")
+        if command.locks:
+            with self.lock:
+                self.line.advance(time.monotonic())
+                return command.function(self, rest)
+        return command.function(self, rest)
+
+    def drive(self, word: str) -> SimDrive:
+        """Find a drive by name or address.
+
+        Raises:
+            ControlError: There is none.
+        """
+        try:
+            return self.line[int(word) if word.isdecimal() else word]
+        except KeyError:
+            there = ", ".join(drive.name for drive in self.line.drives)
+            near = get_close_matches(word, [drive.name for drive in self.line.drives], n=1)
+            right = f"did you mean {near[0]}?" if near else f"one of {there}"
+            raise ControlError(f"there is no drive `{word}`: {right}") from None
+
+
+# The commands. Each is given the words after its name, as many as its form has.
+
+
+def _help(control: Control, words: list[str]) -> str:
+    if words and words[0] not in _COMMANDS:
+        raise ControlError(f"there is no `{words[0]}`: one of {', '.join(_COMMANDS)}")
+    chosen = [_COMMANDS[words[0]]] if words else _COMMANDS.values()
+    return "\n".join(f"{command.form:<44} {command.does}" for command in chosen)
+
+
+def _drives(control: Control, words: list[str]) -> str:
+    return "\n".join(summary(drive) for drive in control.line.drives)
+
+
+def _show(control: Control, words: list[str]) -> str:
+    return describe(control.drive(words[0]))
+
+
+def _log(control: Control, words: list[str]) -> str:
+    drive = control.drive(words[0])
+    count = _whole(words[1], "a number of telegrams") if len(words) > 1 else 10
+    now_s = time.monotonic()
+    lines = [
+        f"{now_s - entry.time_s:8.2f} s ago  {entry.kind:<5} {code_text(entry.code, entry.subcode)}"
+        f" {entry.text}{'' if entry.accepted else ' refused'}"
+        for entry in list(drive.log)[-count:]
+    ]
+    return "\n".join(lines) or f"{drive.name} has heard nothing yet"
+
+
+def _trip(control: Control, words: list[str]) -> str:
+    drive = control.drive(words[0])
+    number = _whole(words[1], "a LECOM fault number")
+    if words[2:] not in ([], ["stays"]):
+        raise ControlError(f"`{words[2]}`? write {_COMMANDS['trip'].form}")
+    _try(lambda: drive.trip(number, stays=len(words) > 2))
+    return summary(drive)
+
+
+def _clear(control: Control, words: list[str]) -> str:
+    drive = control.drive(words[0])
+    drive.clear_fault()
+    return summary(drive)
+
+
+def _power_cycle(control: Control, words: list[str]) -> str:
+    drive = control.drive(words[0])
+    off_s = _duration(words[1]) if len(words) > 1 else None
+    drive.power_cycle(time.monotonic(), off_s)
+    return f"{drive.name} starts; what only its module knew is gone"
+
+
+def _factory_reset(control: Control, words: list[str]) -> str:
+    drive = control.drive(words[0])
+    drive.factory_reset()
+    return f"{drive.name} has the maker's parameters; the line still reaches it"
+
+
+def _swap(control: Control, words: list[str]) -> str:
+    old = control.drive(words[0])
+    given = dict(_setting(word) for word in words[1:])
+    family = given.pop("family", None)
+    codes = {_try(lambda name=name: parse_code(name)): text for name, text in given.items()}  # type: ignore[misc]
+    trial = _try(lambda: SimDrive(old.address, family or old.family, old.name))
+    for (number, subcode), text in codes.items():
+        _try(lambda n=number, s=subcode, t=text: set_value(trial, n, s, t))  # type: ignore[misc]
+    new = control.line.swap(old.address, time.monotonic(), family)
+    for (number, subcode), text in codes.items():
+        set_value(new, number, subcode, text)
+    new.power_cycle(time.monotonic(), SWAP_S)
+    return (
+        f"another drive stands there, new from the maker, and answers in {SWAP_S:g} s: "
+        f"{summary(new)}"
+    )
+
+
+def _set(control: Control, words: list[str]) -> str:
+    drive = control.drive(words[0])
+    number, subcode = _try(lambda: parse_code(words[1]))
+    _try(lambda: set_value(drive, number, subcode, words[2]))
+    return f"{drive.name} {code_text(number, subcode)}: {drive.text(number, subcode)}"
+
+
+def _get(control: Control, words: list[str]) -> str:
+    drive = control.drive(words[0])
+    number, subcode = _try(lambda: parse_code(words[1]))
+    text = _try(lambda: value_of(drive, number, subcode))
+    return f"{drive.name} {code_text(number, subcode)}: {text}"
+
+
+def _wear(control: Control, words: list[str]) -> str:
+    drive = control.drive(words[0])
+    counts = sorted(drive.model.params.wear.items(), key=lambda item: -item[1])
+    lines = [f"{code_text(*key)}: {count}" for key, count in counts]
+    writes = "1 write" if drive.wear == 1 else f"{drive.wear} writes"
+    return "\n".join((f"{drive.name}: {writes} into its memory", *lines))
+
+
+def _terminal(control: Control, words: list[str]) -> str:
+    drive = control.drive(words[0])
+    if words[1] not in ("open", "closed"):
+        raise ControlError(f"write {_COMMANDS['terminal'].form}")
+    drive.set_terminal(high=words[1] == "closed")
+    return summary(drive)
+
+
+def _absent(control: Control, words: list[str]) -> str:
+    drive = control.drive(words[0])
+    drive.present = False
+    return f"{drive.name} does not answer until `present {drive.name}`"
+
+
+def _present(control: Control, words: list[str]) -> str:
+    drive = control.drive(words[0])
+    drive.present = True
+    return f"{drive.name} answers"
+
+
+def _unplug(control: Control, words: list[str]) -> str:
+    wait_s = _duration(words[0]) if words else None
+    control.plug.unplug()
+    if wait_s is None:
+        return "unplugged until `plug`"
+    time.sleep(wait_s)
+    control.plug.replug()
+    return f"plugged in again after {words[0]}"
+
+
+def _plug(control: Control, words: list[str]) -> str:
+    control.plug.replug()
+    return "plugged in"
+
+
+def _faults(control: Control, words: list[str]) -> str:
+    text = "" if words[0] == "none" else words[0]
+    wanted: Faults = _try(lambda: parse_faults(text))
+    if wanted.trips:
+        raise ControlError("drives get their faults by `trip`, not here")
+    there = {drive.address for drive in control.line.drives}
+    if unknown := wanted.absent - there:
+        raise ControlError(f"no drive has the address {min(unknown)}: one of {sorted(there)}")
+    control.line.faults = wanted
+    return f"faults of the line: {text or 'none'}"
+
+
+# Words
+
+
+def _try(act: Callable[[], _T]) -> _T:
+    """Turn what is wrong with a value into what is wrong with the line."""
+    try:
+        return act()
+    except ControlError:
+        raise
+    except ValueError as exc:
+        raise ControlError(str(exc)) from None
+
+
+def _whole(word: str, what: str) -> int:
+    if not word.isdecimal() or len(word) > 5:
+        raise ControlError(f"`{word}` is not {what}")
+    return int(word)
+
+
+def _duration(word: str) -> float:
+    try:
+        return parse_duration(word)
+    except DurationError as exc:
+        raise ControlError(f"{word} {exc}") from None
+
+
+def _setting(word: str) -> tuple[str, str]:
+    name, equals, text = word.partition("=")
+    if not equals or not text:
+        raise ControlError(f"`{word}`? write {_COMMANDS['swap'].form}")
+    return name, text
+
+
+@dataclass(frozen=True, slots=True)
+class _Command:
+    """One command.
+
+    Attributes:
+        form: How it is written.
+        does: What it does.
+        least: Least number of words after its name.
+        most: Greatest number of them.
+        function: Does it.
+        locks: Whether the line is locked during the command.
+    """
+
+    form: str
+    does: str
+    least: int
+    most: int
+    function: Callable[[Control, list[str]], str]
+    locks: bool = True
+
+
+_SWAP = "swap DRIVE [family=FAMILY] [C0200=TEXT] .."
+
+_COMMANDS: Final[dict[str, _Command]] = {
+    "help": _Command("help [COMMAND]", "what can be written here", 0, 1, _help, locks=False),
+    "drives": _Command("drives", "every drive and how it is", 0, 0, _drives),
+    "show": _Command("show DRIVE", "all about one drive", 1, 1, _show),
+    "log": _Command("log DRIVE [COUNT]", "the last telegrams it has heard", 1, 2, _log),
+    "trip": _Command("trip DRIVE NUMBER [stays]", "a fault; stays: no reset helps", 2, 3, _trip),
+    "clear": _Command("clear DRIVE", "its faults' causes go; a TRIP waits for reset", 1, 1, _clear),
+    "terminal": _Command("terminal DRIVE open|closed", "its enable terminal", 2, 2, _terminal),
+    "set": _Command("set DRIVE CODE VALUE", "a value, as at its keypad", 3, 3, _set),
+    "get": _Command("get DRIVE CODE", "a value, without a telegram", 2, 2, _get),
+    "wear": _Command("wear DRIVE", "writes into its memory, by code", 1, 1, _wear),
+    "power-cycle": _Command("power-cycle DRIVE [TIME]", "off and on", 1, 2, _power_cycle),
+    "factory-reset": _Command("factory-reset DRIVE", "the maker's values", 1, 1, _factory_reset),
+    "swap": _Command(_SWAP, "another drive in its place", 1, 20, _swap),
+    "absent": _Command("absent DRIVE", "it does not answer", 1, 1, _absent),
+    "present": _Command("present DRIVE", "it answers again", 1, 1, _present),
+    "unplug": _Command("unplug [TIME]", "pull the host's plug", 0, 1, _unplug, locks=False),
+    "plug": _Command("plug", "plug it in again", 0, 0, _plug, locks=False),
+    "faults": _Command("faults late=0.05:0.5s,.. | none", "what goes wrong on it", 1, 1, _faults),
+}

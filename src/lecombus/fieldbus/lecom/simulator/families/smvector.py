@@ -1,0 +1,252 @@
+"""The SMVector with its RS-485 LECOM module: parameter Pnnn is code 1000 + nnn.
+
+Strategy: the network may write once a terminal enables it and P100 allows it, and then as far as
+P420 says; stops are always accepted. P425 and P426 are its watchdog and survive a power cycle,
+since they are drive parameters.
+
+Source: CMVLC401A 4.1, 4.2, 7.2, 7.3, 8.1 (table 9), 9.1, 10.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from decimal import Decimal
+from typing import ClassVar, Final
+
+from lecombus.fieldbus.lecom.simulator.families.tablesmv import FAULTS_SMV, LECOM_NUMBERS, SPECS_SMV
+from lecombus.fieldbus.lecom.simulator.model import (
+    INHIBIT,
+    JOG_BITS,
+    QSP,
+    REVERSE,
+    Model,
+    word_text,
+)
+from lecombus.fieldbus.lecom.simulator.parameters import CommError, ExtendedError, Refusal, Spec
+from lecombus.fieldbus.lecom.simulator.troubles import Kind
+
+__all__ = ["F_NF1", "SMVector"]
+
+F_NF1: Final = 36
+"""Network time-out, F.nF1. Source: CMVLC401A 9.1."""
+
+_OVERHEATED, _OVERVOLTAGE = 4, 6
+"""F.AF and F.HF, which have bits of their own in C0150. Source: CMVLC401A 9.1, table 9."""
+
+_LECOM: Final = "7"
+_ONLINE: Final = "3"
+"""P402 while module and drive talk. Source: CMVLC401A 4.1."""
+_NET_ENABLE: Final = "9"
+_INPUTS: Final = range(1121, 1125)
+"""P121..P124: what the terminals TB-13A..D do."""
+
+
+class SMVector(Model):
+    """An SMVector.
+
+    Attributes:
+        messages: P427: valid network messages, 0..9999, then from 0 again.
+        network_enabled: Whether the contact at the terminal for "network enable" is closed.
+        digit_of: Which number C0068 shows the tens digit of: "lecom", that of the LECOM fault
+            number, as table 9 says, whose list is missing; "p500", that of P500's number; "none".
+        history_form: How P500 reads: "number", as 9.1 lists it; "place", with its place in the
+            history before the point, such as 1.36: 9.1 does not say that it is a whole number.
+    """
+
+    family: ClassVar[str] = "smvector"
+    address_code: ClassVar[int] = 1410
+    baud_code: ClassVar[int] = 1411
+    watchdog_codes: ClassVar[tuple[int, ...]] = (1425, 1426)
+    fault_kinds: ClassVar[Mapping[int, Kind]] = FAULTS_SMV
+    commissioned: ClassVar[Mapping[int, str]] = {1121: _NET_ENABLE, 1400: _LECOM, 1420: "3"}
+    kept_in_reset: ClassVar[tuple[int, ...]] = (*_INPUTS, 1400, 1420)
+
+    def __init__(self) -> None:
+        self.messages = 0
+        self.network_enabled = True
+        self.history_form = "number"
+        super().__init__(SPECS_SMV)
+
+    def _install(self) -> None:
+        self.readers |= {
+            40: lambda _: "0" if self.inhibited() else "1",
+            43: lambda _: "0",
+            46: lambda _: self.frequency_text(self.setpoint()),
+            50: lambda _: self.frequency_text(abs(self.motor.output)),
+            68: lambda _: word_text(self.operating_status()),
+            135: lambda _: self.read_control_word(),
+            150: lambda _: word_text(self.status_word()),
+            1402: lambda _: _ONLINE,
+            1405: lambda _: "1" if self.fault == F_NF1 else "0",
+            1427: lambda _: str(self.messages),
+            1500: self._history,
+            1508: lambda _: "1.8" if self.motor.output else "0",
+            1527: lambda _: self.frequency_text(abs(self.motor.output)),
+            1530: lambda _: str(self._terminals()),
+        }
+        self.writers |= {
+            40: self.take_inhibit,
+            43: lambda text: self.reset_fault() if text == "1" else None,
+            135: self.write_control_word,
+            140: lambda text: self._command(140, 1061, text),
+            1061: lambda text: self._command(1061, 140, text),
+            1403: self._reset_module,
+        }
+
+    def start_word(self) -> int:
+        """P424: 0 quick stop, 1 inhibit. Source: CMVLC401A 4.2."""
+        self.messages = 0
+        return INHIBIT if self.params.text(1424) == "1" else QSP
+
+    def feed(self, now_s: float) -> None:
+        """A valid message feeds the watchdog and counts. Source: CMVLC401A 4.2, 7.3."""
+        super().feed(now_s)
+        self.messages = (self.messages + 1) % 10000
+
+    def power_cycle(self, now_s: float, off_s: float | None = None) -> None:
+        """Switch off and on; the message counter starts from 0."""
+        super().power_cycle(now_s, off_s)
+        self.messages = 0
+
+    def _command(self, number: int, other: int, text: str) -> None:
+        """C0140 and C1061 both command the frequency: the one written last acts."""
+        self.params.set(other, text)
+        if number == 140 and text == "0" and self.params.text(1420) == "4":
+            self.control |= QSP
+
+    def take_control_word(self, text: str) -> None:
+        """C0135; where the network may not control, only its stop bits count."""
+        if self.level() >= 3 and self.under_network():
+            super().take_control_word(text)
+        else:
+            self.control |= int(text[1:], 16) & (QSP | INHIBIT)
+
+    def set_terminal(self, *, high: bool) -> None:
+        """Close or open the contact at the network enable terminal. Source: CMVLC401A 7.2."""
+        self.network_enabled = high
+
+    def _history(self, subcode: int) -> str:
+        """P500: without a subcode the newest. Source: CMVLC401A 9.1."""
+        number = self.troubles.newest(subcode)
+        return f"{max(1, subcode)}.{number}" if self.history_form == "place" else str(number)
+
+    def _reset_module(self, text: str) -> None:
+        """P403: P401..P499 back to their defaults, address and P420 too. Source: CMVLC401A 4.1."""
+        if text == "1":
+            others = {number for number, _ in self.params.specs if not 1401 <= number <= 1499}
+            self.params.factory_reset(others)
+        self.params.set(1403, "0")
+
+    def _terminals(self) -> int:
+        """P530: bits 6, 7, 8, 0 are TB-13A..D. Source: CMVLC401A 9.3."""
+        places = (6, 7, 8, 0)
+        closed = zip(_INPUTS, places, strict=True)
+        return sum(1 << bit for number, bit in closed if self._enables(number))
+
+    def _enables(self, number: int) -> bool:
+        return self.network_enabled and self.params.text(number) == _NET_ENABLE
+
+    def listens(self) -> bool:
+        """P400: another protocol than LECOM, and nothing is heard. Source: CMVLC401A 7.1."""
+        return self.params.text(1400) == _LECOM
+
+    def watchdog_setting(self) -> tuple[float, int]:
+        """P425 and P426. Source: CMVLC401A 7.3."""
+        return self.params.number(1425) / 1000.0, int(self.params.text(1426))
+
+    def expire(self, action: int) -> None:
+        """1 inhibit, 2 quick stop, 3 trip F.nF1. Source: CMVLC401A 7.3.3."""
+        if action == 3:
+            self.trip(F_NF1)
+        else:
+            self.control |= INHIBIT if action == 1 else QSP
+
+    def may_write(self, spec: Spec, text: str) -> None:
+        """What the network may write, and within which limits. Source: CMVLC401A 4.2, 7.2."""
+        if self._stops(spec.number, text):
+            return
+        if self.level() < self._needed(spec.number) or not self.under_network():
+            raise Refusal(CommError.NO_ACCESS, ExtendedError.OPERATING_MODE)
+        if spec.number in (1060, 1061):
+            self._check_speed(Decimal(text))
+
+    def level(self) -> int:
+        """P420: 0 monitor, 1 parameters, 2 setpoints too, 3 and 4 control too."""
+        return int(self.params.text(1420))
+
+    def _needed(self, number: int) -> int:
+        # The two codes of addressing change nothing in the drive.
+        # P420 itself can be raised only at the keypad: with level 0 nothing may be programmed.
+        if number in (248, 249):
+            return 0
+        if number in (40, 43, 135):
+            return 3
+        return 2 if number in (140, 1061, 1071, 1081) else 1
+
+    def under_network(self) -> bool:
+        """A terminal enables the network, and P100 leaves control to it. Source: CMVLC401A 7.2."""
+        enabled = any(self._enables(number) for number in _INPUTS)
+        return enabled and self.params.text(1100) not in ("2", "5")
+
+    def _check_speed(self, value: Decimal) -> None:
+        """C1060 and C1061 lie between P102 and P103. Source: CMVLC401A table 9."""
+        low, high = Decimal(self.params.text(1102)), Decimal(self.params.text(1103))
+        if not low <= value <= high:
+            raise Refusal(CommError.INVALID_VALUE, ExtendedError.VALUE_RANGE)
+
+    def _stops(self, number: int, text: str) -> bool:
+        if number == 40:
+            return text == "0"
+        return number == 135 and bool(int(text[1:], 16) & (QSP | INHIBIT))
+
+    def setpoint(self) -> float:
+        """JOG or the network's frequency command. Source: CMVLC401A table 9, C0135."""
+        jog = self.control & JOG_BITS
+        value = self.params.number(36 + jog) if jog else self.params.number(1061)
+        return -value if self.control & REVERSE else value
+
+    def ramp(self) -> tuple[float, float, float, float]:
+        """P103, P104, P105; a quick stop uses P105."""
+        number = self.params.number
+        return number(1103), number(1104), number(1105), number(1105)
+
+    def think_s(self, number: int, *, write: bool, now_s: float) -> float:
+        """The manual gives none: 20 ms stands in, as for the other drives of its time."""
+        return 0.020
+
+    def fault_digit(self) -> int:
+        """Bits 0..3 of C0068: a tens digit, of a number that the manual leaves open."""
+        if self.digit_of == "none":
+            return 0
+        number = LECOM_NUMBERS.get(self.fault, 0) if self.digit_of == "lecom" else self.fault
+        return number // 10 % 10
+
+    def operating_status(self) -> int:
+        """C0068. Source: CMVLC401A table 9."""
+        bits = self.fault_digit() | int(self.comm_error) << 4
+        flags = {
+            8: self.level() >= 3 and self.under_network(),
+            9: self.motor.output != 0.0,
+            10: self.motor.speed < 0 or bool(self.control & REVERSE),
+            11: self.motor.powered,
+            12: bool(self.control & QSP),
+            14: self.motor.powered and self.motor.speed == self.motor.target,
+            15: bool(self.fault),
+        }
+        return bits | sum(1 << bit for bit, on in flags.items() if on)
+
+    def status_word(self) -> int:
+        """C0150; bit 1 as the LECOM manual has it, "energised". Source: CMVLC401A table 9."""
+        flags = {
+            1: self.motor.powered,
+            4: self.motor.powered and self.motor.speed == self.motor.target,
+            5: self.motor.output != 0.0,
+            6: self.motor.output == 0.0,
+            7: self.inhibited(),
+            8: bool(self.fault),
+            12: self.fault == _OVERHEATED,
+            13: self.fault == _OVERVOLTAGE,
+            14: self.motor.speed < 0 or bool(self.control & REVERSE),
+            15: not self.fault,
+        }
+        return sum(1 << bit for bit, on in flags.items() if on)
