@@ -1,11 +1,8 @@
-"""The line: everything that uses the bus.
+"""The line: its port, and the worker that owns it.
 
-Start with `worker`: it owns the port and runs one exchange at a time (`exchange_loop`). `port` is
+Start with `worker`: it opens the port and runs the exchange loop of the protocol on it. `port` is
 the interface to what carries the bytes; `serial_port` and `tcp_port` implement it, `opening`
-chooses one, `port_connection` opens and reopens it. `jobs` and `stop_job` give the steps of a
-request and `prepared_telegrams` makes their telegrams. `late_replies` knows which late
-answers may still come, `prepared_telegrams` asks it before each telegram, and `unsolicited_bytes`
-receives them.
+chooses one, `port_connection` opens and reopens it.
 `loop` is the event loop, with timers accurate enough for a turnaround.
 
 What must not live here: the order of requests (`schedule`), who is stopped (`operations`), what is
