@@ -56,7 +56,7 @@ from .telegram_log import TelegramLog
 
 __all__ = ["ExchangeLoop"]
 
-logger = logging.getLogger(__name__)
+logger = logging.getLogger("lecombus.line.exchange_loop")  # as in the log of any protocol
 
 LATE_S: Final = 0.002
 """If a timer fires later than this, bytes may have arrived that were not read yet, seconds."""

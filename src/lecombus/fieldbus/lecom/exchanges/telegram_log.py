@@ -22,7 +22,7 @@ from ..protocol.telegrams import (
 
 __all__ = ["TelegramLog"]
 
-logger = logging.getLogger(__name__)
+logger = logging.getLogger("lecombus.line.telegram_log")  # as in the log of any protocol
 
 MOST_UNSOLICITED: Final = 256
 """With this many unsolicited bytes they are logged immediately."""
