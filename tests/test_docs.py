@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from lecombus.api.problems import STATUS_BY_KIND
+from lecombus.api.answers import STATUS_BY_KIND
 from lecombus.cli.entry import COMMANDS, main
 from lecombus.config import roster_json_schema
 from lecombus.drives import FAMILY_NAMES, family

@@ -131,15 +131,15 @@ def test_what_was_learnt_is_dropped_when_somebody_says_so_and_learnt_again() -> 
         await work(plant, 60)
         station = plant.site.requests.station("b")
         assert station.answer_s(Code(150)) is not None
-        report = plant.site.maintenance.forget_times("b")
+        report = plant.site.operations.forget_times("b")
         assert Code(150) in {row.code for row in report.forgotten}
         assert station.answer_s(Code(150)) is None
         assert "answers later" not in remarks(plant, "b")
-        assert plant.site.maintenance.forget_times("b").forgotten == ()
+        assert plant.site.operations.forget_times("b").forgotten == ()
         await work(plant, 30)
         assert station.answer_s(Code(150)) is not None
         with pytest.raises(OperationError, match="no drive"):
-            plant.site.maintenance.forget_times("c")
+            plant.site.operations.forget_times("c")
 
     with_plant(test, roster_of(TWO, drive=", cyclic: [{code: C0150, every: 500ms}]"))
 

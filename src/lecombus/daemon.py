@@ -174,7 +174,7 @@ class Daemon:
                 runtime.operations.close()
                 await self._say_goodbye(runtime)
                 faces.cancel_scope.cancel()
-            runtime.actions.look(at_end=True)
+            runtime.operations.actions.look(at_end=True)
             runtime.worker.close()
             line.cancel_scope.cancel()
 
@@ -185,10 +185,9 @@ class Daemon:
     async def _serve(self, faces: anyio.abc.TaskGroup, runtime: LineRuntime) -> None:
         api = self._roster.api
         app = create_app(
-            runtime.recorded,
+            runtime.operations,
             runtime.store,
             runtime.metrics,
-            maintenance=runtime.recorded_maintenance,
             plan_facts=runtime.plan_facts,
             line_name=self._roster.line.name,
             port=self._roster.line.port,
@@ -299,7 +298,7 @@ class Daemon:
             return
         with anyio.move_on_after(SHUTDOWN_STOP_S) as scope:
             try:
-                report = await runtime.recorded.stop(action, "all")
+                report = await runtime.operations.stop(action, "all")
             except LecombusError as exc:
                 logger.error("event=shutdown-stop-failed action=%s reason=%s", action, exc)
             else:

@@ -31,12 +31,9 @@ from lecombus.operations.actions import Actions
 from lecombus.operations.context import OperationContext
 from lecombus.operations.facade import Operations
 from lecombus.operations.identities import Identities
-from lecombus.operations.maintenance import Maintenance
 from lecombus.operations.readdress import Readdress
-from lecombus.operations.recorded import RecordedMaintenance, RecordedOperations
 from lecombus.operations.requests import Requests
 from lecombus.operations.wear import Wear
-from lecombus.parameters import Code
 from lecombus.readings import DriveState, Json
 from lecombus.schedule import Schedule
 from lecombus.schedule.stats import ScheduleStats
@@ -137,10 +134,8 @@ class LineRuntime:
         )
         self.supervisor = self._make_supervisor()
         self._changes = self._make_changes()
-        self.operations = self._make_operations()
         self._slow = SlowDrives(self.store, self.schedule)
-        self.maintenance = self._make_maintenance()
-        self.actions, self.recorded, self.recorded_maintenance = self._make_recorded()
+        self.operations = self._make_operations()
         self._overload = PollOverload(self.store)
         self._second_answers = SecondAnswers(self.store)
         self.port_watch = PortWatch(self.store, line)
@@ -173,26 +168,11 @@ class LineRuntime:
         context = OperationContext(
             self.requests, self.store, self.wear, self._clock, lambda: self._recorder.disturbances
         )
-        return Operations(context, self.health.restarted)
-
-    def _make_maintenance(self) -> Maintenance:
-        return Maintenance(
-            self.identities, self.wear, self.readdress, self.drives,
-            lambda drive: self._slow.look([drive]),
+        return Operations(
+            context, Actions(self._clock), self.identities, self.readdress,
+            restarted=self.health.restarted,
+            times_changed=lambda drive: self._slow.look([drive]),
         )  # fmt: skip
-
-    def _make_recorded(self) -> tuple[Actions, RecordedOperations, RecordedMaintenance]:
-        actions = Actions(self._clock)
-        operations = RecordedOperations(self.operations, actions, self._is_secret)
-        return actions, operations, RecordedMaintenance(self.maintenance, actions)
-
-    def _is_secret(self, target: str, code: Code) -> bool:
-        """Whether a code of a drive, or of one of a group, is a password."""
-        group = self.roster.groups.get(target)
-        names = (target,) if group is None else group.members
-        drives = filter(None, map(self.drives.find, names))
-        infos = (drive.family.info(code) for drive in drives)
-        return any(info is not None and info.secret for info in infos)
 
     def _make_metrics(self) -> Metrics:
         name, clock = self.roster.line.name, self._clock
@@ -261,7 +241,7 @@ class LineRuntime:
 
     def note_cadence(self) -> None:
         """Say how far the cadence is stretched, and which watchdogs ran out; once a second."""
-        self.actions.look()
+        self.operations.actions.look()
         now_s = self._clock()
         stats = self._gather(now_s)
         self._slow.look(self.drives)

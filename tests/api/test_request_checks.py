@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from lecombus.api import bodies, decimal_json, request_checks
+from lecombus.api.answers import ProblemError
 from lecombus.api.bodies import AcceptBody, Body, DriveWriteBody, SpeedBody, StopBody
 from lecombus.api.limits import BODY_LIMIT
-from lecombus.api.problems import ProblemError
 
 MODELS = (DriveWriteBody, StopBody, SpeedBody, AcceptBody)
 

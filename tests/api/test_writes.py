@@ -10,9 +10,9 @@ import pytest
 from starlette.requests import Request
 from starlette.responses import Response
 
+from lecombus.api.answers import ProblemError
 from lecombus.api.idempotency import KEEP_S, KEY_LIMIT, Idempotency
 from lecombus.api.limits import BODY_LIMIT
-from lecombus.api.problems import ProblemError
 from lecombus.drives import StopAction
 from lecombus.errors import CodeValueError, OperationError, QueueFullError
 from lecombus.operations.reports import WriteReport

@@ -48,7 +48,6 @@ async def behind_http(plant: Plant, name: str = "a") -> AsyncIterator[HttpDrive]
     """The drive as the command line sees it."""
     app = create_app(
         plant.site.operations, plant.site.store, plant.site.metrics,
-        maintenance=plant.site.maintenance,
         plan_facts=plant.site.plan_facts,
         line_name="t", ready=lambda: (True, ""), healthy=lambda: (True, ""),
         clock=anyio.current_time,

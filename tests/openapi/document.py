@@ -22,8 +22,8 @@ from starlette.routing import Route
 
 import lecombus.api
 from lecombus.api import bodies
+from lecombus.api.answers import PROBLEM_TYPE, STATUS_BY_KIND
 from lecombus.api.idempotency import KEY_CHARS
-from lecombus.api.problems import PROBLEM_TYPE, STATUS_BY_KIND
 from openapi import answer_models
 from openapi.answer_models import ProblemDocument
 from support.api_line import make_line

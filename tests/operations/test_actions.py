@@ -5,8 +5,9 @@ from __future__ import annotations
 import logging
 import os
 import re
-from collections.abc import Iterator
-from typing import Any, cast
+from collections.abc import Callable, Iterator
+from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -21,8 +22,12 @@ from lecombus.operations.actions import (
     Actions,
     Actor,
 )
-from lecombus.operations.recorded import RecordedMaintenance, RecordedOperations
+from lecombus.operations.facade import Operations
+from lecombus.operations.group_writes import GroupWrites
 from lecombus.operations.reports import GroupReport, VerbReport, WriteReport
+from lecombus.operations.stop_requests import Stops
+from lecombus.operations.verb_operations import Verbs
+from lecombus.operations.writes import Writes
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome
 
@@ -81,39 +86,48 @@ class Drives:
     async def verb(self, drive: str, verb: Verb, **how: Any) -> VerbReport:
         return VerbReport(drive, verb, self._end(), written=((FREQUENCY, "35"),))
 
-    # What only reads is handed on and leaves no event.
-    read = read_address = restore_rights = why = groups = verb
-
-    async def readdress(self, drive: str, address: int) -> WriteReport:
+    async def change(self, drive: str, address: int) -> WriteReport:
         return await self.write(drive, Code(9), address)
 
     def accept(self, drive: str, shown: object) -> object:
         return self._end()
 
-    forget_times = accept
+
+Recorded = Callable[[Drives], Operations]
 
 
-def recorded(actions: Actions, drives: Drives) -> RecordedOperations:
-    return RecordedOperations(cast(Any, drives), actions, lambda target, code: code == PASSWORD)
+@pytest.fixture
+def recorded(actions: Actions, monkeypatch: pytest.MonkeyPatch) -> Recorded:
+    """The operations of a line, each of which ends as the drives say."""
+
+    def make(drives: Drives) -> Operations:
+        parts = {Writes: "write", GroupWrites: "write_group", Stops: "stop", Verbs: "verb"}
+        for part, name in parts.items():
+            monkeypatch.setattr(part, name, getattr(drives, name))
+        context = Mock(is_secret=lambda target, code: code == PASSWORD)
+        return Operations(
+            context, actions, Mock(accept=drives.accept), Mock(change=drives.change),
+            restarted=Mock(), times_changed=Mock(),
+        )  # fmt: skip
+
+    return make
 
 
-async def everything(actions: Actions, drives: Drives) -> None:
-    ops = recorded(actions, drives)
-    maintenance = RecordedMaintenance(cast(Any, drives), actions)
+async def everything(ops: Operations) -> None:
     await ops.write("feeder", FREQUENCY, 20, expires_s=None, verify=False)
     await ops.write_group("line", FREQUENCY, 20, expires_s=None, verify=False)
     await ops.verb("feeder", Verb.RESET_FAULT)
     await ops.verb("feeder", Verb.QUICK_STOP)
     await ops.stop(StopAction.QUICK_STOP, "line")
-    await maintenance.readdress("feeder", 12)
-    maintenance.accept("feeder", {})
+    await ops.readdress("feeder", 12)
+    ops.accept("feeder", {})
 
 
 @pytest.mark.anyio
 async def test_everything_that_moves_a_drive_leaves_one_event_with_who_it_was(
-    actions: Actions, caplog: pytest.LogCaptureFixture
+    recorded: Recorded, caplog: pytest.LogCaptureFixture
 ) -> None:
-    await everything(actions, Drives())
+    await everything(recorded(Drives()))
     events = [re.search("event=([a-z-]+)", text)[1] for text in caplog.messages]  # type: ignore[index]
     assert events == [
         "write", "group-write", "verb", "stop", "stop", "readdress-asked", "accept",
@@ -130,13 +144,13 @@ async def test_everything_that_moves_a_drive_leaves_one_event_with_who_it_was(
 
 @pytest.mark.anyio
 async def test_what_was_refused_or_not_done_everywhere_says_so(
-    actions: Actions, caplog: pytest.LogCaptureFixture
+    recorded: Recorded, caplog: pytest.LogCaptureFixture
 ) -> None:
     drives = Drives(error=OperationError("who=root may", kind="locked", remedy=""))
     with pytest.raises(OperationError):
-        await recorded(actions, drives).write("feeder", FREQUENCY, 1)
+        await recorded(drives).write("feeder", FREQUENCY, 1)
     assert "outcome=refused drive=feeder code=C0046 value=1 reason=who:root may" in caplog.text
-    await recorded(actions, Drives(Outcome.UNKNOWN)).stop(StopAction.INHIBIT, "all")
+    await recorded(Drives(Outcome.UNKNOWN)).stop(StopAction.INHIBIT, "all")
     assert "outcome=unknown drive=all action=inhibit how=one-by-one not_done=belt:unknown" in (
         caplog.text
     )
@@ -144,30 +158,30 @@ async def test_what_was_refused_or_not_done_everywhere_says_so(
 
 @pytest.mark.anyio
 async def test_lecombus_itself_is_named_where_nobody_asked(
-    actions: Actions, caplog: pytest.LogCaptureFixture
+    recorded: Recorded, caplog: pytest.LogCaptureFixture
 ) -> None:
     ACTOR.set(Actor())
-    await recorded(actions, Drives()).stop(StopAction.INHIBIT, "all")
+    await recorded(Drives()).stop(StopAction.INHIBIT, "all")
     assert "event=stop who=lecombus outcome=done drive=all" in caplog.text
 
 
 @pytest.mark.anyio
 async def test_a_password_is_not_shown_nor_is_a_reason_that_may_quote_it(
-    actions: Actions, caplog: pytest.LogCaptureFixture
+    recorded: Recorded, caplog: pytest.LogCaptureFixture
 ) -> None:
     drives = Drives(error=OperationError("4711 is too big", kind="bad-value", remedy=""))
     with pytest.raises(OperationError):
-        await recorded(actions, drives).write("feeder", PASSWORD, 4711)
+        await recorded(drives).write("feeder", PASSWORD, 4711)
     assert "value=***" in caplog.text
     assert "4711" not in caplog.text.replace(str(os.getpid()), "")
 
 
 @pytest.mark.anyio
 async def test_no_text_of_a_client_forges_a_field(
-    actions: Actions, caplog: pytest.LogCaptureFixture
+    recorded: Recorded, caplog: pytest.LogCaptureFixture
 ) -> None:
     odd = 'x" who=root\nevent=stop ' + "y" * 5000
-    await recorded(actions, Drives()).write(odd, FREQUENCY, odd)
+    await recorded(Drives()).write(odd, FREQUENCY, odd)
     assert len(caplog.messages) == 1
     assert caplog.messages[0].count("event=") == caplog.messages[0].count("who=") == 1
     assert len(caplog.messages[0]) < 400

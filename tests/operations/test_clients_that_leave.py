@@ -24,15 +24,15 @@ Act = Callable[[Plant], Awaitable[object]]
 
 
 def writing(code: int, value: int | str) -> Act:
-    return lambda plant: plant.site.recorded.write("a", Code(code), value)
+    return lambda plant: plant.site.operations.write("a", Code(code), value)
 
 
 def verb(verb: Verb) -> Act:
-    return lambda plant: plant.site.recorded.verb("a", verb)
+    return lambda plant: plant.site.operations.verb("a", verb)
 
 
 def group(name: str, code: int, value: int | str) -> Act:
-    return lambda plant: plant.site.recorded.write_group(name, Code(code), value)
+    return lambda plant: plant.site.operations.write_group(name, Code(code), value)
 
 
 class Client:
@@ -114,7 +114,7 @@ STOPS = {
     "group": group("two", 40, 0),
     "verb": verb(Verb.QUICK_STOP),
     "verb inhibit": verb(Verb.INHIBIT),
-    "stop": lambda plant: plant.site.recorded.stop(StopAction.QUICK_STOP, "a"),
+    "stop": lambda plant: plant.site.operations.stop(StopAction.QUICK_STOP, "a"),
 }
 
 

@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable
 import anyio
 import pytest
 
-from lecombus.api.problems import problem_of, report_problem
+from lecombus.api.answers import problem_of, report_problem
 from lecombus.drives import StopAction
 from lecombus.errors import NakError, UnknownCodeError
 from lecombus.operations.reports import WriteReport

@@ -33,7 +33,7 @@ async def ready(plant: Plant) -> None:
 
 
 async def change(plant: Plant, address: int, drive: str = "a") -> WriteReport:
-    return await plant.site.maintenance.readdress(drive, address)
+    return await plant.site.operations.readdress(drive, address)
 
 
 async def refused(plant: Plant, address: int, drive: str = "a") -> OperationError:

@@ -67,7 +67,7 @@ def shutdown(plant: Plant) -> Awaitable[GroupReport]:
     action = plant.site.stop_action()
     assert action is not None
     plant.site.operations.close()
-    return plant.site.recorded.stop(action, "all")
+    return plant.site.operations.stop(action, "all")
 
 
 WAYS: dict[str, tuple[Ask, set[str]]] = {

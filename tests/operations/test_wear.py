@@ -35,7 +35,7 @@ def worn(plant: Plant, number: int = 12) -> int:
 
 
 def counted(plant: Plant, drive: str = "a") -> dict[str, int]:
-    return {one.code: one.writes for one in plant.site.maintenance.wear(drive).codes}
+    return {one.code: one.writes for one in plant.site.operations.wear(drive).codes}
 
 
 def test_what_is_there_already_is_not_written() -> None:
@@ -161,7 +161,7 @@ def test_counts_go_on_from_before_and_stand_on_the_metrics_page() -> None:
         label = 'lecombus_parameter_writes_total{line="t",drive="a",code='
         assert f'{label}"C0012"}} 42' in page
         assert f'{label}"other"}} 0' in page, "the drive has no C0469 and said so"
-        report = plant.site.maintenance.wear("a")
+        report = plant.site.operations.wear("a")
         assert (report.codes[0].writes, report.codes[0].to_this_device) == (42, 2)
 
     state = State()

@@ -84,11 +84,11 @@ def test_a_swapped_drive_is_not_written_to_until_it_is_accepted(
         assert written(plant)[since:] == [], "its watchdog is not set either"
         stopped = await plant.site.operations.stop(StopAction.QUICK_STOP, "a")
         assert stopped.outcome is Outcome.VERIFIED, "a stop always goes"
-        found = plant.site.maintenance.identity("a").found
+        found = plant.site.operations.identity("a").found
         with pytest.raises(OperationError, match="not C1810 nonsense"):
-            plant.site.maintenance.accept("a", {"C1810": "nonsense"})
+            plant.site.operations.accept("a", {"C1810": "nonsense"})
         assert lock(plant)
-        assert plant.site.maintenance.accept("a", found).problem == ""
+        assert plant.site.operations.accept("a", found).problem == ""
         assert lock(plant) == ""
         assert await write(plant) is Outcome.VERIFIED
         await until(lambda: 1922 in written(plant)[since:])
@@ -156,7 +156,7 @@ def test_the_rosters_word_goes_before_the_record() -> None:
         assert "the roster says OTHER" in lock(plant)
         assert "correct `identity` in the roster" in lock(plant)
         with pytest.raises(OperationError, match="the roster says otherwise of C1810"):
-            plant.site.maintenance.accept("a", plant.site.maintenance.identity("a").found)
+            plant.site.operations.accept("a", plant.site.operations.identity("a").found)
         plant.apply(ROSTER)
         await plant.online()
         assert lock(plant) == ""

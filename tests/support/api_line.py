@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
+from typing import cast
 
 import anyio
 from starlette.applications import Starlette
@@ -18,13 +19,14 @@ from lecombus.errors import LecombusError
 from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.metrics import Metrics
 from lecombus.operations.address_reads import Heard, HeardKind
+from lecombus.operations.facade import Operations
 from lecombus.operations.findings import Finding, MemoryEntry, WhyReport
 from lecombus.operations.identities import IdentityReport
-from lecombus.operations.maintenance import TimesReport
 from lecombus.operations.reports import (
     GroupInfo,
     GroupReport,
     RestoreRights,
+    TimesReport,
     VerbReport,
     WriteReport,
 )
@@ -157,10 +159,6 @@ class FakeOperations:
         outcome = next((one.outcome for one in members if one.outcome not in good), Outcome.DONE)
         return GroupReport(target, "one-by-one", outcome, members)
 
-
-class FakeMaintenance:
-    """Maintenance that answers from one identity."""
-
     def identity(self, drive: str) -> IdentityReport:
         return IdentityReport(drive, {"C1810": "NEW"}, {"C1810": "OLD"}, {}, "", "swapped")
 
@@ -204,10 +202,9 @@ def make_line() -> Line:
     metrics.counters.add_drive("feeder")
     line: Line
     app = create_app(
-        ops,
+        cast(Operations, ops),
         store,
         metrics,
-        maintenance=FakeMaintenance(),
         plan_facts=lambda: {
             "roster": {},
             "measured": {},

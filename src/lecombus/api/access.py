@@ -19,9 +19,9 @@ from typing import Final
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from lecombus.api.answers import Problem
 from lecombus.api.decimal_json import short
 from lecombus.api.limits import is_stop
-from lecombus.api.problems import Problem
 from lecombus.api.read_routes import ADDRESSES_PATH
 from lecombus.operations.actions import ACTOR, Actor
 from lecombus.roster import is_loopback

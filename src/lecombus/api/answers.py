@@ -1,127 +1,339 @@
-"""How answers are written: the JSON of reports, and the responses made from it.
+"""Answers: JSON documents, and problem documents (RFC 9457) for every refusal and failure.
 
-What must not live here: paths, and what a problem is (`problems`).
+Strategy: every failure becomes one `Problem`, made in one of two ways: `problem_of` from an
+error of lecombus' tree, `report_problem` from a write that ended in anything but `done` or
+`verified`. The status follows from the problem's kind by one table, and the OpenAPI document
+shows the same table.
+
+==== ==================================================================================
+400  not HTTP, not with one host, or with too many query parameters
+403  not writable, or over TCP a write or a request of another web page
+404  no such drive, group, code or path
+405  wrong method
+409  refused by the drive (NAK), or superseded by a later request or a stop
+413  the body is too big
+414  path and query are too long
+421  the request names a host that is not this machine
+422  the request cannot be understood, or the value cannot be sent
+429  a stored parameter was written too often (`Retry-After` says when it may be again)
+431  the request's headers are too long or too many
+500  a mistake in lecombus
+502  the answer was garbled or belonged to something else
+503  the line is lost or closed, or it was never sent: queue full, expired while waiting
+     (`Retry-After` where asking again makes sense)
+504  no answer, drive offline, or unknown: it may have happened
+==== ==================================================================================
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from starlette.responses import Response
 
-from lecombus.api.decimal_json import encode
-from lecombus.api.problems import Problem, group_problem, report_problem, verb_problem
-from lecombus.operations.reports import GroupInfo, GroupReport, VerbReport, WriteReport
+from lecombus.api.decimal_json import encode, short
+from lecombus.errors import (
+    CodeValueError,
+    CutReplyError,
+    ExchangeError,
+    LecombusError,
+    LineClosedError,
+    LineError,
+    NakError,
+    NoReplyError,
+    OperationError,
+    QueueFullError,
+    RefusedError,
+    ScheduleError,
+    UnknownCodeError,
+)
+from lecombus.operations.reports import GroupReport, VerbReport, WriteReport
 from lecombus.readings import Json
+from lecombus.schedule.request import Outcome
 
 __all__ = [
     "JSON_TYPE",
-    "group_json",
-    "group_response",
+    "PROBLEM_TYPE",
+    "STATUS_BY_KIND",
+    "Problem",
+    "ProblemError",
     "json_response",
+    "problem_of",
+    "report_problem",
+    "report_response",
     "status_response",
     "text_response",
-    "verb_response",
-    "write_response",
 ]
 
 JSON_TYPE: Final = "application/json"
+PROBLEM_TYPE: Final = "application/problem+json"
+
+STATUS_BY_KIND: Final[Mapping[str, tuple[int, str]]] = {
+    "bad-http": (400, "Not HTTP"),
+    "bad-host": (400, "Not one host"),
+    "too-many-parameters": (400, "Too many query parameters"),
+    "client-gone": (408, "The client is gone"),
+    "cross-site": (403, "Asked by another web page"),
+    "read-only": (403, "Only reads are answered here"),
+    "not-writable": (403, "Not writable"),
+    "not-permitted": (403, "Not permitted"),
+    "locked": (403, "Nothing but stops is written to this drive"),
+    "no-such-drive": (404, "No such drive"),
+    "no-such-group": (404, "No such group"),
+    "no-such-address": (404, "No such address"),
+    "no-such-code": (404, "No such code"),
+    "no-such-path": (404, "No such path"),
+    "wrong-method": (405, "Method not allowed"),
+    "nak": (409, "Refused by the drive"),
+    "refused": (409, "Refused"),
+    "superseded": (409, "Superseded"),
+    "not-in-effect": (409, "Written, but not in effect"),
+    "in-roster": (409, "An address of the roster"),
+    "starting": (409, "Drive not audited yet"),
+    "does-not-fit": (409, "Would make a watchdog feed late"),
+    "no-stop": (409, "No such stop for this drive"),
+    "no-verb": (409, "No such verb for this drive"),
+    "setting": (409, "A setting of the drive stands against it"),
+    "fault-active": (409, "The drive has a fault"),
+    "busy": (409, "Another verb is under way"),
+    "other-identity": (409, "Another drive than it should be"),
+    "address-taken": (409, "Address in use"),
+    "not-stopped": (409, "The drive is not stopped"),
+    "no-control-word": (409, "Control word not known"),
+    "too-big": (413, "Body too big"),
+    "target-too-long": (414, "Path and query too long"),
+    "foreign-host": (421, "Wrong host"),
+    "too-many-writes": (429, "Stored parameter written too often"),
+    "head-too-big": (431, "Request head too big"),
+    "bad-request": (422, "Request not understood"),
+    "bad-value": (422, "Value cannot be sent"),
+    "key-reused": (422, "Idempotency-Key used for another request"),
+    "internal": (500, "Mistake in lecombus"),
+    "garbled": (502, "Answer not usable"),
+    "line-lost": (503, "Line lost"),
+    "line-closed": (503, "Line closed"),
+    "queue-full": (503, "Queue full"),
+    "expired": (503, "Expired before it was sent"),
+    "not-ready": (503, "Not ready"),
+    "unhealthy": (503, "Not healthy"),
+    "no-answer": (504, "No answer"),
+    "offline": (504, "Drive offline"),
+    "unknown": (504, "Outcome unknown"),
+}
+"""Kind of a problem: HTTP status and title. A kind not listed is a refusal, 409."""
+
+RETRY_AFTER_S: Final[Mapping[str, int]] = {"line-lost": 1, "queue-full": 1, "not-ready": 1}
+
+KIND_BY_OUTCOME: Final[Mapping[Outcome, str]] = {
+    Outcome.REFUSED: "refused",
+    Outcome.EXPIRED: "expired",
+    Outcome.SUPERSEDED: "superseded",
+    Outcome.UNKNOWN: "unknown",
+}
 
 
-def group_json(group: GroupInfo) -> dict[str, Json]:
-    """Return a group's JSON form."""
-    return {
-        "group": group.name,
-        "members": list(group.members),
-        "how": "one-by-one" if group.multicast_address is None else "multicast",
-        "multicast_address": group.multicast_address,
-        "writes": "multicast"
-        if group.multicast and group.multicast_address is not None
-        else "one-by-one",
-    }
-
-
-def report_json(report: WriteReport) -> dict[str, Json]:
-    """Return a write's JSON form."""
-    return {
-        "drive": report.drive,
-        "code": None if report.code is None else f"C{report.code.number:04d}",
-        "subcode": None if report.code is None else report.code.subcode,
-        "outcome": report.outcome.value,
-        "reason": report.reason or None,
-        "cause": report.cause or None,
-        "remedy": report.remedy or None,
-        "reading": None if report.reading is None else report.reading.as_json(),
-        "proof": None if report.proof is None else report.proof.as_json(),
-    }
-
-
-def verb_json(report: VerbReport) -> dict[str, Json]:
-    """Return a verb's JSON form."""
-    return {
-        "drive": report.drive,
-        "verb": report.verb.value,
-        "outcome": report.outcome.value,
-        "reason": report.reason or None,
-        "cause": report.cause or None,
-        "remedy": report.remedy or None,
-        "states": [state.value for state in report.states],
-        "written": [
-            {"code": f"C{code.number:04d}", "subcode": code.subcode, "raw": raw}
-            for code, raw in report.written
-        ],
-        "reading": None if report.reading is None else report.reading.as_json(),
-        "proof": None if report.proof is None else report.proof.as_json(),
-    }
-
-
-def write_response(report: WriteReport) -> Response:
-    """Return the answer to a write."""
-    problem = report_problem(report)
-    return problem.response() if problem else json_response(report_json(report))
-
-
-def verb_response(report: VerbReport, ignored: Sequence[str] = ()) -> Response:
-    """Return the answer to a verb.
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One problem document.
 
     Args:
-        report: How it ended.
-        ignored: What of a stop's request was ignored.
+        kind: A stable word for programs; the last part of `type`.
+        detail: What happened, for people.
+        drive: The drive concerned.
+        code: The code concerned, as text.
+        cause: The likely cause.
+        remedy: What to do about it.
+        outcome: For a write: its outcome.
+        more: Further members, such as a group's.
+        headers: HTTP headers besides the media type.
     """
-    document = verb_json(report) | ignored_json(ignored)
-    more = {name: document[name] for name in ("verb", "states", "written")}
-    problem = verb_problem(report, more | ignored_json(ignored))
-    return problem.response() if problem else json_response(document)
 
+    kind: str
+    detail: str
+    drive: str = ""
+    code: str = ""
+    cause: str = ""
+    remedy: str = ""
+    outcome: str = ""
+    more: Mapping[str, Json] = field(default_factory=dict)
+    headers: Mapping[str, str] = field(default_factory=dict)
 
-def group_response(report: GroupReport, ignored: Sequence[str] = ()) -> Response:
-    """Return the answer to a group write or a stop.
+    @property
+    def status(self) -> int:
+        """The HTTP status."""
+        return STATUS_BY_KIND.get(self.kind, (409, ""))[0]
 
-    Args:
-        report: How it ended.
-        ignored: What of a stop's request was ignored.
-    """
-    members: list[Json] = [report_json(one) for one in report.members]
-    problem = group_problem(report, members)
-    if problem is not None:
-        return replace(problem, more={**problem.more, **ignored_json(ignored)}).response()
-    return json_response(
-        {
-            "target": report.target,
-            "how": report.how,
-            "outcome": report.outcome.value,
-            "reason": report.reason or None,
-            "members": members,
-            **ignored_json(ignored),
+    def as_json(self) -> dict[str, Json]:
+        """Return the document; members without content are null, so that all are always there."""
+        title = STATUS_BY_KIND.get(self.kind, (409, "Refused"))[1]
+        return {
+            "type": f"urn:lecombus:problem:{self.kind}",
+            "title": title,
+            "status": self.status,
+            "detail": self.detail,
+            "drive": self.drive or None,
+            "code": self.code or None,
+            "cause": self.cause or None,
+            "remedy": self.remedy or None,
+            "outcome": self.outcome or None,
+            **self.more,
         }
+
+    def shortened(self) -> Problem:
+        """Return the same with its names cut short, for a client may send names of any length."""
+        return replace(self, drive=short(self.drive), code=short(self.code))
+
+    def response(self) -> Response:
+        """Return the HTTP response."""
+        headers = dict(self.headers)
+        if self.kind in RETRY_AFTER_S:
+            headers["Retry-After"] = str(RETRY_AFTER_S[self.kind])
+        return Response(encode(self.as_json()), self.status, headers, PROBLEM_TYPE)
+
+
+class ProblemError(LecombusError):
+    """A request that cannot be served; carries its problem document."""
+
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(problem.detail)
+        self.problem = problem
+
+
+def problem_of(error: LecombusError, *, drive: str = "", code: str = "") -> Problem:
+    """Return the problem document of an error.
+
+    Args:
+        error: What was raised.
+        drive: The drive asked for, where the error does not name one.
+        code: The code asked for, where the error does not name one.
+    """
+    if isinstance(error, ProblemError):
+        return error.problem
+    if isinstance(error, OperationError):
+        return Problem(
+            error.kind,
+            str(error),
+            drive=error.drive or drive,
+            code=error.code or code,
+            remedy=error.remedy,
+            headers=retry_headers(error.retry_after_s),
+        )
+    kind, cause, remedy = kind_of(error), "", ""
+    if isinstance(error, ExchangeError):
+        cause, remedy = error.cause, error.remedy
+    remedy = remedy or REMEDIES.get(kind, "")
+    return Problem(kind, str(error), drive=drive, code=code, cause=cause, remedy=remedy)
+
+
+def retry_headers(after_s: float | None) -> dict[str, str]:
+    """Return the header that says when to ask again, if there is such a time."""
+    return {} if after_s is None else {"Retry-After": str(math.ceil(after_s))}
+
+
+REMEDIES: Final[Mapping[str, str]] = {
+    "no-answer": "see the drive's state in /v1/drives; check power, address, baud rate and wiring",
+    "garbled": "check wiring, termination and shielding; other masters on the line",
+    "line-lost": "the port is being reopened; see /v1/line, then ask again",
+    "line-closed": "the daemon is shutting down; ask again once it runs",
+    "queue-full": "ask less often, or wait for answers before asking again",
+    "expired": "allow more time, or ask for less at once",
+}
+
+
+def kind_of(error: LecombusError) -> str:
+    """Return the kind of an error that does not carry one."""
+    for cls, kind in KINDS:
+        if isinstance(error, cls):
+            return kind
+    return "internal"
+
+
+KINDS: Final[tuple[tuple[type[LecombusError], str], ...]] = (
+    (CodeValueError, "bad-value"),
+    (UnknownCodeError, "no-such-code"),
+    (NakError, "nak"),
+    (NoReplyError, "no-answer"),
+    (CutReplyError, "line-lost"),
+    (RefusedError, "refused"),
+    (ExchangeError, "garbled"),
+    (LineClosedError, "line-closed"),
+    (LineError, "line-lost"),
+    (QueueFullError, "queue-full"),
+    (ScheduleError, "expired"),
+)
+"""The first that fits counts: subclasses stand before their parents."""
+
+
+def report_response(
+    report: WriteReport | VerbReport | GroupReport, ignored: Sequence[str] = ()
+) -> Response:
+    """Return the answer to a write, a verb, a group write or a stop.
+
+    Args:
+        report: How it ended.
+        ignored: What of a stop's request was ignored.
+    """
+    problem = group_problem(report) if isinstance(report, GroupReport) else report_problem(report)
+    more: dict[str, Json] = {"ignored": list(ignored)} if ignored else {}
+    if problem is None:
+        return json_response(report.as_json() | more)
+    return replace(problem, more={**problem.more, **more}).response()
+
+
+def report_problem(report: WriteReport | VerbReport) -> Problem | None:
+    """Return the problem of a write or a verb that was not done, or None."""
+    if report.outcome in (Outcome.DONE, Outcome.VERIFIED):
+        return None
+    kind = report.kind or KIND_BY_OUTCOME[report.outcome]
+    if report.outcome is not Outcome.REFUSED:
+        # Expired, superseded and unknown say what a client may conclude, whatever the reason was.
+        kind = KIND_BY_OUTCOME[report.outcome]
+    more: dict[str, Json] = {}
+    if isinstance(report, VerbReport):
+        code = report.written[-1][0] if report.written else None
+        document = report.as_json()
+        more = {key: document[key] for key in ("verb", "states", "written")}
+    else:
+        code = report.code
+    return Problem(
+        kind,
+        report.reason or kind,
+        drive=report.drive,
+        code="" if code is None else str(code),
+        cause=report.cause,
+        remedy=report.remedy,
+        outcome=report.outcome.value,
+        more=more,
     )
 
 
-def ignored_json(ignored: Sequence[str]) -> dict[str, Json]:
-    """Return the member `ignored`; none where nothing was ignored."""
-    return {"ignored": list(ignored)} if ignored else {}
+def group_problem(report: GroupReport) -> Problem | None:
+    """Return the problem of a group write or stop that was not done everywhere, or None.
+
+    Its kind is that of the member with the highest status, so a lost answer outweighs a refusal.
+    """
+    problems = [problem for one in report.members if (problem := report_problem(one)) is not None]
+    if not problems and report.outcome in (Outcome.DONE, Outcome.VERIFIED):
+        return None
+    sent = len(problems) < len(report.members) or any(one.kind != "client-gone" for one in problems)
+    # What was done to a part of a group was done: `client-gone` says that nothing was sent.
+    worst = max(problems, key=lambda one: (one.kind != "client-gone", one.status), default=None)
+    if worst is not None and worst.kind == "client-gone" and sent:
+        worst = replace(worst, kind="refused")
+    kind = worst.kind if worst else KIND_BY_OUTCOME[report.outcome]
+    failed = ", ".join(problem.drive for problem in problems)
+    document = report.as_json()
+    return Problem(
+        kind,
+        report.reason or f"{report.target}: not done by {failed}",
+        cause=worst.cause if worst else "",
+        remedy=worst.remedy if worst else "",
+        outcome=report.outcome.value,
+        more={key: document[key] for key in ("target", "how", "members")},
+    )
 
 
 def status_response(kind: str, check: tuple[bool, str]) -> Response:

@@ -24,16 +24,15 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Match, Route
 
-from lecombus.api.answers import JSON_TYPE, status_response
+from lecombus.api.answers import JSON_TYPE, Problem, problem_of, status_response
 from lecombus.api.decimal_json import short
 from lecombus.api.idempotency import Idempotency
-from lecombus.api.operations_protocol import MaintenanceProtocol, OperationsProtocol
-from lecombus.api.problems import Problem, problem_of
 from lecombus.api.read_routes import ReadRoutes
 from lecombus.api.stop_routes import StopPaths, StopRoutes
 from lecombus.api.write_routes import WriteRoutes
 from lecombus.errors import LecombusError
 from lecombus.metrics import OPENMETRICS_TYPE, TEXT_TYPE, Metrics, wants_openmetrics
+from lecombus.operations.facade import Operations
 from lecombus.readings import Json
 from lecombus.store import Store
 
@@ -44,11 +43,10 @@ Check = Callable[[], tuple[bool, str]]
 
 
 def create_app(
-    ops: OperationsProtocol,
+    ops: Operations,
     store: Store,
     metrics: Metrics,
     *,
-    maintenance: MaintenanceProtocol,
     plan_facts: Callable[[], dict[str, Json]],
     line_name: str,
     ready: Check,
@@ -64,7 +62,6 @@ def create_app(
         ops: What is done on the line.
         store: What is known.
         metrics: The metrics page.
-        maintenance: Identities, counts of writes, addresses and measured times of drives.
         plan_facts: What a plan is made from, and what the last minutes showed.
         line_name: The line's name.
         ready: Whether the line is open and every drive was tried once.
@@ -78,8 +75,8 @@ def create_app(
     app = Starlette(
         routes=[
             *StopRoutes(ops).routes(),
-            *ReadRoutes(ops, maintenance, store, facts, plan_facts, clock).routes(),
-            *WriteRoutes(ops, maintenance, Idempotency(clock)).routes(),
+            *ReadRoutes(ops, store, facts, plan_facts, clock).routes(),
+            *WriteRoutes(ops, Idempotency(clock)).routes(),
             *ServiceRoutes(metrics, ready, healthy, version or "0").routes(),
         ],
         middleware=[Middleware(StopPaths)],

@@ -36,6 +36,7 @@ from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
 from lecombus.api.access import ACTOR_KEY
+from lecombus.api.answers import Problem
 from lecombus.api.limits import (
     BODY_LIMIT,
     BODY_TOO_BIG,
@@ -53,7 +54,6 @@ from lecombus.api.limits import (
     is_stop,
     is_stop_verb,
 )
-from lecombus.api.problems import Problem
 from lecombus.api.start_queue import StartQueue
 from lecombus.operations.actions import Actor
 from lecombus.operations.requests import CAME_S, IS_GONE

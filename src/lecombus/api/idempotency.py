@@ -25,8 +25,8 @@ import anyio
 from starlette.requests import Request
 from starlette.responses import Response
 
+from lecombus.api.answers import STATUS_BY_KIND, Problem, ProblemError
 from lecombus.api.decimal_json import short
-from lecombus.api.problems import STATUS_BY_KIND, Problem, ProblemError
 
 __all__ = [
     "KEEP_S",

@@ -26,7 +26,7 @@ from typing import Final, Protocol
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from lecombus.api.problems import Problem
+from lecombus.api.answers import Problem
 
 __all__ = [
     "ACCEPT_AT_ONCE",

@@ -19,15 +19,14 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from lecombus.api.answers import group_json, json_response, text_response
+from lecombus.api.answers import Problem, ProblemError, json_response, text_response
 from lecombus.api.bodies import AddressQuery, ValueQuery, WhyQuery
 from lecombus.api.decimal_json import encode
-from lecombus.api.operations_protocol import MaintenanceProtocol, OperationsProtocol
 from lecombus.api.page_cache import PageCache
-from lecombus.api.problems import Problem, ProblemError
 from lecombus.api.request_checks import code_of, read_query, refuse_query
 from lecombus.descriptions import code_document, family_document
 from lecombus.fieldbus.lecom.protocol.addressing import Form
+from lecombus.operations.facade import Operations
 from lecombus.readings import DriveInfo, Json, json_value
 from lecombus.store import Store
 
@@ -47,7 +46,6 @@ class ReadRoutes:
 
     Args:
         ops: What reads from the line.
-        maintenance: What knows identities and counts writes.
         store: What is known.
         facts: The line's name, port and baud rate.
         plan_facts: What a plan is made from, and what the last minutes showed.
@@ -56,15 +54,13 @@ class ReadRoutes:
 
     def __init__(
         self,
-        ops: OperationsProtocol,
-        maintenance: MaintenanceProtocol,
+        ops: Operations,
         store: Store,
         facts: Mapping[str, Json],
         plan_facts: Callable[[], dict[str, Json]],
         clock: Callable[[], float],
     ) -> None:
         self._ops = ops
-        self._maintenance = maintenance
         self._store = store
         self._facts = facts
         self._plan_facts = plan_facts
@@ -112,7 +108,7 @@ class ReadRoutes:
     async def groups(self, request: Request) -> Response:
         """Every group, its members and whether it is spoken to by multicast."""
         refuse_query(request)
-        return json_response({"groups": [group_json(one) for one in self._ops.groups()]})
+        return json_response({"groups": [one.as_json() for one in self._ops.groups()]})
 
     async def drives(self, request: Request) -> Response:
         """Every drive with its state and every value known, with age and quality.
@@ -177,12 +173,12 @@ class ReadRoutes:
     async def identity(self, request: Request) -> Response:
         """Who a drive is by its own word, by the record, and by the roster."""
         refuse_query(request)
-        return json_response(self._maintenance.identity(request.path_params["drive"]).as_json())
+        return json_response(self._ops.identity(request.path_params["drive"]).as_json())
 
     async def wear(self, request: Request) -> Response:
         """How often the codes that wear a drive's memory were written, for ever."""
         refuse_query(request)
-        return json_response(self._maintenance.wear(request.path_params["drive"]).as_json())
+        return json_response(self._ops.wear(request.path_params["drive"]).as_json())
 
     async def why(self, request: Request) -> Response:
         """Why a drive does not turn: what is known to keep it from that, and what to do next."""

@@ -17,6 +17,7 @@ from typing import Final, TypeVar
 from pydantic import ValidationError
 from starlette.requests import Request
 
+from lecombus.api.answers import Problem, ProblemError
 from lecombus.api.bodies import (
     RIGHT,
     AcceptBody,
@@ -29,7 +30,6 @@ from lecombus.api.bodies import (
 )
 from lecombus.api.decimal_json import NotJsonError, decode, decode_texts, short
 from lecombus.api.limits import BODY_LIMIT, BODY_TOO_BIG
-from lecombus.api.problems import Problem, ProblemError
 from lecombus.errors import CodeValueError
 from lecombus.parameters import Code
 

@@ -16,13 +16,13 @@ from starlette.responses import Response
 from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from lecombus.api.answers import group_response, verb_response
+from lecombus.api.answers import report_response
 from lecombus.api.decimal_json import short
 from lecombus.api.idempotency import SharedStops, key_mistake, key_of
 from lecombus.api.limits import STOP_PATH, is_stop
-from lecombus.api.operations_protocol import OperationsProtocol
 from lecombus.api.request_checks import read_stop
 from lecombus.drives import Verb
+from lecombus.operations.facade import Operations
 
 __all__ = ["StopPaths", "StopRoutes"]
 
@@ -52,7 +52,7 @@ class StopRoutes:
         ops: What stops.
     """
 
-    def __init__(self, ops: OperationsProtocol) -> None:
+    def __init__(self, ops: Operations) -> None:
         self._ops = ops
         self._shared = SharedStops()
 
@@ -74,7 +74,7 @@ class StopRoutes:
         ignored = (*ignored_of(request), *superfluous)
 
         async def act() -> Response:
-            return group_response(await self._ops.stop(body.action, body.target), ignored)
+            return report_response(await self._ops.stop(body.action, body.target), ignored)
 
         return await self._shared.run(request, raw, act)
 
@@ -90,7 +90,7 @@ class StopRoutes:
         drive, ignored = request.path_params["drive"], ignored_of(request)
 
         async def act() -> Response:
-            return verb_response(await self._ops.verb(drive, verb), ignored)
+            return report_response(await self._ops.verb(drive, verb), ignored)
 
         return await self._shared.run(request, b"", act)
 

@@ -15,7 +15,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from lecombus.api.answers import group_response, json_response, verb_response, write_response
+from lecombus.api.answers import Problem, ProblemError, json_response, report_response
 from lecombus.api.bodies import (
     AcceptBody,
     AddressBody,
@@ -27,10 +27,9 @@ from lecombus.api.bodies import (
 )
 from lecombus.api.decimal_json import short
 from lecombus.api.idempotency import Idempotency
-from lecombus.api.operations_protocol import MaintenanceProtocol, OperationsProtocol
-from lecombus.api.problems import Problem, ProblemError
 from lecombus.api.request_checks import code_of, read_body, refuse_query
 from lecombus.drives import Verb
+from lecombus.operations.facade import Operations
 from lecombus.operations.requests import refuse_for_gone_client
 
 __all__ = ["WriteRoutes"]
@@ -48,15 +47,11 @@ class WriteRoutes:
 
     Args:
         ops: What writes to drives.
-        maintenance: What gives a drive another address or another identity.
         keys: The idempotency keys used.
     """
 
-    def __init__(
-        self, ops: OperationsProtocol, maintenance: MaintenanceProtocol, keys: Idempotency
-    ) -> None:
+    def __init__(self, ops: Operations, keys: Idempotency) -> None:
         self._ops = ops
-        self._maintenance = maintenance
         self._keys = keys
 
     def routes(self) -> list[Route]:
@@ -91,7 +86,7 @@ class WriteRoutes:
                 restoring=bool(body.restore),
                 unless_stopped_since=body.stops,
             )
-            return write_response(report)
+            return report_response(report)
 
         return await self._keys.run(request, raw, act)
 
@@ -105,7 +100,7 @@ class WriteRoutes:
             report = await self._ops.write_group(
                 group, code, body.value, expires_s=body.expires_s, verify=body.verify
             )
-            return group_response(report)
+            return report_response(report)
 
         return await self._keys.run(request, raw, act)
 
@@ -120,7 +115,7 @@ class WriteRoutes:
 
         async def act() -> Response:
             if not isinstance(body, SpeedBody):
-                return verb_response(await self._ops.verb(drive, verb, expires_s=body.expires_s))
+                return report_response(await self._ops.verb(drive, verb, expires_s=body.expires_s))
             unit = body.unit.strip()
             report = await self._ops.verb(
                 drive,
@@ -130,7 +125,7 @@ class WriteRoutes:
                 expires_s=body.expires_s,
                 verify=bool(body.verify),
             )
-            return verb_response(report)
+            return report_response(report)
 
         return await self._keys.run(request, raw, act)
 
@@ -145,7 +140,7 @@ class WriteRoutes:
 
         async def act() -> Response:
             refuse_for_gone_client(drive)
-            return write_response(await self._maintenance.readdress(drive, body.address))
+            return report_response(await self._ops.readdress(drive, body.address))
 
         return await self._keys.run(request, raw, act)
 
@@ -160,7 +155,7 @@ class WriteRoutes:
 
         async def act() -> Response:
             refuse_for_gone_client(drive)
-            return json_response(self._maintenance.accept(drive, body.identity).as_json())
+            return json_response(self._ops.accept(drive, body.identity).as_json())
 
         return await self._keys.run(request, raw, act)
 
@@ -174,7 +169,7 @@ class WriteRoutes:
         _, raw = await read_body(request, NoKeysBody, may_be_empty=True)
 
         async def act() -> Response:
-            return json_response(self._maintenance.forget_times(drive).as_json())
+            return json_response(self._ops.forget_times(drive).as_json())
 
         return await self._keys.run(request, raw, act)
 

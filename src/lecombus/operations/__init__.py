@@ -2,6 +2,6 @@
 
 `facade` is what the API calls: one object made of `reads`, `writes`, `stop_requests`,
 `group_writes` and `verb_operations` (whose steps `verb_steps` takes), which share one `context`.
-`recorded` adds a log event to each change. `requests` submits a request to the line and waits for
+It logs each change (`actions`). `requests` submits a request to the line and waits for
 its end, `request_maker` gives every request its cost, `reports` holds the outcomes.
 """

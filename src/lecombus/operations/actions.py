@@ -7,8 +7,6 @@ are logged in `WINDOW_S`; what is beyond is counted and logged as one sum after 
 `LINES_PER_S` lines a second are logged in all, and as many of stops.
 
 Texts that a client chose are cut, and what could pass for another field is removed.
-
-What must not live here: what is done (`recorded`), how a line is written (`cli.logs`).
 """
 
 from __future__ import annotations
@@ -16,13 +14,18 @@ from __future__ import annotations
 import logging
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Iterator, Mapping
+from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
-__all__ = ["ACTOR", "Actions", "Actor"]
+from lecombus.errors import LecombusError
+from lecombus.operations.reports import GroupReport, VerbReport, WriteReport
+from lecombus.schedule import Outcome
+
+__all__ = ["ACTOR", "SECRET", "Actions", "Actor"]
 
 logger = logging.getLogger(__name__)
 
@@ -38,6 +41,12 @@ LONG: Final = ("written", "not_done")
 ODD: Final = re.compile(r"[^\w.:/+%*,@-]", re.ASCII)
 OTHERS: Final = "others"
 STOP: Final = "stop"
+GOOD: Final = (Outcome.DONE, Outcome.VERIFIED)
+
+SECRET: Final = "***"
+"""What is logged in place of a password."""
+
+R = TypeVar("R", WriteReport, VerbReport, GroupReport)
 
 
 @dataclass(slots=True)
@@ -134,6 +143,34 @@ class Actions:
             window.kept_back[outcome] += 1
             window.last = place.get("value", "")
 
+    async def log_end(
+        self, event: str, target: str, said: Mapping[str, str], work: Awaitable[R]
+    ) -> R:
+        """Wait for the end of an operation and log it; when cancelled its outcome is unknown."""
+        outcome, more = Outcome.UNKNOWN.value, dict(said)
+        try:
+            report = await work
+            outcome = report.outcome.value
+            more |= details(report)
+            return report
+        except LecombusError as exc:
+            outcome, more["reason"] = Outcome.REFUSED.value, str(exc)
+            raise
+        finally:
+            if more.get("value") == SECRET:
+                more.pop("reason", None)  # it may quote the value
+            self.log(event, target, outcome, more)
+
+    @contextmanager
+    def logged(self, event: str, target: str) -> Iterator[None]:
+        """Log an operation that does not wait for the line."""
+        try:
+            yield
+        except LecombusError as exc:
+            self.log(event, target, Outcome.REFUSED.value, {"reason": str(exc)})
+            raise
+        self.log(event, target, Outcome.DONE.value, {})
+
     def look(self, *, at_end: bool = False) -> None:
         """Log the sums of what was kept back; once a second, and at the end."""
         now_s = self._clock()
@@ -187,3 +224,17 @@ class Actions:
 def clean(text: str, chars: int = TEXT_CHARS) -> str:
     """Return a text without anything that could pass for another field, cut short."""
     return ODD.sub("_", text[:chars])
+
+
+def details(report: WriteReport | VerbReport | GroupReport) -> dict[str, str]:
+    """Return what is logged of a report besides its outcome."""
+    found: dict[str, str] = {}
+    if isinstance(report, VerbReport) and report.written:
+        found["written"] = ",".join(f"{code}:{raw}" for code, raw in report.written)
+    if isinstance(report, GroupReport):
+        found["how"] = report.how
+        missing = [one for one in report.members if one.outcome not in GOOD]
+        found["not_done"] = ",".join(f"{one.drive}:{one.outcome.value}" for one in missing)
+    if report.outcome not in GOOD:
+        found["reason"] = report.reason
+    return found

@@ -117,6 +117,14 @@ class OperationContext:
             remedy=meant(target, (*self.entries, *self.groups), "they"),
         )
 
+    def is_secret(self, target: str, code: Code) -> bool:
+        """Whether a code of a drive, or of one of a group, is a password."""
+        group = self.groups.get(target)
+        names = (target,) if group is None else group.members
+        drives = filter(None, map(self.requests.drives.find, names))
+        infos = (drive.family.info(code) for drive in drives)
+        return any(info is not None and info.secret for info in infos)
+
     def control_word(self, drive: str) -> ControlWord:
         """Return the control word of a drive; one that left the roster has none that is known."""
         found = self.requests.drives.find(drive)

@@ -1,46 +1,73 @@
-"""Everything that users can ask of the drives of one line, in one object."""
+"""Everything that users can ask of the drives of one line, in one object.
+
+Each change leaves a log event when it has ended (`actions`); what only reads leaves none.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from decimal import Decimal
 from typing import Final
 
+from lecombus.drive_runtime import Drive
+from lecombus.drives import StopAction, Verb
+from lecombus.operations.actions import SECRET, Actions
 from lecombus.operations.context import OperationContext
 from lecombus.operations.findings import WhyReport
 from lecombus.operations.group_writes import GroupWrites
+from lecombus.operations.identities import Identities, IdentityReport
+from lecombus.operations.readdress import Readdress
 from lecombus.operations.reads import Reads
+from lecombus.operations.reports import GroupReport, TimesReport, VerbReport, WriteReport
 from lecombus.operations.stop_requests import Stops
 from lecombus.operations.verb_operations import Verbs
 from lecombus.operations.verb_steps import VerbSteps
 from lecombus.operations.writes import Writes
+from lecombus.parameters import Code
+from lecombus.schedule import Priority
 
 __all__ = ["Operations"]
 
 
 class Operations:
-    """The operations of one line; each attribute is a method of the object that carries it out.
+    """The operations of one line. What only reads is a method of the object that carries it out.
 
     Args:
         context: What the operations share.
+        actions: Logs each change.
+        identities: Who the drives are.
+        readdress: Changes their addresses.
         restarted: Called with a drive that was made to restart; it is then audited.
+        times_changed: Called with a drive whose measured times were dropped.
     """
 
-    def __init__(self, context: OperationContext, restarted: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        context: OperationContext,
+        actions: Actions,
+        identities: Identities,
+        readdress: Readdress,
+        *,
+        restarted: Callable[[str], None],
+        times_changed: Callable[[Drive], None],
+    ) -> None:
         self.context = context
-        reads, writes = Reads(context), Writes(context)
-        stops = Stops(context, writes)
-        groups = GroupWrites(context, writes)
-        steps = VerbSteps(context, writes, stops, restarted)
+        self.actions = actions
+        self._identities, self._readdress = identities, readdress
+        self._times_changed = times_changed
+        reads, self._writes = Reads(context), Writes(context)
+        self._stops = Stops(context, self._writes)
+        self._groups = GroupWrites(context, self._writes)
+        steps = VerbSteps(context, self._writes, self._stops, restarted)
+        self._verbs = Verbs(context, self._stops, steps)
         self.set_roster: Final = context.set_roster
         self.close: Final = context.permissions.close
         self.read: Final = reads.read
         self.read_address: Final = reads.read_address
-        self.write: Final = writes.write
-        self.restore_rights: Final = writes.restore_rights
-        self.stop: Final = stops.stop
-        self.groups: Final = groups.groups
-        self.write_group: Final = groups.write_group
-        self.verb: Final = Verbs(context, stops, steps).verb
+        self.restore_rights: Final = self._writes.restore_rights
+        self.groups: Final = self._groups.groups
+        self.identity: Final = identities.report
+        self.wear: Final = context.wear.report
 
     async def why(self, drive: str, *, fresh: bool = False) -> WhyReport:
         """Say why a drive does not turn; `fresh`: after reading the few codes that matter.
@@ -50,3 +77,98 @@ class Operations:
         """
         self.context.station(drive)
         return await self.context.why.why(drive, fresh=fresh)
+
+    async def write(
+        self,
+        drive: str,
+        code: Code,
+        value: Decimal | int | str,
+        *,
+        expires_s: float | None = None,
+        verify: bool = False,
+        urgency: Priority | None = None,
+        restoring: bool = False,
+        unless_stopped_since: str | None = None,
+    ) -> WriteReport:
+        """Write a code of a drive (`Writes.write`)."""
+        said = {"code": str(code), "value": self._shown(drive, code, value)}
+        if restoring:
+            said["restore"] = "yes"
+        work = self._writes.write(
+            drive, code, value, expires_s=expires_s, verify=verify, urgency=urgency,
+            restoring=restoring, unless_stopped_since=unless_stopped_since,
+        )  # fmt: skip
+        return await self.actions.log_end("write", drive, said, work)
+
+    async def write_group(
+        self,
+        group: str,
+        code: Code,
+        value: Decimal | int | str,
+        *,
+        expires_s: float | None = None,
+        verify: bool | None = None,
+    ) -> GroupReport:
+        """Write a code of every member of a group (`GroupWrites.write_group`)."""
+        said = {"code": str(code), "value": self._shown(group, code, value)}
+        work = self._groups.write_group(group, code, value, expires_s=expires_s, verify=verify)
+        return await self.actions.log_end("group-write", group, said, work)
+
+    async def stop(self, action: StopAction, target: str) -> GroupReport:
+        """Stop a drive, a group or all, ahead of everything else (`Stops.stop`)."""
+        work = self._stops.stop(action, target)
+        return await self.actions.log_end("stop", target, {"action": action.value}, work)
+
+    async def verb(
+        self,
+        drive: str,
+        verb: Verb,
+        *,
+        value: Decimal | None = None,
+        unit: str = "",
+        expires_s: float | None = None,
+        verify: bool = False,
+    ) -> VerbReport:
+        """Enable, inhibit, quick-stop, set the speed or reset the fault of a drive (`Verbs`)."""
+        is_stop = verb in (Verb.INHIBIT, Verb.QUICK_STOP)
+        said = {"action" if is_stop else "verb": verb.value}
+        if value is not None:
+            said["value"] = f"{value}{unit}"
+        work = self._verbs.verb(
+            drive, verb, value=value, unit=unit, expires_s=expires_s, verify=verify
+        )
+        return await self.actions.log_end("stop" if is_stop else "verb", drive, said, work)
+
+    async def readdress(self, drive: str, address: int) -> WriteReport:
+        """Give a drive another address and follow it there (`Readdress.change`)."""
+        work = self._readdress.change(drive, address)
+        return await self.actions.log_end("readdress-asked", drive, {"value": str(address)}, work)
+
+    def accept(self, drive: str, shown: Mapping[str, str]) -> IdentityReport:
+        """Take the drive that is there for the drive of this name (`Identities.accept`).
+
+        Args:
+            drive: The drive.
+            shown: Its identity as the user has seen it.
+
+        Raises:
+            OperationError: No such drive, nothing known of it yet, or it is not what was shown.
+        """
+        with self.actions.logged("accept", drive):
+            return self._identities.accept(drive, shown)
+
+    def forget_times(self, drive: str) -> TimesReport:
+        """Drop the measured answer times of a drive: those of manual and roster count then.
+
+        Raises:
+            OperationError: `no-such-drive`.
+        """
+        with self.actions.logged("forget-times", drive):
+            found = self.context.requests.drives.get(drive)
+            rows = tuple(row for row in found.station.measured.rows() if row.slow)
+            found.station.measured.forget()
+            self._times_changed(found)
+            return TimesReport(drive, rows)
+
+    def _shown(self, target: str, code: Code, value: Decimal | int | str) -> str:
+        return SECRET if self.context.is_secret(target, code) else str(value)

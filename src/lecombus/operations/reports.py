@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from lecombus.drives import OperatingState, Verb
+from lecombus.drives.measured import AnswerRow
 from lecombus.parameters import Code
-from lecombus.readings import Json, Reading
+from lecombus.readings import Json, Reading, seconds
 from lecombus.schedule.request import Outcome
 
 __all__ = [
@@ -22,6 +23,7 @@ __all__ = [
     "How",
     "Proof",
     "RestoreRights",
+    "TimesReport",
     "VerbReport",
     "WriteReport",
     "group_report",
@@ -82,6 +84,20 @@ class WriteReport:
     reading: Reading | None = None
     proof: Proof | None = None
 
+    def as_json(self) -> dict[str, Json]:
+        """Return the JSON form."""
+        return {
+            "drive": self.drive,
+            "code": None if self.code is None else f"C{self.code.number:04d}",
+            "subcode": None if self.code is None else self.code.subcode,
+            "outcome": self.outcome.value,
+            "reason": self.reason or None,
+            "cause": self.cause or None,
+            "remedy": self.remedy or None,
+            "reading": None if self.reading is None else self.reading.as_json(),
+            "proof": None if self.proof is None else self.proof.as_json(),
+        }
+
 
 @dataclass(frozen=True, slots=True)
 class VerbReport:
@@ -113,6 +129,24 @@ class VerbReport:
     reading: Reading | None = None
     proof: Proof | None = None
 
+    def as_json(self) -> dict[str, Json]:
+        """Return the JSON form."""
+        return {
+            "drive": self.drive,
+            "verb": self.verb.value,
+            "outcome": self.outcome.value,
+            "reason": self.reason or None,
+            "cause": self.cause or None,
+            "remedy": self.remedy or None,
+            "states": [state.value for state in self.states],
+            "written": [
+                {"code": f"C{code.number:04d}", "subcode": code.subcode, "raw": raw}
+                for code, raw in self.written
+            ],
+            "reading": None if self.reading is None else self.reading.as_json(),
+            "proof": None if self.proof is None else self.proof.as_json(),
+        }
+
 
 @dataclass(frozen=True, slots=True)
 class GroupReport:
@@ -132,6 +166,16 @@ class GroupReport:
     members: tuple[WriteReport, ...]
     reason: str = ""
 
+    def as_json(self) -> dict[str, Json]:
+        """Return the JSON form."""
+        return {
+            "target": self.target,
+            "how": self.how,
+            "outcome": self.outcome.value,
+            "reason": self.reason or None,
+            "members": [one.as_json() for one in self.members],
+        }
+
 
 @dataclass(frozen=True, slots=True)
 class GroupInfo:
@@ -148,6 +192,17 @@ class GroupInfo:
     members: tuple[str, ...]
     multicast_address: int | None
     multicast: bool = False
+
+    def as_json(self) -> dict[str, Json]:
+        """Return the JSON form."""
+        by_multicast = self.multicast and self.multicast_address is not None
+        return {
+            "group": self.name,
+            "members": list(self.members),
+            "how": "one-by-one" if self.multicast_address is None else "multicast",
+            "multicast_address": self.multicast_address,
+            "writes": "multicast" if by_multicast else "one-by-one",
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,6 +234,34 @@ class RestoreRights:
             "stops": self.stops,
             "reason": self.reason or None,
             "remedy": self.remedy or None,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class TimesReport:
+    """What was dropped of a drive's measured answer times.
+
+    Args:
+        drive: The drive.
+        forgotten: What time-outs and plans used, the slowest first.
+    """
+
+    drive: str
+    forgotten: tuple[AnswerRow, ...]
+
+    def as_json(self) -> dict[str, Json]:
+        """Return the JSON form."""
+        return {
+            "drive": self.drive,
+            "forgotten": [
+                {
+                    "code": str(row.code),
+                    "write": row.write,
+                    "manual_s": seconds(row.manual_s),
+                    "measured_s": seconds(row.measured_s),
+                }
+                for row in self.forgotten
+            ],
         }
 
 
