@@ -217,11 +217,9 @@ class FeedRecord:
 
     Args:
         lapses: How often the schedule had counted a lapse at the last look.
-        has_lapsed: Its watchdog's time had run out at the last look.
     """
 
     lapses: int = 0
-    has_lapsed: bool = False
 
 
 @dataclass(frozen=True, slots=True)

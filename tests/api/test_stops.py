@@ -78,6 +78,16 @@ async def test_an_odd_stop_takes_the_same_route(
     assert len(line.ops.asked) == (status == 200)
 
 
+async def test_a_stop_with_two_keys_stops_and_says_that_it_uses_none(line: Line) -> None:
+    headers = [("Idempotency-Key", "a"), ("Idempotency-Key", "b")]
+    async with over(line.app) as client:
+        answer = await client.post("/v1/stop", json=PLAIN, headers=headers)
+    assert answer.status_code == 200
+    assert line.ops.asked == [("stop", StopAction.INHIBIT, "all")]
+    (ignored,) = answer.json()["ignored"]
+    assert "Idempotency-Key stands 2 times" in ignored
+
+
 @pytest.mark.parametrize("outcome", [Outcome.VERIFIED, Outcome.UNKNOWN])
 @pytest.mark.parametrize(
     ("more", "headers", "query", "says"),
@@ -231,7 +241,7 @@ async def test_a_byte_order_mark_before_a_stop_is_skipped(line: Line) -> None:
         (b'{"action": "inhibit", "target": "a", "target": "b"}', "key target stands twice"),
         (b'{"action": "inhibit", "\\u0061ction": "quick-stop", "target": "a"}', "key action"),
         (b'{"action": "inhibit", "target": %s}' % (b"7" * 5000), "target takes the name"),
-        (b'{"action": "inhibit", "target": NaN}', "not 'NaN'"),
+        (b'{"action": "inhibit", "target": NaN}', "not NaN"),
         (b'{"action": 1e99999999999999999999, "target": "all"}', "action takes"),
         (b'{"action": {"k": 1, "k": 2}, "target": "all"}', "not an object"),
         (b'{"k": 1, "k": 2, "target": "all"}', "key action is missing"),

@@ -416,6 +416,37 @@ async def test_malformed_keys_are_refused(client: httpx2.AsyncClient, line: Line
     assert line.ops.asked == []
 
 
+@pytest.mark.parametrize("keys", [("a", "b"), ("a", "a"), ("a", "")])
+@pytest.mark.parametrize("path", [SETPOINT, "/v1/groups/all/codes/C0046"])
+async def test_a_write_with_two_keys_is_refused(
+    client: httpx2.AsyncClient, line: Line, keys: tuple[str, str], path: str
+) -> None:
+    headers = [("Idempotency-Key", key) for key in keys]
+    answer = await client.put(path, content='{"value": 1}', headers=headers)
+    assert answer.status_code == 400
+    assert answer.json()["type"].endswith(":doubled-header")
+    assert "Idempotency-Key stands 2 times" in answer.json()["detail"]
+    assert line.ops.asked == []
+
+
+@pytest.mark.parametrize(
+    ("body", "shown"),
+    [
+        ('{"value": 1, "verify": 5}', "not 5"),
+        ('{"value": 1, "verify": "5"}', "not '5'"),
+        ('{"value": 1, "verify": 5.50}', "not 5.50"),
+        ('{"value": 1, "expires": -1}', "not -1"),
+        ('{"value": 1, "verify": "true"}', "not 'true'"),
+    ],
+)
+async def test_a_wrong_value_is_shown_as_it_was_given(
+    client: httpx2.AsyncClient, line: Line, body: str, shown: str
+) -> None:
+    answer = await put(client, body)
+    assert answer.status_code == 422
+    assert answer.json()["detail"].endswith(shown)
+
+
 def keyed(key: str) -> Request:
     headers = [(b"idempotency-key", key.encode())]
     scope = {"type": "http", "method": "PUT", "path": "/", "query_string": b"", "headers": headers}

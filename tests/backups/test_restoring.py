@@ -69,7 +69,7 @@ def test_a_stop_ends_it_and_what_was_written_is_told() -> None:
     result = restored(one)
     assert one.writes == [("C0001", "3")]
     assert [str(code) for code in result.written] == ["C0001"]
-    assert result.stopped == "the drive was stopped meanwhile: nothing more is written to it"
+    assert result.stopped == ("nothing more is written to the drive: ended by a stop of the drive")
     assert (result.complete, result.refused) == (False, {})
 
 
@@ -81,7 +81,7 @@ def test_a_stop_keeps_it_from_saving() -> None:
 
     one.before_write = stop
     result = restored(one, {"C0005": "1011"})
-    assert "not saved by C0003: the drive was stopped meanwhile" in result.stopped
+    assert "not saved by C0003: ended by a stop of the drive" in result.stopped
     assert not result.complete
 
 

@@ -8,6 +8,7 @@ import pytest
 
 from cli.conftest import Run
 from cli.daemon_stub import DaemonStub
+from lecombus.api.answers import REMEDIES
 from lecombus.cli import status
 from lecombus.cli.screen import mark
 
@@ -59,8 +60,37 @@ def test_read_stored_asks_what_is_known(run: Run, daemon: DaemonStub) -> None:
 
 
 def test_a_subcode_becomes_part_of_the_path(run: Run, daemon: DaemonStub) -> None:
-    daemon.answers["GET /v1/drives/a%2Fb/codes/C0039/1?fresh=true"] = (200, READING)
-    assert run("read", "a/b", "C0039/1").status == 0
+    daemon.answers["GET /v1/drives/a%20b/codes/C0039/1?fresh=true"] = (200, READING)
+    assert run("read", "a b", "C0039/1").status == 0
+
+
+@pytest.mark.parametrize("name", ["", ".", "..", "a/b", "../line", "x" * 65])
+@pytest.mark.parametrize(
+    ("kind", "command"),
+    [
+        ("drive", ["read", "NAME", "C0046"]),
+        ("drive", ["write", "NAME", "C0046", "1"]),
+        ("drive", ["enable", "NAME"]),
+        ("drive", ["why", "NAME"]),
+        ("drive", ["wear", "NAME"]),
+        ("drive", ["forget-times", "NAME"]),
+        ("drive", ["accept", "NAME"]),
+        ("drive", ["readdress", "NAME", "12", "--yes"]),
+        ("group", ["group", "NAME", "C0046", "1"]),
+    ],
+)
+def test_what_no_drive_is_called_is_never_a_path(
+    run: Run, daemon: DaemonStub, kind: str, command: list[str], name: str
+) -> None:
+    ran = run(*[name if word == "NAME" else word for word in command])
+    assert ran.status == 2
+    assert f"there is no {kind} `" in ran.err
+    assert "/v1" not in ran.err
+    assert daemon.asked == []
+
+
+def test_no_remedy_for_people_is_a_path_of_the_api() -> None:
+    assert [one for one in REMEDIES.values() if "/v1" in one or "openapi" in one] == []
 
 
 def test_json_is_the_daemons_document_to_the_last_digit(run: Run, daemon: DaemonStub) -> None:

@@ -35,7 +35,7 @@ FILE: Final = Path(lecombus.api.__file__).with_name("openapi.json")
 REF: Final = "#/components/schemas/{model}"
 JSON_TYPE: Final = "application/json"
 
-REFUSALS: Final = (403, 404, 409, 413, 422, 502, 503, 504)
+REFUSALS: Final = (400, 403, 404, 409, 413, 422, 502, 503, 504)
 """The statuses of a write or a stop besides 200."""
 
 UNDESCRIBED: Final = frozenset(("/metrics", "/openapi.json"))

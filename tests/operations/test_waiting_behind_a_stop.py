@@ -10,6 +10,7 @@ import anyio.lowlevel
 import pytest
 
 from lecombus.drives import StopAction, Verb
+from lecombus.errors import OperationError
 from lecombus.operations.reports import VerbReport, WriteReport
 from lecombus.operations.requests import CAME_S
 from lecombus.parameters import Code
@@ -137,8 +138,41 @@ def test_a_stop_ends_a_restore_that_is_between_two_writes() -> None:
         third = await operations.write("a", Code(12), 8, restoring=True, unless_stopped_since=mark)
         assert (third.outcome, third.kind) == (Outcome.SUPERSEDED, "superseded")
         assert plant.line["a"].text(12) == "7"
-        foreign = await operations.write("a", Code(12), 9, unless_stopped_since="ff00-3")
-        assert foreign.outcome is Outcome.DONE, "a mark from before a restart tells nothing"
+
+    with_plant(test, ROSTER)
+
+
+def test_a_mark_of_stops_from_before_a_restart_allows_no_write() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        mark = plant.site.operations.restore_rights("a").stops
+        other_run = f"00000000{mark[8:]}"
+        found = await plant.site.operations.write("a", Code(12), 9, unless_stopped_since=other_run)
+        assert (found.outcome, found.kind) == (Outcome.SUPERSEDED, "superseded")
+        assert "lecombus was started again" in found.reason
+        assert found.reason.endswith("nothing was sent")
+        assert plant.line["a"].text(12) != "9"
+
+    with_plant(test, ROSTER)
+
+
+@pytest.mark.parametrize("which", ["none", "empty", "of another drive", "cut", "newline"])
+def test_what_is_no_mark_of_stops_of_the_drive_is_refused(which: str) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        mark = plant.site.operations.restore_rights("a").stops
+        wrong = {
+            "none": "ff00-3",
+            "empty": "",
+            "of another drive": plant.site.operations.restore_rights("b").stops,
+            "cut": mark[:-1],
+            "newline": f"{mark}\n",
+        }
+        with pytest.raises(OperationError, match="is no mark of a: nothing was sent") as caught:
+            await plant.site.operations.write("a", Code(12), 9, unless_stopped_since=wrong[which])
+        assert caught.value.kind == "bad-request"
+        assert "`GET /v1/drives/a/restore`" in caught.value.remedy
+        assert plant.line["a"].text(12) != "9"
 
     with_plant(test, ROSTER)
 

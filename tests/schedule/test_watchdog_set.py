@@ -412,6 +412,50 @@ def test_a_silent_drive_does_not_starve_the_other_feeds() -> None:
     assert tries[:3] == pytest.approx([0.6, 0.72, 0.84], abs=0.1)  # at once, time is short
 
 
+def test_a_lapse_is_counted_once_whatever_pauses_come_before_the_next_answer() -> None:
+    def lapses() -> int:
+        return world.schedule.stats(world.now_s).feeds["a"].lapses
+
+    world = World().drives("a")
+    world.feed("a", 1.0)
+    world.run(5.0)
+    assert lapses() == 0
+    world.silent.add("a")
+    world.schedule.park("a", world.now_s, "offline")
+    world.run(7.0)
+    assert lapses() == 1, "its watchdog runs on while it is parked"
+    world.schedule.fail_all(world.now_s, "the line is lost")
+    world.schedule.unpark("a", world.now_s)
+    world.run(15.0)
+    assert lapses() == 1
+    world.schedule.set_feeding("a", None, world.now_s)
+    feeding = WatchdogFeeding(1.0, lambda: world.request("a", P.WATCHDOG))
+    world.schedule.set_feeding("a", feeding, world.now_s)
+    world.run(20.0)
+    assert lapses() == 1, "no answer came since"
+    world.silent.clear()
+    world.run(25.0)
+    assert lapses() == 1
+    world.silent.add("a")
+    world.run(30.0)
+    assert lapses() == 2
+
+
+@pytest.mark.parametrize("answers_again", [False, True])
+def test_a_lapse_across_an_opening_of_the_port_counts_when_the_drive_is_heard(
+    answers_again: bool,
+) -> None:
+    world = World().drives("a")
+    world.feed("a", 1.0)
+    world.run(5.0)
+    world.silent.add("a")
+    world.schedule.port_opened()
+    if answers_again:
+        world.at(9.0, world.silent.clear)
+    world.run(20.0)
+    assert world.schedule.stats(20.0).feeds["a"].lapses == int(answers_again)
+
+
 def test_a_late_feed_is_one_miss_and_one_lapse_and_shows_in_the_margin() -> None:
     world = World().drives("a")
     world.feed("a", 1.0)

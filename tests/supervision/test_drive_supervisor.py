@@ -476,3 +476,46 @@ def test_a_watchdog_that_ran_out_unfed_is_logged_once_per_lapse(
             await looked_at(plant, 5)
 
     with_plant(test, roster_of(ONE, watchdog=GUARD))
+
+
+@pytest.mark.parametrize("cut", ["drives", "adapter", "adapter flaps"])
+def test_one_cut_of_the_line_is_one_miss_of_each_watchdog_in_the_log_and_in_the_counter(
+    caplog: pytest.LogCaptureFixture, cut: str
+) -> None:
+    def missed() -> dict[str, int]:
+        told = [one for one in caplog.messages if "event=watchdog-missed" in one]
+        return {name: len([one for one in told if f"drive={name} " in one]) for name, _, _ in FIVE}
+
+    async def looked_at(plant: Plant, for_s: int) -> None:
+        for _ in range(for_s):
+            await anyio.sleep(1.0)
+            plant.site.note_cadence()
+            plant.site.wants_look_at_port()
+            assert plant.site._snapshot().watchdog_misses == missed()
+
+    async def test(plant: Plant) -> None:
+        await plant.online(within_s=120)
+        await looked_at(plant, 10)
+        assert set(missed().values()) == {0}
+        for count in (1, 2):
+            if cut == "drives":
+                plant.line.faults.absent = {address for _, address, _ in FIVE}
+                await looked_at(plant, 40)
+                plant.line.faults.absent = set()
+            elif cut == "adapter":
+                plant.end.unplug()
+                await looked_at(plant, 20)
+                plant.end.replug()
+            else:
+                plant.line.faults.absent = {address for _, address, _ in FIVE}
+                for _ in range(4):
+                    await looked_at(plant, 4)
+                    plant.end.unplug()
+                    await looked_at(plant, 3)
+                    plant.end.replug()
+                plant.line.faults.absent = set()
+            await looked_at(plant, 30)
+            await plant.online(within_s=120)
+            assert set(missed().values()) == {count}
+
+    with_plant(test, roster_of(FIVE, watchdog=GUARD))

@@ -74,6 +74,7 @@ PROBLEM_TYPE: Final = "application/problem+json"
 STATUS_BY_KIND: Final[Mapping[str, tuple[int, str]]] = {
     "bad-http": (400, "Not HTTP"),
     "bad-host": (400, "Not one host"),
+    "doubled-header": (400, "A header stands twice"),
     "too-many-parameters": (400, "Too many query parameters"),
     "client-gone": (408, "The client is gone"),
     "cross-site": (403, "Asked by another web page"),
@@ -234,9 +235,9 @@ def retry_headers(after_s: float | None) -> dict[str, str]:
 
 
 REMEDIES: Final[Mapping[str, str]] = {
-    "no-answer": "see the drive's state in /v1/drives; check power, address, baud rate and wiring",
+    "no-answer": "check power, address, baud rate and wiring; `lecombus status` shows its state",
     "garbled": "check wiring, termination and shielding; other masters on the line",
-    "line-lost": "the port is being reopened; see /v1/line, then ask again",
+    "line-lost": "the port is being reopened; ask again when `lecombus status` shows the line open",
     "line-closed": "the daemon is shutting down; ask again once it runs",
     "queue-full": "ask less often, or wait for answers before asking again",
     "expired": "allow more time, or ask for less at once",

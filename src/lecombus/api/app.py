@@ -118,7 +118,7 @@ class ServiceRoutes:
 
     async def page(self, request: Request) -> Response:
         """The metrics page, in the format that the scraper asks for."""
-        openmetrics = wants_openmetrics(request.headers.get("accept", ""))
+        openmetrics = wants_openmetrics(", ".join(request.headers.getlist("accept")))
         text = await self._metrics.fresh_page(openmetrics=openmetrics)
         return Response(text, media_type=OPENMETRICS_TYPE if openmetrics else TEXT_TYPE)
 

@@ -40,7 +40,7 @@ TEXT_LIMIT: Final = 250
 """A little more than the longest value (241 characters), so that its own error can speak."""
 
 TARGET_LIMIT: Final = 200
-STOPS_LIMIT: Final = 40
+STOPS_LIMIT: Final = 100
 
 IDENTITY_CODES: Final = 16
 """More than any family has that say who a drive is."""
@@ -177,8 +177,9 @@ class DriveWriteBody(WriteBody):
         str | None,
         Field(
             max_length=STOPS_LIMIT,
-            description="Not written if the drive was told to stop since this was given: "
-            "`stops` of `GET /v1/drives/{drive}/restore`. For work of several writes",
+            description="Not written if the drive was stopped, or lecombus was started, since "
+            "this was given: `stops` of `GET /v1/drives/{drive}/restore`. For work of several "
+            "writes",
         ),
     ] = None
 

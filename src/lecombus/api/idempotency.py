@@ -16,7 +16,7 @@ What must not live here: what a request does.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, field
 from hashlib import sha256
 from typing import Final
@@ -35,7 +35,7 @@ __all__ = [
     "Idempotency",
     "SharedStops",
     "key_mistake",
-    "key_of",
+    "keys_of",
 ]
 
 KEY_LIMIT: Final = 1000
@@ -80,13 +80,14 @@ class Idempotency:
             act: Carries it out; an error that it raises is not remembered.
 
         Raises:
-            ProblemError: The key was used for another request, is malformed, or too many are in
-                use.
+            ProblemError: The key was used for another request, is malformed or one of two, or too
+                many are in use.
         """
-        key = key_of(request)
-        if key is None:
+        keys = keys_of(request)
+        if not keys:
             return await act()
-        check_key(key)
+        check_keys(keys)
+        key = keys[0]
         content = content_of(request, body)
         while (entry := self._entries.get(key)) is not None and self._is_current(entry):
             if entry.content != content:
@@ -150,9 +151,10 @@ class SharedStops:
             body: Its body, as far as it counts.
             act: Stops; when it raises, each request that waited for its result stops by itself.
         """
-        key = key_of(request)
-        if key is None or key_mistake(key):
+        keys = keys_of(request)
+        if not keys or key_mistake(keys):
             return await act()
+        key = keys[0]
         content = content_of(request, body)
         while (entry := self._under_way.get((key, content))) is not None:
             await entry.ended.wait()
@@ -167,9 +169,9 @@ class SharedStops:
             entry.ended.set()
 
 
-def key_of(request: Request) -> str | None:
-    """Return a request's `Idempotency-Key`."""
-    return request.headers.get("idempotency-key")
+def keys_of(request: Request) -> list[str]:
+    """Return the `Idempotency-Key` headers of a request; more than one is a mistake."""
+    return request.headers.getlist("idempotency-key")
 
 
 def content_of(request: Request, body: bytes) -> bytes:
@@ -182,20 +184,27 @@ def content_of(request: Request, body: bytes) -> bytes:
     return digest.digest()
 
 
-def key_mistake(key: str) -> str:
-    """Return what is wrong with a key, or nothing: it is empty or too long to keep."""
-    if 0 < len(key) <= KEY_CHARS:
+def key_mistake(keys: Sequence[str]) -> str:
+    """Return what is wrong with the keys of a request, or nothing.
+
+    There are two, or the one is empty or too long to keep.
+    """
+    if len(keys) > 1:
+        return f"header Idempotency-Key stands {len(keys)} times: which of the keys counts is open"
+    if not keys or 0 < len(keys[0]) <= KEY_CHARS:
         return ""
-    return f"Idempotency-Key has {len(key)} characters, 1 to {KEY_CHARS} are taken"
+    return f"Idempotency-Key has {len(keys[0])} characters, 1 to {KEY_CHARS} are taken"
 
 
-def check_key(key: str) -> None:
+def check_keys(keys: Sequence[str]) -> None:
     """Refuse keys that cannot be kept.
 
     Raises:
-        ProblemError: It is one of these.
+        ProblemError: They are such.
     """
-    mistake = key_mistake(key)
+    mistake = key_mistake(keys)
+    if mistake and len(keys) > 1:
+        raise ProblemError(Problem("doubled-header", mistake, remedy="send the header once"))
     if mistake:
         raise ProblemError(Problem("bad-request", mistake, remedy="send a UUID"))
 

@@ -88,7 +88,7 @@ TOO_MANY_HEADERS: Final = Problem(
 TARGET_TOO_LONG: Final = Problem(
     "target-too-long",
     f"path and query of the request are longer than {TARGET_BYTES} bytes",
-    remedy="send a shorter path; what there is stands in /openapi.json",
+    remedy="give shorter names, and fewer query parameters",
 )
 TOO_MANY_PARAMETERS: Final = Problem(
     "too-many-parameters",

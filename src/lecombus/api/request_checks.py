@@ -42,6 +42,9 @@ MISTAKES_LIMIT: Final = 10
 WORD_LIMIT: Final = 40
 """A longer word is no spelling mistake, and comparing takes its length squared."""
 
+SHOWN_CHARS: Final = 40
+"""The most that a message repeats of a wrong value."""
+
 B = TypeVar("B", bound=Body)
 Q = TypeVar("Q", bound=Query)
 
@@ -251,15 +254,15 @@ def mistake_text(error: Mapping[str, object], given: Mapping[str, object], model
 
 
 def shown(value: object) -> str:
-    """Return a wrong value as it can stand in a message, cut short."""
+    """Return a wrong value as it was given, cut short; a text stands in quotes."""
     if isinstance(value, dict):
         return "an object"
     if isinstance(value, list):
         return "an array"
     if isinstance(value, bool) or value is None:
         return {True: "true", False: "false", None: "null"}[value]
-    text = str(value)
-    return repr(text if len(text) <= 40 else f"{text[:37]}...")
+    text = short(str(value), SHOWN_CHARS)
+    return repr(text) if isinstance(value, str) else text
 
 
 def example(model: type[Body]) -> str:

@@ -18,7 +18,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from lecombus.api.answers import report_response
 from lecombus.api.decimal_json import short
-from lecombus.api.idempotency import SharedStops, key_mistake, key_of
+from lecombus.api.idempotency import SharedStops, key_mistake, keys_of
 from lecombus.api.limits import STOP_PATH, is_stop
 from lecombus.api.request_checks import read_stop
 from lecombus.drives import Verb
@@ -97,9 +97,9 @@ class StopRoutes:
 
 def ignored_of(request: Request) -> tuple[str, ...]:
     """Return what is ignored of a stop besides its body: its query, and a wrong key."""
-    query, key = request.scope["query_string"].decode("latin-1"), key_of(request)
+    query = request.scope["query_string"].decode("latin-1")
     said = (
         f"a stop takes no query: {short(query)}" if query else "",
-        "" if key is None else key_mistake(key),
+        key_mistake(keys_of(request)),
     )
     return tuple(one for one in said if one)

@@ -64,7 +64,7 @@ class Restored:
         return not (self.refused or self.changed or self.stopped or self.saved is False)
 
 
-STOPPED: Final = "the drive was stopped meanwhile: nothing more is written to it"
+STOPPED: Final = "nothing more is written to the drive"
 
 SUPERSEDED: Final = "superseded"
 """The kind of a write that a stop ended."""
@@ -199,8 +199,6 @@ class Work:
         code, value = self._plan.save
         await self._wait()
         said = await self._access.write(code, value, verify=False)
-        if said.kind == SUPERSEDED:
-            raise StopRestoreError(f"not saved by {code}: {STOPPED}")
         if not said.done:
             raise StopRestoreError(f"not saved by {code}: {said.text}")
         self.result.saved = True
@@ -229,7 +227,7 @@ class Work:
             await self._check_inhibit()
             said = await self._access.write(step.code, step.value, verify=True)
             if said.kind == SUPERSEDED:
-                raise StopRestoreError(STOPPED)
+                raise StopRestoreError(f"{STOPPED}: {said.text}")
             if said.done or not is_passing(said.kind):
                 return said
             self._was_away = True

@@ -16,7 +16,8 @@ from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+from urllib.parse import quote
 
 import httpx2
 
@@ -33,11 +34,15 @@ __all__ = [
     "connect",
     "connect_async",
     "find_daemon",
+    "path_of",
     "unreachable",
 ]
 
 RUNTIME_DIR = Path("/run/lecombus")
 """Where the daemons of a machine have their sockets, one a line."""
+
+LONGEST_NAME = 64
+"""Characters of a drive's or a group's name in a roster."""
 
 LOCAL = "http://localhost"
 """What a request over a socket calls the machine."""
@@ -178,6 +183,20 @@ async def connect_async(
     )
     async with client:
         yield client, path or base
+
+
+def path_of(kind: Literal["drive", "group"], name: str) -> str:
+    """Return the path of a drive or a group, by a name that a person gave.
+
+    Raises:
+        CommandError: No name is like this, and in a path it would mean something else.
+    """
+    if name in ("", ".", "..") or "/" in name or len(name) > LONGEST_NAME:
+        shown = name if len(name) <= LONGEST_NAME else f"{name[:LONGEST_NAME]}..."
+        problem = f"there is no {kind} `{shown}`"
+        remedy = f"`lecombus {'status' if kind == 'drive' else 'check'}` shows the {kind}s"
+        raise CommandError(Exit.USAGE, Problem(problem, remedy, f"no-such-{kind}"))
+    return f"/v1/{kind}s/{quote(name, safe='')}"
 
 
 def answer_of(response: httpx2.Response, where: str) -> Answer:

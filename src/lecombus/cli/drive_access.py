@@ -14,13 +14,12 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
-from urllib.parse import quote
 
 import anyio
 import httpx2
 
 from lecombus.backups import ReadResult, WriteResult
-from lecombus.cli.client import answer_of, body_text, unreachable
+from lecombus.cli.client import answer_of, body_text, path_of, unreachable
 from lecombus.cli.document_rows import kind_of
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.errors import CodeValueError
@@ -99,7 +98,7 @@ class HttpDrive:
         self._name = drive
         self._clock = clock
         self.stops = stops
-        self._path = f"/v1/drives/{quote(drive, safe='')}"
+        self._path = path_of("drive", drive)
 
     # ---- who it is --------------------------------------------------------------------------
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from urllib.parse import quote
-
 import click
 
 from lecombus.cli.arguments import CODE, daemon_options
-from lecombus.cli.client import DaemonClient, connect
+from lecombus.cli.client import DaemonClient, connect, path_of
 from lecombus.cli.document_rows import Document, show_write, status_of
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.screen import age, on_terminal, show_rows, table_text
@@ -52,7 +50,7 @@ def accept_command(
     pipe, or with --json, there is no question: repeat every value that differs with --seen.
     """
     with connect(socket, url) as daemon:
-        path = f"/v1/drives/{quote(drive, safe='')}"
+        path = path_of("drive", drive)
         known: Document = daemon.get(f"{path}/identity").data
         found, accepted = dict(known.get("found") or {}), dict(known.get("accepted") or {})
         differing = {code: text for code, text in found.items() if accepted.get(code) != text}
@@ -81,7 +79,7 @@ def accept_command(
 
 def _ask_again(daemon: DaemonClient, drive: str, found: dict[str, str]) -> None:
     """Read the identity from the drive again: its audit may be long ago."""
-    path = f"/v1/drives/{quote(drive, safe='')}"
+    path = path_of("drive", drive)
     for code in found:
         daemon.get(f"{path}/codes/{code}", fresh="true")
     known = dict(daemon.get(f"{path}/identity").data.get("found") or {})
@@ -136,7 +134,7 @@ def readdress_command(
         what = f"{address} is no drive's address"
         raise CommandError(Exit.USAGE, Problem(what, "1 to 99 without 10, 20 .. 90 would be right"))
     with connect(socket, url) as daemon:
-        path = f"/v1/drives/{quote(drive, safe='')}"
+        path = path_of("drive", drive)
         if not yes:
             known: Document = daemon.get(path).data
             _confirm_address(known, address, may_ask=on_terminal() and not as_json)
@@ -176,7 +174,7 @@ def wear_command(drive: str, socket: str | None, url: str | None, as_json: bool)
     until it may be written again. With --json: the daemon's document.
     """
     with connect(socket, url) as daemon:
-        answer = daemon.get(f"/v1/drives/{quote(drive, safe='')}/wear")
+        answer = daemon.get(f"{path_of('drive', drive)}/wear")
     if as_json:
         click.echo(answer.text)
         return Exit.DONE
@@ -210,7 +208,7 @@ def forget_times_command(drive: str, socket: str | None, url: str | None, as_jso
     With --json: the daemon's document.
     """
     with connect(socket, url) as daemon:
-        answer = daemon.post(f"/v1/drives/{quote(drive, safe='')}/forget-times", {})
+        answer = daemon.post(f"{path_of('drive', drive)}/forget-times", {})
     if as_json:
         click.echo(answer.text)
         return Exit.DONE

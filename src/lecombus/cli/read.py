@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from urllib.parse import quote
 
 import click
 
 from lecombus.cli.arguments import CODE, daemon_options
-from lecombus.cli.client import connect
+from lecombus.cli.client import connect, path_of
 from lecombus.cli.document_rows import show_reading
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.fieldbus.lecom.protocol import BAUDS as ALL_BAUDS
@@ -56,7 +55,7 @@ def read_command(
     else:
         drive, code = _drive_and_code(words)
         with connect(socket, url) as daemon:
-            path = f"/v1/drives/{quote(drive, safe='')}/codes/{code}"
+            path = f"{path_of('drive', drive)}/codes/{code}"
             answer = daemon.get(path) if stored else daemon.get(path, fresh="true")
         answer_text, reading = answer.text, answer.data
     if as_json:

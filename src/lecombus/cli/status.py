@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from urllib.parse import quote
 
 import click
 
 from lecombus.cli.arguments import daemon_options
-from lecombus.cli.client import connect
+from lecombus.cli.client import connect, path_of
 from lecombus.cli.document_rows import Document, code_of, quality_of, shown_value
 from lecombus.cli.exits import Exit
 from lecombus.cli.screen import Styled, age, on_terminal, show_rows, table_text
@@ -35,7 +34,7 @@ def status_command(drive: str | None, socket: str | None, url: str | None, as_js
     """
     with connect(socket, url) as daemon:
         if drive:
-            answer = daemon.get(f"/v1/drives/{quote(drive, safe='')}")
+            answer = daemon.get(path_of("drive", drive))
             if as_json:
                 click.echo(answer.text)
             else:

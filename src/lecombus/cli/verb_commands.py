@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from urllib.parse import quote
 
 import click
 
 from lecombus.cli.arguments import EXPIRY, NUMBER, CommandWithNumbers, daemon_options
-from lecombus.cli.client import connect
+from lecombus.cli.client import connect, path_of
 from lecombus.cli.document_rows import (
     Document,
     is_done,
@@ -50,7 +49,7 @@ def _run_verb(
 ) -> Exit:
     """Have a drive do something and show how it ended."""
     with connect(socket, url) as daemon:
-        answer = daemon.post(f"/v1/drives/{quote(drive, safe='')}/verbs/{verb}", document)
+        answer = daemon.post(f"{path_of('drive', drive)}/verbs/{verb}", document)
     if as_json:
         click.echo(answer.text)
         return status_of(answer.data)

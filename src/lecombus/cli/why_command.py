@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from urllib.parse import quote
 
 import click
 
 from lecombus.cli.arguments import daemon_options
-from lecombus.cli.client import connect
+from lecombus.cli.client import connect, path_of
 from lecombus.cli.document_rows import Document
 from lecombus.cli.exits import Exit
 from lecombus.cli.screen import age, on_terminal, show_rows, table_text
@@ -57,7 +56,7 @@ def why_command(
     daemon's document.
     """
     with connect(socket, url) as daemon:
-        path = f"/v1/drives/{quote(drive, safe='')}/why"
+        path = f"{path_of('drive', drive)}/why"
         params = {"lang": lang} if stored else {"lang": lang, "fresh": "true"}
         answer = daemon.get(path, **params)
     if as_json:

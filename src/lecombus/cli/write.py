@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from urllib.parse import quote
-
 import click
 
 from lecombus.cli.arguments import CODE, EXPIRY, VALUE, CommandWithNumbers, Given, daemon_options
-from lecombus.cli.client import connect
+from lecombus.cli.client import connect, path_of
 from lecombus.cli.document_rows import Document, show_group, show_write, status_of
 from lecombus.parameters import Code
 from lecombus.readings import Json
@@ -63,7 +61,7 @@ def write_command(
     --json: the daemon's document, {"drive", "code", "outcome", "reason", "cause", "reading"}.
     """
     with connect(socket, url) as daemon:
-        path = f"/v1/drives/{quote(drive, safe='')}/codes/{code}"
+        path = f"{path_of('drive', drive)}/codes/{code}"
         answer = daemon.put(path, write_document(value, expires, verify))
     if as_json:
         click.echo(answer.text)
@@ -109,7 +107,7 @@ def group_command(
     {"how", "outcome", "members": [as write]}.
     """
     with connect(socket, url) as daemon:
-        path = f"/v1/groups/{quote(group, safe='')}/codes/{code}"
+        path = f"{path_of('group', group)}/codes/{code}"
         answer = daemon.put(path, write_document(value, expires, verify))
     if as_json:
         click.echo(answer.text)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import secrets
 from collections.abc import Callable, Mapping, Sequence
+from typing import Final
 
 from lecombus.config import DriveEntry, GroupEntry
 from lecombus.control_word import ControlWord
@@ -18,9 +20,18 @@ from lecombus.operations.wear import Wear
 from lecombus.operations.why import Why
 from lecombus.parameters import Code, Value
 from lecombus.readings import DriveState
+from lecombus.schedule.request import STOPPED
 from lecombus.store import Store
 
 __all__ = ["OperationContext"]
+
+MARK: Final = re.compile(r"(?P<run>[0-9a-f]{8})-(?P<drive>[a-z0-9_-]+)-[0-9]{1,15}")
+"""A mark of stops, as `OperationContext.stop_mark` makes it."""
+
+OTHER_RUN: Final = (
+    "lecombus was started again since it was asked which stops there were: whether the drive was "
+    "stopped since is not known"
+)
 
 
 class OperationContext:
@@ -155,9 +166,29 @@ class OperationContext:
         self.requests.note_stop(drive)
 
     def stop_mark(self, drive: str) -> str:
-        """Return a mark of this run that the next stop of the drive outdates."""
-        return f"{self._run}-{self.requests.stops_said(drive)}"
+        """Return a mark of this run and this drive that its next stop outdates."""
+        return f"{self._run}-{drive}-{self.requests.stops_said(drive)}"
 
     def is_outdated(self, drive: str, mark: str) -> bool:
-        """Whether a stop came after a mark; a mark of another run of lecombus says nothing."""
-        return mark.startswith(f"{self._run}-") and mark != self.stop_mark(drive)
+        """Whether a stop of the drive came after a mark that was taken in this run."""
+        return mark != self.stop_mark(drive)
+
+    def why_outdated(self, drive: str, mark: str) -> str:
+        """Return why a mark that a client gave does not allow a write; empty if it does.
+
+        Of another run it is not known whether a stop came since, so it does not.
+
+        Raises:
+            OperationError: `bad-request`: it is no mark of this drive.
+        """
+        match = MARK.fullmatch(mark)
+        if match is None or match["drive"] != drive:
+            raise OperationError(
+                f"stops is {mark!r}, which is no mark of {drive}: nothing was sent",
+                kind="bad-request",
+                drive=drive,
+                remedy=f"send `stops` as `GET /v1/drives/{drive}/restore` gives it",
+            )
+        if match["run"] != self._run:
+            return OTHER_RUN
+        return STOPPED if self.is_outdated(drive, mark) else ""

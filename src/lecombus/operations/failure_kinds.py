@@ -23,15 +23,16 @@ REMEDIES: Final[Mapping[str, str]] = {
     "expired": "allow more time, or ask less of the line",
 }
 STOPPED_REMEDY: Final = "ask for it again if it is still wanted: a stop ends all that waits"
+OTHER_RUN_REMEDY: Final = "look at the drive, then begin again"
 CUT_REMEDY = "the port is being reopened; read the code then to see what it holds"
 """The write may have happened, so repeating it without a look is no remedy."""
 
 
-def stopped_first(drive: str, code: Code) -> WriteReport:
+def stopped_first(drive: str, code: Code, why: str = STOPPED) -> WriteReport:
     """The report of a write that was not sent yet when its drive was stopped."""
     return WriteReport(
-        drive, code, Outcome.SUPERSEDED, f"{STOPPED}: nothing was sent", kind="superseded",
-        remedy=STOPPED_REMEDY,
+        drive, code, Outcome.SUPERSEDED, f"{why}: nothing was sent", kind="superseded",
+        remedy=STOPPED_REMEDY if why == STOPPED else OTHER_RUN_REMEDY,
     )  # fmt: skip
 
 

@@ -69,7 +69,8 @@ class Writes:
             urgency: The class to run in; None: by what is written. What moves a drive keeps its
                 own.
             restoring: It belongs to the restore of a backup: other codes may be written then.
-            unless_stopped_since: A `stop_mark` of the drive: a later stop ends the write.
+            unless_stopped_since: A `stop_mark` of the drive: a later stop ends the write, and so
+                does a start of lecombus since.
 
         Raises:
             OperationError: It may not be written, or the value is not one for this code.
@@ -82,11 +83,11 @@ class Writes:
             refuse_for_gone_client(drive)
         expires_at_s = None if expires_s is None else self._context.clock() + expires_s
         mark = self._context.stop_mark(drive)
-        outdated = self._context.requests.stopped_since_asked(drive)
+        outdated = STOPPED if self._context.requests.stopped_since_asked(drive) else ""
         if unless_stopped_since is not None:
-            outdated |= self._context.is_outdated(drive, unless_stopped_since)
+            outdated = self._context.why_outdated(drive, unless_stopped_since) or outdated
         if outdated:
-            return stopped_first(drive, code)
+            return stopped_first(drive, code, outdated)
         if wears(station.family, code):
             there = await self.already_there(
                 station, code, wire, verify=verify, within_s=expires_s, urgency=urgency

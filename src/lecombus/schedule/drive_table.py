@@ -119,7 +119,7 @@ class DriveTable(ABC):
             if old is not None:
                 feed.follow(old)
             elif before is not None:
-                feed.count_on(before)
+                feed.resume(before, now_s)
             feed.active = drive.parked is None
             if drive.held:
                 feed.held_until_s = drive.held_until_s
@@ -246,6 +246,11 @@ class DriveTable(ABC):
             self._waiting.set_silent(name, silent=False)
         self._watchdogs.changed()
         self._waiting.end_all(self._waiting.listed(stops=stops), Outcome.REFUSED, reason)
+
+    def port_opened(self) -> None:
+        """Take no drive as heard: which drives there are on an opened port is not known."""
+        for feed in (*self._watchdogs.by_drive.values(), *self._fed_before.values()):
+            feed.heard = False
 
     def _is_parked(self, name: str) -> bool:
         drive = self._drives.get(name)

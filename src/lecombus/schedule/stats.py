@@ -33,7 +33,8 @@ class WatchdogStats:
         fed: Exchanges that fed it.
         failures: Exchanges in a row that it did not answer.
         misses: Times the hard deadline passed unfed.
-        lapses: Times the watchdog time itself passed unfed: the drive may have acted.
+        lapses: Times the watchdog time itself passed unfed: the drive may have acted. Once until
+            the drive answers again; not while it was not heard since the port was opened.
         paused: Not kept at present: the drive is parked.
     """
 
@@ -101,7 +102,7 @@ def snapshot(
         now_s: Now.
     """
     for name, feed in watchdogs.by_drive.items():
-        if feed.active and name != speaking_to:
+        if name != speaking_to:
             feed.judge(now_s)
     late_s, polling.late_most_s = polling.late_most_s, 0.0
     by_class = {

@@ -76,6 +76,7 @@ class WatchdogDeadline:
         "active",
         "cost_s",
         "costs",
+        "counted",
         "drive",
         "due_s",
         "failures",
@@ -83,6 +84,7 @@ class WatchdogDeadline:
         "fed_at_s",
         "feeding",
         "hard_s",
+        "heard",
         "held_until_s",
         "lapsed",
         "lapses",
@@ -94,6 +96,7 @@ class WatchdogDeadline:
         "misses",
         "request",
         "retry_at_s",
+        "runs_from_s",
         "soft_s",
         "time_s",
         "worst_s",
@@ -112,6 +115,9 @@ class WatchdogDeadline:
         self.left_out = False  # of the slack check: too late to be in time
         self.fed = self.failures = self.misses = self.lapses = 0
         self.margin_last_s = self.margin_least_s = self.margin_since_s = math.inf
+        self.runs_from_s = math.inf  # the last exchange that the drive answered; none yet
+        self.heard = False  # since the port was opened
+        self.counted = False  # that its time ran out since that exchange
         self._count_from(now_s)
 
     def _count_from(self, at_s: float) -> None:
@@ -121,7 +127,7 @@ class WatchdogDeadline:
         self.due_s = max(self.soft_s, self.hard_s - SPARE_ATTEMPTS * self.worst_s)
         self.retry_at_s = -math.inf
         self.failures = 0
-        self.missed = self.lapsed = False  # counted already
+        self.missed = self.lapsed = False
 
     def follow(self, old: WatchdogDeadline) -> None:
         """Take the place of the drive's feed so far: its count and the moment it was last fed.
@@ -131,6 +137,7 @@ class WatchdogDeadline:
         """
         self.count_on(old)
         self.margin_last_s, self.margin_least_s = old.margin_last_s, old.margin_least_s
+        self.runs_from_s, self.heard, self.counted = old.runs_from_s, old.heard, old.counted
         if old.active:
             self._count_from(old.fed_at_s)
             self.failures, self.retry_at_s = old.failures, old.retry_at_s
@@ -140,6 +147,15 @@ class WatchdogDeadline:
         """Go on with the counts of the drive's feed so far: they never fall."""
         self.fed, self.misses, self.lapses = old.fed, old.misses, old.lapses
 
+    def resume(self, old: WatchdogDeadline, now_s: float) -> None:
+        """Begin again after the watchdog was off: it has been running since now."""
+        self.count_on(old)
+        self.runs_from_s, self.heard, self.counted = now_s, old.heard, old.counted
+
+    def heard_at(self, at_s: float) -> None:
+        """Take the drive as heard: its watchdog has been running since then."""
+        self.heard, self.counted, self.runs_from_s = True, False, at_s
+
     def restart(self, now_s: float) -> None:
         """Count from now after a pause, without judging the pause."""
         self.active = True
@@ -147,6 +163,7 @@ class WatchdogDeadline:
 
     def reached(self, started_s: float) -> None:
         """Note that the drive answered an exchange begun at that time."""
+        self.heard = True
         margin_s = self.fed_at_s + self.time_s - started_s
         self.margin_last_s = margin_s
         if margin_s < self.margin_least_s:
@@ -156,14 +173,22 @@ class WatchdogDeadline:
         self.judge(started_s)
         self.fed += 1
         self._count_from(started_s)
+        self.heard_at(started_s)
 
     def judge(self, now_s: float) -> None:
-        """Count, once each, that the hard deadline or the watchdog time has passed unfed."""
-        if now_s > self.hard_s and not self.missed:
+        """Count, once each, that the hard deadline or the watchdog time has passed unfed.
+
+        The drive's watchdog runs from the last exchange that it answered, also while the drive is
+        parked or the port is away: a pause begins no other lapse. One that was not heard since the
+        port was opened may not be there at all.
+        """
+        if self.active and now_s > self.hard_s and not self.missed:
             self.missed = True
             self.misses += 1
-        if now_s > self.fed_at_s + self.time_s and not self.lapsed:
+        if self.active and now_s > self.fed_at_s + self.time_s:
             self.lapsed = True
+        if self.heard and not self.counted and now_s > self.runs_from_s + self.time_s:
+            self.counted = True
             self.lapses += 1
 
     def failed(self, now_s: float, tolerate: int = 0) -> None:

@@ -157,7 +157,7 @@ class DriveSupervisor:
         await self._audits.learn_the_rest(drive, drive.station)
 
     def note_lapses(self, feeds: Mapping[str, WatchdogStats]) -> None:
-        """Log each watchdog whose time ran out unfed, once per lapse.
+        """Log each watchdog whose time ran out unfed, once per lapse that the schedule counted.
 
         Args:
             feeds: The schedule's figures, looked at every second or so.
@@ -166,17 +166,9 @@ class DriveSupervisor:
             drive = self._drives.find(name)
             if drive is None:
                 continue
-            has_lapsed = feed.age_s > feed.time_s
-            # The schedule does not count for drives that are offline; short lapses it does.
-            counted = feed.lapses > drive.feed.lapses
-            is_new = not drive.feed.has_lapsed and (counted or has_lapsed)
-            # A drive that was not heard since the port was opened may not be there at all.
-            if is_new and drive.health.heard:
+            if feed.lapses > drive.feed.lapses:
                 logger.warning("drive=%s event=watchdog-missed time_s=%g", name, feed.time_s)
-            drive.feed.lapses, drive.feed.has_lapsed = feed.lapses, has_lapsed
-        for drive in self._drives:
-            if drive.name not in feeds:
-                drive.feed.lapses, drive.feed.has_lapsed = 0, False
+            drive.feed.lapses = feed.lapses
 
     def _audit_failed(self, drive: Drive, exc: LecombusError) -> None:
         self._health.audit_failed(drive, str(exc))

@@ -98,6 +98,7 @@ class Health:
             return
         now = self._clock()
         is_news, self._opened_s = now - self._opened_s >= AGAIN_S, now
+        self._schedule.port_opened()
         for drive in self._drives:
             health = drive.health
             if health.state is DriveState.OFFLINE:
