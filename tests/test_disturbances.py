@@ -91,12 +91,7 @@ def test_a_value_that_lay_in_the_kernel_is_not_shown_as_fresh() -> None:
         await plant.online()
         loop, site = asyncio.get_running_loop(), plant.site
         reading = asyncio.ensure_future(site.operations.read("d1", Code(46)))
-
-        def is_asked() -> bool:
-            saying = site.worker.exchange_loop._under_way
-            return saying is not None and (saying[0].drive, saying[1].step.code) == ("d1", Code(46))
-
-        await until(is_asked)
+        await until(lambda: plant.is_asking(b"\x040246"))
         loop.machine = Paused([(plant.now_s, plant.now_s + 5.0)])  # type: ignore[attr-defined]
         found = await reading
         assert found.value is not None

@@ -198,7 +198,7 @@ def test_drives_that_are_being_started_raise_no_alarm_about_the_cadence() -> Non
 def test_a_drive_that_never_ends_starting_hides_the_remark_for_minutes_only() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()
-        plant.site.health._set(plant.site.drives.get("b"), DriveState.STARTING, "")
+        plant.site.drives.get("b").health.state = DriveState.STARTING
         await anyio.sleep(60.0)
         plant.site.note_cadence()
         assert "cadence" not in plant.site.store.line().remarks

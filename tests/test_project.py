@@ -18,6 +18,9 @@ REQUIREMENTS = ROOT / "requirements"
 LOCKS = sorted(path for path in REQUIREMENTS.glob("*.txt") if path.name != "debian.txt")
 PIN = re.compile(r"^([a-z0-9][a-z0-9._-]*)==(\S+)", re.MULTILINE)
 
+PRIVATE = re.compile(r"\b_?(exchange_loop|worker|schedule|site)\._[a-z]\w*$")
+"""How a test would reach into a line that it runs."""
+
 MODULE_LINES = 500
 FUNCTION_LINES = 45
 
@@ -145,6 +148,16 @@ def test_functions_stay_readable() -> None:
         and body_lines(node) > FUNCTION_LINES
     }
     assert long == {}
+
+
+def test_no_test_reaches_into_what_is_private_to_the_exchange_loop() -> None:
+    reached = [
+        f"{path.relative_to(ROOT)}:{node.lineno}: {ast.unparse(node)}"
+        for path in (ROOT / "tests").rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Attribute) and PRIVATE.search(ast.unparse(node))
+    ]
+    assert reached == []
 
 
 def test_every_test_runs_in_just_one_lane() -> None:

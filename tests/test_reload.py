@@ -154,7 +154,7 @@ def test_a_drive_at_another_address_is_counted_from_now_on() -> None:
 def test_no_counter_falls_at_a_reload() -> None:
     async def test(plant: Plant) -> None:
         def counts() -> tuple[int, int]:
-            figures = plant.site._snapshot()
+            figures = plant.site.metrics.snapshot()
             return figures.watchdog_misses["a"], figures.cyclic_skipped
 
         await plant.online()
@@ -171,7 +171,7 @@ def test_no_counter_falls_at_a_reload() -> None:
         plant.apply(roster(EVERY_2_S, more=", answer_time: 30ms"))
         assert not fell()
         plant.apply(roster(EVERY_2_S, guard=""))
-        assert plant.site._snapshot().cyclic_skipped >= before[1]
+        assert plant.site.metrics.snapshot().cyclic_skipped >= before[1]
         plant.apply(BEFORE.replace("address: 11", "address: 21"))
         assert not fell()
 

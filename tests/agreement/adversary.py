@@ -123,24 +123,24 @@ class Adversary:
 
     def telegram(self) -> None:
         """A telegram has gone out."""
-        under_way = self._worker.exchange_loop._under_way
+        under_way = self._worker.exchange_loop.under_way
         if under_way is None:
             return
-        request, exchange = under_way[0], self._worker.exchange_loop._exchange
+        request, _, prepared = under_way
+        ask, started_s = prepared.ask, self._worker.exchange_loop.exchange.started_s
         found = self._asked.pop(request, None)
         if found is not None:
             what, since_s, late_s = found
             if what:
-                wait_s = exchange.started_s - since_s
+                wait_s = started_s - since_s
                 self.measured.note(what, wait_s, self._late_s() - late_s)
                 self._begun.set()
         wanted = self._wanted
-        if wanted is not None and wanted(request, exchange.started_s):
+        if wanted is not None and wanted(request, started_s):
             self._wanted = None
-            ask = exchange._ask
-            first_s = exchange.started_s + ask.first_byte_s - self._margin_s
-            self._given_up_s = exchange.started_s + ask.whole_s
-            drip = Drip(first_s, exchange.started_s + ask.whole_s, ask.gap_s)
+            first_s = started_s + ask.first_byte_s - self._margin_s
+            self._given_up_s = started_s + ask.whole_s
+            drip = Drip(first_s, started_s + ask.whole_s, ask.gap_s)
             self._lock(lambda: self._sim.lose(self._addresses[request.drive], drip))
             asyncio.get_running_loop().call_soon(self._now_strike)
 
@@ -184,7 +184,7 @@ class Adversary:
         for _ in range(number):  # not one that is left alone after a write just now
             self._turn += 1
             drive = drives[self._turn % number]
-            if not self._schedule._drives[drive.name].held:
+            if not self._schedule.is_held(drive.name):
                 break
         station = self._site.requests.station(drive.name)
         maker = self._site.requests.maker
@@ -253,7 +253,7 @@ class Adversary:
     async def run(self, length_s: float) -> Measured:
         """Attack for so long, and say what came of it."""
         self.measured = Measured()
-        for feed in self._schedule._watchdogs.by_drive.values():
+        for feed in self._schedule.watchdogs.by_drive.values():
             feed.margin_least_s = math.inf
         over_s = asyncio.get_running_loop().time() + length_s
         attacks = [
@@ -362,16 +362,16 @@ class Adversary:
         for _ in self._site.roster.drives:
             self._ask(Priority.CONTROL, "")
         await self._until_nothing_waits()
-        due_s = min((one.due_s for one in self._schedule._watchdogs.by_drive.values()), default=0.0)
+        due_s = min((one.due_s for one in self._schedule.watchdogs.by_drive.values()), default=0.0)
         await anyio.sleep(max(0.0, due_s - loop.time() - JUST_BEFORE_S))
 
     def _feeds_last_s(self) -> float:
-        return 0.5 + 2.0 * sum(one.cost_s for one in self._schedule._watchdogs.by_drive.values())
+        return 0.5 + 2.0 * sum(one.cost_s for one in self._schedule.watchdogs.by_drive.values())
 
     def _forced_s(self, at_s: float) -> float:
         """How long feeds must go first, for want of slack, before a request may begin."""
         worst_s = self._ahead.control.times.worst_s
-        ordered = sorted(self._schedule._watchdogs.by_drive.values(), key=lambda feed: feed.hard_s)
+        ordered = sorted(self._schedule.watchdogs.by_drive.values(), key=lambda feed: feed.hard_s)
         total_s = forced_s = 0.0
         for feed in ordered:
             total_s += feed.cost_s
@@ -383,7 +383,7 @@ class Adversary:
         """Everybody asks, and an answer is lost when feeds have the least slack."""
         self._saturate(Priority.CONTROL, Priority.INTERACTIVE, Priority.BACKGROUND)
         await anyio.sleep(1.0)
-        feeds = self._schedule._watchdogs
+        feeds = self._schedule.watchdogs
         least = [math.inf]
 
         def wanted(request: Request, now_s: float) -> bool:
@@ -410,7 +410,7 @@ class Adversary:
 
     async def _lose_before_all(self, strike: Callable[[], None]) -> bool:
         """Let all slots be due at once, but for one that comes just before and is lost."""
-        cadence = self._schedule._polling
+        cadence = self._schedule.polling
         entries = [one for found in cadence.by_drive.values() for one in found if one.version >= 0]
         if not entries:
             return False
@@ -418,8 +418,9 @@ class Adversary:
         at_s = asyncio.get_running_loop().time() + 1.0
         for entry in entries:
             entry.due_v = at_s - cadence.offset_s - (JUST_BEFORE_S if entry is first else 0.0)
-            cadence._push(entry)
-        self._schedule._lookahead.invalidate()
+            cadence.set_apart(entry)
+            cadence.rejoin(entry, 0.0)
+        self._schedule.wanted_at_s(at_s - 1.0)  # what was chosen beforehand is chosen again
         self._worker.nudge()
         self._late_before_s = self._late_s()
         return await self._lose(lambda request, now_s: request.source is first, strike)
@@ -467,7 +468,7 @@ class Adversary:
 
     def _note_feeds(self) -> None:
         stats = self._schedule.stats(asyncio.get_running_loop().time())
-        for name, feed in self._schedule._watchdogs.by_drive.items():
+        for name, feed in self._schedule.watchdogs.by_drive.items():
             assert name in stats.feeds
             self.measured.fed[name] = feed.time_s - feed.margin_least_s
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import anyio
 import httpx2
 import pytest
@@ -90,7 +92,7 @@ async def test_what_happened_to_a_drive_is_in_the_list_at_once(line: Line) -> No
         assert (await feeder())["values"][0]["quality"] == "good"
         line.store.value_written("feeder", FREQUENCY, 0.0)
         assert (await feeder())["values"][0]["quality"] == "bad"
-        line.store.value_read("feeder", FREQUENCY, Value.parse("12.0"), line.store._clock())
+        line.store.value_read("feeder", FREQUENCY, Value.parse("12.0"), time.monotonic())
         line.store.value_failed("feeder", FREQUENCY, "no answer")
         assert (await feeder())["values"][0]["reason"] == "no answer"
         line.store.drive_state("feeder", DriveState.OFFLINE, "silent")

@@ -85,9 +85,7 @@ def test_a_stop_goes_out_at_the_very_moment_at_which_the_answer_is_complete() ->
         await anyio.sleep(0.010)
         said = len(rig.sent)
         ended = stop(rig, "a")
-        assert rig.worker.exchange_loop._ready is not None, (
-            "it was written out while the exchange lasts"
-        )
+        assert rig.worker.exchange_loop.ready is not None, "while the exchange lasts"
         await until(lambda: len(rig.sent) > said)
         assert rig.sent[said].data.startswith(b"\x0401\x02400\x03")
         assert rig.sent[said].at_s == rig.end.heard[-1].at_s
@@ -131,9 +129,9 @@ def test_a_line_lost_at_that_moment_loses_neither_the_answer_nor_the_next_reques
     async def test(rig: Rig) -> None:
         first, second = rig.read("a", 150), rig.read("b", 150)
         await until(lambda: len(rig.sent) == 1)
-        port = rig.worker._connection.port
+        port = rig.end.port
         assert port is not None
-        assert rig.worker.exchange_loop._ready is not None
+        assert rig.worker.exchange_loop.ready is not None
 
         def write(data: bytes) -> None:
             raise LineLostError("pulled")

@@ -11,6 +11,7 @@ import anyio
 import pytest
 
 from lecombus.drives import StopAction
+from lecombus.fieldbus.lecom.exchanges.telegram_log import TelegramLog
 from lecombus.fieldbus.lecom.protocol.telegrams import ValueAnswer
 from lecombus.fieldbus.lecom.simulator.faults import Faults, LateKind
 from lecombus.fieldbus.station import Station
@@ -428,10 +429,15 @@ def test_debug_logs_say_what_did_not_come_and_what_nobody_asked_for(
 
 
 @pytest.mark.parametrize("level", ["DEBUG", "INFO"])
-def test_without_debug_nothing_is_collected(caplog: pytest.LogCaptureFixture, level: str) -> None:
+def test_without_debug_nothing_is_collected(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch, level: str
+) -> None:
+    collected: list[bytes] = []
+    monkeypatch.setattr(TelegramLog, "heard", lambda _, data: collected.append(data))
+
     async def test(rig: Rig) -> None:
-        assert (rig.worker.exchange_loop._log is None) is (level == "INFO")
         await rig.read("a", 150).done.wait()
 
     with caplog.at_level(level, logger="lecombus.line"):
         with_rig(test)
+    assert bool(collected) is (level == "DEBUG")

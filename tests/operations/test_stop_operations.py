@@ -9,8 +9,7 @@ import anyio.lowlevel
 import pytest
 
 from lecombus.drives import FAMILY_NAMES, StopAction
-from lecombus.errors import OperationError
-from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
+from lecombus.errors import NoReplyError, OperationError
 from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.fieldbus.station import StepKind
 from lecombus.parameters import Code, Value
@@ -384,8 +383,10 @@ def test_a_quick_stop_whose_word_may_not_be_read_now_becomes_an_inhibit_and_does
         await plant.online()
         await anyio.sleep(5.0)  # no module's own code, which holds the line for half a second
         plant.site.drives.get("c").control_word.forget()
-        for form in Form:
-            plant.site.worker.exchange_loop._late_replies.add(encode_code(WORD, form), plant.now_s)
+        plant.line.drive_faults[13] = Faults(lost=1.0)
+        with pytest.raises(NoReplyError):  # after a repetition in the other form
+            await plant.site.operations.read("c", WORD)
+        plant.line.drive_faults.clear()
         said, since_s = len(plant.end.sent), plant.now_s
         report = await plant.site.operations.stop(QUICK, "c")
         assert (report.outcome, report.members[0].code) == (Outcome.VERIFIED, ENABLE)

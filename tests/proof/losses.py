@@ -119,9 +119,9 @@ class Losses:
 
     def _leaves_no_room(self) -> bool:
         """Whether what is sent leaves no room for what is tolerated, whenever it begins."""
-        tolerate = self._site.schedule._watchdogs.faults.tolerate
-        under_way = self._site.worker.exchange_loop._under_way
-        feeds = self._site.schedule._watchdogs
+        tolerate = self._site.schedule.watchdogs.faults.tolerate
+        under_way = self._site.worker.exchange_loop.under_way
+        feeds = self._site.schedule.watchdogs
         if under_way is None or under_way[0].priority is Priority.STOP or tolerate < 2:
             return False
         cost_s, worst_s = under_way[0].cost_s, under_way[0].worst_s
@@ -130,13 +130,13 @@ class Losses:
         return needed_s > feeds.most_s(under_way[0].drive)[0] + LAST_PART * feeds.shortest_s()
 
     def _is_worst(self, now_s: float) -> bool:
-        under_way = self._site.worker.exchange_loop._under_way
+        under_way = self._site.worker.exchange_loop.under_way
         if under_way is None or not self._count:
             return False
         request = under_way[0]
         if request.priority is Priority.STOP:
             return self._random.random() < 0.3
-        left_s = self._site.schedule._watchdogs.slack_s(now_s) - request.worst_s
+        left_s = self._site.schedule.watchdogs.slack_s(now_s) - request.worst_s
         if now_s > self._least_at_s + LEARNT_IN * self._time_s:
             self._least_s = float("inf")
         if left_s < self._least_s:

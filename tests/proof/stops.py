@@ -66,7 +66,7 @@ class Stops:
     def asked(self, drive: str, now_s: float) -> None:
         """A drive is to be stopped."""
         self._asked[drive] += 1
-        if drive in self._site.schedule._waiting.silent:
+        if drive in self._site.schedule.silent:
             self._silent.setdefault(drive, _Waiting(now_s, self._others_s, self._others))
         else:
             self._unsaid.setdefault(drive, _Waiting(now_s, self._stopped_s, 0))
@@ -88,17 +88,17 @@ class Stops:
 
     def _sort_out_silent(self, now_s: float) -> None:
         """A drive may turn out to be silent before its stop could be said at all."""
-        for name in self._site.schedule._waiting.silent & self._unsaid.keys():
+        for name in self._site.schedule.silent & self._unsaid.keys():
             del self._unsaid[name]
             self._silent[name] = _Waiting(now_s, self._others_s, self._others)
 
     def _waiting_silent(self) -> str:
         """Name a silent drive whose stop could go out now, if there is one."""
-        waiting = self._site.schedule._waiting
-        if not waiting.silent:
+        schedule = self._site.schedule
+        silent = schedule.silent
+        if not silent:
             return ""
-        stops = waiting.queues[Priority.STOP].waiting()
-        return next((one.drive for one in stops if one.drive in waiting.silent), "")
+        return next((one.drive for one in schedule.stops() if one.drive in silent), "")
 
     def reported(self, report: ExchangeReport) -> None:
         """An exchange has ended: judge whether it was its turn."""

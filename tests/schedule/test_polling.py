@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from lecombus.schedule import Priority
+from lecombus.schedule import Cyclic, Priority
+from lecombus.schedule.polling import Polling
 from schedule.world import World
 
 P = Priority
@@ -128,9 +129,9 @@ def test_a_removed_entry_is_asked_no_longer() -> None:
 
 
 def test_a_slot_stands_back_for_two_of_its_periods_at_most() -> None:
-    world = World().drives("a")
-    entry = world.cyclic("a", 0.5)
-    world.run(0.1)  # its next slot is at 0.5 s
-    cadence = world.schedule._polling
-    assert cadence.may_wait(entry, 1.49)
-    assert not cadence.may_wait(entry, 1.51)
+    polling = Polling()
+    entry = polling.add(Cyclic("a", 0.5, World().drives("a").request))
+    polling.first()
+    polling.take(entry, 0.0)  # its next slot is at 0.5 s
+    assert polling.may_wait(entry, 1.49)
+    assert not polling.may_wait(entry, 1.51)

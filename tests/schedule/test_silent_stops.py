@@ -146,11 +146,11 @@ def test_an_answer_to_anything_ends_the_silence_of_a_drive() -> None:
     stop = world.submit("a", P.STOP)
     repeat(world, stop, 2, pause_s=1.0)
     world.step()
-    assert "a" in world.schedule._waiting.silent
+    assert "a" in world.schedule.silent
     world.silent = set()
     world.submit("a", P.INTERACTIVE)
     world.step()
-    assert "a" not in world.schedule._waiting.silent
+    assert "a" not in world.schedule.silent
 
 
 def test_living_drives_that_are_fed_too_late_are_spoken_to_between_stops_of_silent_ones() -> None:
@@ -197,7 +197,7 @@ def test_a_lost_line_is_no_silence() -> None:
     assert world.schedule.next(0.0) is stop
     world.schedule.finished(stop, 0.0, 0.1, reached=False)
     world.schedule.fail_all(0.1, "lost")
-    assert world.schedule._waiting.silent == {"b"}
+    assert world.schedule.silent == {"b"}
 
 
 def test_a_multicast_is_no_drive_and_never_silent() -> None:
@@ -205,7 +205,7 @@ def test_a_multicast_is_no_drive_and_never_silent() -> None:
     shared = world.submit("all", P.STOP, stops=("a", "b"), members=("a", "b"))
     assert world.schedule.next(0.0) is shared
     world.schedule.finished(shared, 0.0, 0.1, reached=False)
-    assert world.schedule._waiting.silent == set()
+    assert world.schedule.silent == set()
 
 
 def test_the_feed_of_a_held_drive_is_not_waited_for_until_the_own_watchdog_acts() -> None:
@@ -287,7 +287,7 @@ def test_where_the_answered_stop_takes_too_long_for_others_the_feed_of_its_drive
     assert [sent.request.drive for sent in between].count("a") == 1
     assert sorted(sent.request.drive for sent in between) == sorted(["a", *names])
     assert fired(world) == []
-    assert "a" not in world.schedule._waiting.silent
+    assert "a" not in world.schedule.silent
 
 
 def test_more_proof_of_a_stop_waits_for_feeds_though_its_drive_answers() -> None:

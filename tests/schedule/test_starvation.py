@@ -39,9 +39,7 @@ def _line(name: str) -> World:
 
 def _ask(world: World, priority: Priority, drive: str = "asked") -> Request:
     if priority is P.CYCLIC:
-        world.cyclic(drive, 1000.0)
-        (entry,) = world.schedule._polling.by_drive[drive]
-        return entry.made()
+        return world.cyclic(drive, 1000.0).made()
     return world.submit(drive, priority)
 
 

@@ -18,13 +18,6 @@ from schedule.world import COST_S, WORST_S, World
 P = Priority
 
 
-class Careless(WatchdogSet):
-    """Feeds without the slack check: anything may always start."""
-
-    def fits(self, now_s: float, worst_s: float, drive: str) -> bool:
-        return True
-
-
 # A vain attempt takes 0.1 s in this world (WORST_S), an answered exchange 0.02 s (COST_S).
 
 
@@ -190,9 +183,7 @@ def test_a_drive_late_by_one_lost_answer_is_asked_again_at_once() -> None:
 def test_a_drive_that_lost_no_more_than_is_tolerated_is_asked_again_without_a_pause(
     tolerate: int,
 ) -> None:
-    world = World().drives("a")
-    world.feed("a", 1.0)
-    feed = world.schedule._watchdogs.by_drive["a"]
+    feed = WatchdogDeadline("a", WatchdogFeeding(1.0, World().request), 0.0)
     for lost in range(1, 5):
         now_s = 0.9 + 0.005 * lost  # late, and its watchdog has not run out
         feed.failed(now_s, tolerate)
@@ -338,9 +329,9 @@ def test_nothing_makes_a_feed_late() -> None:
     assert world.busy_s(P.CONTROL) > 5.0
 
 
-def test_without_the_slack_check_feeds_would_be_late() -> None:
+def test_without_the_slack_check_feeds_would_be_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(WatchdogSet, "fits", lambda *_: True)
     world = World()
-    world.schedule._watchdogs = Careless()
     _tight(world)
     world.run(30.0)
     feeds = world.schedule.stats(30.0).feeds.values()
@@ -524,11 +515,11 @@ def slack_feed(name: str) -> Request:
 
 def test_a_drive_is_fed_before_room_made_for_it_leaves_none_for_the_stop_of_another() -> None:
     def own(stop_failed_s: float, at_s: float) -> bool:
-        world = World().drives("a", "b")
-        world.schedule.expect(FaultHypothesis(1, stop_failed_s=stop_failed_s))
-        world.feed("a", 1.0)
-        world.feed("b", 1.0)
-        feeds = world.schedule._watchdogs
+        feeds = WatchdogSet(FaultHypothesis(1, stop_failed_s=stop_failed_s))
+        for name in "ab":
+            feeding = WatchdogFeeding(1.0, partial(World().request, name))
+            feeds.by_drive[name] = WatchdogDeadline(name, feeding, 0.0)
+        feeds.changed()
         return feeds.own_before(at_s, feeds.by_drive["b"], "a") is feeds.by_drive["a"]
 
     behind_s = 0.5 - 0.1 + 2 * COST_S

@@ -110,7 +110,7 @@ class World:
         if request is None:
             return None
         assert not request.settled
-        started_s, silent = self.now_s, frozenset(self.schedule._waiting.silent)
+        started_s, silent = self.now_s, self.schedule.silent
         if self.rehearses:
             self.schedule.look_ahead(request, started_s, started_s + request.cost_s)
         reached = request.drive not in self.silent

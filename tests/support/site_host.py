@@ -125,6 +125,7 @@ class TappedEnd:
         heard: Bytes that came from the port.
         tries: When the port was opened, or an opening was tried.
         watch: Gets what passes; None: it is noted here.
+        port: The port opened last.
     """
 
     def __init__(self, line: SimLine, *, latency_s: float = 0.0) -> None:
@@ -133,13 +134,15 @@ class TappedEnd:
         self.heard: list[Telegram] = []
         self.tries: list[float] = []
         self.watch: Watch | None = None
+        self.port: Port | None = None
 
     async def open(self, settings: PortSettings, receiver: Receiver) -> Port:
         self.tries.append(asyncio.get_running_loop().time())
         watch = self.watch
         self._tap = ReceiverTap(receiver, self._note_heard if watch is None else watch.heard)
         port = await self.memory.open(settings, self._tap)
-        return PortTap(port, self._note_sent if watch is None else watch.said)
+        self.port = PortTap(port, self._note_sent if watch is None else watch.said)
+        return self.port
 
     def _note_sent(self, data: bytes) -> None:
         self.sent.append(_telegram(data))
@@ -410,6 +413,11 @@ class Plant:
     def sent_to(self, address: int, since_s: float = 0.0) -> list[Telegram]:
         head = b"\x04%02d" % address
         return [one for one in self.end.sent if one.at_s >= since_s and one.data[:3] == head]
+
+    def is_asking(self, begin: bytes) -> bool:
+        """Whether the last telegram begins so, and nothing has come since."""
+        said, heard = self.end.sent[-1], self.end.heard
+        return said.data.startswith(begin) and not (heard and heard[-1].at_s >= said.at_s)
 
     async def online(self, *drives: str, within_s: float = 300.0) -> None:
         """Wait until drives (none named: all) are online."""

@@ -32,7 +32,7 @@ from lecombus.schedule.arbiter import Arbiter, to_feed
 from lecombus.schedule.drive_table import DriveTable
 from lecombus.schedule.idle_time import wanted_at_s
 from lecombus.schedule.lookahead import Lookahead, PlannedChoice
-from lecombus.schedule.polling import PollingEntry
+from lecombus.schedule.polling import Polling, PollingEntry
 from lecombus.schedule.request import (
     OUT,
     QUEUED,
@@ -46,6 +46,7 @@ from lecombus.schedule.shares import Probe, Shares
 from lecombus.schedule.silent_stops import SilentStops
 from lecombus.schedule.stats import ScheduleStats, snapshot
 from lecombus.schedule.watchdog_arbiter import WatchdogArbiter
+from lecombus.schedule.watchdog_set import WatchdogSet
 
 __all__ = ["Schedule"]
 
@@ -89,6 +90,31 @@ class Schedule(DriveTable):
 
     def _invalidate(self) -> None:
         self._lookahead.invalidate()
+
+    # -- what can be seen of it -------------------------------------------------------------------
+
+    @property
+    def watchdogs(self) -> WatchdogSet:
+        """The watchdogs of all drives."""
+        return self._watchdogs
+
+    @property
+    def polling(self) -> Polling:
+        """The cyclic requests of all drives."""
+        return self._polling
+
+    @property
+    def silent(self) -> frozenset[str]:
+        """The drives that did not answer a stop, or are offline: their stops wait for feeds."""
+        return frozenset(self._waiting.silent)
+
+    def is_held(self, drive: str) -> bool:
+        """Return whether a drive is not used now, because of a write just now."""
+        return self._drives[drive].held
+
+    def stops(self) -> list[Request]:
+        """Return the stops that wait."""
+        return self._waiting.queues[Priority.STOP].waiting()
 
     # -- requests coming in -----------------------------------------------------------------------
 

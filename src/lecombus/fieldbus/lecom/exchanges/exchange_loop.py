@@ -87,9 +87,10 @@ class ExchangeLoop:
 
     Attributes:
         observer: As given; tests replace it.
-        exchanges: Exchanges so far.
-        rests: How often nothing was due.
+        exchanges: Exchanges so far. rests: How often nothing was due.
         duplicates: Answers without a request, and who was asked last for each answer.
+        exchange: The exchange on the line, or the last one.
+        under_way: What it is for, while it lasts. ready: What is prepared to follow it.
     """
 
     def __init__(
@@ -113,15 +114,15 @@ class ExchangeLoop:
         late_s = options.late_answer_s if options.quarantine else 0.0
         self._late_replies = PendingLateReplies(late_s)
         self._preparer = TelegramPreparer(timing, self._late_replies)
-        self._exchange = Exchange(parity=True, echo=options.echo)
+        self.exchange = Exchange(parity=True, echo=options.echo)
         self._deferred = DeferredReports()
         self._bus_idle = BusIdleTimer(options.turnaround_s)
         self._idle_receive = IdleReceive(
             schedule, self._bus_idle, self._late_replies, self.nudge, self.duplicates
         )
         self._stall = StallWatch(options.stall_s)
-        self._under_way: PreparedStep | None = None
-        self._ready: PreparedStep | None = None
+        self.under_way: PreparedStep | None = None
+        self.ready: PreparedStep | None = None
         self._deadline = Deadline(self._on_deadline)
         self._pause = WakeableTimer(self._wake, lateness)
         self._ended: asyncio.Future[None] | None = None
@@ -140,7 +141,7 @@ class ExchangeLoop:
         """
         loop = asyncio.get_running_loop()
         self._time = loop.time
-        self._exchange = Exchange(parity=port.carries_parity, echo=self._options.echo)
+        self.exchange = Exchange(parity=port.carries_parity, echo=self._options.echo)
         self._preparer.parity = port.carries_parity
         self._stall.opened()
         self._idle_receive.opened(loop.time(), parity=port.carries_parity)
@@ -164,15 +165,15 @@ class ExchangeLoop:
 
     def stop_came(self) -> None:
         """A stop was submitted: prepare its telegram for the end of the exchange under way."""
-        if self._under_way is not None:
-            self._hasten(*self._under_way)
+        if self.under_way is not None:
+            self._hasten(*self.under_way)
             self._look_ahead(self._time())
 
     def _hasten(self, request: Request, job: Job, prepared: PreparedTelegram) -> None:
         """Shorten the time-out of a slow drive to that of its manual: a stop is waiting."""
         if prepared.documented_ask is not None and request.priority is not Priority.STOP:
-            self._exchange.hasten(prepared.documented_ask)
-            self._deadline.set(self._exchange.deadline_s())
+            self.exchange.hasten(prepared.documented_ask)
+            self._deadline.set(self.exchange.deadline_s())
 
     # ---- what the port calls --------------------------------------------------------------------
 
@@ -180,13 +181,13 @@ class ExchangeLoop:
         """Process bytes from the port."""
         now = self._time()
         if self._log is not None:
-            (self._log.stray if self._under_way is None else self._log.heard)(data)
-        if self._under_way is not None:
-            result = self._exchange.feed(data, now, self._looked_s)
+            (self._log.stray if self.under_way is None else self._log.heard)(data)
+        if self.under_way is not None:
+            result = self.exchange.feed(data, now, self._looked_s)
             if result is not None:
                 self._end_exchange(result)
-            elif self._exchange.disturbed:  # it waits for a gap: check for that
-                self._deadline.set(self._exchange.look_s())
+            elif self.exchange.disturbed:  # it waits for a gap: check for that
+                self._deadline.set(self.exchange.look_s())
             return
         late = self._idle_receive.stray(data, now, self._preparer.gap_s)
         self.observer.stray_bytes(data, late)
@@ -194,8 +195,8 @@ class ExchangeLoop:
     def lost(self, exc: Exception | None) -> None:
         """Handle the loss of the port."""
         self._connection.note_loss(exc)
-        if self._under_way is not None:
-            self._end_exchange(self._exchange.lost(self._time()))
+        if self.under_way is not None:
+            self._end_exchange(self.exchange.lost(self._time()))
         elif self._pause.is_on:
             self._pause.clear()
             self._wake()
@@ -240,7 +241,7 @@ class ExchangeLoop:
                 self._rest(now)
                 return
             self._say(request, now)
-            if self._under_way is not None:
+            if self.under_way is not None:
                 return
         self._publish()
         if self._ended is not None and not self._ended.done():
@@ -279,7 +280,7 @@ class ExchangeLoop:
             self._withdraw(request, now)
             return
         job: Job = request.work  # type: ignore[assignment]
-        ready, self._ready = self._ready, None
+        ready, self.ready = self.ready, None
         is_ready = ready is not None and ready[0] is request
         prepared = ready[2] if ready and is_ready else self._ask(request, job, now)
         if not isinstance(prepared, PreparedTelegram):
@@ -287,7 +288,7 @@ class ExchangeLoop:
             return
         if request.cut_by_s:
             prepared = prepared.cut_by(request.cut_by_s)
-        self._under_way = (request, job, prepared)
+        self.under_way = (request, job, prepared)
         self._begin(prepared, now, self._connection.say(prepared.ask.sent))
 
     def _ask(self, request: Request, job: Job, now: float) -> PreparedTelegram | float:
@@ -305,16 +306,16 @@ class ExchangeLoop:
         """Start the exchange of a telegram that was sent; then publish and look ahead."""
         self._looked_s = self._time()
         takes_nak = not self._late_replies.nak_may_come(now)
-        self._exchange.begin(prepared.ask, now, self._looked_s, takes_nak=takes_nak)
+        self.exchange.begin(prepared.ask, now, self._looked_s, takes_nak=takes_nak)
         if loss is not None:
             self._connection.note_loss(loss)
-            self._end_exchange(self._exchange.lost(now))
+            self._end_exchange(self.exchange.lost(now))
             return
-        if self._log is not None and self._under_way is not None:
-            self._log.sent(self._under_way[1], prepared.ask.sent)
+        if self._log is not None and self.under_way is not None:
+            self._log.sent(self.under_way[1], prepared.ask.sent)
         ask = prepared.ask
-        if self._under_way is not None and ask.field:
-            self.duplicates.asked(ask.field, self._under_way[1].station.name, now)
+        if self.under_way is not None and ask.field:
+            self.duplicates.asked(ask.field, self.under_way[1].station.name, now)
         self._deadline.set(self._looked_s + min(ask.late_s, ask.first_byte_s))
         self._publish()
         self._look_ahead(now)
@@ -322,11 +323,11 @@ class ExchangeLoop:
 
     def _look_ahead(self, now: float) -> None:
         """Choose the next request and prepare its telegram while nothing can be sent."""
-        self._ready = None
-        if self._under_way is None:
+        self.ready = None
+        if self.under_way is None:
             request = self._schedule.look_ahead(None, now, max(now, self._bus_idle.free_at_s))
         else:
-            under_way, started_s = self._under_way[0], self._exchange.started_s
+            under_way, started_s = self.under_way[0], self.exchange.started_s
             expected_s = started_s + under_way.cost_s - self._options.turnaround_s
             request = self._schedule.look_ahead(under_way, started_s, expected_s)
         if request is None:
@@ -336,15 +337,15 @@ class ExchangeLoop:
             return  # depends on the result of the exchange under way
         prepared = self._preparer.ask(job, now, urgent=request.priority is Priority.STOP)
         if isinstance(prepared, PreparedTelegram):
-            self._ready = (request, job, prepared)
+            self.ready = (request, job, prepared)
 
     def _is_ready(self, at_s: float) -> bool:
         """Whether the prepared telegram is still the one to send."""
-        return self._ready is not None and self._schedule.planned(at_s) is self._ready[0]
+        return self.ready is not None and self._schedule.planned(at_s) is self.ready[0]
 
     def _withdraw(self, request: Request, now: float) -> None:
         """End a write that was chosen and not sent: no motor starts for a client that has left."""
-        self._ready = None
+        self.ready = None
         self._schedule.defer(request, now, now)
         self._schedule.withdraw(request, Outcome.REFUSED, CLIENT_GONE)
 
@@ -363,25 +364,25 @@ class ExchangeLoop:
     # ---- an exchange ends -----------------------------------------------------------------------
 
     def _on_deadline(self) -> None:
-        under_way = self._under_way
+        under_way = self.under_way
         if under_way is None:
             return
-        now, look_s = self._time(), self._exchange.look_s()
+        now, look_s = self._time(), self.exchange.look_s()
         if now >= look_s:
             self._look()
-            if self._under_way is not under_way:
+            if self.under_way is not under_way:
                 return  # the answer was in the kernel
             self._looked_s = now
-            result = self._exchange.expire(now)
+            result = self.exchange.expire(now)
             if result is not None:
                 self._end_exchange(result)
                 return
-            look_s = self._exchange.look_s()
+            look_s = self.exchange.look_s()
         self._deadline.set(look_s)
 
     def _end_exchange(self, result: Result) -> None:
         """Evaluate the exchange and continue; an error ends the loop, not the callback."""
-        done, self._under_way = self._under_way, None
+        done, self.under_way = self.under_way, None
         if done is None:
             return
         if self._log is not None:
@@ -399,7 +400,7 @@ class ExchangeLoop:
 
         Only after a read that returned its value: that cannot change what is sent next.
         """
-        ready = self._ready
+        ready = self.ready
         if ready is None or type(result.answer) is not ValueAnswer or type(done[1]) is not ReadJob:
             return False
         if ready[0].is_unwanted:
@@ -410,7 +411,7 @@ class ExchangeLoop:
         if self._ending or self._connection.is_lost or not self._is_ready(now):
             return False
         loss = self._connection.say(ready[2].ask.sent)
-        self._ready = None
+        self.ready = None
         if result.others:
             self._note_others(result)
         self.exchanges += 1
@@ -418,7 +419,7 @@ class ExchangeLoop:
         self._heard()
         self._deferred.put_off(*done, result)
         self._schedule.follow(done[0], result.started_s, result.ended_s, now)
-        self._under_way = ready
+        self.under_way = ready
         self._begin(ready[2], now, loss)
         return True
 
@@ -432,7 +433,7 @@ class ExchangeLoop:
         if result.others:
             self._note_others(result)
         if type(result.answer) is not ValueAnswer:
-            self._ready = None  # the result may change what is sent next: choose again
+            self.ready = None  # the result may change what is sent next: choose again
         quarantined_s = self._after(request, job, prepared, result)
         self._schedule.finished(request, result.started_s, ended + quarantined_s, answered)
         if type(result.answer) is ValueAnswer and type(job) is ReadJob:
