@@ -85,7 +85,7 @@ class World:
     def feed(self, drive: str, time_s: float, **more: Any) -> None:
         feeding = WatchdogFeeding(time_s, lambda: self.request(drive, Priority.WATCHDOG, **more))
         self.schedule.set_feeding(drive, feeding, self.now_s)
-        self.schedule._watchdogs.by_drive[drive].heard_at(self.now_s)
+        self.schedule.watchdogs.by_drive[drive].heard_at(self.now_s)
 
     def cyclic(self, drive: str, period_s: float, **more: Any) -> PollingEntry:
         cyclic = Cyclic(drive, period_s, lambda: self.request(drive, Priority.CYCLIC, **more))

@@ -491,7 +491,7 @@ def test_one_cut_of_the_line_is_one_miss_of_each_watchdog_in_the_log_and_in_the_
             await anyio.sleep(1.0)
             plant.site.note_cadence()
             plant.site.wants_look_at_port()
-            assert plant.site._snapshot().watchdog_misses == missed()
+            assert plant.site.metrics.snapshot().watchdog_misses == missed()
 
     async def test(plant: Plant) -> None:
         await plant.online(within_s=120)
