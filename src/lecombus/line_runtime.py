@@ -19,8 +19,10 @@ from lecombus.capacity.facts import answers_of, facts_of
 from lecombus.capacity.watchdog_demand import faults_of
 from lecombus.config import Roster, line_timing, with_address
 from lecombus.drive_runtime import Drive, LineDrives
-from lecombus.drives import LineTiming, StopAction
+from lecombus.drives import StopAction
 from lecombus.errors import ConfigError
+from lecombus.fieldbus.lecom.costs import LineTiming
+from lecombus.fieldbus.lecom.readdress import Readdress
 from lecombus.fieldbus.lecom.request_maker import RequestMaker
 from lecombus.line.port import PortOpener, PortSettings
 from lecombus.line.worker import LineWorker, WorkerOptions
@@ -31,7 +33,6 @@ from lecombus.operations.actions import Actions
 from lecombus.operations.context import OperationContext
 from lecombus.operations.facade import Operations
 from lecombus.operations.identities import Identities
-from lecombus.operations.readdress import Readdress
 from lecombus.operations.requests import Requests
 from lecombus.operations.wear import Wear
 from lecombus.readings import DriveState, Json

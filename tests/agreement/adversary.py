@@ -23,7 +23,7 @@ from lecombus.capacity.work_ahead import Longest, work_ahead_on
 from lecombus.config import line_timing
 from lecombus.drives import StopAction
 from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
-from lecombus.fieldbus.observer import ExchangeReport, Observer
+from lecombus.fieldbus.reports import ExchangeReport, Observer
 from lecombus.line_runtime import LineRuntime
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Priority, Request

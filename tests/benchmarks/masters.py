@@ -22,12 +22,13 @@ from typing import Any
 
 import serial_asyncio
 
-from lecombus.drives import LineTiming, family
+from lecombus.drives import family
+from lecombus.fieldbus.lecom.costs import LineTiming
 from lecombus.fieldbus.lecom.exchanges.jobs import ReadJob
 from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.fieldbus.lecom.protocol.controls import with_parity
 from lecombus.fieldbus.lecom.protocol.telegrams import read_telegram
-from lecombus.fieldbus.observer import ExchangeReport
+from lecombus.fieldbus.reports import ExchangeReport
 from lecombus.fieldbus.station import Station
 from lecombus.line.loop import new_event_loop
 from lecombus.line.opening import open_port

@@ -6,13 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lecombus.drives import (
-    FAMILY_NAMES,
-    LineTiming,
-    family,
-    read_cost,
-    write_cost,
-)
+from lecombus.drives import FAMILY_NAMES, family
+from lecombus.fieldbus.lecom.costs import LineTiming, read_cost, write_cost
 from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.fieldbus.lecom.protocol.timing import BAUDS
 from lecombus.parameters import Code, Value

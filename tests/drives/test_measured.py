@@ -6,8 +6,7 @@ import random
 
 import pytest
 
-from lecombus.drives import LineTiming, family, read_cost
-from lecombus.drives.costs import LATENESS_S
+from lecombus.drives import family
 from lecombus.drives.measured import (
     ATTEMPTS,
     FADE_S,
@@ -21,6 +20,7 @@ from lecombus.drives.measured import (
     SlowAnswers,
     manual_s,
 )
+from lecombus.fieldbus.lecom.costs import LATENESS_S, LineTiming, read_cost
 from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.parameters import Code
 

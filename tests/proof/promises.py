@@ -24,7 +24,7 @@ from lecombus.config import line_timing
 from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
 from lecombus.fieldbus.lecom.protocol.telegrams import ValueAnswer
 from lecombus.fieldbus.lecom.simulator.line import SimLine
-from lecombus.fieldbus.observer import ExchangeReport
+from lecombus.fieldbus.reports import ExchangeReport
 from lecombus.parameters import Code
 from lecombus.schedule import Priority
 from lecombus.schedule.watchdog_deadline import HARD_PART

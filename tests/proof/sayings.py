@@ -17,7 +17,8 @@ from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from lecombus.drives import address_code, family
+from lecombus.drives import family
+from lecombus.fieldbus.lecom.address_codes import address_code
 from lecombus.fieldbus.lecom.exchanges.jobs import ReadBackJob, ReadJob, WriteJob
 from lecombus.fieldbus.lecom.simulator.families.inverter82xx import Drive82XX
 from lecombus.fieldbus.lecom.simulator.line import SimLine

@@ -17,7 +17,7 @@ from lecombus.fieldbus.lecom.simulator.drive import SimDrive
 from lecombus.fieldbus.lecom.simulator.line import SimLine
 from lecombus.fieldbus.lecom.simulator.receiver import RequestReceiver
 from lecombus.fieldbus.lecom.simulator.wire import read_code_field
-from lecombus.fieldbus.observer import ExchangeReport
+from lecombus.fieldbus.reports import ExchangeReport
 from lecombus.schedule import Priority
 
 __all__ = ["Telegram", "Telegrams"]

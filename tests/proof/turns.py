@@ -14,7 +14,7 @@ from collections.abc import Callable
 
 from lecombus.capacity.plan import Promises
 from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
-from lecombus.fieldbus.observer import ExchangeReport
+from lecombus.fieldbus.reports import ExchangeReport
 from lecombus.schedule import Priority
 from proof.lines import RandomLine
 

@@ -33,7 +33,7 @@ from lecombus.fieldbus.lecom.protocol.telegrams import (
 from lecombus.fieldbus.lecom.simulator.drive import SimDrive
 from lecombus.fieldbus.lecom.simulator.families.inverter82xx import Drive82XX
 from lecombus.fieldbus.lecom.simulator.line import SimLine
-from lecombus.fieldbus.observer import ExchangeReport
+from lecombus.fieldbus.reports import ExchangeReport
 from lecombus.fieldbus.station import StepKind
 from lecombus.schedule import Priority
 from support.taps import STRIPPED

@@ -13,7 +13,7 @@ from lecombus.fieldbus.lecom.protocol.telegrams import (
     UnknownCodeAnswer,
     ValueAnswer,
 )
-from lecombus.fieldbus.observer import ExchangeReport
+from lecombus.fieldbus.reports import ExchangeReport
 from lecombus.fieldbus.station import JobStep, StepKind
 from lecombus.line_events import ExchangeEvent, LineChange
 from lecombus.metrics import Metrics

@@ -17,13 +17,14 @@ from typing import Any, Protocol
 import anyio
 
 from lecombus.config import Roster, parse_roster
-from lecombus.drives import LineTiming, StopAction, family
+from lecombus.drives import StopAction, family
+from lecombus.fieldbus.lecom.costs import LineTiming
 from lecombus.fieldbus.lecom.request_maker import RequestMaker
 from lecombus.fieldbus.lecom.simulator.drive import SimDrive
 from lecombus.fieldbus.lecom.simulator.line import SimLine
 from lecombus.fieldbus.lecom.simulator.memory import MemoryEnd
 from lecombus.fieldbus.lecom.simulator.world import build
-from lecombus.fieldbus.observer import ExchangeReport
+from lecombus.fieldbus.reports import ExchangeReport
 from lecombus.fieldbus.station import Station
 from lecombus.line.port import Port, PortSettings, Receiver
 from lecombus.line.worker import LineWorker, WorkerOptions

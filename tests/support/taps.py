@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator, Callable
 
 import anyio
 
-from lecombus.fieldbus.observer import ExchangeReport, Observer
+from lecombus.fieldbus.reports import ExchangeReport, Observer
 from lecombus.line.port import Port, Receiver
 from lecombus.line_runtime import LineRuntime
 

@@ -10,17 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-from lecombus.drives import (
-    LineTiming,
-    address_code,
-    confirm_codes,
-    family,
-    read_cost,
-    stop_steps,
-    stop_value,
-    write_cost,
-)
-from lecombus.drives.costs import Cost
+from lecombus.drives import confirm_codes, family, stop_steps, stop_value
+from lecombus.fieldbus.lecom.address_codes import address_code
+from lecombus.fieldbus.lecom.costs import Cost, LineTiming, read_cost, write_cost
 from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.parameters import Code, Value
 from lecombus.roster import DriveEntry, LineEntry, is_network_port

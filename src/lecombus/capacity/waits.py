@@ -53,8 +53,9 @@ from typing import Final
 from lecombus.capacity.demand_bound import FULL, Stream, load_of, response_s
 from lecombus.capacity.exchange_costs import dearest_feed_times, stop_attempt_s, watched_s
 from lecombus.capacity.work_ahead import Blocking, Longest, WorkAhead
-from lecombus.drives import LineTiming, family
+from lecombus.drives import family
 from lecombus.drives.stops import LEAST_STOP_ATTEMPTS, STOP_PATIENCE_S, STOP_PAUSE_S
+from lecombus.fieldbus.lecom.costs import LineTiming
 from lecombus.roster import Roster
 from lecombus.schedule import Priority
 from lecombus.schedule.schedule import ROOMS_PER_FEED

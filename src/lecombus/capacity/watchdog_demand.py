@@ -44,7 +44,8 @@ from lecombus.capacity.exchange_costs import (
     stop_s,
     watched_s,
 )
-from lecombus.drives import LineTiming, family
+from lecombus.drives import family
+from lecombus.fieldbus.lecom.costs import LineTiming
 from lecombus.roster import DriveEntry, Roster
 from lecombus.schedule.fault_hypothesis import FaultHypothesis
 from lecombus.schedule.watchdog_deadline import HARD_PART

@@ -15,10 +15,10 @@ import anyio
 from lecombus.cli.exits import CommandError
 from lecombus.config import LineEntry, line_timing
 from lecombus.drive_runtime import LineDrives
-from lecombus.drives import LineTiming
 from lecombus.errors import LecombusError, LineLostError
+from lecombus.fieldbus.lecom.costs import LineTiming
 from lecombus.fieldbus.lecom.request_maker import RequestMaker
-from lecombus.fieldbus.observer import ExchangeReport
+from lecombus.fieldbus.reports import ExchangeReport
 from lecombus.line.opening import open_port
 from lecombus.line.port import Port, PortSettings, Receiver
 from lecombus.line.worker import LineWorker, WorkerOptions

@@ -25,7 +25,8 @@ from lecombus.cli.progress_bar import Bar, progress
 from lecombus.cli.screen import on_terminal, show_rows
 from lecombus.config import LineEntry, line_timing
 from lecombus.config.building import STATE_DIR
-from lecombus.drives import family, read_cost
+from lecombus.drives import family
+from lecombus.fieldbus.lecom.costs import read_cost
 from lecombus.fieldbus.lecom.protocol import BAUDS, Form, is_drive_address
 from lecombus.fieldbus.lecom.scanning import (
     Finding,

@@ -9,17 +9,10 @@ from collections.abc import Collection
 
 from lecombus.config.container_types import Fields, Item, Items
 from lecombus.config.mistakes import Mistakes, Position, did_you_mean, one_of, shown
-from lecombus.drives import (
-    FAMILY_NAMES,
-    Family,
-    StopAction,
-    WatchdogTraits,
-    family,
-    knows_stop,
-    moves_drive,
-)
+from lecombus.drives import FAMILY_NAMES, Family, StopAction, WatchdogTraits, family, knows_stop
 from lecombus.durations import format_duration
 from lecombus.errors import CodeValueError
+from lecombus.fieldbus.lecom.address_codes import moves_drive
 from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.parameters import Code
 

@@ -12,10 +12,8 @@ that were read from a drive.
 
 from __future__ import annotations
 
-from .address_codes import address_code, baud_code, baud_numbers, moves_drive, shifts_addressing
 from .codes import CodeInfo, Storage, WriteClass
 from .commands import ControlWordInfo
-from .costs import Cost, LineTiming, read_cost, write_cost
 from .encoding import check_allowed, encode_for
 from .family import (
     Family,
@@ -51,12 +49,10 @@ __all__ = [
     "FAMILY_NAMES",
     "CodeInfo",
     "ControlWordInfo",
-    "Cost",
     "Family",
     "Fault",
     "FaultKind",
     "Language",
-    "LineTiming",
     "OperatingState",
     "RestoreWord",
     "SoftwareGate",
@@ -67,9 +63,6 @@ __all__ = [
     "WatchdogTraits",
     "WordInfo",
     "WriteClass",
-    "address_code",
-    "baud_code",
-    "baud_numbers",
     "believed_states",
     "check_allowed",
     "confirm_codes",
@@ -80,17 +73,13 @@ __all__ = [
     "join_states",
     "knows_stop",
     "load_family",
-    "moves_drive",
     "must_be_same",
     "needs_control_word",
     "not_restored",
-    "read_cost",
     "restore_rank",
     "restore_rule",
     "saving_rule",
-    "shifts_addressing",
     "stop_confirmed",
     "stop_steps",
     "stop_value",
-    "write_cost",
 ]

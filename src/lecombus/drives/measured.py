@@ -24,9 +24,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
+from lecombus.fieldbus.lecom.costs import LATENESS_S
 from lecombus.parameters import Code
 
-from .costs import LATENESS_S
 from .family import Family
 
 __all__ = ["AnswerRow", "MeasuredTimes", "SlowAnswers", "manual_s", "slow_from_s"]

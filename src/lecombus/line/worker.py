@@ -14,10 +14,10 @@ import asyncio
 
 import anyio
 
+from lecombus.fieldbus.lecom.costs import LineTiming
 from lecombus.fieldbus.lecom.exchanges.exchange_loop import ExchangeLoop
-from lecombus.fieldbus.observer import ExchangeReport, Observer
+from lecombus.fieldbus.reports import ExchangeReport, Observer
 
-from ..drives import LineTiming
 from ..errors import LineClosedError, LineLostError
 from ..schedule import Priority, Request, Schedule
 from .options import WorkerOptions

@@ -11,12 +11,12 @@ from typing import Final
 
 from lecombus.drive_runtime import Drive
 from lecombus.drives import StopAction, Verb
+from lecombus.fieldbus.lecom.readdress import Readdress
 from lecombus.operations.actions import SECRET, Actions
 from lecombus.operations.context import OperationContext
 from lecombus.operations.findings import WhyReport
 from lecombus.operations.group_writes import GroupWrites
 from lecombus.operations.identities import Identities, IdentityReport
-from lecombus.operations.readdress import Readdress
 from lecombus.operations.reads import Reads
 from lecombus.operations.reports import GroupReport, TimesReport, VerbReport, WriteReport
 from lecombus.operations.stop_requests import Stops

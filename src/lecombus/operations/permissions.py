@@ -16,16 +16,9 @@ from collections.abc import Collection, Mapping
 from decimal import Decimal
 
 from lecombus.config import DriveEntry
-from lecombus.drives import (
-    Family,
-    check_allowed,
-    encode_for,
-    moves_drive,
-    not_restored,
-    saving_rule,
-    shifts_addressing,
-)
+from lecombus.drives import Family, check_allowed, encode_for, not_restored, saving_rule
 from lecombus.errors import CodeValueError, LineClosedError, OperationError
+from lecombus.fieldbus.lecom.address_codes import moves_drive, shifts_addressing
 from lecombus.fieldbus.station import Station
 from lecombus.operations.reports import RestoreRights
 from lecombus.operations.requests import Requests

@@ -17,7 +17,7 @@ from lecombus.fieldbus.lecom.protocol.telegrams import (
     UnknownCodeAnswer,
     ValueAnswer,
 )
-from lecombus.fieldbus.observer import ExchangeReport
+from lecombus.fieldbus.reports import ExchangeReport
 from lecombus.fieldbus.station import StepKind
 from lecombus.line_events import ExchangeEvent, LineChange
 from lecombus.metrics import Metrics

@@ -27,9 +27,9 @@ from lecombus.drives import SoftwareGate
 from lecombus.drives.identity import identity_codes
 from lecombus.errors import OperationError, UnknownCodeError
 from lecombus.fieldbus.lecom.protocol.addressing import Form
+from lecombus.fieldbus.lecom.readdress import Readdress
 from lecombus.fieldbus.station import Station
 from lecombus.operations.identities import Identities
-from lecombus.operations.readdress import Readdress
 from lecombus.operations.requests import Requests
 from lecombus.parameters import Code, Value
 from lecombus.readings import ADDRESSING_LOCK, SOFTWARE_LOCK

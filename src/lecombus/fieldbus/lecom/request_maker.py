@@ -13,18 +13,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from lecombus.drives import (
-    Cost,
-    LineTiming,
-    StopAction,
-    address_code,
-    read_cost,
-    stop_steps,
-    write_cost,
-)
+from lecombus.drives import StopAction, stop_steps
 from lecombus.drives.measured import SlowAnswers
 from lecombus.drives.stops import STOP_PATIENCE_S
 from lecombus.errors import OperationError
+from lecombus.fieldbus.lecom.address_codes import address_code
+from lecombus.fieldbus.lecom.costs import Cost, LineTiming, read_cost, write_cost
 from lecombus.fieldbus.lecom.exchanges.duplicates import Duplicates
 from lecombus.fieldbus.lecom.exchanges.jobs import MulticastJob, ReadBackJob, ReadJob, WriteJob
 from lecombus.fieldbus.lecom.exchanges.read_back_proof import WrittenValue

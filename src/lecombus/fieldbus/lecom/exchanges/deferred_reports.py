@@ -10,7 +10,7 @@ sent next. The observer is called in the order of the exchanges, each time after
 
 from __future__ import annotations
 
-from lecombus.fieldbus.observer import ExchangeReport, Observer
+from lecombus.fieldbus.reports import ExchangeReport, Observer
 from lecombus.fieldbus.station import Job, StepKind
 from lecombus.schedule import Request
 

@@ -30,9 +30,9 @@ import logging
 from collections.abc import Callable
 from typing import Final
 
-from lecombus.drives import LineTiming
 from lecombus.errors import LineLostError
-from lecombus.fieldbus.observer import Observer
+from lecombus.fieldbus.lecom.costs import LineTiming
+from lecombus.fieldbus.reports import Observer
 from lecombus.fieldbus.station import Job
 from lecombus.line.bus_idle import BusIdleTimer
 from lecombus.line.options import WorkerOptions

@@ -14,8 +14,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from lecombus.drives import Cost, LineTiming, read_cost, write_cost
 from lecombus.drives.measured import SlowAnswers, slow_from_s
+from lecombus.fieldbus.lecom.costs import Cost, LineTiming, read_cost, write_cost
 from lecombus.fieldbus.station import Job, JobStep, Station, StepKind
 from lecombus.parameters import Code
 

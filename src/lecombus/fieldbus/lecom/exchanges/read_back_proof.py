@@ -18,7 +18,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from lecombus.drives import Family, StopAction, address_code, confirm_codes, stop_confirmed
+from lecombus.drives import Family, StopAction, confirm_codes, stop_confirmed
+from lecombus.fieldbus.lecom.address_codes import address_code
 from lecombus.fieldbus.station import JobStep, Station, StepKind
 from lecombus.parameters import Code, Value
 

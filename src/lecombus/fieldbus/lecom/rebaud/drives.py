@@ -13,7 +13,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from lecombus.drives import Family, baud_code, baud_numbers
+from lecombus.drives import Family
+from lecombus.fieldbus.lecom.address_codes import baud_code, baud_numbers
 from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.parameters import Code, Value
 

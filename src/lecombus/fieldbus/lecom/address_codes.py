@@ -14,9 +14,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
+from lecombus.drives.family import Family
 from lecombus.parameters import Code
-
-from .family import Family
 
 __all__ = ["address_code", "baud_code", "baud_numbers", "moves_drive", "shifts_addressing"]
 

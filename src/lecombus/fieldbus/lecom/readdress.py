@@ -32,11 +32,11 @@ from contextlib import asynccontextmanager
 import anyio
 
 from lecombus.drive_runtime import Drive
-from lecombus.drives import address_code
 from lecombus.drives.identity import text_of
 from lecombus.drives.restore_rules import saving_rule
-from lecombus.drives.standstill import ask_standstill
 from lecombus.errors import ExchangeError, NoReplyError, OperationError
+from lecombus.fieldbus.lecom.address_codes import address_code
+from lecombus.fieldbus.lecom.standstill import ask_standstill
 from lecombus.fieldbus.station import Station
 from lecombus.operations.failure_kinds import stopped_first
 from lecombus.operations.identities import Identities

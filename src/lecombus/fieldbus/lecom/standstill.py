@@ -17,11 +17,10 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Final
 
+from lecombus.drives.family import Family
+from lecombus.drives.operating import OperatingState
+from lecombus.drives.stops import StopAction, confirm_codes, knows_stop, stop_confirmed
 from lecombus.parameters import Code, Value
-
-from .family import Family
-from .operating import OperatingState
-from .stops import StopAction, confirm_codes, knows_stop, stop_confirmed
 
 __all__ = ["Standstill", "ask_standstill"]
 

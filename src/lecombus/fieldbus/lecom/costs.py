@@ -21,6 +21,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
+from lecombus.drives.codes import CodeInfo
+from lecombus.drives.family import Family
 from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.fieldbus.lecom.protocol.timing import (
     ACK_CHARS,
@@ -30,9 +32,6 @@ from lecombus.fieldbus.lecom.protocol.timing import (
     write_request_chars,
 )
 from lecombus.parameters import HIGHEST_VALUE_CHARS, Code, Format, Value
-
-from .codes import CodeInfo
-from .family import Family
 
 __all__ = ["Cost", "LineTiming", "read_cost", "write_cost"]
 
