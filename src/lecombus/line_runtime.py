@@ -21,7 +21,7 @@ from lecombus.config import Roster, line_timing, with_address
 from lecombus.drive_runtime import Drive, LineDrives
 from lecombus.drives import StopAction
 from lecombus.errors import ConfigError
-from lecombus.fieldbus.lecom.costs import LineTiming
+from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.readdress import Readdress
 from lecombus.fieldbus.lecom.request_maker import RequestMaker
 from lecombus.line.port import PortOpener, PortSettings

@@ -14,8 +14,7 @@ from typing import Final, Literal
 from pydantic import BaseModel, ConfigDict
 
 from lecombus.drives.measured import SlowAnswers
-from lecombus.fieldbus.lecom.protocol.addressing import Form
-from lecombus.parameters import Code
+from lecombus.parameters import AddressForm, Code
 
 __all__ = [
     "Addressing",
@@ -171,7 +170,7 @@ class DriveEntry(_Model):
     name: str
     address: int
     family: str
-    forms: tuple[Form, ...]
+    forms: tuple[AddressForm, ...]
     watchdog: WatchdogEntry | None = None
     cyclic: tuple[CyclicEntry, ...]
     writable: frozenset[Code]

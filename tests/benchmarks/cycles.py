@@ -19,7 +19,8 @@ from pathlib import Path
 from statistics import median
 
 from lecombus.drives import family
-from lecombus.fieldbus.lecom.costs import LineTiming, read_cost
+from lecombus.fieldbus.costs import LineTiming
+from lecombus.fieldbus.lecom.costs import read_cost
 from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.parameters import Code
 from support.children import MASTER_CORE, OTHER_CORE, Child, child

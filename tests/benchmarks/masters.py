@@ -23,7 +23,7 @@ from typing import Any
 import serial_asyncio
 
 from lecombus.drives import family
-from lecombus.fieldbus.lecom.costs import LineTiming
+from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.exchanges.jobs import ReadJob
 from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.fieldbus.lecom.protocol.controls import with_parity

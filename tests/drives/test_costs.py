@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lecombus.drives import FAMILY_NAMES, family
-from lecombus.fieldbus.lecom.costs import LineTiming, read_cost, write_cost
+from lecombus.fieldbus.costs import LineTiming
+from lecombus.fieldbus.lecom.costs import read_cost, write_cost
 from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.fieldbus.lecom.protocol.timing import BAUDS
 from lecombus.parameters import Code, Value

@@ -12,6 +12,7 @@ from lecombus.drives.measured import (
     FADE_S,
     JUDGED_EVERY_S,
     KEPT_S,
+    LATENESS_S,
     MOST_CODES,
     MOST_LEAST_S,
     MOST_S,
@@ -20,7 +21,8 @@ from lecombus.drives.measured import (
     SlowAnswers,
     manual_s,
 )
-from lecombus.fieldbus.lecom.costs import LATENESS_S, LineTiming, read_cost
+from lecombus.fieldbus.costs import LineTiming
+from lecombus.fieldbus.lecom.costs import read_cost
 from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.parameters import Code
 

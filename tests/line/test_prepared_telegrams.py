@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from lecombus.drives import StopAction, WriteClass, family
-from lecombus.fieldbus.lecom.costs import LineTiming, read_cost
+from lecombus.fieldbus.costs import LineTiming
+from lecombus.fieldbus.lecom.costs import read_cost
 from lecombus.fieldbus.lecom.exchanges.jobs import MulticastJob, ReadJob, WriteJob
 from lecombus.fieldbus.lecom.exchanges.late_replies import PendingLateReplies
 from lecombus.fieldbus.lecom.exchanges.prepared_telegrams import PreparedTelegram, TelegramPreparer

@@ -6,7 +6,7 @@ import pytest
 
 from lecombus.drives import StopAction, family
 from lecombus.errors import OperationError
-from lecombus.fieldbus.lecom.costs import LineTiming
+from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.exchanges.jobs import MulticastJob, ReadJob, WriteJob
 from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.fieldbus.lecom.request_maker import RequestMaker, form_of, ignore_end

@@ -18,7 +18,7 @@ import anyio
 
 from lecombus.config import Roster, parse_roster
 from lecombus.drives import StopAction, family
-from lecombus.fieldbus.lecom.costs import LineTiming
+from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.request_maker import RequestMaker
 from lecombus.fieldbus.lecom.simulator.drive import SimDrive
 from lecombus.fieldbus.lecom.simulator.line import SimLine

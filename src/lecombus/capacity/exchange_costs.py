@@ -1,6 +1,6 @@
 """The line time of the exchanges that a roster asks for, and the times of its line.
 
-Uses the cost model of `drives.costs`, as the schedule and the time-outs do, so that a plan and the
+Uses the cost model of the protocol, as the schedule and the time-outs do, so that a plan and the
 running line use the same numbers. Turnaround is included in all costs: the line is busy then.
 """
 
@@ -10,10 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-from lecombus.drives import confirm_codes, family, stop_steps, stop_value
-from lecombus.fieldbus.lecom.address_codes import address_code
-from lecombus.fieldbus.lecom.costs import Cost, LineTiming, read_cost, write_cost
-from lecombus.fieldbus.lecom.protocol.addressing import Form
+from lecombus.drives import confirm_codes, family, stop_value
+from lecombus.fieldbus.costs import Cost, ExchangeCosts, LineTiming
+from lecombus.fieldbus.protocols import find
 from lecombus.parameters import Code, Value
 from lecombus.roster import DriveEntry, LineEntry, is_network_port
 
@@ -23,7 +22,6 @@ __all__ = [
     "dearest_feed_times",
     "dearest_read_times",
     "feed_times",
-    "form_for",
     "line_timing",
     "own_longest_s",
     "read_times",
@@ -60,41 +58,26 @@ class Times:
     worst_s: float
 
 
-def form_for(drive: DriveEntry, code: Code) -> Form:
-    """Give the addressing form in which a drive is asked for a code."""
-    return next((form for form in drive.forms if form.carries(code)), Form.EXTENDED)
-
-
-def read_times(
-    drive: DriveEntry, code: Code, timing: LineTiming, form: Form | None = None
-) -> Times:
-    """Give the times of reading a code, in the drive's usual form if none is given."""
-    return _read_times(drive, code, timing, [form or form_for(drive, code)])
+def read_times(drive: DriveEntry, code: Code, timing: LineTiming) -> Times:
+    """Give the times of reading a code, in the drive's usual way."""
+    return _times(timing, _costs(drive).reads(timing, drive, code)[:1])
 
 
 def dearest_read_times(drive: DriveEntry, code: Code, timing: LineTiming) -> Times:
-    """Give the times of reading a code in the longest form in which the drive is asked for it.
+    """Give the times of reading a code in the longest way in which the drive is asked for it.
 
-    While an old answer could be taken for one in the usual form, the other one is used.
+    While an old answer could be taken for one in the usual way, another one is used.
     """
-    forms = [form for form in drive.forms if form.carries(code)] or [Form.EXTENDED]
-    return _read_times(drive, code, timing, forms)
+    return _times(timing, _costs(drive).reads(timing, drive, code))
 
 
-def _read_times(drive: DriveEntry, code: Code, timing: LineTiming, forms: Sequence[Form]) -> Times:
-    of = family(drive.family)
-    answer_s = drive.slow.time_s(of, code, write=False, answer_time_s=drive.answer_time_s)
-    return _times(timing, [read_cost(timing, of, code, form, answer_s) for form in forms])
+def write_times(drive: DriveEntry, code: Code, value: Value, timing: LineTiming) -> Times:
+    """Give the times of writing a code, in the drive's usual way."""
+    return _times(timing, [_costs(drive).write(timing, drive, code, value)])
 
 
-def write_times(
-    drive: DriveEntry, code: Code, value: Value, timing: LineTiming, form: Form | None = None
-) -> Times:
-    """Give the times of writing a code, in the drive's usual form if none is given."""
-    of = family(drive.family)
-    answer_s = drive.slow.time_s(of, code, write=True, answer_time_s=drive.answer_time_s)
-    form = form or form_for(drive, code)
-    return _times(timing, [write_cost(timing, of, code, value, form, answer_s)])
+def _costs(drive: DriveEntry) -> ExchangeCosts:
+    return find(family(drive.family).protocol).costs
 
 
 def _times(timing: LineTiming, costs: Sequence[Cost]) -> Times:
@@ -153,20 +136,10 @@ def stop_s(drive: DriveEntry, timing: LineTiming) -> float:
 def stop_attempt_s(drive: DriveEntry, timing: LineTiming) -> float:
     """Give the longest that one unanswered telegram of a drive's stop holds the line, seconds.
 
-    In any addressing form; zero for a family that knows no stop.
+    Sent in any way; zero for a family that knows no stop.
     """
-    of, found = family(drive.family), 0.0
-    for action in of.stops:
-        for code, value in [*stop_steps(of, action), (address_code(of), None)]:
-            for form in drive.forms:
-                if not form.carries(code):
-                    continue
-                if value is None:
-                    times = read_times(drive, code, timing, form)
-                else:
-                    times = write_times(drive, code, value, timing, form)
-                found = max(found, times.worst_s)
-    return found
+    costs = _costs(drive).stop_attempts(timing, drive)
+    return _times(timing, costs).worst_s if costs else 0.0
 
 
 def adapter_latency_s(line: LineEntry) -> float:

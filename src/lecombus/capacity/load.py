@@ -21,7 +21,7 @@ from lecombus.capacity.exchange_costs import (
     with_slow_adapter,
 )
 from lecombus.capacity.watchdog_demand import demand_of, least_time_s
-from lecombus.fieldbus.lecom.costs import LineTiming
+from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.protocol.timing import BAUDS
 from lecombus.roster import DriveEntry, Roster
 from lecombus.schedule.shares import BACKOFF_MOST_S, LISTEN_EVERY_S, LISTEN_S

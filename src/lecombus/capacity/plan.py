@@ -32,7 +32,7 @@ from lecombus.capacity.load import (
 from lecombus.capacity.waits import ClassWait, SilentStop, class_waits, silent_stop
 from lecombus.capacity.watchdog_feasibility import WatchdogPlan, watchdog_plans
 from lecombus.capacity.work_ahead import Room, work_ahead_on
-from lecombus.fieldbus.lecom.costs import LineTiming
+from lecombus.fieldbus.costs import LineTiming
 from lecombus.roster import DriveEntry, Roster
 
 __all__ = ["LinePlan", "PlannedExchange", "Promises", "make_plan", "make_promises"]

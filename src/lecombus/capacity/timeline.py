@@ -18,7 +18,7 @@ from typing import Final
 from lecombus.capacity.exchange_costs import Times, feed_times, read_times, watched_s
 from lecombus.capacity.load import load_on
 from lecombus.capacity.watchdog_demand import faults_of
-from lecombus.fieldbus.lecom.costs import LineTiming
+from lecombus.fieldbus.costs import LineTiming
 from lecombus.roster import Roster
 from lecombus.schedule import Cyclic, Outcome, Priority, Request, Schedule, WatchdogFeeding
 from lecombus.schedule.watchdog_deadline import HARD_PART

@@ -55,7 +55,7 @@ from lecombus.capacity.exchange_costs import dearest_feed_times, stop_attempt_s,
 from lecombus.capacity.work_ahead import Blocking, Longest, WorkAhead
 from lecombus.drives import family
 from lecombus.drives.stops import LEAST_STOP_ATTEMPTS, STOP_PATIENCE_S, STOP_PAUSE_S
-from lecombus.fieldbus.lecom.costs import LineTiming
+from lecombus.fieldbus.costs import LineTiming
 from lecombus.roster import Roster
 from lecombus.schedule import Priority
 from lecombus.schedule.schedule import ROOMS_PER_FEED

@@ -45,7 +45,7 @@ from lecombus.capacity.exchange_costs import (
     watched_s,
 )
 from lecombus.drives import family
-from lecombus.fieldbus.lecom.costs import LineTiming
+from lecombus.fieldbus.costs import LineTiming
 from lecombus.roster import DriveEntry, Roster
 from lecombus.schedule.fault_hypothesis import FaultHypothesis
 from lecombus.schedule.watchdog_deadline import HARD_PART

@@ -33,7 +33,7 @@ from lecombus.capacity.watchdog_demand import (
     under_way_s,
 )
 from lecombus.durations import format_duration
-from lecombus.fieldbus.lecom.costs import LineTiming
+from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.protocol.timing import BAUDS
 from lecombus.roster import DriveEntry, Roster
 from lecombus.schedule.watchdog_deadline import HARD_PART

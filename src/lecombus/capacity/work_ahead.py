@@ -31,7 +31,7 @@ from lecombus.capacity.exchange_costs import (
 from lecombus.capacity.load import load_on
 from lecombus.capacity.watchdog_demand import faults_of
 from lecombus.drives import CodeInfo, family, stop_value
-from lecombus.fieldbus.lecom.costs import LineTiming
+from lecombus.fieldbus.costs import LineTiming
 from lecombus.parameters import Code, Format, Value
 from lecombus.roster import DriveEntry, Roster
 from lecombus.schedule import Outcome, Priority, Request, WatchdogFeeding

@@ -12,7 +12,7 @@ from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.own_line import own_line
 from lecombus.drives import family
 from lecombus.errors import ExchangeError, NoReplyError
-from lecombus.fieldbus.lecom.costs import LineTiming
+from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.station import Station
 from lecombus.line.loop import run
 from lecombus.line.no_answers import END_IT, others_at, shared, unheard_remedy

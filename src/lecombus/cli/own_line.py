@@ -16,7 +16,7 @@ from lecombus.cli.exits import CommandError
 from lecombus.config import LineEntry, line_timing
 from lecombus.drive_runtime import LineDrives
 from lecombus.errors import LecombusError, LineLostError
-from lecombus.fieldbus.lecom.costs import LineTiming
+from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.request_maker import RequestMaker
 from lecombus.fieldbus.reports import ExchangeReport
 from lecombus.line.opening import open_port

@@ -26,7 +26,7 @@ from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.fieldbus.lecom.rebaud import LineAccess, Subject
 from lecombus.fieldbus.station import Station
 from lecombus.line_runtime import options_of
-from lecombus.parameters import Code, Value
+from lecombus.parameters import AddressForm, Code, Value
 from lecombus.schedule import Outcome, Priority
 
 __all__ = ["carry_out", "form_of"]
@@ -34,7 +34,7 @@ __all__ = ["carry_out", "form_of"]
 _INTERRUPTS = (signal.SIGINT, signal.SIGTERM)
 
 
-def form_of(forms: tuple[Form, ...]) -> Form:
+def form_of(forms: tuple[AddressForm, ...]) -> AddressForm:
     """Choose the addressing form that no code bank redirects, where the drive knows it."""
     return Form.EXTENDED if Form.EXTENDED in forms else forms[0]
 

@@ -12,9 +12,8 @@ from typing import Any
 from lecombus.config.checks import default_socket, drives_of
 from lecombus.config.container_types import Fields, Items
 from lecombus.config.keys import ALL
-from lecombus.drives import family
-from lecombus.fieldbus.lecom.protocol.addressing import Form
-from lecombus.parameters import Code
+from lecombus.drives import Family, family
+from lecombus.parameters import AddressForm, Code, rules_of
 from lecombus.roster import (
     ApiEntry,
     CyclicEntry,
@@ -77,7 +76,7 @@ def _drive(entry: Fields, lease: LeaseEntry) -> DriveEntry:
     of = family(entry.get("family"))
     watchdog: Fields | None = entry.get("watchdog")
     cyclic: Items | None = entry.get("cyclic")
-    forms = _forms(entry.get("addressing"), of.forms)
+    forms = _forms(entry.get("addressing"), of)
     # A family's status set may hold a subcode that a drive with `standard` addressing lacks.
     status = [
         CyclicEntry(code=code, every_s=every_s)
@@ -110,10 +109,12 @@ def _stored_writes(entry: Fields | None) -> StoredWrites:
     return StoredWrites() if entry is None else StoredWrites(**_fields(entry))
 
 
-def _forms(addressing: str | None, of_family: tuple[Form, ...]) -> tuple[Form, ...]:
+def _forms(addressing: str | None, of: Family) -> tuple[AddressForm, ...]:
+    """Return the forms that a drive is spoken to in: `both` is all that its protocol knows."""
     if addressing is None:
-        return of_family
-    return (Form.STANDARD,) if addressing == "standard" else (Form.STANDARD, Form.EXTENDED)
+        return of.forms
+    known = rules_of(of.protocol).forms
+    return tuple(known.values()) if addressing == "both" else (known[addressing],)
 
 
 def _groups(roster: Fields, drives: Sequence[DriveEntry]) -> dict[str, GroupEntry]:

@@ -24,7 +24,7 @@ from lecombus.capacity.watchdog_demand import demand_of, least_time_s
 from lecombus.capacity.watchdog_feasibility import rounded_up
 from lecombus.drives import Verb, WriteClass, family
 from lecombus.durations import format_duration
-from lecombus.fieldbus.lecom.costs import LineTiming
+from lecombus.fieldbus.costs import LineTiming
 from lecombus.parameters import Code
 from lecombus.roster import DriveEntry, LineEntry, Roster, is_network_port
 from lecombus.schedule.watchdog_deadline import HARD_PART

@@ -14,8 +14,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field
 
-from lecombus.fieldbus.lecom.protocol.addressing import Form
-from lecombus.parameters import Code, Value
+from lecombus.parameters import AddressForm, Code, Value
 
 from .codes import CodeInfo, WriteClass
 from .commands import ControlWordInfo
@@ -158,11 +157,12 @@ class Family:
         verbs: How it is enabled, given a speed and rid of a fault; None where nothing is known.
         keypad_offset: The keypad names the codes above this by P and the difference: C1411 is P411
             on an SMVector; None where it names them as the line does.
+        protocol: The line protocol that it speaks.
     """
 
     name: str
     title: str
-    forms: tuple[Form, ...]
+    forms: tuple[AddressForm, ...]
     codes: Mapping[Code, CodeInfo]
     status: tuple[tuple[Code, float], ...]
     writable: frozenset[Code]
@@ -184,6 +184,7 @@ class Family:
     restore: tuple[RestoreRule, ...] = ()
     verbs: VerbRules | None = None
     keypad_offset: int | None = None
+    protocol: str = "lecom"
 
     @property
     def shortened_code(self) -> Code | None:

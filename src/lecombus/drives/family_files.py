@@ -18,8 +18,7 @@ from typing import Annotated, Any, Final, TypeVar
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo
 
 from lecombus.errors import ConfigError, DescriptionError, meant
-from lecombus.fieldbus.lecom.protocol.addressing import Form
-from lecombus.parameters import Code
+from lecombus.parameters import AddressForm, Code, rules_of
 
 from .code_entries import ALL_CODES
 from .codes import CodeInfo, WriteClass
@@ -114,6 +113,22 @@ def _check_watchdog(traits: WatchdogTraits) -> WatchdogTraits:
     return traits
 
 
+def _check_protocol(protocol: str) -> str:
+    try:
+        rules_of(protocol)
+    except ConfigError as exc:
+        raise mistake(str(exc)) from exc
+    return protocol
+
+
+def _forms(words: tuple[str, ...], info: ValidationInfo) -> tuple[AddressForm, ...]:
+    known = rules_of(info.data.get("protocol", "lecom")).forms  # a wrong one is refused itself
+    for place, word in enumerate(words):
+        if word not in known:
+            raise mistake(f"{word} is not known here; {', '.join(known)} are", place)
+    return tuple(known[word] for word in words)
+
+
 def _check_offsets(offsets: tuple[int, ...]) -> tuple[int, ...]:
     if offsets[:1] != (0,) or list(offsets) != sorted(set(offsets)):
         raise mistake("offsets begin with 0 and grow: [0, 2000]")
@@ -171,7 +186,12 @@ class FamilyFile:
     include: tuple[Words, ...] = ()
     title: Words
     manual: Words = ""
-    forms: Annotated[tuple[Form, ...], Field(alias="addressing")]
+    protocol: Annotated[Words, AfterValidator(_check_protocol)] = "lecom"
+    forms: Annotated[
+        tuple[AddressForm, ...],
+        ReadAs(tuple[Words, ...], _forms, informed=True),
+        Field(alias="addressing"),
+    ]
     set_offsets: Annotated[tuple[SetOffset, ...], AfterValidator(_check_offsets)] = (0,)
     keypad_offset: Annotated[int, whole(1, HIGHEST_SET_OFFSET)] | None = None
     stored_needs_inhibit: Flag = False

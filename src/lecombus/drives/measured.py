@@ -24,13 +24,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from lecombus.fieldbus.lecom.costs import LATENESS_S
 from lecombus.parameters import Code
 
 from .family import Family
 
 __all__ = ["AnswerRow", "MeasuredTimes", "SlowAnswers", "manual_s", "slow_from_s"]
 
+LATENESS_S: Final = 0.020
+"""How late this computer may be: timers up to 4 ms when idle, 20 ms and more on a full box."""
 ATTEMPTS: Final = 8
 """So many attempts at a code are remembered."""
 LATE_LEAST: Final = 2

@@ -11,13 +11,12 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import NamedTuple, Protocol
 
-from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.fieldbus.lecom.protocol.exchange import Result
 
 from ..drives import Family
 from ..drives.measured import MeasuredTimes, manual_s
 from ..errors import ExchangeError
-from ..parameters import Code, Value
+from ..parameters import AddressForm, Code, Value
 from ..schedule.request import Outcome
 
 __all__ = ["Job", "JobStep", "Station", "StepKind", "Verdict"]
@@ -46,7 +45,7 @@ class Station:
     name: str
     address: int
     family: Family
-    forms: tuple[Form, ...]
+    forms: tuple[AddressForm, ...]
     hold_s: float = 0.0
     answer_time_s: float | None = None
     measured: MeasuredTimes = field(default_factory=MeasuredTimes)
@@ -80,7 +79,7 @@ class JobStep(NamedTuple):
     kind: StepKind
     code: Code
     value: Value | None = None
-    form: Form | None = None
+    form: AddressForm | None = None
     only: bool = False
 
 

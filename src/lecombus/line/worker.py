@@ -14,7 +14,7 @@ import asyncio
 
 import anyio
 
-from lecombus.fieldbus.lecom.costs import LineTiming
+from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.exchanges.exchange_loop import ExchangeLoop
 from lecombus.fieldbus.reports import ExchangeReport, Observer
 

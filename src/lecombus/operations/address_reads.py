@@ -25,10 +25,10 @@ from lecombus.errors import (
     OperationError,
     UnknownCodeError,
 )
-from lecombus.fieldbus.lecom.protocol.addressing import Form, is_drive_address
+from lecombus.fieldbus.lecom.protocol.addressing import is_drive_address
 from lecombus.fieldbus.station import Station
 from lecombus.operations.requests import Requests
-from lecombus.parameters import Code, Value
+from lecombus.parameters import AddressForm, Code, Value
 from lecombus.schedule import Priority
 
 __all__ = ["Heard", "HeardKind", "check_address", "read_address"]
@@ -138,7 +138,7 @@ async def read_address(
     address: int,
     code: Code,
     *,
-    form: Form,
+    form: AddressForm,
     family_name: str,
     patient: bool,
     priority: Priority,

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from lecombus.errors import OperationError, RefusedError
-from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.operations.address_reads import Heard, check_address, read_address
 from lecombus.operations.context import OperationContext
-from lecombus.parameters import Code
+from lecombus.parameters import AddressForm, Code
 from lecombus.readings import Reading
 from lecombus.schedule import Priority
 
@@ -62,7 +61,7 @@ class Reads:
         return reading
 
     async def read_address(
-        self, address: int, code: Code, *, form: Form, family_name: str, patient: bool
+        self, address: int, code: Code, *, form: AddressForm, family_name: str, patient: bool
     ) -> Heard:
         """Read a code at an address that the roster does not have, once, when nothing else is due.
 

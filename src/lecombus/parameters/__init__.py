@@ -7,6 +7,7 @@ What must not live here: how a code or a value stands in a telegram (`protocol`)
 from __future__ import annotations
 
 from lecombus.parameters.codes import HIGHEST_CODE, HIGHEST_SUBCODE, Code
+from lecombus.parameters.rules import AddressForm, ParameterRules, rules_of
 from lecombus.parameters.values import (
     HIGHEST_DECIMAL,
     HIGHEST_VALUE_CHARS,
@@ -24,8 +25,11 @@ __all__ = [
     "HIGHEST_VALUE_CHARS",
     "LOWEST_DECIMAL",
     "SENDABLE_STRING_CHARS",
+    "AddressForm",
     "Code",
     "Format",
+    "ParameterRules",
     "Value",
     "ValueFormatError",
+    "rules_of",
 ]

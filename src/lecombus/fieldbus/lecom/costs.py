@@ -17,26 +17,22 @@ Source: EDB2102EN 3.5, 8.3.5.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
 from lecombus.drives.codes import CodeInfo
 from lecombus.drives.family import Family
-from lecombus.fieldbus.lecom.protocol.addressing import Form
+from lecombus.drives.measured import LATENESS_S
+from lecombus.fieldbus.costs import Cost, LineTiming
 from lecombus.fieldbus.lecom.protocol.timing import (
     ACK_CHARS,
     answer_chars,
-    char_time_s,
     read_request_chars,
     write_request_chars,
 )
-from lecombus.parameters import HIGHEST_VALUE_CHARS, Code, Format, Value
+from lecombus.parameters import HIGHEST_VALUE_CHARS, AddressForm, Code, Format, Value
 
-__all__ = ["Cost", "LineTiming", "read_cost", "write_cost"]
-
-LATENESS_S: Final = 0.020
-"""How late this computer may be: timers up to 4 ms when idle, 20 ms and more on a full box."""
+__all__ = ["read_cost", "write_cost"]
 
 GAP_CHARS: Final = 4
 """Characters' worth of silence inside an answer that a drive is granted."""
@@ -51,59 +47,11 @@ twice the 20 characters that the manuals print at most; octets may have 240."""
 CACHE: Final = 8192
 
 
-@dataclass(frozen=True, slots=True)
-class LineTiming:
-    """How fast a line is and what stands between it and us.
-
-    Args:
-        baud: 1200, 2400, 4800, 9600 or 19200 bit/s.
-        turnaround_s: Least pause between an answer's end and the next telegram, seconds; kept by
-            the sender, no part of a cost.
-        adapter_latency_s: What the adapter or device server may add, seconds: about 0.016 for a
-            USB adapter, 0.050 over TCP, 0.005 for the built-in simulator.
-        quarantine_s: How long the line must be silent after an answer that did not come or was
-            garbled, seconds.
-        paced: False where bytes take no time (a simulator without a baud rate).
-    """
-
-    baud: int
-    turnaround_s: float = 0.002
-    adapter_latency_s: float = 0.016
-    quarantine_s: float = 0.5
-    paced: bool = True
-
-    @property
-    def char_s(self) -> float:
-        """Time of one character of ten bits, seconds."""
-        return char_time_s(self.baud) if self.paced else 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class Cost:
-    """The times of one exchange, in seconds; deadlines count from handing over the request.
-
-    Args:
-        expected_s: Request, thinking and answer, as they usually are.
-        first_byte_s: When the answer's first byte must have come.
-        whole_s: When the whole answer must have come.
-        gap_s: The longest silence inside an answer.
-        worst_s: How long one attempt can hold the line, quarantine included.
-        request_s: The request's time on the wire.
-    """
-
-    expected_s: float
-    first_byte_s: float
-    whole_s: float
-    gap_s: float
-    worst_s: float
-    request_s: float
-
-
 def read_cost(
     timing: LineTiming,
     family: Family,
     code: Code,
-    form: Form,
+    form: AddressForm,
     answer_time_s: float | None = None,
 ) -> Cost:
     """Cost a read.
@@ -124,7 +72,7 @@ def write_cost(
     family: Family,
     code: Code,
     value: Value,
-    form: Form,
+    form: AddressForm,
     answer_time_s: float | None = None,
 ) -> Cost:
     """Cost a write with its acknowledgement; arguments as for `read_cost`."""
@@ -133,7 +81,7 @@ def write_cost(
 
 @lru_cache(maxsize=CACHE)
 def _read_cost(
-    timing: LineTiming, family: Family, code: Code, form: Form, answer_time_s: float | None
+    timing: LineTiming, family: Family, code: Code, form: AddressForm, answer_time_s: float | None
 ) -> Cost:
     usual, longest = _value_chars(family.info(code))
     return _cost(
@@ -150,7 +98,7 @@ def _write_cost(
     family: Family,
     code: Code,
     value_chars: int,
-    form: Form,
+    form: AddressForm,
     answer_time_s: float | None,
 ) -> Cost:
     return _cost(

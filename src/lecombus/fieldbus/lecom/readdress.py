@@ -50,7 +50,7 @@ from lecombus.store import Store
 
 __all__ = ["Readdress"]
 
-logger = logging.getLogger(__name__)
+logger = logging.getLogger("lecombus.operations.readdress")  # as in the log of any protocol
 
 MOVED = "address"
 """The remark on a drive whose address is not the roster's."""

@@ -17,16 +17,16 @@ from lecombus.drives import StopAction, stop_steps
 from lecombus.drives.measured import SlowAnswers
 from lecombus.drives.stops import STOP_PATIENCE_S
 from lecombus.errors import OperationError
+from lecombus.fieldbus.costs import Cost, LineTiming
 from lecombus.fieldbus.lecom.address_codes import address_code
-from lecombus.fieldbus.lecom.costs import Cost, LineTiming, read_cost, write_cost
+from lecombus.fieldbus.lecom.costs import read_cost, write_cost
 from lecombus.fieldbus.lecom.exchanges.duplicates import Duplicates
 from lecombus.fieldbus.lecom.exchanges.jobs import MulticastJob, ReadBackJob, ReadJob, WriteJob
 from lecombus.fieldbus.lecom.exchanges.read_back_proof import WrittenValue
 from lecombus.fieldbus.lecom.exchanges.stop_job import StopJob
-from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.fieldbus.lecom.protocol.timing import ACK_CHARS, write_request_chars
 from lecombus.fieldbus.station import Station
-from lecombus.parameters import Code, Value
+from lecombus.parameters import AddressForm, Code, Value
 from lecombus.schedule import Outcome, Priority, Request, Settle
 from lecombus.schedule.fan_out import Part
 
@@ -365,7 +365,7 @@ class RequestMaker:
         return make
 
 
-def form_of(station: Station, code: Code) -> Form:
+def form_of(station: Station, code: Code) -> AddressForm:
     """The form a code is usually said in: the first of the station's that can carry it.
 
     Raises:
@@ -384,7 +384,7 @@ def form_of(station: Station, code: Code) -> Form:
     )
 
 
-def shared_form(stations: Sequence[Station], code: Code) -> Form | None:
+def shared_form(stations: Sequence[Station], code: Code) -> AddressForm | None:
     """The form of one telegram to several drives: the first that all of them know.
 
     A drive whose code bank is set is addressed in extended addressing only: a multicast in the

@@ -31,7 +31,7 @@ from collections.abc import Callable
 from typing import Final
 
 from lecombus.errors import LineLostError
-from lecombus.fieldbus.lecom.costs import LineTiming
+from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.reports import Observer
 from lecombus.fieldbus.station import Job
 from lecombus.line.bus_idle import BusIdleTimer

@@ -20,10 +20,9 @@ from lecombus.drives import WriteClass
 from lecombus.drives.stops import usable_word
 from lecombus.errors import ExchangeError, NakError
 from lecombus.fieldbus.station import JobStep, Station, StepKind, Verdict
-from lecombus.parameters import Code, Value
+from lecombus.parameters import AddressForm, Code, Value
 from lecombus.schedule.request import Outcome
 
-from ..protocol.addressing import Form
 from ..protocol.exchange import Result, ResultKind
 from ..protocol.telegrams import AckAnswer, Answer, NakAnswer, UnknownCodeAnswer, ValueAnswer
 from .duplicates import Duplicates
@@ -56,7 +55,7 @@ class ReadJob:
         code: Code,
         retries: int,
         instead: tuple[Code, ...] = (),
-        form: Form | None = None,
+        form: AddressForm | None = None,
         *,
         only: bool = False,
     ) -> None:

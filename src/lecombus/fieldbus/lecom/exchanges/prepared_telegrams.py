@@ -15,11 +15,12 @@ import math
 from dataclasses import dataclass, replace
 
 from lecombus.drives.measured import SlowAnswers, slow_from_s
-from lecombus.fieldbus.lecom.costs import Cost, LineTiming, read_cost, write_cost
+from lecombus.fieldbus.costs import Cost, LineTiming
+from lecombus.fieldbus.lecom.costs import read_cost, write_cost
 from lecombus.fieldbus.station import Job, JobStep, Station, StepKind
-from lecombus.parameters import Code
+from lecombus.parameters import AddressForm, Code
 
-from ..protocol.addressing import Form, encode_code
+from ..protocol.addressing import encode_code
 from ..protocol.exchange import ACK_FIELD, Ask
 from ..protocol.parser import with_parity
 from ..protocol.telegrams import read_telegram, write_telegram
@@ -130,7 +131,7 @@ class TelegramPreparer:
         station: Station,
         code: Code,
         now_s: float,
-        form: Form | None = None,
+        form: AddressForm | None = None,
         *,
         only: bool = False,
     ) -> PreparedTelegram | float:
@@ -158,7 +159,7 @@ class TelegramPreparer:
             self._reads[station, code] = kept
         return kept.preparer
 
-    def _to_read(self, station: Station, code: Code, form: Form) -> PreparedTelegram:
+    def _to_read(self, station: Station, code: Code, form: AddressForm) -> PreparedTelegram:
         cost = read_cost(self._timing, station.family, code, form, station.answer_s(code))
         sent = self._on_the_wire(read_telegram(station.address, code, form))
         documented_s = station.documented_s(code)

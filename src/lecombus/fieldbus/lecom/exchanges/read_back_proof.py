@@ -21,7 +21,7 @@ from typing import NamedTuple
 from lecombus.drives import Family, StopAction, confirm_codes, stop_confirmed
 from lecombus.fieldbus.lecom.address_codes import address_code
 from lecombus.fieldbus.station import JobStep, Station, StepKind
-from lecombus.parameters import Code, Value
+from lecombus.parameters import AddressForm, Code, Value
 
 from ..protocol.addressing import Form, encode_code
 from ..protocol.telegrams import UnknownCodeAnswer, ValueAnswer
@@ -76,7 +76,7 @@ class ReadBackProof:
         self._is_itself = False
         self.has_no_address = False
         self._asked_itself = 0
-        self._led_astray: set[Form] = set()
+        self._led_astray: set[AddressForm] = set()
 
     def said(self, *, acknowledged: bool) -> None:
         """Record that it was sent: a value read before the acknowledgement is too early."""
@@ -190,7 +190,7 @@ class ReadBackProof:
     def _knows_it(self) -> bool:
         return self._is_itself or self.has_no_address
 
-    def _forms(self, station: Station) -> tuple[Form, ...]:
+    def _forms(self, station: Station) -> tuple[AddressForm, ...]:
         return tuple(form for form in station.forms if form not in self._led_astray)
 
     def _has_enough(self, station: Station, what: StopAction | WrittenValue) -> bool:
@@ -202,7 +202,7 @@ class ReadBackProof:
 
     def _fields(
         self, station: Station, what: StopAction | WrittenValue
-    ) -> Iterator[tuple[bytes, Code, Form]]:
+    ) -> Iterator[tuple[bytes, Code, AddressForm]]:
         """Name the answers that may show it: those of the most conclusive code, in each form.
 
         Where there is one form only, those of the other codes too.

@@ -14,12 +14,11 @@ Code bank C0249 and input selection C0248 are deliberately absent: lecombus neve
 
 from __future__ import annotations
 
-from enum import Enum
 from functools import lru_cache
 from typing import Final
 
 from lecombus.errors import CodeValueError
-from lecombus.parameters import Code
+from lecombus.parameters import AddressForm, Code
 
 __all__ = [
     "EXTENDED_MARK",
@@ -48,7 +47,7 @@ _PAGE: Final = 790  # codes of one tens digit of C2: 79 values of C1, ten of C2
 _CAPITAL_HEX: Final = b"0123456789ABCDEF"
 
 
-class Form(Enum):
+class Form(AddressForm):
     """The two ways a code is put on the wire."""
 
     STANDARD = "standard"
@@ -61,7 +60,7 @@ class Form(Enum):
         return code.number <= HIGHEST_STANDARD_CODE and code.subcode == 0
 
 
-def encode_code(code: Code, form: Form) -> bytes:
+def encode_code(code: Code, form: AddressForm) -> bytes:
     """Return the code field: 2 characters in standard, 7 in extended addressing.
 
     Raises:
@@ -73,7 +72,7 @@ def encode_code(code: Code, form: Form) -> bytes:
 
 
 @lru_cache(maxsize=8192)
-def _encode_code(code: Code, form: Form) -> bytes:
+def _encode_code(code: Code, form: AddressForm) -> bytes:
     if form is Form.EXTENDED:
         return b"!%04X%02X" % (code.number, code.subcode)
     if not form.carries(code):

@@ -23,9 +23,9 @@ from functools import lru_cache
 from typing import Final
 
 from lecombus.errors import CodeValueError
-from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_address, encode_code
+from lecombus.fieldbus.lecom.protocol.addressing import encode_address, encode_code
 from lecombus.fieldbus.lecom.protocol.controls import ACK, ENQ, EOT, ETX, NAK, STX, bcc
-from lecombus.parameters import SENDABLE_STRING_CHARS, Code, Format, Value
+from lecombus.parameters import SENDABLE_STRING_CHARS, AddressForm, Code, Format, Value
 
 __all__ = [
     "ACK_ANSWER",
@@ -177,7 +177,7 @@ class BadRequest:
 HostRequest = ReadRequest | WriteRequest | BadRequest
 
 
-def read_telegram(address: int, code: Code, form: Form) -> bytes:
+def read_telegram(address: int, code: Code, form: AddressForm) -> bytes:
     """Return the RECEIVE telegram: ask one drive for a code.
 
     Raises:
@@ -189,11 +189,11 @@ def read_telegram(address: int, code: Code, form: Form) -> bytes:
 
 
 @lru_cache(maxsize=8192)
-def _read_telegram(address: int, code: Code, form: Form) -> bytes:
+def _read_telegram(address: int, code: Code, form: AddressForm) -> bytes:
     return b"%c%b%b%c" % (EOT, encode_address(address), encode_code(code, form), ENQ)
 
 
-def write_telegram(address: int, code: Code, value: Value, form: Form) -> bytes:
+def write_telegram(address: int, code: Code, value: Value, form: AddressForm) -> bytes:
     """Return the SEND telegram: write a code of one drive, or of a group (address ending in 0).
 
     Raises:

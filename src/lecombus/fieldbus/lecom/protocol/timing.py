@@ -11,11 +11,12 @@ Source: EDB2102EN 3.5. The time the drive thinks (t3) depends on the drive: see 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final
 
 from lecombus.errors import CodeValueError
 from lecombus.fieldbus.lecom.protocol.addressing import Form
-from lecombus.parameters import HIGHEST_VALUE_CHARS
+from lecombus.parameters import HIGHEST_VALUE_CHARS, AddressForm
 
 __all__ = [
     "ACK_CHARS",
@@ -36,7 +37,7 @@ BITS_PER_CHAR: Final = 10
 ACK_CHARS: Final = 1
 """ACK and NAK."""
 
-_FIELD_CHARS: Final = {Form.STANDARD: 2, Form.EXTENDED: 7}
+_FIELD_CHARS: Final[Mapping[AddressForm, int]] = {Form.STANDARD: 2, Form.EXTENDED: 7}
 
 
 def char_time_s(baud: int) -> float:
@@ -58,17 +59,17 @@ def char_time_s(baud: int) -> float:
     return BITS_PER_CHAR / baud
 
 
-def read_request_chars(form: Form) -> int:
+def read_request_chars(form: AddressForm) -> int:
     """Return the characters of `EOT AD1 AD2 C1 C2 ENQ`: 6, extended 11."""
     return 4 + _FIELD_CHARS[form]
 
 
-def write_request_chars(form: Form, value_chars: int) -> int:
+def write_request_chars(form: AddressForm, value_chars: int) -> int:
     """Return the characters of `EOT AD1 AD2 STX C1 C2 V1..Vn ETX BCC`: 8 + n, extended 13 + n."""
     return 6 + _FIELD_CHARS[form] + value_chars
 
 
-def answer_chars(form: Form, value_chars: int) -> int:
+def answer_chars(form: AddressForm, value_chars: int) -> int:
     """Return the characters of `STX C1 C2 V1..Vn ETX BCC`: 5 + n, extended 10 + n.
 
     A `?` answer is one with a value of 1 character.
@@ -76,7 +77,7 @@ def answer_chars(form: Form, value_chars: int) -> int:
     return 3 + _FIELD_CHARS[form] + value_chars
 
 
-def unknown_code_chars(form: Form) -> int:
+def unknown_code_chars(form: AddressForm) -> int:
     """Return the characters of `STX C1 C2 EOT`: 4, extended 9."""
     return 2 + _FIELD_CHARS[form]
 
@@ -85,12 +86,14 @@ MAX_ANSWER_CHARS: Final = answer_chars(Form.EXTENDED, HIGHEST_VALUE_CHARS)
 """The longest answer there can be: 1 + 7 + 241 + 2 characters."""
 
 
-def read_wire_s(baud: int, form: Form, value_chars: int) -> float:
+def read_wire_s(baud: int, form: AddressForm, value_chars: int) -> float:
     """Return the seconds a read keeps the wire busy, question and value together."""
     return (read_request_chars(form) + answer_chars(form, value_chars)) * char_time_s(baud)
 
 
-def write_wire_s(baud: int, form: Form, value_chars: int, *, acknowledged: bool = True) -> float:
+def write_wire_s(
+    baud: int, form: AddressForm, value_chars: int, *, acknowledged: bool = True
+) -> float:
     """Return the seconds a write keeps the wire busy, with its ACK unless it is a multicast."""
     chars = write_request_chars(form, value_chars) + (ACK_CHARS if acknowledged else 0)
     return chars * char_time_s(baud)

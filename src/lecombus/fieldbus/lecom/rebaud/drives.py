@@ -15,8 +15,7 @@ from enum import StrEnum
 
 from lecombus.drives import Family
 from lecombus.fieldbus.lecom.address_codes import baud_code, baud_numbers
-from lecombus.fieldbus.lecom.protocol.addressing import Form
-from lecombus.parameters import Code, Value
+from lecombus.parameters import AddressForm, Code, Value
 
 __all__ = ["DrivePlace", "RebaudDrive", "Subject"]
 
@@ -56,7 +55,7 @@ class Subject:
     name: str
     address: int
     family: Family
-    form: Form
+    form: AddressForm
     asked: tuple[Code, ...] = ()
     expected: Mapping[Code, str] = field(default_factory=dict)
     accept_software: tuple[str, ...] = ()

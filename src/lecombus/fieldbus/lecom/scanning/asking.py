@@ -12,7 +12,7 @@ from typing import Protocol
 
 from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.operations.address_reads import Heard, HeardKind
-from lecombus.parameters import Code
+from lecombus.parameters import AddressForm, Code
 
 __all__ = ["AddressAccess", "Heard", "HeardKind", "Question", "read_surely"]
 
@@ -36,7 +36,7 @@ class Question:
     baud: int
     address: int
     code: Code
-    form: Form = Form.STANDARD
+    form: AddressForm = Form.STANDARD
     family: str = "generic"
     patient: bool = False
 
