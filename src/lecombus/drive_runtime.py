@@ -161,6 +161,10 @@ class WatchdogSetting:
         """Whether it acts at all."""
         return self.action != 0 and self.time_s > 0.0
 
+    def acts_like(self, other: WatchdogSetting) -> bool:
+        """Whether both do the same: the time of one that is off means nothing."""
+        return self == other or self.action == other.action == 0
+
 
 class RunningAudit:
     """An audit that runs or is about to."""

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from config.rosters import CONFIG, GOOD, drive_with, line_with, parsed, roster_with
-from lecombus.cli.check import report_lines
+from lecombus.cli.check import gathered, pipe_rows
 from lecombus.config import describe, line_timing, load_roster
 
 
@@ -25,9 +25,9 @@ def test_groups_say_whether_one_telegram_reaches_them() -> None:
         ("one", "one-by-one", "one-by-one", None),
     ]
     one_telegram = "one multicast to 10 (reaches every drive at 11 to 19)"
-    lines = report_lines(description)
-    assert (f"group both: 2 drives, stops as {one_telegram}, writes as one after another") in lines
-    assert "group one: 1 drive, stops and writes as one after another" in lines
+    rows = pipe_rows(description)
+    assert ("group", "both", one_telegram, "one after another", "belt, feeder") in rows
+    assert ("group", "one", "one after another", "one after another", "belt") in rows
     assert any("group one: multicast does nothing" in text for text in description.warnings)
 
 
@@ -36,10 +36,9 @@ def test_writes_go_as_one_telegram_where_the_roster_says_that_it_knows_every_dri
     description = describe(parsed(roster_with(text)))
     assert [(one.how, one.writes) for one in description.groups] == [("multicast", "multicast")] * 2
     assert description.groups[0].members == ("feeder", "belt")
-    assert (
-        "group both: 2 drives, stops and writes as one multicast to 10 "
-        "(reaches every drive at 11 to 19)"
-    ) in report_lines(description)
+    one_telegram = "one multicast to 10 (reaches every drive at 11 to 19)"
+    rows = pipe_rows(description)
+    assert ("group", "both", one_telegram, one_telegram, "belt, feeder") in rows
     assert not [text for text in description.warnings if "multicast" in text]
 
 
@@ -62,10 +61,11 @@ def test_the_small_example_gives_no_cause_for_wonder() -> None:
 
 
 def test_what_does_nothing_yet_is_told_in_a_few_lines() -> None:
-    told = [line for line in report_lines(describe(load_roster(CONFIG / "full.yaml")))
-            if line.startswith("not used")]  # fmt: skip
-    assert len(told) == 5
-    assert "drives.infeed-1.lease and 8 more drives'" in told[-1]
+    keys = describe(load_roster(CONFIG / "full.yaml")).not_yet_used
+    assert len(gathered(keys)) == 5
+    assert "drives.infeed-1.lease and 8 more drives'" in gathered(keys)[-1]
+    rows = pipe_rows(describe(load_roster(CONFIG / "full.yaml")))
+    assert [row[1] for row in rows if row[0] == "unused"] == list(keys)
 
 
 SAFE = "watchdog: {time: 2s, action: inhibit, configure: true}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import anyio
+import pytest
 
 from lecombus.parameters import Code
 from lecombus.readings import DriveState
@@ -82,3 +83,26 @@ def test_modules_whose_codes_take_long_are_asked_for_a_hundredth_of_the_line() -
 
     drives = [(f"v{number}", number, "8200vector") for number in range(1, 7)]
     with_plant(test, roster_of(drives, drive=", cyclic: []" + watched("true")))
+
+
+@pytest.mark.parametrize("configure", ["true", "false"])
+@pytest.mark.parametrize("drives", [SMVECTOR, VECTOR], ids=["smvector", "8200vector"])
+def test_times_of_a_watchdog_that_is_off_in_drive_and_roster_are_no_difference(
+    caplog: pytest.LogCaptureFixture, drives: list[tuple[str, int, str]], configure: str
+) -> None:
+    caplog.set_level("INFO")
+    time_code = 1425 if drives is SMVECTOR else 1923
+
+    async def test(plant: Plant) -> None:
+        plant.line["a"].model.preset(time_code, "4000")
+        await plant.online(within_s=60.0)
+        assert "watchdog" not in plant.site.store.drive("a").remarks
+        plant.line["a"].model.preset(time_code, "7000")
+        await anyio.sleep(2.5 * ROUND_S)
+        assert "watchdog" not in plant.site.store.drive("a").remarks
+        assert plant.state("a") is DriveState.ONLINE
+        assert not [one for one in caplog.messages if "off" in one and "watchdog" in one]
+        assert plant.line["a"].text(time_code) == "7000", "nothing needs to be set"
+
+    off = f", watchdog: {{time: 2s, action: none, configure: {configure}}}"
+    with_plant(test, roster_of(drives, drive=off))

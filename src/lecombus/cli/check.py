@@ -15,7 +15,7 @@ from lecombus.config import RosterError, load_roster
 from lecombus.config.describing import DescribedDrive, DescribedGroup, Description, describe
 from lecombus.fieldbus.lecom.protocol.addressing import group_reach
 
-__all__ = ["check_command", "report_lines"]
+__all__ = ["check_command", "gathered", "pipe_rows"]
 
 COLUMNS = ("drive", "address", "family", "watchdog", "stop fallback", "cyclic reads")
 
@@ -30,6 +30,10 @@ def check_command(roster: Path, as_json: bool) -> int:
     Without mistakes, the line, its drives, and the way in which stops and writes of each group
     are sent are shown, with warnings and with keys that this version does not use yet. No port
     is opened.
+
+    In a pipe each line begins with what it is: line (text, share of it that cyclic reads take),
+    drive (name, address, family, watchdog, stop fallback, cyclic reads), group (name, how stops
+    go, how writes go, members), warning (text), unused (key that this version does not use yet).
 
     With --json, on standard output: {"ok": false, "mistakes": [{"file", "line", "column", "what",
     "right"}]} or {"ok": true, "file", "line", "cyclic_load", "drives", "groups", "warnings",
@@ -48,23 +52,20 @@ def check_command(roster: Path, as_json: bool) -> int:
     elif on_terminal():
         _show(description)
     else:
-        click.echo("\n".join(report_lines(description)))
+        show_rows((), pipe_rows(description))
     return Exit.DONE
 
 
-def report_lines(description: Description) -> list[str]:
-    """Return the report for a pipe, one line each."""
-    load = f"cyclic reads take {description.cyclic_load:.0%} of the line"
-    lines = [description.line, load, "", *_columns([COLUMNS, *map(_row, description.drives)]), ""]
-    for group in description.groups:
-        count = len(group.members)
-        stops, writes = _ways(group)
-        both = f"stops and writes as {stops}"
-        ways = both if group.how == group.writes else f"stops as {stops}, writes as {writes}"
-        lines.append(f"group {group.name}: {count} drive{'s' if count != 1 else ''}, {ways}")
-    lines.extend(_warning(text) for text in description.warnings)
-    lines.extend(_unused(text) for text in _gathered(description.not_yet_used))
-    return lines
+def pipe_rows(description: Description) -> list[tuple[str, ...]]:
+    """Return the report for a pipe: rows whose first cell says what they are."""
+    line = description.line.removeprefix("line ")
+    return [
+        ("line", line, f"{description.cyclic_load:.0%}"),
+        *(("drive", *_row(one)) for one in description.drives),
+        *(("group", one.name, *_ways(one), ", ".join(one.members)) for one in description.groups),
+        *(("warning", text) for text in description.warnings),
+        *(("unused", key) for key in description.not_yet_used),
+    ]
 
 
 def _show(description: Description) -> None:
@@ -113,7 +114,7 @@ def _unused(key: str) -> str:
     return f"not used by this version: {key} (checked, and kept for later)"
 
 
-def _gathered(keys: tuple[str, ...]) -> list[str]:
+def gathered(keys: tuple[str, ...]) -> list[str]:
     """Put the keys of single drives into one text: 31 lines would hide the others."""
     of_drives = [key for key in keys if key.startswith("drives.")]
     if len(of_drives) < 2:
@@ -122,11 +123,3 @@ def _gathered(keys: tuple[str, ...]) -> list[str]:
     more = len(of_drives) - 1
     of_more = "1 more drive's" if more == 1 else f"{more} more drives'"
     return [*others, f"{of_drives[0]} and {of_more}"]
-
-
-def _columns(rows: list[tuple[str, ...]]) -> list[str]:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    ]

@@ -73,7 +73,7 @@ class WatchdogAudit:
         if known is None:
             return ""
         found = await self._read_setting(station, traits, Priority.BACKGROUND)
-        if found == known or drive.audit.watchdog != known:
+        if found.acts_like(known) or drive.audit.watchdog != known:
             return ""
         return f"from {describe(traits, known)} to {describe(traits, found)}"
 
@@ -127,7 +127,7 @@ class WatchdogAudit:
             await self._find_time(drive, station, traits, target, action), action
         )
         locked = self._store.drive(drive.name).write_lock is not None
-        if found != target and wanted.configure and not locked:
+        if not found.acts_like(target) and wanted.configure and not locked:
             logger.info(
                 "drive=%s event=watchdog-configure from=%s to=%s",
                 drive.name, describe(traits, found), describe(traits, target),
@@ -187,7 +187,7 @@ class WatchdogAudit:
         """Feed by what the drive really has, and say where that differs from the roster."""
         drive.audit.watchdog = found
         text = None
-        if found != target:
+        if not found.acts_like(target):
             text = (
                 f"the drive's watchdog is {describe(traits, found)}, the roster says "
                 f"{describe(traits, target)}: {remedy}"
