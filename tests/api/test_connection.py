@@ -10,12 +10,13 @@ import socket
 import struct
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from email.utils import formatdate
 from pathlib import Path
 
 import anyio
 import pytest
 
-from lecombus.api import serve
+from lecombus.api import access, serve
 from lecombus.api.connection import PENDING_LIMIT, Connection
 from lecombus.api.limits import CHUNKED_LIMIT, HEAD_LIMIT, HEADERS_LIMIT, TARGET_BYTES
 from lecombus.operations.reports import WriteReport
@@ -103,6 +104,27 @@ async def test_what_came_whole_is_answered_and_then_the_rubbish_is_told(
         answers = await client.rest()
     assert [status for status, _ in answers] == [200, 200, 200, 400]
     assert kind(answers[-1]) == (400, "bad-http")
+
+
+async def test_an_answer_is_dated_when_it_is_made_and_not_when_its_request_came(
+    line: Line, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = 1_000_000_000.0
+    monkeypatch.setattr("time.time", lambda: now_s)
+    monkeypatch.setattr(access, "formatdate", lambda usegmt: formatdate(now_s, usegmt=usegmt))
+    line.ops.gate = anyio.Event()
+    async with connected(line, tmp_path) as client:
+        await client.say(put(7))
+        await line.ops.begun.wait()
+        now_s += 5.0
+        line.ops.gate.set()
+        head = await client.reader.readuntil(b"\r\n\r\n")
+        assert head.lower().count(b"\r\ndate:") == 1
+        assert f"date: {formatdate(now_s, usegmt=True)}\r\n".encode() in head
+        await client.say(b"\x00rubbish\r\n\r\n")
+        await client.reader.readuntil(b"HTTP/1.1 400")
+        head = await client.reader.readuntil(b"\r\n\r\n")
+        assert f"date: {formatdate(now_s, usegmt=True)}\r\n".encode() in head
 
 
 async def test_rubbish_behind_a_write_that_is_under_way_does_not_cut_it(

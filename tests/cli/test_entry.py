@@ -213,7 +213,7 @@ def test_check_describes_a_right_roster(run: Run, roster: Path) -> None:
     ran = run("check", "-c", str(roster))
     assert (ran.status, ran.err) == (0, "")
     rows = [line.split("\t") for line in ran.out.splitlines()]
-    assert {row[0]: len(row) for row in rows} == {"line": 3, "drive": 7, "group": 5}
+    assert {row[0]: len(row) for row in rows} == {"line": 3, "drive": 7, "group": 5, "warning": 2}
     assert rows[1][:4] == ["drive", "feeder", "11", "8200vector"]
     document = json.loads(run("check", "-c", str(roster), "--json").out)
     assert document["ok"] is True

@@ -25,9 +25,9 @@ def test_groups_say_whether_one_telegram_reaches_them() -> None:
         ("one", "one-by-one", "one-by-one", None),
     ]
     one_telegram = "one multicast to 10 (reaches every drive at 11 to 19)"
-    rows = pipe_rows(description)
-    assert ("group", "both", one_telegram, "one after another", "belt, feeder") in rows
-    assert ("group", "one", "one after another", "one after another", "belt") in rows
+    shown = pipe_rows(description)
+    assert ("group", "both", one_telegram, "one after another", "belt, feeder") in shown
+    assert ("group", "one", "one after another", "one after another", "belt") in shown
     assert any("group one: multicast does nothing" in text for text in description.warnings)
 
 

@@ -253,3 +253,30 @@ def test_cancelling_the_worker_lets_the_telegram_under_way_end() -> None:
         assert ended.outcome is Outcome.DONE
 
     with_rig(test)
+
+
+def test_one_loss_is_logged_once_and_a_later_reason_again(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    reasons = ["no such file", "no such file", "permission denied", "permission denied"]
+
+    async def open_later(settings: PortSettings, receiver: Receiver) -> Port:
+        if opened and reasons:
+            raise LineLostError(reasons.pop(0))
+        opened.append(receiver)
+        return await rigs[0].end.open(settings, receiver)
+
+    async def test(rig: Rig) -> None:
+        rigs.append(rig)
+        await until(lambda: rig.worker.is_open)
+        rig.end.unplug()
+        rig.end.replug()
+        await until(lambda: len(opened) == 2 and rig.worker.is_open, within_s=60.0)
+        lost = [one for one in caplog.messages if "event=port-lost" in one]
+        assert [one.partition("reason=")[2] for one in lost] == [
+            "the simulated line was unplugged", "permission denied",
+        ]  # fmt: skip
+
+    opened: list[Receiver] = []
+    rigs: list[Rig] = []
+    with_rig(test, opener=open_later)

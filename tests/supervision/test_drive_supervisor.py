@@ -519,3 +519,27 @@ def test_one_cut_of_the_line_is_one_miss_of_each_watchdog_in_the_log_and_in_the_
             assert set(missed().values()) == {count}
 
     with_plant(test, roster_of(FIVE, watchdog=GUARD))
+
+
+def test_a_lost_port_is_logged_once_and_not_once_more_for_each_drive(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    caplog.set_level("INFO")
+
+    async def test(plant: Plant) -> None:
+        await plant.online(within_s=120)
+        await anyio.sleep(70.0)
+        caplog.clear()
+        plant.end.unplug()
+        await anyio.sleep(20.0)
+        assert {plant.state(name) for name, _, _ in FIVE} == {DriveState.OFFLINE}
+        plant.end.replug()
+        await plant.online(within_s=120)
+        events = [one.partition("event=")[2].split()[0] for one in caplog.messages]
+        assert events.count("port-lost") == 1
+        assert events[: events.index("port-open")] == ["port-lost"]
+        states = [one for one in caplog.messages if "event=state" in one]
+        assert not [one for one in states if "to=offline" in one]
+        assert len([one for one in states if "from=online to=starting" in one]) == 5
+
+    with_plant(test, roster_of(FIVE, watchdog=GUARD))

@@ -6,7 +6,7 @@ through a browser (DNS rebinding). What a browser sends for a page of another or
 by its `Origin` and `Sec-Fetch-Site`: such a page could not read the answer, but could send request
 after request. A request without a host, with two, or with one that is none, is not well made
 (RFC 9112, 3.2). After a refusal the connection ends. Over the Unix socket the host is not checked:
-a stop counts more. `HeadAsGet` and `WithActor` stand before both.
+a stop counts more. `HeadAsGet`, `WithActor` and `WithDate` stand before both.
 
 What must not live here: sockets (`server`), how many requests there may be (`limits`).
 """
@@ -15,9 +15,10 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from email.utils import formatdate
 from typing import Final
 
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from lecombus.api.answers import Problem
 from lecombus.api.decimal_json import short
@@ -26,7 +27,7 @@ from lecombus.api.read_routes import ADDRESSES_PATH
 from lecombus.operations.actions import ACTOR, Actor
 from lecombus.roster import is_loopback
 
-__all__ = ["ACTOR_KEY", "HeadAsGet", "ReadOnlyAccess", "WithActor"]
+__all__ = ["ACTOR_KEY", "HeadAsGet", "ReadOnlyAccess", "WithActor", "WithDate", "date_header"]
 
 HOST: Final = re.compile(r"(?:\[([0-9a-f:.]+)\]|([^\[\]:]+))(?::[0-9]{0,5})?")
 
@@ -59,6 +60,29 @@ class WithActor:
             if actor.pid and scope["method"] not in ("GET", "HEAD") and not is_stop(scope["path"]):
                 actor.find_process()  # it may be gone afterwards; a stop does not wait for this
         await self._app(scope, receive, send)
+
+
+class WithDate:
+    """Dates each answer with the moment at which it is made (RFC 9110, 6.6.1).
+
+    An answer is made when the outcome is known, which may be seconds after its request came.
+
+    Args:
+        app: The application behind.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, and date its answer."""
+
+        async def send_dated(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                message["headers"] = [date_header(), *message.get("headers", ())]
+            await send(message)
+
+        await self._app(scope, receive, send_dated)
 
 
 class HeadAsGet:
@@ -133,6 +157,11 @@ class ReadOnlyAccess:
 
     def _is_here(self, name: str) -> bool:
         return name == self._host or is_loopback(name)
+
+
+def date_header() -> tuple[bytes, bytes]:
+    """Return the header that says when an answer was made: now."""
+    return b"date", formatdate(usegmt=True).encode()
 
 
 def is_cross_site(scope: Scope, host: str) -> bool:

@@ -35,7 +35,7 @@ import httptools
 from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
-from lecombus.api.access import ACTOR_KEY
+from lecombus.api.access import ACTOR_KEY, date_header
 from lecombus.api.answers import Problem
 from lecombus.api.limits import (
     BODY_LIMIT,
@@ -394,6 +394,7 @@ class Connection(HttpToolsProtocol):
         """Write a problem document without the application, and close."""
         answer = problem.response()
         headers = [one for one in answer.raw_headers if one[0] != b"connection"]
+        headers.append(date_header())
         lines = [b"%b: %b\r\n" % header for header in headers]
         head = b"".join([STATUS_LINE[answer.status_code], *lines, b"connection: close\r\n\r\n"])
         self.transport.write(head + bytes(answer.body))

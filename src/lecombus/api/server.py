@@ -26,7 +26,7 @@ import uvicorn
 from anyio.abc import TaskStatus
 from starlette.types import ASGIApp
 
-from lecombus.api.access import HeadAsGet, ReadOnlyAccess, WithActor
+from lecombus.api.access import HeadAsGet, ReadOnlyAccess, WithActor, WithDate
 from lecombus.api.connection import Connection
 from lecombus.api.limits import (
     ACCEPT_AT_ONCE,
@@ -154,7 +154,7 @@ def tcp_configuration(app: ASGIApp, host: str, places: ConnectionPlaces) -> uvic
 def configuration(app: ASGIApp, kind: type[Connection], accept_at_once: int) -> uvicorn.Config:
     """Return uvicorn's configuration; what lecombus does itself or does not offer is off."""
     return uvicorn.Config(
-        app,
+        WithDate(app),
         log_config=None,
         log_level="error",  # a warning for each bad request: any client could fill the log
         access_log=False,
@@ -162,6 +162,7 @@ def configuration(app: ASGIApp, kind: type[Connection], accept_at_once: int) -> 
         ws="none",
         proxy_headers=False,
         server_header=False,
+        date_header=False,  # uvicorn's is the time at which the request came
         http=kind,
         backlog=accept_at_once,
         timeout_keep_alive=60,

@@ -36,6 +36,9 @@ class PortConnection:
         self._failures = 0
         self._reason = "the port has not been opened yet"
         self._last_logged = ""
+        self._is_loss_logged = (
+            False  # a loss was logged: why it cannot be opened then belongs to it
+        )
         self._flap_limiter = LinkFlapLimiter()
         self.port: Port | None = None
         self.is_lost = False
@@ -49,6 +52,8 @@ class PortConnection:
         except LineLostError as exc:
             self._failures += 1
             self._reason = str(exc)
+            if self._is_loss_logged:
+                self._is_loss_logged, self._last_logged = False, self._reason
             self._log_not_open(self._flap_limiter.looked(now_s()))
             return False
         if self.is_lost:
@@ -56,7 +61,7 @@ class PortConnection:
             return False
         port.discard_input()
         self.port = port
-        self._last_logged = ""
+        self._last_logged, self._is_loss_logged = "", False
         self._log_open(self._flap_limiter.opened(now_s()))
         return True
 
@@ -87,6 +92,7 @@ class PortConnection:
         self._failures += 1
         self._reason = str(exc) if exc is not None else "the port was closed at the other end"
         self._log_not_open(self._flap_limiter.lost(now_s()))
+        self._is_loss_logged = True
 
     def reopen(self, why: str) -> None:
         """Give up a port of which no error is known, to open it again."""
@@ -108,7 +114,11 @@ class PortConnection:
         return self.port.describe() if self.port is not None else self._settings.url
 
     def _log_not_open(self, message: FlapMessage) -> None:
-        """Log why there is no port, once per reason, not at every try."""
+        """Log why there is no port, once per reason, not at every try.
+
+        A loss is logged by its own reason alone: that the port cannot be opened then, as its device
+        is gone, is no other news. A later reason is.
+        """
         if message is FlapMessage.SUM:
             self._log_sum()
         elif message is FlapMessage.STEADY or (
