@@ -15,10 +15,9 @@ from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
 from lecombus.fieldbus.lecom.simulator import MemoryEnd, SimDrive, SimLine, build
 from lecombus.fieldbus.lecom.simulator.families import MODELS
 from lecombus.fieldbus.lecom.simulator.parameters import Kept
-from lecombus.fieldbus.lecom.simulator.wire import code_field
 from lecombus.line.port import PortOpener
 from lecombus.parameters import Code, Value
-from support.sim_host import Host, read_telegram, write_telegram
+from support.sim_host import Host, code_field, read_telegram, write_telegram
 
 
 def drive_of(name: str) -> tuple[SimDrive, Host]:

@@ -66,10 +66,10 @@ def test_inhibit_takes_the_output_away_at_once_and_quick_stop_ramps(family: str)
     assert float(host.read(11, 50)) == pytest.approx(30, abs=2)
     assert host.write(11, 40, "0") == "ACK"
     assert host.read(11, 50) == "0"
-    assert host.line["d"].speed_hz > 0
+    assert host.line["d"].model.motor.speed > 0
     assert status(host)[1]
     host.wait(5)
-    assert host.line["d"].speed_hz == 0
+    assert host.line["d"].model.motor.speed == 0
 
 
 @pytest.mark.parametrize("family", INVERTERS_82XX)
@@ -176,7 +176,7 @@ def test_direction_and_jog_come_from_the_control_word() -> None:
     assert host.write(11, 135, "H0005") == "ACK"
     host.wait(0.1)
     assert host.read(11, 50) == "20"
-    assert host.line["d"].speed_hz == -20
+    assert host.line["d"].model.motor.speed == -20
     assert status(host)[14]
     assert host.word(11, 68) & 0x0400
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from lecombus.fieldbus.lecom.simulator import SimDrive, SimLine
+from lecombus.fieldbus.lecom.simulator.families.f93xx import Drive93XX
 from support.sim_host import Host
 
 
@@ -73,18 +74,18 @@ def test_a_parameter_of_another_set_is_acknowledged_and_changes_nothing() -> Non
     assert host.write(11, 2012, "1300", extended=True) == "ACK"
     host.wait(2)
     drive = host.line["d"]
-    assert drive.speed_hz == pytest.approx(20, abs=1)
+    assert drive.model.motor.speed == pytest.approx(20, abs=1)
     assert host.write(11, 135, "H1000") == "ACK"
     assert host.word(11, 150) & 1, "set 2 is active"
     host.wait(2)
-    assert drive.speed_hz == pytest.approx(20, abs=2), "now the slow ramp acts"
+    assert drive.model.motor.speed == pytest.approx(20, abs=2), "now the slow ramp acts"
 
 
 def test_a_drive_that_listens_to_its_terminals_does_not_follow_the_line() -> None:
     host = single("822x", c46="40", c1="0", c12="0")
     drive = host.line["d"]
     host.wait(1)
-    assert drive.speed_hz == 0
+    assert drive.model.motor.speed == 0
     assert host.word(11, 135) == 0x0008, "it was switched on while the line controlled it"
     drive.power_cycle(host.now_s, 0.1)
     host.wait(0.2)
@@ -96,12 +97,12 @@ def test_the_ramp_generator_can_be_held_and_led_to_zero() -> None:
     drive = host.line["d"]
     host.wait(2)
     host.write(11, 135, "H0010")
-    held = drive.speed_hz
+    held = drive.model.motor.speed
     host.wait(1)
-    assert drive.speed_hz == held == pytest.approx(20, abs=1)
+    assert drive.model.motor.speed == held == pytest.approx(20, abs=1)
     host.write(11, 135, "H0020")
     host.wait(3)
-    assert drive.speed_hz == 0
+    assert drive.model.motor.speed == 0
 
 
 # 93XX
@@ -115,7 +116,7 @@ def test_a_93xx_without_a_configuration_for_the_line_acknowledges_and_does_nothi
         assert host.write(11, number, text) == "ACK"
         assert host.read(11, number) == text
     host.wait(1)
-    assert drive.speed_hz == 0
+    assert drive.model.motor.speed == 0
     assert not host.word(11, 150) & 0x0080, "bit 9 did not inhibit"
     assert host.write(11, 40, "0") == "ACK"
     assert host.word(11, 150) & 0x0080, "C0040 does not depend on it"
@@ -139,9 +140,12 @@ def test_a_93xx_under_its_terminals_runs_on_whatever_the_control_word_says() -> 
 def test_terminal_e1_is_a_quick_stop_in_configuration_1011_only() -> None:
     for configuration, speed in (("1011", 0), ("1001", 1500)):
         host = single("93xx", c5=configuration, c12="0", c105="0", c135="H0000", c141="50")
-        host.line["d"].model.set_e1(high=False)  # type: ignore[attr-defined]
+        drive = host.line["d"].model
+        assert isinstance(drive, Drive93XX)
+        drive.terminal_e1 = False
+        drive.steer()
         host.wait(1)
-        assert host.line["d"].speed_hz == speed
+        assert drive.motor.speed == speed
 
 
 @pytest.mark.parametrize(
@@ -163,7 +167,7 @@ def test_the_control_word_of_a_93xx_means_what_the_configuration_says(
     }  # fmt: skip
     host = switched_on(SimDrive(11, "93xx", "d", presets))
     host.wait(1)
-    assert host.line["d"].speed_hz == 3000 * percent / 100
+    assert host.line["d"].model.motor.speed == 3000 * percent / 100
 
 
 def test_bits_14_and_15_choose_further_ramps_for_speed_control() -> None:
@@ -172,7 +176,7 @@ def test_bits_14_and_15_choose_further_ramps_for_speed_control() -> None:
     }  # fmt: skip
     host = switched_on(SimDrive(11, "93xx", "d", presets))
     host.wait(1)
-    assert host.line["d"].speed_hz == pytest.approx(1000, abs=1)
+    assert host.line["d"].model.motor.speed == pytest.approx(1000, abs=1)
 
 
 def test_status_bits_of_a_93xx_follow_the_configuration() -> None:

@@ -7,13 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lecombus.fieldbus.lecom.simulator import Faults, SimDrive, SimLine
-from lecombus.fieldbus.lecom.simulator.wire import (
-    code_field,
-    decimal_text,
-    read_code_field,
-    read_decimal,
-)
-from support.sim_host import Host, read_telegram, write_telegram
+from lecombus.fieldbus.lecom.simulator.wire import decimal_text, read_code_field, read_decimal
+from support.sim_host import Host, code_field, read_telegram, write_telegram
 
 
 def plain(*drives: SimDrive, faults: Faults | None = None) -> Host:

@@ -105,7 +105,7 @@ def test_a_warning_is_shown_and_stops_nothing() -> None:
     drive = host.line["d"]
     drive.trip(2054)
     host.wait(5)
-    assert drive.speed_hz == 1200
+    assert drive.model.motor.speed == 1200
     word = host.word(11, 150)
     assert word & 0x1000
     assert word >> 8 & 0xF == 6

@@ -97,7 +97,7 @@ def test_the_motor_stops_from_the_moment_it_fires() -> None:
     heard_s = last_heard_s(host)
     drive.advance(heard_s + 1.0 + 2.0)
     # 40 Hz at 10 Hz/s for two seconds, though nobody looked when it fired.
-    assert drive.speed_hz == pytest.approx(20, abs=0.01)
+    assert drive.model.motor.speed == pytest.approx(20, abs=0.01)
 
 
 def test_the_motor_goes_on_until_the_moment_it_fires() -> None:
@@ -107,7 +107,7 @@ def test_the_motor_goes_on_until_the_moment_it_fires() -> None:
     heard_s = last_heard_s(host)
     drive.advance(heard_s + 2.0 + 1.0)
     # Up at 10 Hz/s until it fires, then down at 10 Hz/s for one second.
-    assert drive.speed_hz == pytest.approx((heard_s + 2.0 - start_s) * 10 - 10, abs=0.01)
+    assert drive.model.motor.speed == pytest.approx((heard_s + 2.0 - start_s) * 10 - 10, abs=0.01)
 
 
 @pytest.mark.parametrize(("action", "bit"), [("1", 0x0200), ("2", 0x0008)])

@@ -3,9 +3,18 @@
 from __future__ import annotations
 
 from lecombus.fieldbus.lecom.simulator import SimLine
-from lecombus.fieldbus.lecom.simulator.wire import PARITY_TABLE, bcc, code_field
+from lecombus.fieldbus.lecom.simulator.wire import PARITY_TABLE, bcc
 
-__all__ = ["Host", "read_telegram", "write_telegram"]
+__all__ = ["Host", "code_field", "read_telegram", "write_telegram"]
+
+
+def code_field(number: int, subcode: int = 0, *, extended: bool = False) -> bytes:
+    """Write a code field. Source: EDB2102EN 8.3.1."""
+    if extended:
+        return b"!%04X%02X" % (number, subcode)
+    page, rest = divmod(number, 790)
+    tens, ones = divmod(rest, 10)
+    return bytes((tens + 48, ones + page * 10 + 48))
 
 
 def read_telegram(address: int, number: int, subcode: int = 0, *, extended: bool = False) -> bytes:

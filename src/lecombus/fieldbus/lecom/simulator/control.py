@@ -13,11 +13,11 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import Final, Protocol, TypeVar
+from typing import Final, Protocol
 
 from lecombus.durations import DurationError, parse_duration
 from lecombus.fieldbus.lecom.simulator.drive import SimDrive
-from lecombus.fieldbus.lecom.simulator.faults import Faults, parse_faults
+from lecombus.fieldbus.lecom.simulator.faults import parse_faults
 from lecombus.fieldbus.lecom.simulator.keypad import set_value, value_of
 from lecombus.fieldbus.lecom.simulator.line import SimLine
 from lecombus.fieldbus.lecom.simulator.looking import code_text, describe, parse_code, summary
@@ -27,8 +27,6 @@ __all__ = ["Control", "ControlError"]
 
 SWAP_S = 10.0
 """The least time of a replacement of a drive, seconds: its master loses it for that time."""
-
-_T = TypeVar("_T")
 
 
 class ControlError(ValueError):
@@ -83,11 +81,14 @@ class Control:
             raise ControlError(f"there is no `{name}`: one of {', '.join(_COMMANDS)}")
         if not command.least <= len(rest) <= command.most:
             raise ControlError(f"write {command.form}")
-        if command.locks:
+        try:
+            if not command.locks:
+                return command.function(self, rest)
             with self.lock:
                 self.line.advance(time.monotonic())
                 return command.function(self, rest)
-        return command.function(self, rest)
+        except ValueError as exc:  # what is wrong with a value is what is wrong with the line
+            raise ControlError(str(exc)) from None
 
     def drive(self, word: str) -> SimDrive:
         """Find a drive by name or address.
@@ -139,7 +140,7 @@ def _trip(control: Control, words: list[str]) -> str:
     number = _whole(words[1], "a LECOM fault number")
     if words[2:] not in ([], ["stays"]):
         raise ControlError(f"`{words[2]}`? write {_COMMANDS['trip'].form}")
-    _try(lambda: drive.trip(number, stays=len(words) > 2))
+    drive.trip(number, stays=len(words) > 2)
     return summary(drive)
 
 
@@ -166,10 +167,10 @@ def _swap(control: Control, words: list[str]) -> str:
     old = control.drive(words[0])
     given = dict(_setting(word) for word in words[1:])
     family = given.pop("family", None)
-    codes = {_try(lambda name=name: parse_code(name)): text for name, text in given.items()}  # type: ignore[misc]
-    trial = _try(lambda: SimDrive(old.address, family or old.family, old.name))
+    codes = {parse_code(name): text for name, text in given.items()}
+    trial = SimDrive(old.address, family or old.family, old.name)
     for (number, subcode), text in codes.items():
-        _try(lambda n=number, s=subcode, t=text: set_value(trial, n, s, t))  # type: ignore[misc]
+        set_value(trial, number, subcode, text)
     new = control.line.swap(old.address, time.monotonic(), family)
     for (number, subcode), text in codes.items():
         set_value(new, number, subcode, text)
@@ -182,16 +183,15 @@ def _swap(control: Control, words: list[str]) -> str:
 
 def _set(control: Control, words: list[str]) -> str:
     drive = control.drive(words[0])
-    number, subcode = _try(lambda: parse_code(words[1]))
-    _try(lambda: set_value(drive, number, subcode, words[2]))
+    number, subcode = parse_code(words[1])
+    set_value(drive, number, subcode, words[2])
     return f"{drive.name} {code_text(number, subcode)}: {drive.text(number, subcode)}"
 
 
 def _get(control: Control, words: list[str]) -> str:
     drive = control.drive(words[0])
-    number, subcode = _try(lambda: parse_code(words[1]))
-    text = _try(lambda: value_of(drive, number, subcode))
-    return f"{drive.name} {code_text(number, subcode)}: {text}"
+    number, subcode = parse_code(words[1])
+    return f"{drive.name} {code_text(number, subcode)}: {value_of(drive, number, subcode)}"
 
 
 def _wear(control: Control, words: list[str]) -> str:
@@ -239,7 +239,7 @@ def _plug(control: Control, words: list[str]) -> str:
 
 def _faults(control: Control, words: list[str]) -> str:
     text = "" if words[0] == "none" else words[0]
-    wanted: Faults = _try(lambda: parse_faults(text))
+    wanted = parse_faults(text)
     if wanted.trips:
         raise ControlError("drives get their faults by `trip`, not here")
     there = {drive.address for drive in control.line.drives}
@@ -250,16 +250,6 @@ def _faults(control: Control, words: list[str]) -> str:
 
 
 # Words
-
-
-def _try(act: Callable[[], _T]) -> _T:
-    """Turn what is wrong with a value into what is wrong with the line."""
-    try:
-        return act()
-    except ControlError:
-        raise
-    except ValueError as exc:
-        raise ControlError(str(exc)) from None
 
 
 def _whole(word: str, what: str) -> int:

@@ -194,11 +194,6 @@ class SimDrive:
         return drive
 
     @property
-    def speed_hz(self) -> float:
-        """The motor's speed as a frequency (93XX: min-1), at the time last advanced to."""
-        return self.model.motor.speed
-
-    @property
     def watchdog_fired(self) -> int:
         """How often its watchdog has expired, up to the time last advanced to."""
         return self.model.watchdog_fired
@@ -299,10 +294,7 @@ class SimDrive:
             return
         code = read_code_field(heard.field)
         number, subcode = self._resolve(code) if code else (-1, 0)
-        try:
-            self._try_write(heard.text, number, subcode, now_s, "group")
-        except Restart:
-            self.power_cycle(now_s)
+        self._try_write(heard.text, number, subcode, now_s, "group")
 
     def refuse(self, now_s: float) -> Reply:
         """Answer NAK without a reason; the fault `nak`."""
@@ -349,39 +341,30 @@ class SimDrive:
         if isinstance(model, Drive82XX) and model.shortened():
             wait_s = model.shortened_s
             model.deaf_until_s = now_s + wait_s
-            model.later(
-                now_s + wait_s,
-                lambda: self._finish_later(text, number, subcode, now_s + wait_s),
-            )
+            at_s = now_s + wait_s
+            model.later(at_s, lambda: self._try_write(text, number, subcode, at_s, "write"))
             return Reply(bytes((ACK,)), _SHORT_S)
         think_s = model.think_s(number, write=True, now_s=now_s)
-        try:
-            done = self._try_write(text, number, subcode, now_s, "write")
-        except Restart:
-            self.power_cycle(now_s)
-            return None
-        if not done and self._silent:
+        done = self._try_write(text, number, subcode, now_s, "write")
+        if done is None or (not done and self._silent):
             return None
         return Reply(bytes((ACK if done else NAK,)), think_s)
 
-    def _finish_later(self, text: str, number: int, subcode: int, at_s: float) -> None:
-        try:
-            self._try_write(text, number, subcode, at_s, "write")
-        except Restart:
-            self.power_cycle(at_s)
-
-    def _try_write(self, text: str, number: int, subcode: int, now_s: float, kind: str) -> bool:
+    def _try_write(
+        self, text: str, number: int, subcode: int, now_s: float, kind: str
+    ) -> bool | None:
+        """Write, and remember it; None: the drive restarts, and says nothing."""
+        entry = LogEntry(now_s, kind, number, subcode, text, True)
+        self._remember(entry)
         try:
             self.model.write(number, subcode, text, now_s)
         except Refusal as refusal:
             self._note(refusal)
-            self._remember(LogEntry(now_s, kind, number, subcode, text, False))
-            return False
+            entry.accepted = False
         except Restart:
-            self._remember(LogEntry(now_s, kind, number, subcode, text, True))
-            raise
-        self._remember(LogEntry(now_s, kind, number, subcode, text, True))
-        return True
+            self.power_cycle(now_s)
+            return None
+        return entry.accepted
 
     def _remember(self, entry: LogEntry) -> None:
         self.heard += 1

@@ -8,7 +8,7 @@ the short text of the command line, such as `late=0.05:0.5s,noise=0.05,lost=0.02
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from typing import Final
 
@@ -91,21 +91,8 @@ class Faults:
 TWIN_S: Final = (0.06, 0.2)
 """How much later than the first the second of two drives at one address answers, seconds."""
 
-_CHANCES: Final = (
-    "lost",
-    "unheard",
-    "request_noise",
-    "late",
-    "double",
-    "noise",
-    "bad_bcc",
-    "parity",
-    "half",
-    "endless",
-    "nak",
-    "damaged",
-    "power_cycle",
-    "bad_echo",
+_CHANCES: Final = tuple(
+    one.name for one in fields(Faults) if one.type == "float" and one.name != "power_off_s"
 )
 _SWITCHES: Final = ("echo", "unplugged", "nak_reads")
 _TRIP: Final = re.compile(r"(\d{1,2}):(\d{1,4})(:stays)?\Z")

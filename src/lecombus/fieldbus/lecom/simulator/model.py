@@ -25,7 +25,7 @@ from lecombus.fieldbus.lecom.simulator.parameters import (
 from lecombus.fieldbus.lecom.simulator.troubles import Kind, Troubles
 from lecombus.fieldbus.lecom.simulator.wire import decimal_text, read_decimal
 
-__all__ = ["INHIBIT", "JOG_BITS", "QSP", "REVERSE", "TRIP_RESET", "Model", "Restart", "word_text"]
+__all__ = ["INHIBIT", "JOG_BITS", "QSP", "REVERSE", "Model", "Restart", "tens_digit", "word_text"]
 
 JOG_BITS: Final = 0x0003
 REVERSE: Final = 0x0004
@@ -47,6 +47,16 @@ def word_text(word: int) -> str:
     return f"H{word & 0xFFFF:04X}"
 
 
+def word_of(flags: Mapping[int, bool]) -> int:
+    """Make a word of its bits, by their numbers."""
+    return sum(1 << bit for bit, on in flags.items() if on)
+
+
+def tens_digit(number: int) -> int:
+    """What C0068 shows of a fault number in bits 0..3: OH, 50, gives 5. Source: EDB2102EN 8.2."""
+    return number // 10 % 10
+
+
 class Model:
     """A drive without its line.
 
@@ -54,6 +64,9 @@ class Model:
         specs: The codes of the family.
 
     Attributes:
+        start_code: The code that is 1 for an inhibit after power-on, else it is a quick stop; None:
+            neither.
+        watchdog_codes: The codes of the watchdog's time, in ms, and of its action, 0 for none.
         comm_error: What C0068 bits 4..7 say: the last telegram's fault; a good telegram other than
             a read of C0068 clears it.
         troubles: What is wrong with it, and what it remembers.
@@ -71,6 +84,7 @@ class Model:
     banked: ClassVar[bool] = True
     address_code: ClassVar[int] = 9
     baud_code: ClassVar[int] = 125
+    start_code: ClassVar[int | None] = None
     watchdog_codes: ClassVar[tuple[int, ...]] = ()
     boot_s: ClassVar[float] = 1.0
     speed_unit: ClassVar[str] = "Hz"
@@ -97,7 +111,7 @@ class Model:
         self._fed_at_s = 0.0
         self._fired = False
         self._guard: tuple[float, int] | None = None
-        self._later: list[tuple[float, Callable[[], None]]] = []
+        self._later: list[tuple[float, Callable[[], object]]] = []
         self._last_write_s = -1.0
         self.params.watch(self.watchdog_codes, self._look_again)
         self._install()
@@ -111,22 +125,25 @@ class Model:
         """Enter the family's computed codes into `readers` and `writers`."""
 
     def start_word(self) -> int:
-        """The control word after power-on."""
-        return 0
+        """The control word after power-on. Source: EDB2102EN 6.3.1; CMVLC401A 4.2."""
+        if self.start_code is None:
+            return 0
+        return INHIBIT if self.params.text(self.start_code) == "1" else QSP
 
     def think_s(self, number: int, *, write: bool, now_s: float) -> float:
         """Processing time t3 of an access, seconds."""
         raise NotImplementedError
 
     def watchdog_setting(self) -> tuple[float, int]:
-        """The watchdog's time in seconds and its action's number, from `watchdog_codes` alone.
-
-        Action 0 is none.
-        """
-        return 0.0, 0
+        """The watchdog's time in seconds and its action's number."""
+        if not self.watchdog_codes:
+            return 0.0, 0
+        time_ms, action = self.watchdog_codes
+        return self.params.number(time_ms) / 1000.0, int(self.params.text(action))
 
     def expire(self, action: int) -> None:
-        """Do what the watchdog's action number demands."""
+        """1 inhibit, 2 quick stop. Source: EDB2102EN 6.3.3; CMVLC401A 7.3.3."""
+        self.control |= INHIBIT if action == 1 else QSP
 
     def may_write(self, spec: Spec, text: str) -> None:
         """Refuse a write that the operating mode or the drive's state forbids.
@@ -189,7 +206,7 @@ class Model:
         self._fed_at_s = now_s
         self._fired = False
 
-    def later(self, at_s: float, action: Callable[[], None]) -> None:
+    def later(self, at_s: float, action: Callable[[], object]) -> None:
         """Do something at a later time; times come in rising order."""
         self._later.append((at_s, action))
 
@@ -240,6 +257,14 @@ class Model:
     def pulses_off(self) -> bool:
         """Whether the power stage is off, for any reason."""
         return self.inhibited() or bool(self.fault or self.troubles.message)
+
+    def at_setpoint(self) -> bool:
+        """Whether the ramp generator's output is its input."""
+        return self.motor.powered and self.motor.speed == self.motor.target
+
+    def reverse(self) -> bool:
+        """The direction of rotation, shown also while it is only wanted."""
+        return self.motor.speed < 0 or bool(self.control & REVERSE)
 
     def stop_wanted(self) -> bool:
         """Whether the drive ramps down on its own, instead of following its setpoint."""
@@ -340,7 +365,7 @@ class Model:
         writer = self.writers.get(number)
         if writer and spec.kept is not Kept.DRIVE:
             writer(value)
-        if number in (1920, 1424):
+        if number == self.start_code:
             self.control = self.start_word()
         self.steer()
 

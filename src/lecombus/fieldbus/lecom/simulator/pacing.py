@@ -17,7 +17,6 @@ import select
 import threading
 import time
 from abc import ABC, abstractmethod
-from types import TracebackType
 from typing import Final, Self
 
 from lecombus.fieldbus.lecom.simulator.line import SimLine
@@ -79,12 +78,7 @@ class PacedEnd(ABC):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def close(self) -> None:

@@ -24,7 +24,6 @@ __all__ = [
     "PARITY_TABLE",
     "STX",
     "bcc",
-    "code_field",
     "decimal_text",
     "read_code_field",
     "read_decimal",
@@ -65,18 +64,6 @@ def read_code_field(field: bytes) -> tuple[int, int, bool] | None:
     if match is None:
         return None
     return int(match[1], 16), int(match[2], 16), True
-
-
-def code_field(number: int, subcode: int = 0, *, extended: bool = False) -> bytes:
-    """Write a code field; used by tests and tools that speak to the simulator by hand.
-
-    Source: EDB2102EN 8.3.1.
-    """
-    if extended:
-        return b"!%04X%02X" % (number, subcode)
-    page, rest = divmod(number, 790)
-    tens, ones = divmod(rest, 10)
-    return bytes((tens + 48, ones + page * 10 + 48))
 
 
 def decimal_text(value: Decimal) -> str:

@@ -67,15 +67,10 @@ def build(
         paced=paced,
         think_scale=think_scale,
     )
+    by_address = {drive.address: drive for drive in line.drives}
     for address, number, stays in line.faults.trips:
-        _drive_at(line, address).trip(number, stays=stays)
+        if address not in by_address:
+            there = ", ".join(map(str, by_address))
+            raise ValueError(f"fault 'trip': no drive has the address {address}: one of {there}")
+        by_address[address].trip(number, stays=stays)
     return line
-
-
-def _drive_at(line: SimLine, address: int) -> SimDrive:
-    try:
-        return line[address]
-    except KeyError:
-        there = ", ".join(str(drive.address) for drive in line.drives)
-        message = f"fault 'trip': no drive has the address {address}: one of {there}"
-        raise ValueError(message) from None

@@ -20,13 +20,10 @@ from lecombus.fieldbus.lecom.simulator.model import Model
 __all__ = ["MODELS"]
 
 MODELS: Final[Mapping[str, Callable[[], Model]]] = {
-    "820x": Drive820X,
-    "821x": Drive821X,
-    "822x": Drive822X,
-    "824x": Drive824X,
-    "8200vector": Vector8200,
-    "93xx": Drive93XX,
-    "smvector": SMVector,
-    "generic": Generic,
+    model.family: model
+    for model in (
+        *(Drive820X, Drive821X, Drive822X, Drive824X, Vector8200),
+        *(Drive93XX, SMVector, Generic),
+    )
 }
 """Makes a drive of a family."""

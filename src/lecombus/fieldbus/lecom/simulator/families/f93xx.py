@@ -14,16 +14,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar, Final
 
-from lecombus.fieldbus.lecom.simulator.families.module2102 import Module2102, tens_digit
+from lecombus.fieldbus.lecom.simulator.families.module2102 import RFG_STOP, RFG_ZERO, Module2102
 from lecombus.fieldbus.lecom.simulator.families.table2102 import FAULTS_93XX, SPECS_93XX
-from lecombus.fieldbus.lecom.simulator.model import JOG_BITS, QSP, word_text
+from lecombus.fieldbus.lecom.simulator.model import JOG_BITS, QSP, tens_digit, word_of, word_text
 from lecombus.fieldbus.lecom.simulator.parameters import CommError, ExtendedError, Refusal, Spec
 from lecombus.fieldbus.lecom.simulator.troubles import Kind
 
 __all__ = ["Drive93XX"]
 
-_RFG_STOP: Final = 0x0010
-_RFG_ZERO: Final = 0x0020
 _SPEED, _TORQUE = 1, 4
 _CASCADES: Final = (6, 7)
 """Configurations 6xx1 and 7xx1: slaves of a digital frequency, with fewer functions."""
@@ -33,7 +31,8 @@ class Drive93XX(Module2102):
     """A 9300 servo inverter.
 
     Attributes:
-        terminal_e1: Whether terminal E1 has a HIGH level; configuration 1011 has quick stop there.
+        terminal_e1: Whether terminal E1 has a HIGH level; configuration 1011 has quick stop there
+            (EDB2102EN 5). `steer` makes a change act.
         terminal_rpm: What its terminals ask for while the line does not control it, min-1.
     """
 
@@ -103,11 +102,6 @@ class Drive93XX(Module2102):
         by_terminal = self.params.text(5) == "1011" and not self.terminal_e1
         return bool(self.control & QSP) or by_terminal
 
-    def set_e1(self, *, high: bool) -> None:
-        """Give terminal E1 a level. Source: EDB2102EN 5."""
-        self.terminal_e1 = high
-        self.steer()
-
     def jog(self) -> int:
         """Which fixed setpoint the control word chooses, 0 for none. Source: EDB2102EN 8.2."""
         function = self.configuration()
@@ -119,9 +113,9 @@ class Drive93XX(Module2102):
         """JOG or C0141, in min-1. Source: EDB2102EN 8.2, C0135, C0141."""
         if not self.follows_line():
             return self.terminal_rpm
-        if self.control & _RFG_STOP:
+        if self.control & RFG_STOP:
             return self.motor.speed
-        if self.control & _RFG_ZERO:
+        if self.control & RFG_ZERO:
             return 0.0
         greatest = self.params.number(11)
         jog = self.jog()
@@ -159,19 +153,7 @@ class Drive93XX(Module2102):
         bits = tens_digit(self.fault) | int(self.comm_error) << 4
         flags = {8: not self.inhibited(), 11: not self.pulses_off(), 14: self.at_setpoint(),
                  15: bool(self.fault)}  # fmt: skip
-        return bits | sum(1 << bit for bit, on in flags.items() if on)
-
-    def at_setpoint(self) -> bool:
-        """Whether the ramp generator's output is its input."""
-        return self.motor.powered and self.motor.speed == self.motor.target
-
-    def controller_state(self) -> int:
-        """Bits 8..11 of C0150."""
-        if self.fault:
-            return 8
-        if self.troubles.message:
-            return 7
-        return 3 if self.inhibited() else 6
+        return bits | word_of(flags)
 
     def status_word(self) -> int:
         """C0150 by signal configuration. Source: EDB2102EN 8.2."""
@@ -190,4 +172,4 @@ class Drive93XX(Module2102):
         elif self.configuration() in _CASCADES:
             # NOT1-OUT: the torque limit is not reached.
             flags[3] = True
-        return self.controller_state() << 8 | sum(1 << bit for bit, on in flags.items() if on)
+        return self.controller_state() << 8 | word_of(flags)

@@ -11,16 +11,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar, Final
 
-from lecombus.fieldbus.lecom.simulator.families.module2102 import Module2102, tens_digit
+from lecombus.fieldbus.lecom.simulator.families.module2102 import RFG_STOP, RFG_ZERO, Module2102
 from lecombus.fieldbus.lecom.simulator.families.table2102 import FAULTS_82XX
-from lecombus.fieldbus.lecom.simulator.model import INHIBIT, JOG_BITS, QSP, REVERSE
+from lecombus.fieldbus.lecom.simulator.model import (
+    INHIBIT,
+    JOG_BITS,
+    QSP,
+    REVERSE,
+    tens_digit,
+    word_of,
+)
 from lecombus.fieldbus.lecom.simulator.parameters import CommError, ExtendedError, Refusal, Spec
 from lecombus.fieldbus.lecom.simulator.troubles import Kind
 
 __all__ = ["Drive82XX"]
 
-_RFG_STOP: Final = 0x0010
-_RFG_ZERO: Final = 0x0020
 _SECOND_SET: Final = 0x1000
 _OVERVOLTAGE: Final = 1020
 
@@ -96,9 +101,9 @@ class Drive82XX(Module2102):
     def setpoint(self) -> float:
         """JOG, C0141, C0046 or the terminal. Source: EDB2102EN 8.2, C0001, C0135."""
         jog = self.control & JOG_BITS
-        if self.ramp_generator() and self.control & _RFG_STOP:
+        if self.ramp_generator() and self.control & RFG_STOP:
             return self.motor.speed
-        if self.ramp_generator() and self.control & _RFG_ZERO:
+        if self.ramp_generator() and self.control & RFG_ZERO:
             return 0.0
         if self.mode() in (0, 2):
             value = self.terminal_hz
@@ -125,17 +130,9 @@ class Drive82XX(Module2102):
 
     # Words
 
-    def reached(self) -> bool:
-        """Whether the actual frequency is the setpoint."""
-        return self.motor.powered and self.motor.speed == self.motor.target
-
     def below_threshold(self) -> bool:
         """Qmin: the actual frequency is at or below C0017."""
         return abs(self.motor.output) <= self.active(17)
-
-    def reverse(self) -> bool:
-        """The direction of rotation, shown also while it is only wanted."""
-        return self.motor.speed < 0 or bool(self.control & REVERSE)
 
     def operating_status(self) -> int:
         """C0068. Source: EDB2102EN 8.2."""
@@ -146,18 +143,10 @@ class Drive82XX(Module2102):
             10: self.reverse(),
             11: not self.pulses_off(),
             12: bool(self.control & QSP),
-            14: self.reached(),
+            14: self.at_setpoint(),
             15: bool(self.fault),
         }
-        return bits | sum(1 << bit for bit, on in flags.items() if on)
-
-    def controller_state(self) -> int:
-        """Bits 8..11 of C0150 of 821X, 822X, 8200 vector. Source: EDB2102EN 8.2."""
-        if self.fault:
-            return 8
-        if self.troubles.message:
-            return 7
-        return 3 if self.inhibited() else 6
+        return bits | word_of(flags)
 
     def shown_message(self) -> bool:
         """Bit 13 of C0150: the DC bus has too much voltage."""
@@ -172,8 +161,8 @@ class Drive82XX(Module2102):
         flags = {
             0: self.active_set() == 1,
             1: self.pulses_off(),
-            3: self.reached(),
-            4: self.reached(),
+            3: self.at_setpoint(),
+            4: self.at_setpoint(),
             5: self.below_threshold(),
             6: self.motor.output == 0.0,
             7: self.inhibited(),
@@ -182,4 +171,4 @@ class Drive82XX(Module2102):
             14: self.reverse(),
             15: not (self.fault or self.troubles.message),
         }
-        return self.controller_state() << 8 | sum(1 << bit for bit, on in flags.items() if on)
+        return self.controller_state() << 8 | word_of(flags)

@@ -5,34 +5,22 @@ Source: EDB2102EN 6.2, 6.3, 8.2.
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, Final
 
-from lecombus.fieldbus.lecom.simulator.model import INHIBIT, QSP, Model, word_text
+from lecombus.fieldbus.lecom.simulator.model import Model, word_text
 
-__all__ = ["Module2102", "tens_digit"]
+__all__ = ["RFG_STOP", "RFG_ZERO", "Module2102"]
 
-
-def tens_digit(number: int) -> int:
-    """What C0068 shows of a fault number in bits 0..3: OH, 50, gives 5. Source: EDB2102EN 8.2."""
-    return number // 10 % 10
+RFG_STOP: Final = 0x0010
+RFG_ZERO: Final = 0x0020
+"""Bits of C0135 that act on the ramp generator. Source: EDB2102EN 8.2."""
 
 
 class Module2102(Model):
     """A drive whose watchdog and start state live in a 2102 module."""
 
-    watchdog_codes: ClassVar[tuple[int, ...]] = (1922, 1923)
-
-    def start_word(self) -> int:
-        """C1920: 0 quick stop, 1 controller inhibit. Source: EDB2102EN 6.3.1."""
-        return INHIBIT if self.params.text(1920) == "1" else QSP
-
-    def watchdog_setting(self) -> tuple[float, int]:
-        """C1923 and C1922. Source: EDB2102EN 6.3.3."""
-        return self.params.number(1923) / 1000.0, int(self.params.text(1922))
-
-    def expire(self, action: int) -> None:
-        """1 controller inhibit, 2 quick stop. Source: EDB2102EN 6.3.3."""
-        self.control |= INHIBIT if action == 1 else QSP
+    start_code: ClassVar[int | None] = 1920
+    watchdog_codes: ClassVar[tuple[int, ...]] = (1923, 1922)
 
     def _install(self) -> None:
         self.readers |= {
@@ -56,6 +44,14 @@ class Module2102(Model):
     def status_word(self) -> int:
         """C0150 of the family."""
         raise NotImplementedError
+
+    def controller_state(self) -> int:
+        """Bits 8..11 of C0150 of 821X, 822X, 8200 vector, 93XX. Source: EDB2102EN 8.2."""
+        if self.fault:
+            return 8
+        if self.troubles.message:
+            return 7
+        return 3 if self.inhibited() else 6
 
     def shortened(self) -> bool:
         """Whether writes are acknowledged before they are done (C1921)."""

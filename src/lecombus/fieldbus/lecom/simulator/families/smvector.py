@@ -20,6 +20,8 @@ from lecombus.fieldbus.lecom.simulator.model import (
     QSP,
     REVERSE,
     Model,
+    tens_digit,
+    word_of,
     word_text,
 )
 from lecombus.fieldbus.lecom.simulator.parameters import CommError, ExtendedError, Refusal, Spec
@@ -56,6 +58,7 @@ class SMVector(Model):
     family: ClassVar[str] = "smvector"
     address_code: ClassVar[int] = 1410
     baud_code: ClassVar[int] = 1411
+    start_code: ClassVar[int | None] = 1424
     watchdog_codes: ClassVar[tuple[int, ...]] = (1425, 1426)
     fault_kinds: ClassVar[Mapping[int, Kind]] = FAULTS_SMV
     commissioned: ClassVar[Mapping[int, str]] = {1121: _NET_ENABLE, 1400: _LECOM, 1420: "3"}
@@ -94,19 +97,14 @@ class SMVector(Model):
         }
 
     def start_word(self) -> int:
-        """P424: 0 quick stop, 1 inhibit. Source: CMVLC401A 4.2."""
+        """P424; the message counter starts from 0."""
         self.messages = 0
-        return INHIBIT if self.params.text(1424) == "1" else QSP
+        return super().start_word()
 
     def feed(self, now_s: float) -> None:
         """A valid message feeds the watchdog and counts. Source: CMVLC401A 4.2, 7.3."""
         super().feed(now_s)
         self.messages = (self.messages + 1) % 10000
-
-    def power_cycle(self, now_s: float, off_s: float | None = None) -> None:
-        """Switch off and on; the message counter starts from 0."""
-        super().power_cycle(now_s, off_s)
-        self.messages = 0
 
     def _command(self, number: int, other: int, text: str) -> None:
         """C0140 and C1061 both command the frequency: the one written last acts."""
@@ -150,16 +148,12 @@ class SMVector(Model):
         """P400: another protocol than LECOM, and nothing is heard. Source: CMVLC401A 7.1."""
         return self.params.text(1400) == _LECOM
 
-    def watchdog_setting(self) -> tuple[float, int]:
-        """P425 and P426. Source: CMVLC401A 7.3."""
-        return self.params.number(1425) / 1000.0, int(self.params.text(1426))
-
     def expire(self, action: int) -> None:
-        """1 inhibit, 2 quick stop, 3 trip F.nF1. Source: CMVLC401A 7.3.3."""
+        """As other drives, and 3 is a trip F.nF1. Source: CMVLC401A 7.3.3."""
         if action == 3:
             self.trip(F_NF1)
         else:
-            self.control |= INHIBIT if action == 1 else QSP
+            super().expire(action)
 
     def may_write(self, spec: Spec, text: str) -> None:
         """What the network may write, and within which limits. Source: CMVLC401A 4.2, 7.2."""
@@ -219,7 +213,7 @@ class SMVector(Model):
         if self.digit_of == "none":
             return 0
         number = LECOM_NUMBERS.get(self.fault, 0) if self.digit_of == "lecom" else self.fault
-        return number // 10 % 10
+        return tens_digit(number)
 
     def operating_status(self) -> int:
         """C0068. Source: CMVLC401A table 9."""
@@ -227,26 +221,26 @@ class SMVector(Model):
         flags = {
             8: self.level() >= 3 and self.under_network(),
             9: self.motor.output != 0.0,
-            10: self.motor.speed < 0 or bool(self.control & REVERSE),
+            10: self.reverse(),
             11: self.motor.powered,
             12: bool(self.control & QSP),
-            14: self.motor.powered and self.motor.speed == self.motor.target,
+            14: self.at_setpoint(),
             15: bool(self.fault),
         }
-        return bits | sum(1 << bit for bit, on in flags.items() if on)
+        return bits | word_of(flags)
 
     def status_word(self) -> int:
         """C0150; bit 1 as the LECOM manual has it, "energised". Source: CMVLC401A table 9."""
         flags = {
             1: self.motor.powered,
-            4: self.motor.powered and self.motor.speed == self.motor.target,
+            4: self.at_setpoint(),
             5: self.motor.output != 0.0,
             6: self.motor.output == 0.0,
             7: self.inhibited(),
             8: bool(self.fault),
             12: self.fault == _OVERHEATED,
             13: self.fault == _OVERVOLTAGE,
-            14: self.motor.speed < 0 or bool(self.control & REVERSE),
+            14: self.reverse(),
             15: not self.fault,
         }
-        return sum(1 << bit for bit, on in flags.items() if on)
+        return word_of(flags)
