@@ -103,8 +103,7 @@ class ControlWord:
     def _keep(self, code: Code, value: Value) -> None:
         if self._code != code or self._moving:
             return
-        number = value.number
-        word = usable_word(number if isinstance(number, int) else None)
+        word = usable_word(value.word)
         if word is not None:
             self._word = self._last_word = word
 

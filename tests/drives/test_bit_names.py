@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from importlib import resources
-
 import pytest
 
 from lecombus.drives import FAMILY_NAMES, Family, family, german_name
-from lecombus.drives.words import load_bit_names
+from lecombus.drives.words import bit_names
 from lecombus.errors import DescriptionError
 
 
@@ -25,14 +23,10 @@ def names_of(one: Family) -> set[str]:
 
 def test_every_bit_and_field_has_a_german_name_and_no_other_does() -> None:
     used = {name for one in every_variant() for name in names_of(one)}
-    given = load_bit_names(text_of_the_file())
+    given = bit_names()
     assert used == given.keys()
     assert len(set(given.values())) == len(given), "two bits would be told alike"
     assert [name for name in given.values() if "_" in name or not name.isprintable()] == []
-
-
-def text_of_the_file() -> str:
-    return (resources.files("lecombus.drives") / "families" / "bit-names.yaml").read_text()
 
 
 def test_every_number_of_a_status_field_has_a_text_in_both_languages() -> None:
@@ -60,5 +54,5 @@ def test_a_name_of_an_extension_is_its_own_german() -> None:
 )
 def test_a_wrong_file_is_refused_with_its_place(text: str, says: str) -> None:
     with pytest.raises(DescriptionError, match=says) as caught:
-        load_bit_names(text)
+        bit_names({"bit-names.yaml": text}.__getitem__)
     assert "families/bit-names.yaml" in str(caught.value)

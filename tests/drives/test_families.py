@@ -7,7 +7,7 @@ import time
 import pytest
 
 from lecombus.drives import FAMILY_NAMES, WriteClass, family
-from lecombus.drives.family_files import _packaged, load_family
+from lecombus.drives.family_files import load_family
 from lecombus.errors import ConfigError
 from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.parameters import Code, Format, Value
@@ -183,5 +183,5 @@ def test_families_are_kept() -> None:
 def test_all_families_load_in_a_fraction_of_a_second() -> None:
     started_s = time.process_time()
     for name in FAMILY_NAMES:
-        load_family(name, _packaged)
+        load_family(name)
     assert time.process_time() - started_s < 1.0

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 
 from lecombus.drives import FAMILY_NAMES, Family
 from lecombus.drives.family_files import load_family
-from lecombus.drives.faults import load_link_report, load_table
-from lecombus.drives.faults.causes import load_causes
-from lecombus.drives.faults.reasons import load_reasons
+from lecombus.drives.faults import link_report, load_table
+from lecombus.drives.faults.causes import cause_rules
+from lecombus.drives.faults.reasons import reasons
 from lecombus.errors import DescriptionError
 from lecombus.parameters import Code
 
@@ -43,9 +43,9 @@ FILES: list[tuple[str, str, Callable[[Callable[[str], str]], object]]] = [
     ("families", "verbs-93xx.yaml", family_loader("93xx")),
     ("families", "common-lecom.yaml", family_loader("smvector")),
     *(("faults", f"{name}.yaml", table_loader(name)) for name in ("82xx", "smvector")),
-    ("faults", "extended.yaml", load_link_report),
-    ("faults", "causes.yaml", load_causes),
-    ("faults", "reasons.yaml", load_reasons),
+    ("faults", "extended.yaml", link_report),
+    ("faults", "causes.yaml", cause_rules),
+    ("faults", "reasons.yaml", reasons),
 ]
 
 

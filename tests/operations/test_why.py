@@ -10,7 +10,7 @@ import anyio
 import pytest
 
 from lecombus.drives import FAMILY_NAMES, Language, StopAction, Verb, family
-from lecombus.drives.faults.reasons import Weight, asked_codes, load_reasons, reasons
+from lecombus.drives.faults.reasons import Weight, asked_codes, reasons
 from lecombus.errors import DescriptionError, OperationError
 from lecombus.operations.findings import WhyReport, lapse_finding
 from lecombus.operations.reports import VerbReport
@@ -382,9 +382,9 @@ reasons:
     ],
 )
 def test_a_wrong_reason_is_refused_with_its_place(old: str, new: str, why: str) -> None:
-    assert len(load_reasons({"reasons.yaml": RULE}.__getitem__)) == 1
+    assert len(reasons({"reasons.yaml": RULE}.__getitem__)) == 1
     with pytest.raises(DescriptionError, match=why):
-        load_reasons({"reasons.yaml": RULE.replace(old, new, 1)}.__getitem__)
+        reasons({"reasons.yaml": RULE.replace(old, new, 1)}.__getitem__)
 
 
 # ---- the last enable ------------------------------------------------------------------------

@@ -228,8 +228,8 @@ def outside(family: Family, steps: list[RestoreStep]) -> tuple[str, ...]:
     said = []
     for one in steps:
         info = family.info(one.code)
-        number = one.value.number
-        if info is None or isinstance(number, (str, bytes)) or info.may_be(number):
+        number = one.value.quantity
+        if info is None or number is None or info.may_be(number):
             continue
         said.append(
             f"{one.code} ({one.name}): {one.value} is not among what the manual allows, "

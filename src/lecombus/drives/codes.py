@@ -161,13 +161,13 @@ class CodeInfo:
 
         Of a value made of bits those that are set are named, the lowest first.
         """
-        number = value.number
-        if isinstance(number, (str, bytes)) or number != int(number):
+        number = value.whole
+        if number is None:
             return None
-        set_bits = [text for bit, text in self.bits.items() if int(number) >> bit & 1]
+        set_bits = [text for bit, text in self.bits.items() if number >> bit & 1]
         if set_bits:
             return Text(*(", ".join(words) for words in zip(*map(astuple, set_bits), strict=True)))
-        return self.selection.get(int(number))
+        return self.selection.get(number)
 
     def may_be(self, number: Decimal | int) -> bool:
         """Return whether the manual allows a value: in the range, on the step, in the selection."""

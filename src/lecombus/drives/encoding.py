@@ -88,8 +88,8 @@ def check_allowed(family: Family, code: Code, value: Value) -> None:
     Raises:
         CodeValueError: It is not one of the values there are; the message says which are.
     """
-    info, number = family.info(code), value.number
-    if info is None or isinstance(number, str | bytes) or info.may_be(number):
+    info, number = family.info(code), value.quantity
+    if info is None or number is None or info.may_be(number):
         return
     raise CodeValueError(
         f"{info.name} is {info.allowed}",

@@ -281,10 +281,9 @@ class Family:
         if info is None:
             return WriteClass.EDGE
         rule = info.plain_when
-        if rule is not None and value is not None:
-            number = value.number
-            if not isinstance(number, (str, bytes)) and int(number) & rule.mask == rule.equals:
-                return WriteClass.PLAIN
+        number = None if value is None else value.quantity
+        if rule is not None and number is not None and int(number) & rule.mask == rule.equals:
+            return WriteClass.PLAIN
         return info.write_class
 
     def status_bits(self, code: Code, value: int) -> dict[str, bool]:

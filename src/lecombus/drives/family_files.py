@@ -9,15 +9,14 @@ between sections are checked. The first mistake is raised with file, line and co
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
-from importlib import resources
 from typing import Annotated, Any, Final, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo
 
-from lecombus.errors import ConfigError, DescriptionError, meant
+from lecombus.errors import ConfigError, meant
 from lecombus.parameters import AddressForm, Code, rules_of
 
 from .code_entries import ALL_CODES
@@ -43,10 +42,13 @@ from .yaml_models import (
     FILE_TABLE,
     LIST_RIGHT,
     ReadAs,
+    ReadFile,
     YamlFile,
     by_key,
     context_of,
+    data_text,
     mistake,
+    open_data_file,
     without_keys,
 )
 
@@ -69,8 +71,6 @@ NEVER_BY_DEFAULT: Final = frozenset({WriteClass.ADDRESS, WriteClass.SAVE})
 HIGHEST_SET_OFFSET: Final = 60_000
 LONGEST_PERIOD_MS: Final = 86_400_000
 LONGEST_HOLD_MS: Final = 10_000
-
-ReadFile = Callable[[str], str]
 
 
 def _or_others(given: Any) -> Any:
@@ -240,27 +240,24 @@ def family(name: str) -> Family:
     if name not in FAMILY_NAMES:
         remedy = meant(name, FAMILY_NAMES, "the families")
         raise ConfigError(f"there is no family {name}; {remedy}")
-    return load_family(name, _packaged)
+    return load_family(name)
 
 
-def load_family(name: str, read_file: ReadFile) -> Family:
+def load_family(name: str, read_file: ReadFile | None = None) -> Family:
     """Build a family from its data file and the files that one includes.
 
     Args:
         name: The file's name without `.yaml`; its `family` must be the same.
-        read_file: Returns the text of a file by its name with `.yaml`.
+        read_file: Reads the files; None: from this package.
 
     Raises:
         DescriptionError: A file is missing, or says something that cannot be.
     """
-    try:
-        document = YamlFile(read_file(f"{name}.yaml"), f"families/{name}.yaml", family=name)
-    except (OSError, KeyError) as exc:
-        raise DescriptionError("there is no such data file", file=f"{name}.yaml") from exc
+    document = open_data_file("families", name, read_file)
     for number, included in enumerate(document.texts("include")):
         file = f"{included}.yaml"
         try:
-            text = read_file(file)
+            text = data_text("families", file, read_file)
         except (OSError, KeyError) as exc:
             error = document.error(f"there is no data file {file}", "include", number)
             raise error from exc
@@ -272,10 +269,6 @@ def load_family(name: str, read_file: ReadFile) -> Family:
     if read.words.keys() | read.control_words.keys() > {""} and read.configured_by is None:
         raise document.error("configured_by must name the code of the signal configuration")
     return _family(read)
-
-
-def _packaged(file: str) -> str:
-    return (resources.files(__package__) / "families" / file).read_text(encoding="utf-8")
 
 
 def _family(read: FamilyFile) -> Family:

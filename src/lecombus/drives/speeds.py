@@ -104,13 +104,8 @@ def _bounds(
 
 def _scale(known: Known, rule: SetpointRule) -> dict[Code, Decimal]:
     """Return what 100 % is in each parameter set that may be in use; a setting of 0 is ignored."""
-    found = {}
-    for code, value in _scale_settings(known, rule).items():
-        number = value.number
-        full = _positive(None if isinstance(number, str | bytes) else number)
-        if full is not None:
-            found[code] = full
-    return found
+    settings = _scale_settings(known, rule).items()
+    return {code: full for code, value in settings if (full := _positive(value.quantity))}
 
 
 def _scale_settings(known: Known, rule: SetpointRule) -> dict[Code, Value]:

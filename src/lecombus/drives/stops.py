@@ -96,12 +96,10 @@ class StopProof:
 
         A word of more than 16 bits is something else than the word that was asked for.
         """
-        number = value.number
         if self.mask is None:
-            return None if isinstance(number, str | bytes) else number == self.equals
-        if not isinstance(number, int) or not 0 <= number <= WORD_MAX:
-            return None
-        return number & self.mask == self.equals
+            return None if value.quantity is None else value.quantity == self.equals
+        word = usable_word(value.word)
+        return None if word is None else word & self.mask == self.equals
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -212,12 +210,11 @@ def asks_to_stop(family: Family, code: Code, value: Value) -> bool:
     It does where it writes what a stop writes, or a control word with a quick stop or an inhibit
     in it.
     """
-    number = value.number
     for rule in family.stops.values():
         if rule.code == code and rule.value is not None and value.means_same(rule.value):
             return True
-        if rule.code == code and rule.value is None and isinstance(number, int):
-            return bool(number & (rule.set_mask | inhibit_mask(family, code)))
+        if rule.code == code and rule.value is None and value.word is not None:
+            return bool(value.word & (rule.set_mask | inhibit_mask(family, code)))
     return False
 
 

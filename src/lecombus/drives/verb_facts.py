@@ -52,8 +52,12 @@ class Known:
     def number(self, code: Code) -> Decimal | int | None:
         """Return the number a code holds, None where it is not known or none."""
         value = self.values.get(code)
-        number = value.number if value is not None else None
-        return None if isinstance(number, str | bytes) else number
+        return value.quantity if value is not None else None
+
+    def word(self, code: Code) -> int | None:
+        """Return the word a code holds, None where it is not known or none."""
+        value = self.values.get(code)
+        return value.word if value is not None else None
 
     @property
     def configured(self) -> Family:
@@ -124,8 +128,8 @@ def codes_in_force(known: Known, code: Code) -> tuple[Code, ...]:
     """
     offsets = known.family.set_offsets
     word = active_set_word(known.family)
-    number = known.number(word) if word is not None else None
-    if len(offsets) > 1 and word is not None and isinstance(number, int):
+    number = known.word(word) if word is not None else None
+    if len(offsets) > 1 and word is not None and number is not None:
         shown = known.family.words[word].shown_states(number)
         offsets = (offsets[OperatingState.PARAMETER_SET_2 in shown],)
     return tuple(Code(code.number + offset, code.subcode) for offset in offsets)
@@ -168,8 +172,7 @@ def control_word(known: Known, rules: VerbRules) -> int:
     Raises:
         OperationError: `no-control-word`: it was not, or what was read is none.
     """
-    number = known.number(rules.control)
-    word = usable_word(number if isinstance(number, int) else None)
+    word = usable_word(known.word(rules.control))
     if word is None:
         value = known.values.get(rules.control)
         reads = f"reads {value.raw}" if value is not None else "is not there"

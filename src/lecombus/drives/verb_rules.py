@@ -97,10 +97,9 @@ class Condition:
 
     def holds(self, value: Value | None) -> bool:
         """Return whether a setting that was read is as wanted; one that is not known is not."""
-        number = value.number if value is not None else None
-        if number is None or isinstance(number, str | bytes) or number != int(number):
+        whole = value.whole if value is not None else None
+        if whole is None:
             return False
-        whole = int(number)
         return (whole // self.digit % 10 if self.digit else whole) in self.values
 
 

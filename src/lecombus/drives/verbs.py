@@ -193,9 +193,8 @@ def is_enabled(known: Known) -> bool:
     Its control word counts only where its settings let the line write it; then it must be known.
     """
     rules = rules_of(known.drive, known.family, Verb.ENABLE)
-    number = known.number(rules.control)
-    word = usable_word(number if isinstance(number, int) else None)
-    word_known = word is not None or not _line_controls(known, rules)
+    word_known = usable_word(known.word(rules.control)) is not None
+    word_known = word_known or not _line_controls(known, rules)
     return enable_shown(known) and word_known and not has_fault(known) and not shown_stops(known)
 
 
@@ -223,12 +222,11 @@ def shown_stops(known: Known) -> tuple[tuple[Code, StopAction], ...]:
             for code, proof in rule.proofs.items()
             if code in known.values and proof.holds(known.values[code])
         ]
-    word = known.number(bits.code)
-    if isinstance(word, int) and word & bits.inhibit:
+    if (known.word(bits.code) or 0) & bits.inhibit:
         found.append((bits.code, StopAction.INHIBIT))
     for code, info in known.configured.words.items():
-        number = known.number(code)
-        if isinstance(number, int) and NOT_ENABLED & set(info.shown_states(number)):
+        word = known.word(code)
+        if word is not None and NOT_ENABLED & set(info.shown_states(word)):
             found.append((code, StopAction.INHIBIT))
     if not _line_controls(known, rules):
         found = [one for one in found if one[0] != bits.code]
@@ -253,11 +251,8 @@ def status_shows_quick_stop(family: Family) -> bool:
 
 def has_fault(known: Known) -> bool:
     """Return whether a status word that was read reports an active fault."""
-    numbers = ((code, known.number(code)) for code in known.family.words)
-    return any(
-        isinstance(number, int) and known.family.active_fault(code, number)
-        for code, number in numbers
-    )
+    words = ((code, known.word(code)) for code in known.family.words)
+    return any(word is not None and known.family.active_fault(code, word) for code, word in words)
 
 
 def fault_number(known: Known) -> int | None:
@@ -306,12 +301,11 @@ def states(known: Known) -> tuple[OperatingState, ...]:
     """Return what the drive's words show; quick stop by the command if no status word shows it."""
     family, rules = known.configured, known.family.verbs
     shown = [
-        info.shown_states(number)
+        info.shown_states(word)
         for code, info in family.words.items()
-        if isinstance(number := known.number(code), int)
+        if (word := known.word(code)) is not None
     ]
-    if rules is not None and shown:
-        word = known.number(rules.control)
-        if isinstance(word, int) and word & control_bits(known, rules).quick_stop:
-            shown.append((OperatingState.QUICK_STOP,))
+    word = known.word(rules.control) if rules is not None else None
+    if rules is not None and shown and word and word & control_bits(known, rules).quick_stop:
+        shown.append((OperatingState.QUICK_STOP,))
     return join_states(shown)

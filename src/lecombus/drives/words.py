@@ -12,15 +12,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from importlib import resources
-from typing import Annotated, Final
+from typing import Annotated
 
 from pydantic import AfterValidator
 
 from .field_types import BothLanguages, Words, ends, numbered, whole
 from .operating import OperatingState, StateRule
 from .texts import NOTHING, Text
-from .yaml_models import FILE_TABLE, YamlFile, mistake
+from .yaml_models import FILE_TABLE, ReadFile, mistake, open_data_file
 
 __all__ = [
     "BitField",
@@ -29,10 +28,7 @@ __all__ = [
     "WordFieldEntry",
     "WordInfo",
     "german_name",
-    "load_bit_names",
 ]
-
-BIT_NAMES: Final = "bit-names.yaml"
 
 Bit = Annotated[int, whole(0, 31)]
 Number = Annotated[int, whole(0, 0xFFFF_FFFF)]
@@ -198,19 +194,14 @@ def german_name(name: str) -> str:
     Args:
         name: As in a family's file, such as `pulse_inhibit`.
     """
-    return _packaged().get(name, name)
+    return bit_names().get(name, name)
 
 
 @cache
-def _packaged() -> Mapping[str, str]:
-    path = resources.files(__package__) / "families" / BIT_NAMES
-    return load_bit_names(path.read_text(encoding="utf-8"))
-
-
-def load_bit_names(text: str) -> dict[str, str]:
-    """Read `bit-names.yaml`.
+def bit_names(read_file: ReadFile | None = None) -> dict[str, str]:
+    """Return all German names, from `bit-names.yaml`.
 
     Raises:
         DescriptionError: It says something that cannot be.
     """
-    return YamlFile(text, f"families/{BIT_NAMES}").read(_BitNamesFile).names
+    return open_data_file("families", "bit-names", read_file).read(_BitNamesFile).names

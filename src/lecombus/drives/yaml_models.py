@@ -12,6 +12,7 @@ import io
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cache
+from importlib import resources
 from typing import Any, Final, NoReturn, TypeVar, get_args, get_type_hints
 
 import yaml
@@ -44,10 +45,13 @@ __all__ = [
     "Quoted",
     "ReadAs",
     "ReadBy",
+    "ReadFile",
     "YamlFile",
     "by_key",
     "context_of",
+    "data_text",
     "mistake",
+    "open_data_file",
     "without_keys",
 ]
 
@@ -66,6 +70,8 @@ E = TypeVar("E")
 K = TypeVar("K")
 T = TypeVar("T")
 Path = tuple[int | str, ...]
+ReadFile = Callable[[str], str]
+"""Returns the text of a data file by its name with `.yaml`."""
 
 
 class Quoted(str):
@@ -355,6 +361,31 @@ class YamlFile:
             if depth > DEEPEST:
                 message = f"lists and tables nest more than {DEEPEST} deep here"
                 raise self._error_at(message, event.start_mark)
+
+
+def data_text(folder: str, file: str, read_file: ReadFile | None) -> str:
+    """Return the text of a data file; without `read_file` of the one in this package.
+
+    Raises:
+        OSError, KeyError: There is none.
+    """
+    if read_file is not None:
+        return read_file(file)
+    return (resources.files(__package__) / folder / file).read_text(encoding="utf-8")
+
+
+def open_data_file(folder: str, name: str, read_file: ReadFile | None) -> YamlFile:
+    """Open a data file of `folder` by its name without `.yaml`.
+
+    Raises:
+        DescriptionError: It is missing, or no YAML.
+    """
+    file = f"{name}.yaml"
+    try:
+        text = data_text(folder, file, read_file)
+    except (OSError, KeyError) as exc:
+        raise DescriptionError("there is no such data file", file=f"{folder}/{file}") from exc
+    return YamlFile(text, f"{folder}/{file}", family=name)
 
 
 class _Stream(io.StringIO):

@@ -201,8 +201,8 @@ class DriveGauges:
 
     def _value_line(self, label: str, reading: Reading) -> None:
         assert reading.value is not None
-        number = reading.value.number
-        if isinstance(number, (str, bytes)):
+        number = reading.value.quantity
+        if number is None:
             return
         text = format(number, "f") if isinstance(number, Decimal) else str(number)
         code = f'code="C{reading.code.number:04d}",subcode="{reading.code.subcode}"'
@@ -211,8 +211,8 @@ class DriveGauges:
 
     def _word_lines(self, label: str, reading: Reading, family: Family, faults: list[bool]) -> None:
         assert reading.value is not None
-        word = reading.value.number
-        if not isinstance(word, int):
+        word = reading.value.word
+        if word is None:
             return
         start = f'{self._bit.name}{{{label},code="{reading.code}",bit="'
         self._bit.lines.extend(

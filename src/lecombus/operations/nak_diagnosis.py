@@ -246,8 +246,8 @@ class NakDiagnosis:
     def _learnt(
         self, station: Station, known: FailedExchange, code: Code, value: Value
     ) -> FailedExchange:
-        number = value.number
-        if isinstance(number, (str, bytes)):
+        number = value.quantity
+        if number is None:
             return known
         if code == OPERATING_STATUS:
             field = station.family.status_fields(code, int(number)).get(COMMUNICATION_ERROR)

@@ -191,9 +191,8 @@ class Why:
         if family.configured_by is None:
             return family
         reading = self._store.reading(drive, family.configured_by)
-        number = None if reading is None or reading.value is None else reading.value.number
-        return family.configured(None if isinstance(number, (str, bytes)) or number is None
-                                 else int(number))  # fmt: skip
+        number = None if reading is None or reading.value is None else reading.value.quantity
+        return family.configured(None if number is None else int(number))
 
     def _codes(self, family: Family) -> tuple[Code, ...]:
         return tuple(dict.fromkeys((*family.words, *asked_codes(family.name))))
@@ -291,8 +290,8 @@ class Why:
             reading = self._store.reading(drive, code)
             if reading is None or reading.value is None:
                 continue
-            number = reading.value.number
-            if isinstance(number, (str, bytes)):
+            number = reading.value.quantity
+            if number is None:
                 continue
             known = True
             if int(number) != NO_FAULT:
@@ -308,8 +307,8 @@ def shown_states(family: Family, values: Mapping[Code, Reading]) -> tuple[Operat
     words = []
     for code, word in family.words.items():
         reading = values.get(code)
-        number = None if reading is None or reading.value is None else reading.value.number
-        if reading is not None and isinstance(number, int):
-            words.append((reading.age_s or 0.0, word.shown_states(number)))
+        if reading is None or reading.value is None or reading.value.word is None:
+            continue
+        words.append((reading.age_s or 0.0, word.shown_states(reading.value.word)))
     words.sort(key=lambda one: one[0])
     return join_states(states for _, states in words)

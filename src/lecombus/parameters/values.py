@@ -100,6 +100,24 @@ class Value:
             object.__setattr__(self, "_number", number)
         return number
 
+    @property
+    def quantity(self) -> Decimal | int | None:
+        """The number; None where it is text or octets."""
+        number = self.number
+        return None if isinstance(number, (str, bytes)) else number
+
+    @property
+    def whole(self) -> int | None:
+        """The number where it is a whole one, None where it is not."""
+        number = self.quantity
+        return int(number) if number is not None and number == int(number) else None
+
+    @property
+    def word(self) -> int | None:
+        """The number of a VH value, None of any other."""
+        number = self.number
+        return number if isinstance(number, int) else None
+
     def means_same(self, other: Value) -> bool:
         """Whether two values mean the same, such as `35.4` and `35.40`, or `8` and `H0008`."""
         return self.raw == other.raw or self.number == other.number

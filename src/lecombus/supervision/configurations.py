@@ -50,9 +50,7 @@ class Configurations:
 
     def seen(self, drive: Drive, code: Code, value: Value) -> None:
         """Take a value of a code that configures a drive."""
-        number = value.number
-        whole = not isinstance(number, str | bytes) and number == int(number)
-        self._take(drive, code, int(number) if whole else None)
+        self._take(drive, code, value.whole)
 
     def written(self, drive: Drive, code: Code) -> None:
         """Take a write of a code: whether it took effect is known when it is read."""

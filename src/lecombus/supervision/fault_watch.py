@@ -80,10 +80,9 @@ class FaultWatch:
             if fault.kind is not None:
                 self._still(drive, family, code)
             return
-        number = value.number
-        if isinstance(number, int):
+        if value.word is not None:
             fault.raw[code] = value.raw
-            self._word(drive, family, code, number)
+            self._word(drive, family, code, value.word)
 
     # -- what the words say -----------------------------------------------------------------------
 
@@ -159,9 +158,7 @@ class FaultWatch:
         table = family.fault_table
         if table is None or code != table.memories[0]:
             return
-        number = value.number
-        is_number = not isinstance(number, (str, bytes)) and number == int(number)
-        fault.candidate = int(number) if is_number else None
+        fault.candidate = value.whole
         self._name(drive, family, table)
 
     def _doubt(self, drive: Drive, family: Family, before: int) -> None:

@@ -247,8 +247,8 @@ class AuditError(LecombusError):
 
 def number(value: Value) -> float:
     """The number a watchdog setting holds; nonsense from a drive is an audit that failed."""
-    found = value.number
-    if isinstance(found, str | bytes):
+    found = value.quantity
+    if found is None:
         raise AuditError(f"the drive gives {value.raw!r} where a number was expected")
     return float(found)
 

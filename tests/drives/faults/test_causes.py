@@ -14,7 +14,6 @@ from lecombus.drives.faults.causes import (
     Support,
     cause_rules,
     likely_causes,
-    load_causes,
 )
 from lecombus.errors import DescriptionError
 from lecombus.parameters import Code, Value
@@ -113,12 +112,12 @@ causes:
     ],
 )
 def test_a_wrong_rule_is_refused_with_its_place(old: str, new: str, why: str) -> None:
-    assert len(load_causes({"causes.yaml": RULE}.__getitem__)) == 1
+    assert len(cause_rules({"causes.yaml": RULE}.__getitem__)) == 1
     with pytest.raises(DescriptionError, match=why):
-        load_causes({"causes.yaml": RULE.replace(old, new, 1)}.__getitem__)
+        cause_rules({"causes.yaml": RULE.replace(old, new, 1)}.__getitem__)
 
 
 def test_a_rule_given_twice_is_refused() -> None:
     twice = RULE + RULE.partition("causes:\n")[2]
     with pytest.raises(DescriptionError, match="one stands here twice"):
-        load_causes({"causes.yaml": twice}.__getitem__)
+        cause_rules({"causes.yaml": twice}.__getitem__)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lecombus.drives.faults import FaultKind, load_link_report, load_table
+from lecombus.drives.faults import FaultKind, link_report, load_table
 from lecombus.errors import DescriptionError
 
 HEAD = """\
@@ -82,6 +82,6 @@ communication:
     ],
 )
 def test_what_drives_say_of_an_exchange_is_checked_too(old: str, new: str, why: str) -> None:
-    load_link_report({"extended.yaml": LINK}.__getitem__)
+    link_report({"extended.yaml": LINK}.__getitem__)
     with pytest.raises(DescriptionError, match=why):
-        load_link_report({"extended.yaml": LINK.replace(old, new)}.__getitem__)
+        link_report({"extended.yaml": LINK.replace(old, new)}.__getitem__)

@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from .fault_files import TABLES, fault_table, link_report, load_link_report, load_table
+from .fault_files import TABLES, fault_table, link_report, load_table
 from .fault_tables import (
     NO_FAULT,
     CommunicationError,
@@ -32,6 +32,5 @@ __all__ = [
     "fits_digit",
     "kind_by_thousands",
     "link_report",
-    "load_link_report",
     "load_table",
 ]

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from decimal import Decimal
 from enum import IntEnum, StrEnum
 from functools import cache
 from typing import Annotated, Final
@@ -21,8 +20,8 @@ from lecombus.parameters import Code, Value
 
 from ..codes import CodeInfo, Storage
 from ..field_types import BothLanguages, CodeNumber, Flag, Words, whole
-from ..yaml_models import FILE_TABLE
-from .fault_files import ReadFile, link_report, open_document, packaged
+from ..yaml_models import FILE_TABLE, ReadFile, open_data_file
+from .fault_files import link_report
 from .fault_tables import LinkReport
 from .rules import Condition, Families, each_once
 
@@ -34,7 +33,6 @@ __all__ = [
     "Support",
     "cause_rules",
     "likely_causes",
-    "load_causes",
     "rules_for",
 ]
 
@@ -166,7 +164,7 @@ class FailedExchange:
     @property
     def facts(self) -> frozenset[When]:
         """What the description says of the exchange."""
-        info = self.info
+        info, number = self.info, None if self.value is None else self.value.quantity
         facts = {When.SUBCODE} if self.code.subcode else set()
         if info is None:
             return frozenset(facts | {When.UNDESCRIBED})
@@ -176,15 +174,9 @@ class FailedExchange:
             When.NEEDS_INHIBIT: info.needs_inhibit,
             When.STORED: info.storage is Storage.STORED,
             When.OTHER_SET: info.parameter_set > 1,
-            When.OUT_OF_RANGE: is_out_of_range(info, self.value),
+            When.OUT_OF_RANGE: number is not None and not info.may_be(number),
         }
         return frozenset(facts | {fact for fact, so in flags.items() if so})
-
-
-def is_out_of_range(info: CodeInfo, value: Value | None) -> bool:
-    """Return whether the manual does not allow a value."""
-    number = None if value is None else value.number
-    return isinstance(number, (int, Decimal)) and not info.may_be(number)
 
 
 def likely_causes(family: str, known: FailedExchange) -> list[Cause]:
@@ -240,16 +232,6 @@ def supported(rule: CauseRule, known: FailedExchange, extended: int | None) -> C
     return Cause(rule, Support.USUAL, "") if rule.likely else None
 
 
-@cache
-def cause_rules() -> tuple[CauseRule, ...]:
-    """Return all rules, in the order of the file.
-
-    Raises:
-        DescriptionError: The data file is wrong.
-    """
-    return load_causes(packaged)
-
-
 @dataclass(frozen=True)
 class _CausesFile:
     __pydantic_config__ = FILE_TABLE
@@ -258,10 +240,11 @@ class _CausesFile:
     causes: Annotated[tuple[CauseRule, ...], each_once]
 
 
-def load_causes(read_file: ReadFile) -> tuple[CauseRule, ...]:
-    """Build the rules from `causes.yaml`.
+@cache
+def cause_rules(read_file: ReadFile | None = None) -> tuple[CauseRule, ...]:
+    """Return all rules, in the order of `causes.yaml`.
 
     Raises:
         DescriptionError: The file is missing, or says something that cannot be.
     """
-    return open_document("causes", read_file).read(_CausesFile).causes
+    return open_data_file("faults", "causes", read_file).read(_CausesFile).causes

@@ -5,17 +5,16 @@ They are read when the first fault is looked up: a line without a fault never ne
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib import resources
 from typing import Annotated, Final, TypeVar
 
 from lecombus.errors import DescriptionError
 
 from ..field_types import BothLanguages, CodeNumber, Flag, Source, Words, whole
 from ..texts import NOTHING
-from ..yaml_models import FILE_TABLE, ReadAs, YamlFile, by_key
+from ..yaml_models import FILE_TABLE, ReadAs, ReadFile, YamlFile, by_key, open_data_file
 from .fault_tables import (
     CommunicationError,
     ExtendedFault,
@@ -28,19 +27,14 @@ from .fault_tables import (
 
 __all__ = [
     "TABLES",
-    "ReadFile",
     "fault_table",
     "link_report",
-    "load_link_report",
     "load_table",
-    "open_document",
-    "packaged",
 ]
 
 TABLES: Final = ("82xx", "93xx", "smvector")
 HIGHEST_NUMBER: Final = 9999
 
-ReadFile = Callable[[str], str]
 N = TypeVar("N", ExtendedFault, CommunicationError)
 
 
@@ -55,31 +49,16 @@ def fault_table(family: str) -> FaultTable | None:
 
 
 @cache
-def link_report() -> LinkReport:
-    """Return what drives say about the last exchange.
-
-    Raises:
-        DescriptionError: The data file is wrong.
-    """
-    return load_link_report(packaged)
-
-
-@cache
 def _by_family() -> dict[str, FaultTable]:
     tables: dict[str, FaultTable] = {}
     for name in TABLES:
-        table = load_table(name, packaged)
+        table = load_table(name)
         for family in table.families:
             if family in tables:
                 other = tables[family].name
                 raise DescriptionError(f"{family} has its faults in {other} already", file=name)
             tables[family] = table
     return tables
-
-
-def packaged(file: str) -> str:
-    """Return the text of a data file of this package."""
-    return (resources.files(__package__) / file).read_text(encoding="utf-8")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,17 +91,17 @@ class _FaultsFile:
     own_list: Flag = False
 
 
-def load_table(name: str, read_file: ReadFile) -> FaultTable:
+def load_table(name: str, read_file: ReadFile | None = None) -> FaultTable:
     """Build a fault table from its data file.
 
     Args:
         name: The file's name without `.yaml`; its `table` must be the same.
-        read_file: Returns the text of a file by its name with `.yaml`.
+        read_file: Reads it; None: from this package.
 
     Raises:
         DescriptionError: The file is missing, or says something that cannot be.
     """
-    document = open_document(name, read_file)
+    document = open_data_file("faults", name, read_file)
     file = document.read(_FaultsFile)
     if file.table != name:
         raise document.error(f"the file is named {name}.yaml: table must be {name}", "table")
@@ -175,15 +154,15 @@ class _LinkReportFile:
     ]
 
 
-def load_link_report(read_file: ReadFile) -> LinkReport:
-    """Build what drives say about the last exchange from `extended.yaml`.
+@cache
+def link_report(read_file: ReadFile | None = None) -> LinkReport:
+    """Return what drives say about the last exchange, from `extended.yaml`.
 
     Raises:
         DescriptionError: The file is missing, or says something that cannot be.
     """
-    document = open_document("extended", read_file)
+    document = open_data_file("faults", "extended", read_file)
     file = document.read(_LinkReportFile)
-
     for place, fault in enumerate(file.extended.values()):
         _check_class(document, fault.classification, file, "extended", place, "class")
     for place, given in enumerate(document.data["communication"]):
@@ -200,17 +179,3 @@ def _check_class(document: YamlFile, name: str, file: _LinkReportFile, *path: in
     if name not in file.classes:
         known = ", ".join(file.classes)
         raise document.error(f"{name} is not known here; {known} are", *path)
-
-
-def open_document(name: str, read_file: ReadFile) -> YamlFile:
-    """Open a data file by its name without `.yaml`.
-
-    Raises:
-        DescriptionError: It is missing, or no YAML.
-    """
-    file = f"{name}.yaml"
-    try:
-        text = read_file(file)
-    except (OSError, KeyError) as exc:
-        raise DescriptionError("there is no such data file", file=f"faults/{file}") from exc
-    return YamlFile(text, f"faults/{file}", family=name)

@@ -16,11 +16,10 @@ from lecombus.parameters import Code, Value
 
 from ..field_types import BothLanguages, Words
 from ..operating import OperatingState
-from ..yaml_models import FILE_TABLE
-from .fault_files import ReadFile, open_document, packaged
+from ..yaml_models import FILE_TABLE, ReadFile, open_data_file
 from .rules import Condition, Families, each_once
 
-__all__ = ["Reason", "Weight", "asked_codes", "holding", "load_reasons", "reasons"]
+__all__ = ["Reason", "Weight", "asked_codes", "holding", "reasons"]
 
 
 class Weight(StrEnum):
@@ -127,16 +126,6 @@ def asked_codes(family: str) -> tuple[Code, ...]:
     return tuple(dict.fromkeys(one.code for one in conditions))
 
 
-@cache
-def reasons() -> tuple[Reason, ...]:
-    """Return all reasons, in the order of the file.
-
-    Raises:
-        DescriptionError: The data file is wrong.
-    """
-    return load_reasons(packaged)
-
-
 @dataclass(frozen=True)
 class _ReasonsFile:
     __pydantic_config__ = FILE_TABLE
@@ -145,10 +134,11 @@ class _ReasonsFile:
     reasons: Annotated[tuple[Reason, ...], each_once]
 
 
-def load_reasons(read_file: ReadFile) -> tuple[Reason, ...]:
-    """Build the reasons from `reasons.yaml`.
+@cache
+def reasons(read_file: ReadFile | None = None) -> tuple[Reason, ...]:
+    """Return all reasons, in the order of `reasons.yaml`.
 
     Raises:
         DescriptionError: The file is missing, or says something that cannot be.
     """
-    return open_document("reasons", read_file).read(_ReasonsFile).reasons
+    return open_data_file("faults", "reasons", read_file).read(_ReasonsFile).reasons

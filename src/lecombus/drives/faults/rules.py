@@ -48,9 +48,10 @@ class ValueCondition:
 
     def holds(self, value: Value | None) -> bool | None:
         """Return whether it is so; None where the value is not known or no number."""
-        if value is None or isinstance(value.number, (str, bytes)):
+        quantity = None if value is None else value.quantity
+        if quantity is None:
             return None
-        number = int(value.number)
+        number = int(quantity)
         (first, *_) = self.numbers
         if self.test == "below":
             return number < first

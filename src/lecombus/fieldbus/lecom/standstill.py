@@ -97,9 +97,9 @@ async def _measured(read: Read, family: Family) -> bool | None:
     if OperatingState.ZERO_SPEED not in {rule.state for rule in word.states}:
         return None
     shown = await read(STATUS_WORD)
-    if shown is None or not isinstance(shown.number, int):
+    if shown is None or shown.word is None:
         return None
-    return OperatingState.ZERO_SPEED in word.shown_states(shown.number)
+    return OperatingState.ZERO_SPEED in word.shown_states(shown.word)
 
 
 async def _configured(read: Read, family: Family) -> Family:
@@ -107,9 +107,8 @@ async def _configured(read: Read, family: Family) -> Family:
     if family.configured_by is None:
         return family
     value = await read(family.configured_by)
-    if value is None or isinstance(value.number, (str, bytes)):
-        return family
-    return family.configured(int(value.number))
+    number = value.quantity if value is not None else None
+    return family if number is None else family.configured(int(number))
 
 
 async def _shows(read: Read, family: Family, action: StopAction) -> bool:

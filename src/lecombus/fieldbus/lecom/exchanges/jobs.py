@@ -309,10 +309,9 @@ class WriteJob:
 
     def _is_no_word(self, value: Value) -> bool:
         """Whether what should be a control word has more than 16 bits: it is something else."""
-        number = value.number
-        if self.code not in self.station.family.control_words or not isinstance(number, int):
+        if self.code not in self.station.family.control_words or value.word is None:
             return False
-        return usable_word(number) is None
+        return usable_word(value.word) is None
 
     def _again(self) -> Verdict:
         self._proving = False

@@ -349,8 +349,7 @@ class StopJob:
         """Keep a value that the next telegram needs; False: it is no such value."""
         family = self.station.family
         if code == family.stops[self.action].code:
-            number = value.number
-            self._read_word = usable_word(number if isinstance(number, int) else None)
+            self._read_word = usable_word(value.word)
             return self._read_word is not None
         self._read_inhibit = inhibit_proofs(family)[code].shown_by(value)
         return self._read_inhibit is not None

@@ -65,10 +65,7 @@ class RebaudLine:
     async def read_rate(self, drive: RebaudDrive, baud: int, *, retries: int = 0) -> int | None:
         """Read the number of a drive's baud rate; None: it does not answer with one."""
         answer = await self.read(drive, baud, drive.subject.code, retries=retries)
-        number = answer.value.number if answer.value is not None else None
-        if number is None or isinstance(number, (str, bytes)) or number != int(number):
-            return None
-        return int(number)
+        return answer.value.whole if answer.value is not None else None
 
     def check_interruption(self) -> None:
         """Raise if the user has interrupted.

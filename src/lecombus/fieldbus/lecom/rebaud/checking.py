@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from decimal import Decimal
 
 from lecombus.drives import Family
 from lecombus.drives.access import is_passing
@@ -221,8 +220,8 @@ async def _watchdog(line: RebaudLine, drive: RebaudDrive, rate: int) -> None:
     time = await line.read(drive, rate, traits.time_code)
     action = await line.read(drive, rate, traits.action_code)
     words = {number: word for word, number in traits.actions.items()}
-    number = action.value.number if action.value is not None else None
-    word = words.get(int(number)) if isinstance(number, (int, Decimal)) else None
+    number = action.value.quantity if action.value is not None else None
+    word = words.get(int(number)) if number is not None else None
     if time.value is None or word is None:
         drive.note = (
             "its watchdog could not be read: if it is set, it will act; it is stopped anyway"
