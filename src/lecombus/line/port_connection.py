@@ -109,10 +109,6 @@ class PortConnection:
         """Return why there is no port."""
         return f"line {self._settings.line}: {self._reason}"
 
-    def describe(self) -> str:
-        """Name the port for people."""
-        return self.port.describe() if self.port is not None else self._settings.url
-
     def _log_not_open(self, message: FlapMessage) -> None:
         """Log why there is no port, once per reason, not at every try.
 

@@ -48,17 +48,15 @@ class WakeableSleep:
         self._future: asyncio.Future[None] | None = None
 
     def nudge(self) -> None:
-        """Wake the sleeper, if there is one that listens."""
+        """Wake the sleeper, if there is one."""
         if self._future is not None:
             _wake(self._future)
 
-    async def until(self, at_s: float, *, deaf: bool = False) -> None:
-        """Sleep until `at_s` or, unless `deaf`, until nudged."""
+    async def until(self, at_s: float) -> None:
+        """Sleep until `at_s` or until nudged."""
         loop = asyncio.get_running_loop()
-        nap: asyncio.Future[None] = loop.create_future()
+        self._future = nap = loop.create_future()
         timer = loop.call_at(at_s, _wake, nap)
-        if not deaf:
-            self._future = nap
         try:
             await nap
             self._lateness.note(loop.time() - at_s)

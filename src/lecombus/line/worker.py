@@ -81,10 +81,6 @@ class LineWorker:
         """How often it looked round with nothing to send, or without a port: its sign of life."""
         return self.exchange_loop.rests + self._retries
 
-    def describe_port(self) -> str:
-        """Name the port for people."""
-        return self._connection.describe()
-
     def submit(self, request: Request) -> None:
         """Take a request; its end comes through `request.settle`.
 

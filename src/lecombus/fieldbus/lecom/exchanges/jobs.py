@@ -15,6 +15,7 @@ Rules (EDB2102EN 8.3.5; CMVLC401A 6):
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Final
 
 from lecombus.drives import WriteClass
 from lecombus.drives.stops import usable_word
@@ -48,6 +49,7 @@ class ReadJob:
     """
 
     __slots__ = ("attempts", "error", "instead", "retries", "station", "step", "value")
+    cut_outcome: Final = None
 
     def __init__(
         self,
@@ -83,11 +85,6 @@ class ReadJob:
         refused = result.kind is ResultKind.ANSWERED
         return (Outcome.REFUSED if refused else Outcome.UNKNOWN), str(self.error)
 
-    @property
-    def cut_outcome(self) -> Outcome | None:
-        """A read changes nothing."""
-        return None
-
 
 class ReadBackJob:
     """Read back what was written, as often as it takes to be sure whose answer it is.
@@ -103,8 +100,7 @@ class ReadBackJob:
         is_shown: It reads as written, in an answer that is this drive's.
     """
 
-    __slots__ = ("_proving", "_reading", "_readings", "_retries", "error", "is_shown", "station",
-                 "step", "value", "written")  # fmt: skip
+    cut_outcome: Final = None
 
     def __init__(
         self,
@@ -121,11 +117,6 @@ class ReadBackJob:
         self._retries = retries
         self._proving = ReadBackProof(duplicates, silent=False)
         self._begin()
-
-    @property
-    def cut_outcome(self) -> Outcome | None:
-        """A reading changes nothing."""
-        return None
 
     def said(self, *, answered: bool) -> None:
         """Begin again, behind another write; where that had no answer, the drive may be gone."""
@@ -190,24 +181,6 @@ class WriteJob:
         verify: Read back after the acknowledgement too.
         duplicates: What is known of answers that come twice on this line; None: there are none.
     """
-
-    __slots__ = (
-        "_acknowledged",
-        "_back",
-        "_duplicates",
-        "_proving",
-        "_refused",
-        "attempts",
-        "code",
-        "error",
-        "proof",
-        "retries",
-        "station",
-        "step",
-        "value",
-        "verify",
-        "write_class",
-    )  # fmt: skip
 
     def __init__(
         self,
@@ -330,7 +303,7 @@ class MulticastJob:
         holds: How long single members are left alone after that, seconds by name.
     """
 
-    __slots__ = ("error", "holds", "processing_s", "station", "step")
+    cut_outcome: Final = Outcome.UNKNOWN
 
     def __init__(
         self,
@@ -346,11 +319,6 @@ class MulticastJob:
         self.holds = holds or {}
         self.step = JobStep(StepKind.MULTICAST, code, value)
         self.error: ExchangeError | None = None
-
-    @property
-    def cut_outcome(self) -> Outcome | None:
-        """It has one step only."""
-        return Outcome.UNKNOWN
 
     def advance(self, result: Result) -> Verdict:
         """End: it went out, or the line or its echo failed."""

@@ -87,36 +87,6 @@ class StopJob:
         patience_s: How long it is tried, seconds; once the drive answers: `STOP_PATIENCE_S`.
     """
 
-    __slots__ = (
-        "_checking",
-        "_failed_reads",
-        "_learning",
-        "_least_sayings",
-        "_naks",
-        "_proving",
-        "_read_inhibit",
-        "_read_word",
-        "_since_s",
-        "_step",
-        "_turned",
-        "_unheard",
-        "_unread_word",
-        "_unshown",
-        "_why",
-        "action",
-        "attempts",
-        "error",
-        "inhibited",
-        "last_word",
-        "may_inhibit",
-        "patience_s",
-        "proof",
-        "proof_code",
-        "retries",
-        "station",
-        "word",
-    )  # fmt: skip
-
     def __init__(
         self,
         station: Station,

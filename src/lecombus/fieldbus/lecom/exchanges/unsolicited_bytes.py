@@ -44,7 +44,6 @@ class UnsolicitedBytes:
             None  # asked last, and listened for since
         )
         self.bytes_total = 0
-        self.late_answers_total = 0
         self._begun_at = 0
 
     @property
@@ -84,7 +83,6 @@ class UnsolicitedBytes:
         self._parser.reset()
         if isinstance(answer, BadAnswer):
             return False
-        self.late_answers_total += 1
         if isinstance(answer, ValueAnswer | UnknownCodeAnswer | TransmissionErrorAnswer):
             self._measure(answer.field, now_s)
             if not self._late_replies.resolve(answer.field):
