@@ -18,7 +18,7 @@ import lecombus
 from support.site_host import Plant, roster_of, with_plant
 
 OURS = str(Path(lecombus.__file__).parent)
-SIMULATED = str(Path(OURS) / "simulator")
+SIMULATED = str(Path(OURS) / "fieldbus" / "lecom" / "simulator")
 DRIVES = [(f"d{number}", number, "smvector") for number in range(1, 8)]
 SECONDS = 10.0
 

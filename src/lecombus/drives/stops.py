@@ -98,8 +98,10 @@ class StopProof:
         """
         if self.mask is None:
             return None if value.quantity is None else value.quantity == self.equals
-        word = usable_word(value.word)
-        return None if word is None else word & self.mask == self.equals
+        number = value.number  # not `usable_word(value.word)`: this runs in every exchange
+        if not isinstance(number, int) or not 0 <= number <= WORD_MAX:
+            return None
+        return number & self.mask == self.equals
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
