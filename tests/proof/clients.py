@@ -70,7 +70,7 @@ class Clients:
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(self._one_thing_after_the_other)
             tasks.start_soon(self._look)
-            if self._line.kind in ("loaded", "tolerant"):
+            if self._line.is_loaded:
                 for _ in range(READERS):
                     tasks.start_soon(self._reads, Priority.BACKGROUND)
                     if self._line.is_crowded:

@@ -99,6 +99,11 @@ class RandomLine:
         return self.kind == "loaded" and self.seed % 12 != 9
 
     @property
+    def is_loaded(self) -> bool:
+        """Whether clients ask for more than the line can do."""
+        return self.kind == "loaded"
+
+    @property
     def is_saturated(self) -> bool:
         """Whether clients also write setpoints as fast as they are done; of those crowded."""
         return self.seed % 12 == 5

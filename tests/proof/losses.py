@@ -9,6 +9,7 @@ are lost on the way back; else the drive has not heard the question, and is not 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from random import Random
 
@@ -29,6 +30,8 @@ NEAR = 1.2
 """An exchange that leaves the watchdogs no more than this part of the least seen is hit."""
 LAST_PART = 0.1
 """Of a watchdog time: an exchange that only this part of it holds is no exception."""
+LONGER = 1.6
+"""Times the least watchdog time: then there is room for a write to an 820X, too."""
 LEARNT_IN = 3.0
 """Watchdog times after which the least seen is forgotten: the load has changed."""
 
@@ -39,9 +42,16 @@ class TolerantLine(RandomLine):
 
     Args:
         losses: So many answers are lost within any watchdog time.
+        idle: One client asks for one thing after the other: mostly feeds go.
     """
 
     losses: int = 0
+    idle: bool = False
+
+    @property
+    def is_loaded(self) -> bool:
+        """Whether clients ask for more than the line can do."""
+        return not self.idle
 
     @property
     def is_saturated(self) -> bool:
@@ -50,7 +60,11 @@ class TolerantLine(RandomLine):
 
 
 def tolerant_line(seed: int, *, tolerate: int, losses: int, length_s: float) -> TolerantLine:
-    """Draw a line whose watchdogs just outlast so many lost answers."""
+    """Draw a line whose watchdogs just outlast so many lost answers.
+
+    On some they are longer: there is room for exchanges, not for each with all that may follow. On
+    as many others clients ask seldom: feeds then keep as little room as they ever do.
+    """
     random = Random(seed)
     count = random.choice((2, 3, 5, 8, 12, 20, 31))
     drives = sorted(
@@ -72,9 +86,13 @@ def tolerant_line(seed: int, *, tolerate: int, losses: int, length_s: float) -> 
 
     while (least_s := least_time_s(demand_of(roster(60000)), all_alike=True)) is None:
         drives = drives[: len(drives) // 2]  # no time of so many outlasts so much
+    of, turn = divmod(seed // 16, 4)
+    if turn == 3 and of % 2:  # on an eighth of the lines
+        least_s *= random.uniform(1.0, LONGER)
     return TolerantLine(
-        seed, "tolerant", roster(round(least_s * 1000)), "", length_s, losses=losses
-    )
+        seed, "tolerant", roster(math.ceil(round(least_s * 1000, 3))), "", length_s,
+        losses=losses, idle=turn == 3 and not of % 2,
+    )  # fmt: skip
 
 
 class Losses:

@@ -541,3 +541,46 @@ def test_a_drive_is_fed_before_a_write_whose_pause_its_watchdog_does_not_outlast
     first = world.step()
     assert (first is write) is (hold_s == 0.0)
     assert write in (first, world.step())
+
+
+def lost_stop_world(time_s: float = 1.0) -> World:
+    """Two watched drives; a stop of one that is not answered takes half a second."""
+    world = World().drives("a", "b")
+    world.schedule.expect(FaultHypothesis(1, stop_failed_s=0.5))
+    world.feed("a", time_s)
+    world.feed("b", time_s)
+    return world
+
+
+def test_an_exchange_is_refused_if_a_lost_stop_behind_it_would_make_a_watchdog_act() -> None:
+    """After it there has to be room for the stop, as far as the last tenth does not hold it."""
+    most_s = HARD_PART - 3 * COST_S
+    longest_s = most_s - (0.5 - 0.1)
+    world = lost_stop_world()
+    begun = world.submit("a", cost_s=longest_s - 0.001, worst_s=longest_s + 0.01)
+    refused = world.submit("a", cost_s=longest_s + 0.001, worst_s=longest_s + 0.01)
+    world.run(5.0)
+    assert world.outcome(begun)[0] is Outcome.DONE
+    outcome, reason = world.outcome(refused)
+    assert outcome is Outcome.REFUSED
+    assert "with a stop behind it and a lost answer" in reason
+    assert f"{most_s:.3f} s is the most" in reason
+
+
+def test_measured_times_refuse_nothing_for_a_stop_behind_it() -> None:
+    """They may be wrong, and must not close the line."""
+    world = lost_stop_world()
+    slow = world.submit("a", cost_s=0.5, worst_s=0.6, told=(0.3, 0.4))
+    world.run(5.0)
+    assert world.outcome(slow)[0] is Outcome.DONE
+
+
+def test_feeds_leave_room_for_a_lost_stop_on_an_idle_line() -> None:
+    world = lost_stop_world()
+    feeds = world.schedule._watchdogs
+    least_s = math.inf
+    while world.now_s < 20.0:
+        world.run(world.now_s + 0.003)
+        least_s = min(least_s, feeds.slack_s(world.now_s))
+    assert least_s >= 0.5 - 0.1 - 1e-6
+    assert world.schedule.stats(20.0).feeds["a"].misses == 0

@@ -31,10 +31,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from typing import Final
 
-from lecombus.capacity.demand_bound import FULL, Overload, Stream, find_overload, load_of
+from lecombus.capacity.demand_bound import (
+    FULL,
+    ROUNDING_S,
+    Overload,
+    Stream,
+    find_overload,
+    load_of,
+)
 from lecombus.capacity.exchange_costs import (
     dearest_feed_times,
     line_timing,
@@ -77,7 +84,6 @@ class DriveDelay:
         usual_s: The same, answered, seconds.
         reads: Its cyclic reads, as usual: what they are, and seconds.
         stop_s: Its stop with the proof, seconds.
-        stop_failed_s: One telegram of its stop, not answered, seconds.
     """
 
     drive: str
@@ -85,7 +91,6 @@ class DriveDelay:
     usual_s: float
     reads: tuple[tuple[str, float], ...]
     stop_s: float
-    stop_failed_s: float
 
     @property
     def answered_s(self) -> float:
@@ -107,14 +112,12 @@ class OtherDelays:
         answered_s: The longest that is answered.
         failed_s: The longest of the cheapest reads, not answered.
         stop_s: The longest stop with its proof.
-        stop_failed_s: The longest telegram of a stop, not answered.
     """
 
     under_way_s: float
     answered_s: float
     failed_s: float
     stop_s: float
-    stop_failed_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +131,8 @@ class WatchdogDemand:
         delays: How long each drive of the line may delay the others.
         lost_s: What one feed that is not answered costs at most, seconds.
         own_s: For each watched drive, its own longest exchange: nothing else feeds it then.
-        tolerate: Lost answers within any watchdog time that all watchdogs must outlast.
+        faults: The lost answers within any watchdog time that all watchdogs must outlast, and the
+            stops for which the running schedule keeps room.
     """
 
     drives: tuple[DriveEntry, ...]
@@ -137,7 +141,12 @@ class WatchdogDemand:
     delays: tuple[DriveDelay, ...]
     lost_s: float
     own_s: tuple[float, ...]
-    tolerate: int
+    faults: FaultHypothesis
+
+    @property
+    def tolerate(self) -> int:
+        """So many lost answers within any watchdog time must be outlasted."""
+        return self.faults.tolerate
 
     def before(self, drive: str) -> tuple[DriveDelay, ...]:
         """List what may delay a drive's feed: the exchanges with all other drives."""
@@ -151,8 +160,8 @@ class WatchdogDemand:
         """
         lost = self.tolerate if lost is None else lost
         found = find_overload(self.streams, 0.0)
-        if found is None and lost:
-            found = find_overload(self._behind_lost(lost), 0.0)
+        if found is None and lost and self.streams:
+            found = find_overload(self._behind_lost(lost), 0.0) or self._no_room(lost)
         if found is None and load_of(self.streams) > FULL:
             first = min(self.streams, key=_every)
             demand_s = load_of(self.streams) * first.every_s
@@ -160,16 +169,68 @@ class WatchdogDemand:
         return found
 
     def _behind_lost(self, lost: int) -> tuple[Stream, ...]:
-        """Give the streams with lost answers, and what else may come before each once."""
-        again_s = (lost - 1) * self.lost_s
+        """Give the streams with lost answers, and what else may come before each once.
+
+        A feed counts from its beginning, so the time that the one before took passes as well. The
+        last tenth holds that, unless a stop takes it.
+        """
+        faults, tenth_s = self._losing(lost)
+        more_s = (lost - 1) * self.lost_s
+        stop_s = more_s + faults.stop_behind_s(self.lost_s, tenth_s)
         found = []
         for one, others in zip(self.streams, self.others, strict=True):
-            tenth_s = one.every_s * (1.0 - HARD_PART) / HARD_PART
-            stop_s = max(self.lost_s + others.stop_s, others.stop_failed_s) - tenth_s
-            behind_s = others.answered_s + max(self.lost_s, stop_s)
-            blocked_s = max(others.failed_s, behind_s) + again_s
-            found.append(Stream(one.name, one.cost_s, one.every_s, blocked_s))
+            need_s = faults.need_s(others.answered_s, others.failed_s, self.lost_s, tenth_s)
+            behind_s = max(need_s, others.answered_s + stop_s + one.cost_s)
+            found.append(replace(one, blocked_s=behind_s))
         return tuple(found)
+
+    def _no_room(self, lost: int) -> Overload | None:
+        """Find a stream that leaves no room for an exchange even after all were fed in one go.
+
+        That is when there is most room (`WatchdogSet.most_s`), and the schedule begins none without
+        it. Where watchdog times differ by little the feeds before and behind it have to fit.
+        """
+        faults, tenth_s = self._losing(lost)
+        more_s = (lost - 1) * self.lost_s
+        at_s = 0.0
+        fed = []
+        both = zip(self.streams, self.others, strict=True)
+        for stream, others in sorted(both, key=lambda pair: pair[0].every_s, reverse=True):
+            fed.append((at_s + stream.every_s, at_s, stream, others))
+            at_s += stream.cost_s
+        total_s = 0.0
+        for hard_s, fed_at_s, stream, others in sorted(fed, key=_first):
+            total_s += stream.cost_s
+            before_s = more_s + faults.least_room_s(
+                others.answered_s, others.failed_s, self.lost_s, tenth_s
+            )
+            if hard_s - total_s - at_s + ROUNDING_S < before_s:
+                demand_s = total_s + at_s - fed_at_s
+                return Overload(stream.every_s, demand_s, before_s, stream.name)
+        return None
+
+    def behind_s(self) -> float:
+        """Give the room that is left at least behind any exchange that is answered, seconds."""
+        faults, tenth_s = self._losing(self.tolerate)
+        return faults.behind_s(self.lost_s, tenth_s)
+
+    def least_room_s(self, cost_s: float, worst_s: float) -> float:
+        """Give the room that an exchange must find, or the schedule never begins it, seconds.
+
+        Args:
+            cost_s: It is answered.
+            worst_s: It is not answered.
+        """
+        faults, tenth_s = self._losing(self.tolerate)
+        return faults.least_room_s(cost_s, worst_s, self.lost_s, tenth_s)
+
+    def _losing(self, lost: int) -> tuple[FaultHypothesis, float]:
+        """Give what is kept room for with so many lost answers, and the shortest's last tenth."""
+        shortest_s = min(one.every_s for one in self.streams)
+        faults = replace(self.faults, tolerate=lost)
+        if len(self.delays) == 1:  # its own stop, if it is answered, feeds it
+            faults = replace(faults, stop_s=0.0)
+        return faults, shortest_s * (1.0 - HARD_PART) / HARD_PART
 
     def holds(self, *, lost: int | None = None) -> bool:
         """Whether all watchdogs can be held, also beside their own drives' exchanges."""
@@ -202,7 +263,7 @@ class WatchdogDemand:
             for one in self.delays
         )
         return _put_together(
-            self.drives, self.streams, delays, self.own_s, self.lost_s, self.tolerate
+            self.drives, self.streams, delays, self.own_s, self.lost_s, self.faults
         )
 
 
@@ -235,7 +296,7 @@ def demand_of(roster: Roster, timing: LineTiming | None = None) -> WatchdogDeman
         tuple(_obstacle(drive, timing) for drive in roster.drives),
         tuple(own_longest_s(drive, timing) for drive, _ in watched),
         max((one.worst_s for one in times), default=0.0),
-        roster.line.tolerate,
+        faults_of(roster, timing),
     )
 
 
@@ -254,10 +315,7 @@ def _obstacle(drive: DriveEntry, timing: LineTiming) -> DriveDelay:
         for entry in drive.cyclic
     )
     feed = dearest_feed_times(drive, timing)
-    return DriveDelay(
-        drive.name, feed.worst_s, feed.usual_s, reads, stop_s(drive, timing),
-        stop_attempt_s(drive, timing),
-    )  # fmt: skip
+    return DriveDelay(drive.name, feed.worst_s, feed.usual_s, reads, stop_s(drive, timing))
 
 
 def _put_together(
@@ -266,7 +324,7 @@ def _put_together(
     delays: tuple[DriveDelay, ...],
     own_s: tuple[float, ...],
     lost_s: float,
-    tolerate: int,
+    faults: FaultHypothesis,
 ) -> WatchdogDemand:
     """Give each stream the longest delay by all drives but its own."""
     others = _others(delays, [one.name for one in streams])
@@ -274,7 +332,7 @@ def _put_together(
         replace(one, blocked_s=before.under_way_s + before.stop_s)
         for one, before in zip(streams, others, strict=True)
     )
-    return WatchdogDemand(drives, blocked, others, delays, lost_s, own_s, tolerate)
+    return WatchdogDemand(drives, blocked, others, delays, lost_s, own_s, faults)
 
 
 def _others(delays: Sequence[DriveDelay], names: Sequence[str]) -> tuple[OtherDelays, ...]:
@@ -335,3 +393,6 @@ def smallest(holds: Callable[[float], bool], low_s: float, high_s: float) -> flo
 
 def _every(stream: Stream) -> float:
     return stream.every_s
+
+
+_first = itemgetter(0)

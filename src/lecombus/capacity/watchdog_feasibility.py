@@ -101,11 +101,11 @@ def _arithmetic(drive: DriveEntry, demand: WatchdogDemand, overload: Overload, b
     behind, lost = "", ""
     if demand.overload(lost=0) is None:
         lost = f" if {_answers(demand.tolerate)} lost"
-        stop = _ms(longest_stop_s(before))
+        stop, failed = _ms(demand.faults.stop_s), _ms(demand.faults.stop_failed_s)
         behind = (
-            f" behind {_ms(overload.blocking_s)}: an exchange, {demand.tolerate} times "
-            f"{_ms(demand.lost_s)} for a lost answer, a stop ({stop}) as far as the last tenth of "
-            "the time does not hold it"
+            f" behind {_ms(overload.blocking_s)}: an exchange, {_lost_answers(demand.tolerate)} "
+            f"({_ms(demand.lost_s)} each), and as far as the last tenth of the shortest time does "
+            f"not hold them a stop ({stop}, or {failed} without an answer) and the feed before"
         )
     elif before:
         behind = (
@@ -121,6 +121,10 @@ def _arithmetic(drive: DriveEntry, demand: WatchdogDemand, overload: Overload, b
 
 def _answers(count: int) -> str:
     return "1 answer is" if count == 1 else f"{count} answers are"
+
+
+def _lost_answers(count: int) -> str:
+    return "1 lost answer" if count == 1 else f"{count} lost answers"
 
 
 def _remedy(roster: Roster, demand: WatchdogDemand, least_s: float | None) -> str:

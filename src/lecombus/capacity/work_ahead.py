@@ -43,7 +43,7 @@ from lecombus.schedule.watchdog_deadline import (
 )
 from lecombus.schedule.watchdog_set import WatchdogSet
 
-__all__ = ["Blocking", "Longest", "Room", "WorkAhead", "work_ahead_on"]
+__all__ = ["Blocking", "Longest", "Room", "WorkAhead", "feeds_of", "work_ahead_on"]
 
 LOW_LATENCY_S: Final = 0.001
 """What an adapter in its low latency mode adds to an answer."""
@@ -101,11 +101,14 @@ class Room:
         most_s: The longest exchange that there is ever room for, seconds; infinite: no feeds.
         round_s: Feeding every drive once, seconds.
         alike: All watchdogs have the same time: one round makes room for the longest.
+        answered_s: The longest exchange, answered, that leaves room for a stop with a lost answer;
+            one that takes longer is not begun.
     """
 
     most_s: float
     round_s: float
     alike: bool
+    answered_s: float = math.inf
 
     @property
     def sure_s(self) -> float:
@@ -174,7 +177,7 @@ class WorkAhead:
 
 def work_ahead_on(roster: Roster, timing: LineTiming) -> WorkAhead:
     """Gather what can go before a request on a line."""
-    feeds = _feeds_of(roster, timing)
+    feeds = feeds_of(roster, timing)
     drives = roster.drives
     by_drive = [
         (list(_own(drive, timing)), list(_reads(drive, timing)), list(_writes(drive, timing)))
@@ -218,7 +221,8 @@ def _longest(feeds: WatchdogSet, found: Iterable[Longest]) -> Longest:
     for one in found:
         if one.drive not in most_s:
             most_s[one.drive] = feeds.most_s(one.drive)[0]
-        if one.times.worst_s <= most_s[one.drive] or _is_feed(feeds, one):
+        room_s = feeds.least_room_s(one.times.usual_s, one.times.worst_s)
+        if room_s <= most_s[one.drive] or _is_feed(feeds, one):
             begun.append(one)
     return max(begun, key=_worst, default=NO_EXCHANGE)
 
@@ -230,7 +234,7 @@ def _is_feed(feeds: WatchdogSet, one: Longest) -> bool:
     return one.times.usual_s <= longest_s[0] and one.times.worst_s <= longest_s[1]
 
 
-def _feeds_of(roster: Roster, timing: LineTiming) -> WatchdogSet:
+def feeds_of(roster: Roster, timing: LineTiming) -> WatchdogSet:
     """Put the watchdogs into the schedule's own sums."""
     feeds = WatchdogSet(faults_of(roster, timing))
     for drive in roster.drives:
@@ -248,7 +252,9 @@ def _feeds_of(roster: Roster, timing: LineTiming) -> WatchdogSet:
 
 def _room(feeds: WatchdogSet) -> Room:
     times = {feed.time_s for feed in feeds.by_drive.values()}
-    return Room(feeds.most_s("")[0], feeds.round_s(), len(times) < 2)
+    most_s = feeds.most_s("")[0]
+    behind_s = feeds.least_room_s(0.0, 0.0)
+    return Room(most_s, feeds.round_s(), len(times) < 2, most_s - behind_s)
 
 
 def _own(drive: DriveEntry, timing: LineTiming) -> Iterator[Longest]:

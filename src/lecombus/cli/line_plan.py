@@ -209,6 +209,11 @@ def _show_room(plan: LinePlan) -> None:
         f"an exchange that may hold the line for more than {_time(room.most_s)} is refused: the "
         f"watchdogs never leave more{some}"
     )
+    if room.answered_s < room.most_s:
+        click.echo(
+            f"one that takes more than {_time(room.answered_s)} when it is answered is refused, "
+            "too: a stop behind it, with one lost answer, would make a watchdog act"
+        )
 
 
 def _show_watchdogs(plan: LinePlan) -> None:

@@ -17,6 +17,7 @@ from lecombus.capacity.exchange_costs import (
     feed_times,
     line_timing,
     read_times,
+    stop_attempt_s,
     watched_s,
     with_slow_adapter,
 )
@@ -47,6 +48,7 @@ def find_warnings(roster: Roster) -> list[str]:
     found = list(_line(roster.line))
     found.extend(_load(roster, timing))
     found.extend(_gathered(_feeding(roster)))
+    found.extend(_gathered(_lost_stops(roster, timing)))
     found.extend(_slow_codes(roster, timing))
     found.extend(_adapter(roster, timing))
     found.extend(_unwatched(roster))
@@ -132,6 +134,26 @@ def _feeding(roster: Roster) -> Iterator[tuple[str, str]]:
             yield drive.name, text + outlast
 
 
+def _lost_stops(roster: Roster, timing: LineTiming) -> Iterator[tuple[str, str]]:
+    """Warn of watchdogs that act when all answers that are tolerated are those of its own stop.
+
+    The first telegram of a stop waits for nothing, and for each of the others no more is kept than
+    for a lost feed.
+    """
+    demand = demand_of(roster, timing)
+    lost = demand.tolerate
+    for drive in demand.drives if lost > 1 else ():
+        time_s, failed_s = watched_s(drive) or 0.0, stop_attempt_s(drive, timing)
+        left_s = (1.0 - HARD_PART) * time_s + demand.behind_s()
+        if lost * failed_s > left_s:
+            yield (
+                drive.name,
+                f"its watchdog may act when {_lost(lost)} lost that are all of one stop of this "
+                f"drive: each holds the line for {format_duration(round(failed_s, 3))}; it is "
+                "being stopped",
+            )
+
+
 def _lost(count: int) -> str:
     return "an answer is" if count == 1 else f"{('two', 'three', 'four')[count - 2]} answers are"
 
@@ -162,24 +184,28 @@ def _slow_codes(roster: Roster, timing: LineTiming) -> Iterator[str]:
     ]
     if not feeds:
         return
-    room_s = _room_s(feeds)
+    room_s, demand = _room_s(feeds), demand_of(roster, timing)
     slow: list[tuple[DriveEntry, Code, float]] = []
     for drive in roster.drives:
         traits = family(drive.family).watchdog
         if drive.watchdog is not None and traits is not None:
-            worst_s = read_times(drive, traits.action_code, timing).worst_s
-            if worst_s > room_s:
-                slow.append((drive, traits.action_code, worst_s))
+            times = read_times(drive, traits.action_code, timing)
+            needs_s = demand.least_room_s(times.usual_s, times.worst_s)
+            if needs_s > room_s:
+                slow.append((drive, traits.action_code, needs_s))
     if slow:
-        _, code, worst_s = max(slow, key=lambda one: one[2])
+        drive, code, needs_s = max(slow, key=lambda one: one[2])
+        held = f"may hold the line for {needs_s:.2f} s"
+        if needs_s > read_times(drive, code, timing).worst_s:
+            held = f"takes {needs_s:.2f} s with a stop behind it and a lost answer"
         left = f"{room_s:.2f} s is left" if room_s > 0 else "no time is left"
         which = "watchdog" if len(slow) == 1 else "watchdogs"
         fed = "the others are" if len(feeds) > 1 else "it is"
         yield (
             f"the {which} of {counted([drive for drive, _, _ in slow])} "
             f"({', '.join(drive.name for drive, _, _ in slow)}) can be neither checked nor set "
-            f"while {fed} fed: reading {code} may hold the line for {worst_s:.2f} s and {left}; "
-            f"a watchdog time of at least {_up(_least_time_s(feeds, worst_s))} s, a higher baud "
+            f"while {fed} fed: reading {code} {held} and {left}; "
+            f"a watchdog time of at least {_up(_least_time_s(feeds, needs_s))} s, a higher baud "
             "rate or fewer drives on the line would do"
         )
 

@@ -191,5 +191,5 @@ class Lookahead:
         spare_s = feeds.spare_s()
         if type(chosen.source) is PollingEntry:
             spare_s *= SOON
-        need_s = feeds.need_s(chosen.cost_s, chosen.worst_s)
+        need_s = feeds.need_s(chosen)
         return feeds.latest_end_s - max(need_s, spare_s)

@@ -257,7 +257,7 @@ class Schedule(DriveTable):
         if own is not None and request.fed_first < FEEDS_FIRST:
             request.fed_first += 1
             return to_feed(self._watchdog_arbiter.plain(own))
-        need_s = feeds.need_s(request.cost_s, request.worst_s)
+        need_s = feeds.need_s(request)
         fits = feeds.fits(now_s, need_s, request.drive)
         late = feeds.late(now_s)
         count = 1 if late is not None and late.drive == request.drive else len(feeds.by_drive)
@@ -271,17 +271,17 @@ class Schedule(DriveTable):
     def _make_room(self, request: Request, now_s: float) -> Request | None:
         """Run what must go before a request that does not fit now, or end it if it never will."""
         feeds = self._watchdogs
-        reason = feeds.never(request.worst_s, request.drive)
+        reason = feeds.never(request)
         if reason and request.told is not None:
             request.shorten(feeds.most_s(request.drive)[0] * MEASURED_PART)
-            reason = feeds.never(request.worst_s, request.drive)
+            reason = feeds.never(request)
         if reason and feeds.is_measured and not feeds.by_manual:
             return self._admit_by_manual(request, now_s)
         if reason:
             self._refuse(request, reason, now_s)
             return None
         if request.rooms < ROOMS_PER_FEED * len(feeds.by_drive):
-            need_s = feeds.need_s(request.cost_s, request.worst_s)
+            need_s = feeds.need_s(request)
             feed = feeds.room(now_s, need_s, request.drive)
             if feed is not None:
                 request.rooms += 1
@@ -306,7 +306,7 @@ class Schedule(DriveTable):
             return None
         feeds.count_by(manual=True)
         try:
-            need_s = feeds.need_s(request.cost_s, request.worst_s)
+            need_s = feeds.need_s(request)
             if not feeds.fits(now_s, need_s, request.drive):
                 return self._make_room(request, now_s)
         finally:

@@ -150,7 +150,7 @@ class SilentStops:
         """
         feeds = self._watchdogs
         if stop.drive not in self._waiting.silent:
-            return feeds.need_s(stop.cost_s, stop.worst_s)
+            return feeds.need_s(stop)
         most_s, _ = feeds.most_s(stop.drive)
         room_s = max(most_s - stop.worst_s, 0.0) / 2
         return stop.worst_s + min(feeds.lost_s(), room_s)

@@ -103,4 +103,4 @@ class WatchdogArbiter:
         if not feed.outlasts(now_s, request.unfed_s):
             return False
         feeds = self._watchdogs
-        return feeds.fits(now_s, feeds.need_s(request.cost_s, request.worst_s), feed.drive)
+        return feeds.fits(now_s, feeds.need_s(request), feed.drive)

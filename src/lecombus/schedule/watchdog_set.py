@@ -17,9 +17,9 @@ is one comparison; it is computed again, O(n log n), only when the bound is reac
 The spare. Costs are those of answered exchanges, and a lost answer holds the line for longer. So
 feeding begins while L is still further away than three failed attempts, though never further than
 half of what it is at best, so that short watchdogs do not take the whole line (`spare_s`), but in
-any case while the lost answers that are tolerated would still fit. What was
-measured of slow drives counts in all of this, unless it leaves no room for a single failed feed: it
-may be wrong, and could not be held if it were right. Then the manual counts.
+any case while the lost answers that are tolerated would still fit, and a stop with one of them.
+What was measured of slow drives counts in all of this, unless it leaves no room for a single failed
+feed: it may be wrong, and could not be held if it were right. Then the manual counts.
 
 A feed that can no longer be in time is left out of L: waiting for it would cost the others
 theirs. A drive that does not answer is tried again after half the time that is left, or sooner if
@@ -35,6 +35,7 @@ from operator import attrgetter, itemgetter
 from typing import Final
 
 from lecombus.schedule.fault_hypothesis import FaultHypothesis
+from lecombus.schedule.request import Request
 from lecombus.schedule.watchdog_deadline import HARD_PART, SPARE_ATTEMPTS, WatchdogDeadline
 
 __all__ = ["WatchdogSet"]
@@ -50,13 +51,15 @@ class WatchdogSet:
     """The watchdogs of all drives of a line."""
 
     __slots__ = (
-        "_due_from_s", "_latest_end_s", "_left_out", "_lost", "_spare_s", "by_drive", "by_manual",
-        "faults",
+        "_due_from_s", "_latest_end_s", "_left_out", "_lost", "_measured", "_most", "_spare_s",
+        "by_drive", "by_manual", "faults",
     )  # fmt: skip
 
     def __init__(self, faults: FaultHypothesis | None = None) -> None:
         self.faults = faults or FaultHypothesis()
-        self._lost: tuple[float, float, float] | None = None  # see `need_s`; None: to be computed
+        self._lost: tuple[float, float] | None = None  # see `_losses`; None: to be computed
+        self._measured: bool | None = None  # see `is_measured`; None: to be looked at
+        self._most: dict[str, float] = {}  # by drive spoken to: the most slack that there ever is
         self.by_drive: dict[str, WatchdogDeadline] = {}
         self._latest_end_s = math.inf  # a lower bound of L, see above
         self._due_from_s = math.inf  # a lower bound: no feed is due before
@@ -79,31 +82,49 @@ class WatchdogSet:
             feed.cost_s, feed.worst_s = feed.costs.told if manual else feed.costs.measured
         self._latest_end_s = self._due_from_s = -math.inf
         self._spare_s = self._lost = None
+        self._measured = None
+        self._most.clear()
 
-    def need_s(self, cost_s: float, worst_s: float) -> float:
+    def need_s(self, request: Request) -> float:
         """Return how much slack it takes to begin an exchange: room for what may be lost, seconds.
 
         Never more than there ever is, if the exchange fits at all: it must begin at some time.
         """
-        lost_s, tenth_s, most_s = self._losses()
-        need_s = self.faults.need_s(cost_s, worst_s, lost_s, tenth_s)
-        return max(min(need_s, most_s - ROUNDING_S), worst_s)
+        need_s = self.faults.need_s(request.cost_s, request.worst_s, *self._losses())
+        most_s = self._most.get(request.drive)
+        if most_s is None:
+            most_s = self._most[request.drive] = self.most_s(request.drive)[0]
+        return max(min(need_s, most_s - ROUNDING_S), self._least_room_s(request) - ROUNDING_S)
 
-    def _losses(self) -> tuple[float, float, float]:
-        """Give the longest lost feed, a tenth of the shortest watchdog time, and the most slack."""
+    def _least_room_s(self, request: Request) -> float:
+        """Return how much slack there must be at some time for an exchange, or it is not begun.
+
+        Where measured times count, room for its own lost answer is enough: they may be wrong.
+        """
+        if request.told is not None or self.is_measured:
+            return request.worst_s
+        return self.least_room_s(request.cost_s, request.worst_s)
+
+    def least_room_s(self, cost_s: float, worst_s: float) -> float:
+        """Return how much slack an exchange takes with a stop and one lost answer, at least."""
+        return self.faults.least_room_s(cost_s, worst_s, *self._losses())
+
+    def _losses(self) -> tuple[float, float]:
+        """Give the longest lost feed, and a tenth of the shortest watchdog time."""
         if self._lost is None:
             active = [feed for feed in self.by_drive.values() if feed.active]
             self._lost = (
                 max((feed.worst_s for feed in active), default=0.0),
                 (1.0 - HARD_PART) * min((feed.time_s for feed in active), default=0.0),
-                self.most_s("")[0],
             )
         return self._lost
 
     @property
     def is_measured(self) -> bool:
         """Whether something was measured that makes a feed longer than its manual does."""
-        return any(feed.costs.is_longer for feed in self.by_drive.values())
+        if self._measured is None:
+            self._measured = any(feed.costs.is_longer for feed in self.by_drive.values())
+        return self._measured
 
     def tenth_s(self) -> float:
         """Return the last tenth of the shortest watchdog time, seconds: it is there to be used."""
@@ -223,18 +244,21 @@ class WatchdogSet:
             return None
         if own.hard_s > other.hard_s and not self.fits(now_s, own.worst_s, drive):
             return None
-        lost_s, tenth_s, most_s = self._losses()
-        behind_s = min(self.faults.behind_s(lost_s, tenth_s), most_s)
+        behind_s = min(self.faults.behind_s(*self._losses()), self.most_s("")[0])
         behind_s = max(self.faults.tolerate * own.worst_s, behind_s)
         return own if now_s + other.cost_s + behind_s + own.cost_s > own.hard_s else None
 
-    def never(self, worst_s: float, drive: str) -> str:
+    def never(self, request: Request) -> str:
         """Return why an exchange with a drive can never run, if it cannot; else an empty text."""
-        most_s, whose = self.most_s(drive)
-        if worst_s <= most_s:
+        most_s, whose = self.most_s(request.drive)
+        if request.worst_s > most_s:
+            takes = f"hold the line for {request.worst_s:.3f} s"
+        elif (need_s := self._least_room_s(request)) > most_s + ROUNDING_S:
+            takes = f"keep feeds waiting for {need_s:.3f} s with a stop behind it and a lost answer"
+        else:
             return ""
         return (
-            f"it may hold the line for {worst_s:.3f} s, and {most_s:.3f} s is the most that "
+            f"it may {takes}, and {most_s:.3f} s is the most that "
             f"keeping the watchdogs leaves at any time (drive {whose}, watchdog "
             f"{self.by_drive[whose].time_s:g} s)"
         )
@@ -244,7 +268,10 @@ class WatchdogSet:
         if self._spare_s is None:
             best_s = max(self.most_s("")[0], 0.0)
             tolerated_s = self.faults.tolerate * self.lost_s() / SPARE_ATTEMPTS
-            self._spare_s = min(self.lost_s(), max(SPARE_PART * best_s, min(tolerated_s, best_s)))
+            spare_s = min(self.lost_s(), max(SPARE_PART * best_s, min(tolerated_s, best_s)))
+            # A stop goes at any time: a feed must leave room for a lost one, on an idle line too.
+            cost_s = max((feed.cost_s for feed in self.by_drive.values() if feed.active), default=0)
+            self._spare_s = max(spare_s, min(self.least_room_s(cost_s, 0.0), best_s))
         return self._spare_s
 
     def lost_s(self) -> float:
