@@ -271,7 +271,8 @@ class WatchdogSet:
             spare_s = min(self.lost_s(), max(SPARE_PART * best_s, min(tolerated_s, best_s)))
             # A stop goes at any time: a feed must leave room for a lost one, on an idle line too.
             cost_s = max((feed.cost_s for feed in self.by_drive.values() if feed.active), default=0)
-            self._spare_s = max(spare_s, min(self.least_room_s(cost_s, 0.0), best_s))
+            more_s = max(self.faults.tolerate - 1, 0) * self.lost_s() / SPARE_ATTEMPTS
+            self._spare_s = max(spare_s, min(more_s + self.least_room_s(cost_s, 0.0), best_s))
         return self._spare_s
 
     def lost_s(self) -> float:
