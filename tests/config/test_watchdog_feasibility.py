@@ -6,7 +6,6 @@ import re
 from random import Random
 
 import pytest
-from lecombus.operations.request_maker import ignore_end
 
 from lecombus.capacity.exchange_costs import dearest_feed_times, read_times
 from lecombus.capacity.plan import make_plan
@@ -16,6 +15,7 @@ from lecombus.capacity.work_ahead import feeds_of
 from lecombus.config import RosterError, line_timing
 from lecombus.config.warnings import find_warnings
 from lecombus.durations import parse_duration
+from lecombus.fieldbus.lecom.request_maker import ignore_end
 from lecombus.schedule import Priority, Request
 
 from .rosters import parsed, said
