@@ -174,9 +174,10 @@ class SimLine:
         if self.faults.unplugged:
             return
         heard, echo = data, data
-        if self._spoiler.happens(self.faults.request_noise):
+        faults = self.faults
+        if faults.request_noise and self._spoiler.happens(faults.request_noise):
             heard = self._spoiler.one_character(data)
-        if self._spoiler.happens(self.faults.bad_echo):
+        if faults.bad_echo and self._spoiler.happens(faults.bad_echo):
             echo = self._spoiler.one_character(data)
         start_s = max(now_s, self._host_free_s)
         char_s = self._char_s
@@ -198,16 +199,22 @@ class SimLine:
         before_s = start_s - self._char_s  # well before: no rounding decides
         return all(speech.end_s(self._char_s) < before_s for speech in self._speaking)
 
-    def next_event_s(self) -> float | None:
-        """When `poll` is worth calling again; None when nothing is under way."""
+    def next_event_s(self, *, gathered: bool = False) -> float | None:
+        """When `poll` is worth calling again; None when nothing is under way.
+
+        Args:
+            gathered: What arrives is gathered from the moment at which a drive begins to speak.
+        """
         next_s = self._outbox.next_s()
         if self._incoming:
             # Without echo nothing comes of a telegram before its last character has arrived.
             heard_s = self._incoming[0 if self.faults.echo else -1][0]
             next_s = heard_s if next_s is None or heard_s < next_s else next_s
         if self._events:
-            event_s = self._events[0][0]
-            next_s = event_s if next_s is None or event_s < next_s else next_s
+            first_s = self._events[0][0]
+            if not gathered:  # a drive begins to speak: there is nothing to give before its first
+                first_s += self._char_s
+            next_s = first_s if next_s is None or first_s < next_s else next_s
         return next_s
 
     def poll(self, now_s: float) -> bytes:
@@ -248,17 +255,15 @@ class SimLine:
     def _run(self, now_s: float) -> None:
         incoming, events = self._incoming, self._events
         while True:
-            next_in = incoming[0][0] if incoming else None
-            next_event = events[0][0] if events else None
-            if next_in is not None and (next_event is None or next_in <= next_event):
-                if next_in > now_s:
+            if incoming and (not events or incoming[0][0] <= events[0][0]):
+                if incoming[0][0] > now_s:
                     return
                 at_s, byte, echo, whole = incoming.popleft()
                 if whole is None:
                     self._character(at_s, byte, echo)
                 else:
                     self._request(at_s, whole)
-            elif next_event is not None and next_event <= now_s:
+            elif events and events[0][0] <= now_s:
                 at_s, _, kind, speech = heappop(events)
                 if kind is _Event.SPEAK:
                     self._speak(speech, at_s)
@@ -285,7 +290,16 @@ class SimLine:
         self.requests += 1
         if self.on_request is not None:
             self.on_request(at_s, heard)
-        self._dispatch(heard, at_s)
+        for drive in self._reached(heard.address):
+            faults = self._faults_of(drive)
+            if faults.unheard and self._spoiler.happens(faults.unheard):
+                continue
+            if heard.address % 10 == 0:
+                drive.hear_group(heard, at_s)
+            elif faults.power_cycle and self._spoiler.happens(faults.power_cycle):
+                drive.power_cycle(at_s, faults.power_off_s)
+            else:
+                self._ask(drive, heard, at_s, faults)
 
     def _collide(self, at_s: float) -> None:
         """The host's character overlaps with what drives are saying."""
@@ -343,31 +357,19 @@ class SimLine:
             return self.faults
         return self.drive_faults.get(drive.address, self.faults)
 
-    def _dispatch(self, heard: ReceivedRequest, at_s: float) -> None:
-        for drive in self._reached(heard.address):
-            faults = self._faults_of(drive)
-            if self._spoiler.happens(faults.unheard):
-                continue
-            if heard.address % 10 == 0:
-                drive.hear_group(heard, at_s)
-            elif self._spoiler.happens(faults.power_cycle):
-                drive.power_cycle(at_s, faults.power_off_s)
-            else:
-                self._ask(drive, heard, at_s, faults)
-
     def _ask(self, drive: SimDrive, heard: ReceivedRequest, at_s: float, faults: Faults) -> None:
         if heard.text is not None and not heard.damaged and self._spoiler.happens(faults.nak):
             reply: Reply | None = drive.refuse(at_s)
         else:
-            if self._spoiler.happens(faults.damaged):
+            if faults.damaged and self._spoiler.happens(faults.damaged):
                 heard = replace(heard, damaged=True)
             reply = drive.hear(heard, at_s, self._spoiler.rng, nak_reads=faults.nak_reads)
-        if reply is None or self._spoiler.happens(faults.lost):
+        if reply is None or (faults.lost and self._spoiler.happens(faults.lost)):
             return
         begin_s = at_s + reply.after_s * self._think_scale
         data = self._answer(reply.data, drive, faults)
         speech = Speech(drive, data, begin_s, 0.0, False, len(reply.data))
-        if self._spoiler.happens(faults.late):
+        if faults.late and self._spoiler.happens(faults.late):
             extra_s = self._spoiler.rng.uniform(*faults.late_s)
             if faults.late_kind is LateKind.ADAPTER:
                 speech.held_up_s = extra_s
@@ -388,7 +390,8 @@ class SimLine:
             self._thinking.remove(speech)
         if speech.cut_at_s is not None:
             return
-        self._speaking = [other for other in self._speaking if other.end_s(self._char_s) > at_s]
+        if self._speaking:
+            self._speaking = [one for one in self._speaking if one.end_s(self._char_s) > at_s]
         for other in self._speaking:
             # Two drives send simultaneously: neither can be understood from here on.
             self.clashes += 1
@@ -408,7 +411,7 @@ class SimLine:
         self._deliver(speech, at_s)
         faults = self._faults_of(speech.drive)
         twin = speech.drive.address in self.faults.twins
-        if twin or self._spoiler.happens(faults.double):
+        if twin or (faults.double and self._spoiler.happens(faults.double)):
             least_s, most_s = TWIN_S if twin else faults.double_s
             later_s = at_s + self._spoiler.rng.uniform(least_s, most_s)
             copy = Speech(speech.drive, speech.data, later_s, 0.0, True, speech.own_chars)

@@ -69,7 +69,7 @@ class MemoryPort:
 
     def look(self) -> None:
         """Hand over what has arrived, without waiting for the loop to come to it."""
-        due_s = self._line.next_event_s()
+        due_s = self._line.next_event_s(gathered=self._latency_s > 0.0)
         if self._open and due_s is not None and due_s + self._latency_s <= self._loop.time():
             self._disarm()
             self._due()
@@ -95,7 +95,7 @@ class MemoryPort:
     def _arm(self) -> None:
         if self._timer is not None:
             self._timer.cancel()
-        due_s = self._line.next_event_s()
+        due_s = self._line.next_event_s(gathered=self._latency_s > 0.0)
         self._timer = (
             None if due_s is None else self._loop.call_at(due_s + self._latency_s, self._due)
         )

@@ -195,7 +195,9 @@ class Model:
             self.expire(action)
             self.steer()
         if now_s > self._now_s:
-            self.motor.advance(now_s - self._now_s)
+            motor = self.motor
+            if motor.speed != motor.target:
+                motor.advance(now_s - self._now_s)
             self._now_s = now_s
 
     def _look_again(self) -> None:

@@ -91,17 +91,38 @@ class Outbox:
     def take(self, now_s: float) -> bytes:
         """Give what has arrived by now."""
         heap = self._heap
+        if len(heap) == 1:  # nearly always: nothing comes between its bytes
+            return self._take_alone(now_s)
         arrived = b""
         while heap and heap[0][0] <= now_s:
             _, count, run = heappop(heap)
-            begin, size = run.taken, len(run.data)
-            alone = not heap and run.at_s(size - 1) <= now_s
-            end = size if alone else self._end(run, count, now_s)
+            begin = run.taken
+            end = self._end(run, count, now_s)
             arrived += self._as_heard(run, begin, end)
-            if end < size:
+            if end < len(run.data):
                 run.taken = end
                 heappush(heap, (run.at_s(end), count, run))
         return arrived
+
+    def _take_alone(self, now_s: float) -> bytes:
+        """Give what has arrived of the only run."""
+        at_s, count, run = self._heap[0]
+        if at_s > now_s:
+            return b""
+        base_s, char_s = run.base_s, run.char_s
+        begin, size = run.taken, len(run.data)
+        end = begin + 1
+        if base_s + size * char_s <= now_s:
+            end = size
+        while end < size:
+            at_s = base_s + (end + 1) * char_s
+            if at_s > now_s:
+                run.taken = end
+                self._heap[0] = (at_s, count, run)
+                return self._as_heard(run, begin, end)
+            end += 1
+        self._heap.clear()
+        return self._as_heard(run, begin, end)
 
     def _end(self, run: _Run, count: int, now_s: float) -> int:
         """Find how far a run comes before it is too late, or the turn of another one's byte."""

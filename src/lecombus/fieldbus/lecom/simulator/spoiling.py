@@ -39,16 +39,16 @@ class Spoiler:
     def answer(self, reply: bytes, faults: Faults) -> bytes:
         """Put an answer's characters on the wire, with the faults that occur."""
         rng = self.rng
-        if len(reply) > 1 and self.happens(faults.bad_bcc):
+        if faults.bad_bcc and len(reply) > 1 and self.happens(faults.bad_bcc):
             reply = reply[:-1] + bytes((reply[-1] ^ 1 << rng.randrange(7),))
-        if len(reply) > 2 and self.happens(faults.endless):
+        if faults.endless and len(reply) > 2 and self.happens(faults.endless):
             reply = reply[:-2] + b"0" * ENDLESS_CHARS + reply[-2:]
         data = reply.translate(PARITY_TABLE) if self._parity else reply
-        if self.happens(faults.parity):
+        if faults.parity and self.happens(faults.parity):
             data = _flip(data, rng.randrange(len(data)), 0x80)
-        if len(data) > 1 and self.happens(faults.half):
+        if faults.half and len(data) > 1 and self.happens(faults.half):
             data = data[: rng.randrange(1, len(data))]
-        if self.happens(faults.noise):
+        if faults.noise and self.happens(faults.noise):
             data = make_noise(data, rng, parity=self._parity)
         return data
 

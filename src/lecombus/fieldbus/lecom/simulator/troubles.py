@@ -8,7 +8,7 @@ there exactly as long as its cause. Every fault enters the memory, newest first.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from enum import Enum, auto
+from enum import IntEnum, auto
 from typing import Final
 
 __all__ = ["Kind", "Troubles", "kinds"]
@@ -16,7 +16,7 @@ __all__ = ["Kind", "Troubles", "kinds"]
 _PLACES: Final = 8
 
 
-class Kind(Enum):
+class Kind(IntEnum):
     """What a fault does to the drive. Source: EDB2102EN 8.2, C0161, C0168."""
 
     TRIP = auto()
