@@ -123,7 +123,11 @@ class _Timer(asyncio.TimerHandle):
 
     def cancel(self) -> None:
         self._cancelled = True
-        self._callback = self._args = None  # what it kept alive need not live until its time
+        self._callback, self._args = _nothing, ()  # what they kept alive need not live on
+
+
+def _nothing() -> None:
+    """Stand for the callback of a timer that was cancelled."""
 
 
 class VirtualLoop(asyncio.SelectorEventLoop):

@@ -49,7 +49,11 @@ def word_text(word: int) -> str:
 
 def word_of(flags: Mapping[int, bool]) -> int:
     """Make a word of its bits, by their numbers."""
-    return sum(1 << bit for bit, on in flags.items() if on)
+    word = 0
+    for bit, on in flags.items():
+        if on:
+            word |= 1 << bit
+    return word
 
 
 def tens_digit(number: int) -> int:
