@@ -48,6 +48,7 @@ __all__ = [
     "knows_stop",
     "may_ignore",
     "needs_control_word",
+    "shown_after",
     "stop_confirmed",
     "stop_steps",
     "stop_value",
@@ -245,6 +246,17 @@ def confirm_codes(family: Family, action: StopAction) -> tuple[Code, ...]:
         OperationError: kind `no-stop`.
     """
     return tuple(_rule(family, action).proofs)
+
+
+def shown_after(family: Family, code: Code) -> tuple[Code, ...]:
+    """Return what is read after a write of a code that stops drives or lets them run.
+
+    First what shows the stop, then the first status word: with it the motion is known. Empty for
+    any other code.
+    """
+    rules = [rule for rule in family.stops.values() if rule.code == code]
+    shown_by = [proof for rule in rules for proof in list(rule.proofs)[:1]]
+    return tuple(dict.fromkeys((*shown_by, *list(family.words)[:1]))) if rules else ()
 
 
 def inhibit_proofs(family: Family) -> Mapping[Code, StopProof]:

@@ -22,6 +22,7 @@ from typing import Final
 
 from lecombus.drive_runtime import Drive
 from lecombus.drives import OperatingState
+from lecombus.drives.stops import shown_after
 from lecombus.drives.verbs import status_shows_quick_stop
 from lecombus.errors import LecombusError
 from lecombus.line_events import ExchangeEvent, LineRequests
@@ -108,14 +109,11 @@ class CommandEffects:
 
     def written(self, drive: Drive, code: Code) -> None:
         """A code was written: read what shows the effect, if it stops drives or lets them run."""
-        family = drive.family
-        rules = [rule for rule in family.stops.values() if rule.code == code]
-        shown_by = [proof for rule in rules for proof in list(rule.proofs)[:1]]
-        if rules:
+        codes = shown_after(drive.family, code)
+        if codes:
             drive.speed.turns = None  # what its speed does now was asked for
-            # The first status word comes last: with it the motion is known.
-            for one in dict.fromkeys((*shown_by, *list(family.words)[:1])):
-                self._after_command.want(drive, one)
+        for one in codes:
+            self._after_command.want(drive, one)
 
     def seen(self, drive: Drive, code: Code, value: Value) -> None:
         """Take a new value: of the speed, or of a status word that shows that it is 0."""
