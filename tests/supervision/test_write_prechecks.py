@@ -248,11 +248,13 @@ def test_where_extended_addressing_is_ruled_out_nothing_is_believed_and_nothing_
 def test_a_drive_whose_identity_the_line_has_no_time_for_works_all_the_same() -> None:
     """Reading a string may hold the line for longer than the others' watchdogs can wait."""
     drives = [(f"d{address}", address, "smvector") for address in range(1, 5)]
-    roster = roster_of(drives, baud=1200, watchdog="{time: 2200ms, action: quick-stop}")
+    roster = roster_of(
+        drives, baud=1200, watchdog="{time: 2000ms, action: quick-stop}", line=", tolerate: 0"
+    )
 
     async def test(plant: Plant) -> None:
         for drive in plant.line.drives:
-            drive.model.params.set(1425, "2200")
+            drive.model.params.set(1425, "2000")
             drive.model.params.set(1426, "2")
         await plant.online()
         remarks = plant.site.store.drive("d1").remarks.values()
