@@ -40,7 +40,7 @@ def check(size: int, name: str) -> None:
         assert before.worse_than(Picture(wrote_s={"": 0.3})) == []
         await PATTERNS[name].happen(plant)
         for _ in range(int(AFTER_S)):
-            plant.site.note_cadence()
+            plant.site.watch.look()
             await anyio.sleep(1.0)
         assert (await look(plant, 11)).worse_than(before) == []
 

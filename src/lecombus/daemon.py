@@ -188,7 +188,7 @@ class Daemon:
             runtime.operations,
             runtime.store,
             runtime.metrics,
-            plan_facts=runtime.plan_facts,
+            plan_facts=lambda: runtime.watch.plan_facts(runtime.roster),
             line_name=self._roster.line.name,
             port=self._roster.line.port,
             baud=self._roster.line.baud,
@@ -243,8 +243,8 @@ class Daemon:
     async def _tick(self, faces: anyio.abc.TaskGroup, runtime: LineRuntime) -> None:
         """Report to the service manager, and update the store, once a second."""
         while True:
-            runtime.note_cadence()
-            if not self._looking and runtime.wants_look_at_port():
+            runtime.watch.look()
+            if not self._looking and runtime.watch.wants_look_at_port():
                 self._looking = True
                 faces.start_soon(self._look_at_port, runtime)
             if not self._ready and runtime.tried_all():
@@ -262,7 +262,7 @@ class Daemon:
         """Look who else has the port open, beside the line."""
         port = self._roster.line.port
         try:
-            runtime.port_watch.found(
+            runtime.watch.port.found(
                 await anyio.to_thread.run_sync(others_at, port, abandon_on_cancel=True)
             )
         finally:

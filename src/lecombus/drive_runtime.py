@@ -187,7 +187,7 @@ class RunningAudit:
 class AuditRecord:
     """How far the drive's audit has come.
 
-    Changed by `drive_supervisor`, `audit_queue` and `watchdogs` of `supervision`.
+    Changed by `drive_supervisor`, `health` and `watchdogs` of `supervision`.
 
     Args:
         running: The audit under way or waiting to begin.
@@ -204,7 +204,7 @@ class AuditRecord:
 
 @dataclass(slots=True)
 class AnswerTimeRecord:
-    """What was said of its answer times (`supervision.slow_drives`).
+    """What was said of its answer times (`supervision.line_requests`).
 
     Args:
         seen: The measured times that were looked at last.
@@ -217,7 +217,7 @@ class AnswerTimeRecord:
 
 @dataclass(slots=True)
 class FeedRecord:
-    """What was said of its watchdog's feeding (`supervision.drive_supervisor`).
+    """What was said of its watchdog's feeding (`supervision.line_watch`).
 
     Args:
         lapses: How often the schedule had counted a lapse at the last look.
@@ -332,7 +332,7 @@ class Drive:
         """The address that the roster's file gives it (`operations.readdress`)."""
         self.feed = FeedRecord()
         self.cyclic: dict[Code, PollingEntry] = {}
-        """The reads that the schedule repeats (`supervision.cyclic_reads`)."""
+        """The reads that the schedule repeats (`supervision.drive_changes`)."""
         self.probe: Callable[[], Request] | None = None
         """Makes the read that asks whether it is back, while it is offline."""
         self.begin(entry, station)
@@ -357,7 +357,7 @@ class Drive:
             watchdog_s=watched_s(entry),
             watchdog_inhibits=entry.watchdog is not None and entry.watchdog.action == "inhibit",
         )
-        """Changed by `event_records`, `audit_queue`, `drive_changes` and `write_prechecks`, and by
+        """Changed by `exchange_recorder`, `health`, `drive_changes` and `write_prechecks`, and by
         `stop_requests`, `writes` and `group_writes` of `operations`."""
 
     @property

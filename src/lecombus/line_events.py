@@ -97,3 +97,6 @@ class LineRequests(Protocol):
             drive: The drive.
             early: Whether it acknowledges a write before it has passed it on; None: not known.
         """
+
+    def use_answer_times(self, drive: Drive) -> None:
+        """Use the answer times that a drive was measured with, where they are others now."""

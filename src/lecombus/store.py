@@ -1,11 +1,10 @@
 """What is known about the line, its drives and their values, at any moment.
 
-`supervision.event_records.StoreRecord` writes values here (`value_read`, `value_failed`), health
-and supervisor write states and
-remarks, and all interfaces read. Strategy: one mutable cell per drive and code, so that the write
-behind every exchange is two dictionary look-ups and three assignments; quality, age and time of
-day are calculated only for a request, from the state at that time (`judging`). So an old value
-cannot pass for a fresh one: no code has to mark it.
+`supervision.exchange_recorder` writes values here (`value_read`, `value_failed`), health and
+supervisor write states and remarks, and all interfaces read. Strategy: one mutable cell per drive
+and code, so that the write behind every exchange is two dictionary look-ups and three assignments;
+quality, age and time of day are calculated only for a request, from the state at that time
+(`judging`). So an old value cannot pass for a fresh one: no code has to mark it.
 
 Everything runs on one event loop thread: there are no locks. Memory is bounded: besides the
 cyclic codes a drive keeps at most `ON_DEMAND_LIMIT` codes, the first asked for going first.

@@ -48,7 +48,7 @@ async def behind_http(plant: Plant, name: str = "a") -> AsyncIterator[HttpDrive]
     """The drive as the command line sees it."""
     app = create_app(
         plant.site.operations, plant.site.store, plant.site.metrics,
-        plan_facts=plant.site.plan_facts,
+        plan_facts=lambda: plant.site.watch.plan_facts(plant.site.roster),
         line_name="t", ready=lambda: (True, ""), healthy=lambda: (True, ""),
         clock=anyio.current_time,
     )  # fmt: skip

@@ -15,8 +15,7 @@ from lecombus.capacity.work_ahead import feeds_of
 from lecombus.config import RosterError, line_timing
 from lecombus.config.warnings import find_warnings
 from lecombus.durations import parse_duration
-from lecombus.fieldbus.lecom.request_maker import ignore_end
-from lecombus.schedule import Priority, Request
+from lecombus.schedule import Priority, Request, ignore_end
 
 from .rosters import parsed, said
 

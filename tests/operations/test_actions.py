@@ -13,6 +13,7 @@ import pytest
 
 from lecombus.drives import StopAction, Verb
 from lecombus.errors import OperationError
+from lecombus.fieldbus.lecom.readdress import Readdress
 from lecombus.operations.actions import (
     ACTOR,
     EACH,
@@ -22,8 +23,10 @@ from lecombus.operations.actions import (
     Actions,
     Actor,
 )
+from lecombus.operations.context import OperationContext
 from lecombus.operations.facade import Operations
 from lecombus.operations.group_writes import GroupWrites
+from lecombus.operations.identities import Identities
 from lecombus.operations.reports import GroupReport, VerbReport, WriteReport
 from lecombus.operations.stop_requests import Stops
 from lecombus.operations.verb_operations import Verbs
@@ -101,14 +104,21 @@ def recorded(actions: Actions, monkeypatch: pytest.MonkeyPatch) -> Recorded:
     """The operations of a line, each of which ends as the drives say."""
 
     def make(drives: Drives) -> Operations:
-        parts = {Writes: "write", GroupWrites: "write_group", Stops: "stop", Verbs: "verb"}
+        parts = {
+            Writes: "write", GroupWrites: "write_group", Stops: "stop", Verbs: "verb",
+            Identities: "accept", Readdress: "change",
+        }  # fmt: skip
         for part, name in parts.items():
             monkeypatch.setattr(part, name, getattr(drives, name))
-        context = Mock(is_secret=lambda target, code: code == PASSWORD)
-        return Operations(
-            context, actions, Mock(accept=drives.accept), Mock(change=drives.change),
-            restarted=Mock(), times_changed=Mock(),
-        )  # fmt: skip
+        monkeypatch.setattr(
+            OperationContext, "is_secret", lambda context, target, code: code == PASSWORD
+        )
+        line, state = Mock(), Mock()
+        operations = Operations(
+            Mock(), Mock(), state, line, Mock(), Mock(), follow=Mock(), disturbances=Mock()
+        )
+        operations.actions = actions
+        return operations
 
     return make
 

@@ -163,7 +163,7 @@ def a_parameter(plant: Plant) -> Code:
 
 
 async def audit(plant: Plant) -> None:
-    plant.site.audits.ask(plant.site.drives.get("a"))
+    plant.site.health.audits.ask(plant.site.drives.get("a"))
     await anyio.sleep(3.0)
 
 

@@ -9,10 +9,10 @@ from lecombus.errors import OperationError
 from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.exchanges.jobs import MulticastJob, ReadJob, WriteJob
 from lecombus.fieldbus.lecom.protocol.addressing import Form
-from lecombus.fieldbus.lecom.request_maker import RequestMaker, form_of, ignore_end
+from lecombus.fieldbus.lecom.request_maker import RequestMaker, form_of
 from lecombus.fieldbus.station import Station
 from lecombus.parameters import Code, Value
-from lecombus.schedule import Outcome, Priority, Request
+from lecombus.schedule import Outcome, Priority, Request, ignore_end
 
 COUNTED: list[tuple[Priority, Outcome]] = []
 TIMING = LineTiming(9600, adapter_latency_s=0.016, quarantine_s=0.05)

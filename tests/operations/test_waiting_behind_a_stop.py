@@ -181,7 +181,7 @@ def test_a_stop_ends_a_change_of_address_before_it_is_written() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()
         await plant.site.operations.stop(INHIBIT, "a")
-        moving = asyncio.create_task(plant.site.readdress.change("a", 19))
+        moving = asyncio.create_task(plant.site.operations.readdressing.change("a", 19))
         await anyio.sleep(0.05)
         assert (await plant.site.operations.stop(QUICK, "a")).outcome is Outcome.VERIFIED
         report = await moving

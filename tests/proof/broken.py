@@ -29,7 +29,7 @@ from lecombus.schedule import (
     watchdog_deadline,
     watchdog_set,
 )
-from lecombus.supervision import cyclic_reads
+from lecombus.supervision import drive_changes
 from proof import invariants
 
 __all__ = ["BROKEN", "broken"]
@@ -175,7 +175,7 @@ def _seldom() -> list[Patch]:
     def cyclic(drive: str, every_s: float, make: Callable[[], Request]) -> Cyclic:
         return Cyclic(drive, 3.0 * every_s, make)
 
-    return [(cyclic_reads, "Cyclic", cyclic)]
+    return [(drive_changes, "Cyclic", cyclic)]
 
 
 def _last_moment() -> list[Patch]:

@@ -293,7 +293,7 @@ def test_an_audit_asked_for_while_the_rest_is_learnt_is_not_forgotten() -> None:
             "the rest is still being learnt"
         )
         plant.line["a"].power_cycle(plant.now_s, 0.0)
-        plant.site.audits.ask(plant.site.drives.get("a"))
+        plant.site.health.audits.ask(plant.site.drives.get("a"))
         await until(lambda: plant.line["a"].model.watchdog_setting() == (2.0, 2), within_s=30.0)
 
     with_plant(test, roster_of(ONE, watchdog=GUARD))
@@ -414,7 +414,7 @@ def test_no_watchdog_is_called_missed_of_a_drive_not_heard_since_the_port_was_op
     async def looked_at(plant: Plant, for_s: int) -> None:
         for _ in range(for_s):
             await anyio.sleep(1.0)
-            plant.site.note_cadence()
+            plant.site.watch.look()
 
     async def test(plant: Plant) -> None:
         plant.line.faults.absent = {11}
@@ -441,7 +441,7 @@ def test_drives_that_are_all_silent_are_not_told_one_by_one(
         caplog.set_level("INFO")
         await anyio.sleep(20.0)
         assert plant.site.health.is_silent
-        assert plant.site.wants_look_at_port()
+        assert plant.site.watch.wants_look_at_port()
         assert offline() == []
         assert not [one for one in caplog.messages if "audit-failed" in one]
         plant.line.faults.absent = {12}
@@ -460,7 +460,7 @@ def test_a_watchdog_that_ran_out_unfed_is_logged_once_per_lapse(
     async def looked_at(plant: Plant, for_s: int) -> None:
         for _ in range(for_s):
             await anyio.sleep(1.0)
-            plant.site.note_cadence()
+            plant.site.watch.look()
 
     async def test(plant: Plant) -> None:
         await plant.online()
@@ -489,8 +489,8 @@ def test_one_cut_of_the_line_is_one_miss_of_each_watchdog_in_the_log_and_in_the_
     async def looked_at(plant: Plant, for_s: int) -> None:
         for _ in range(for_s):
             await anyio.sleep(1.0)
-            plant.site.note_cadence()
-            plant.site.wants_look_at_port()
+            plant.site.watch.look()
+            plant.site.watch.wants_look_at_port()
             assert plant.site.metrics.snapshot().watchdog_misses == missed()
 
     async def test(plant: Plant) -> None:

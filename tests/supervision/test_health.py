@@ -13,8 +13,7 @@ from lecombus.line_events import LineChange
 from lecombus.readings import DriveState, LineState
 from lecombus.schedule import Outcome, Priority, Request, Schedule
 from lecombus.store import Store
-from lecombus.supervision.audit_queue import AuditQueue
-from lecombus.supervision.health import Health
+from lecombus.supervision.health import AuditQueue, Health
 from support.single_drives import drive_of
 
 STARTING, ONLINE, DEGRADED, OFFLINE = (
@@ -47,7 +46,8 @@ class Ward:
         self.drive.probe = self._probe
         self.drives.put(self.drive)
         self.queue = CountedAudits()
-        self.health = Health(self.drives, self.schedule, self.store, self.queue, lambda: self.now_s)
+        self.health = Health(self.drives, self.schedule, self.store, lambda: self.now_s)
+        self.health.audits = self.queue
         self.health.begin(self.drive)
 
     @property
@@ -175,7 +175,7 @@ def test_a_reopened_line_begins_anew_with_every_drive() -> None:
     [
         lambda ward: ward.health.audited(ward.drive),
         lambda ward: ward.health.audit_failed(ward.drive, "x"),
-        lambda ward: ward.health.restarted("a"),
+        lambda ward: ward.health.doubted(ward.drive, "x"),
         lambda ward: ward.health.line_changed(LineChange(True, "")),
     ],
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from lecombus.schedule.polling import STRETCH_WINDOW_S
 from lecombus.store import Store
-from lecombus.supervision.poll_overload import PollOverload
+from lecombus.supervision.line_watch import PollOverload
 
 LONG = round(STRETCH_WINDOW_S) + 5
 

@@ -82,3 +82,6 @@ class AskedLine:
 
     def use_early_answers(self, drive: Drive, early: bool | None) -> None:
         self.early.append(early)
+
+    def use_answer_times(self, drive: Drive) -> None:
+        raise AssertionError("no event changes the answer times in use")

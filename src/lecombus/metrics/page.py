@@ -18,6 +18,7 @@ import anyio
 import anyio.lowlevel
 from prometheus_client import ProcessCollector
 
+from lecombus import __version__
 from lecombus.metrics.counters import Counters
 from lecombus.metrics.exposition import Block, escape, join_blocks, sample_lines
 from lecombus.metrics.gauges import DriveGauges, LineGauges, LineSnapshot
@@ -55,7 +56,7 @@ class Metrics:
         line: str,
         store: Store,
         *,
-        version: str,
+        version: str = __version__,
         clock: Callable[[], float],
         snapshot: Callable[[], LineSnapshot] = LineSnapshot,
     ) -> None:

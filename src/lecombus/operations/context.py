@@ -13,6 +13,7 @@ from lecombus.drive_runtime import LastingRecord
 from lecombus.drives.stops import asks_to_stop
 from lecombus.errors import OperationError, meant
 from lecombus.fieldbus.station import Station
+from lecombus.line_events import LineRequests
 from lecombus.operations.nak_diagnosis import NakDiagnosis
 from lecombus.operations.permissions import Permissions
 from lecombus.operations.requests import Requests
@@ -21,6 +22,7 @@ from lecombus.operations.why import Why
 from lecombus.parameters import Code, Value
 from lecombus.readings import DriveState
 from lecombus.schedule.request import STOPPED
+from lecombus.state import State
 from lecombus.store import Store
 
 __all__ = ["OperationContext"]
@@ -40,13 +42,15 @@ class OperationContext:
     Args:
         requests: Sends requests.
         store: The last values and states of the drives.
-        wear: Counts and limits writes to the drives' EEPROMs.
+        state: What outlives the daemon.
+        line: Has a drive audited that was made to restart.
         clock: Monotonic time, seconds.
         disturbances: How often the line has carried something that was no answer.
 
     Attributes:
         entries: The roster's drives by name.
         groups: The roster's groups by name.
+        wear: Counts and limits writes to the drives' EEPROMs.
         permissions: Whether a write may be made.
         diagnosis: Why a drive refused.
         why: Why a drive does not turn.
@@ -56,13 +60,15 @@ class OperationContext:
         self,
         requests: Requests,
         store: Store,
-        wear: Wear,
+        state: State,
+        line: LineRequests,
         clock: Callable[[], float],
-        disturbances: Callable[[], int] = lambda: 0,
+        disturbances: Callable[[], int],
     ) -> None:
         self.requests = requests
         self.store = store
-        self.wear = wear
+        self.wear = Wear(state, requests.drives, clock)
+        self.line = line
         self.clock = clock
         self.disturbances = disturbances
         self.entries: dict[str, DriveEntry] = {}

@@ -9,9 +9,9 @@ from collections.abc import Callable, Mapping
 from decimal import Decimal
 from typing import Final
 
-from lecombus.drive_runtime import Drive
 from lecombus.drives import StopAction, Verb
 from lecombus.fieldbus.lecom.readdress import Readdress
+from lecombus.line_events import LineRequests
 from lecombus.operations.actions import SECRET, Actions
 from lecombus.operations.context import OperationContext
 from lecombus.operations.findings import WhyReport
@@ -19,12 +19,14 @@ from lecombus.operations.group_writes import GroupWrites
 from lecombus.operations.identities import Identities, IdentityReport
 from lecombus.operations.reads import Reads
 from lecombus.operations.reports import GroupReport, TimesReport, VerbReport, WriteReport
+from lecombus.operations.requests import Requests
 from lecombus.operations.stop_requests import Stops
 from lecombus.operations.verb_operations import Verbs
-from lecombus.operations.verb_steps import VerbSteps
 from lecombus.operations.writes import Writes
 from lecombus.parameters import Code
 from lecombus.schedule import Priority
+from lecombus.state import State
+from lecombus.store import Store
 
 __all__ = ["Operations"]
 
@@ -33,40 +35,48 @@ class Operations:
     """The operations of one line. What only reads is a method of the object that carries it out.
 
     Args:
-        context: What the operations share.
+        requests: Sends requests.
+        store: The last values and states of the drives.
+        state: What outlives the daemon.
+        line: Has drives audited, and uses other answer times for them.
+        clock: Monotonic time, seconds.
+        wall: The time of day, Unix seconds.
+        follow: Makes the line speak to a drive at another address.
+        disturbances: How often the line has carried something that was no answer.
+
+    Attributes:
         actions: Logs each change.
         identities: Who the drives are.
-        readdress: Changes their addresses.
-        restarted: Called with a drive that was made to restart; it is then audited.
-        times_changed: Called with a drive whose measured times were dropped.
+        readdressing: Changes their addresses.
     """
 
     def __init__(
         self,
-        context: OperationContext,
-        actions: Actions,
-        identities: Identities,
-        readdress: Readdress,
+        requests: Requests,
+        store: Store,
+        state: State,
+        line: LineRequests,
+        clock: Callable[[], float],
+        wall: Callable[[], float],
         *,
-        restarted: Callable[[str], None],
-        times_changed: Callable[[Drive], None],
+        follow: Callable[[str, int], None],
+        disturbances: Callable[[], int],
     ) -> None:
-        self.context = context
-        self.actions = actions
-        self._identities, self._readdress = identities, readdress
-        self._times_changed = times_changed
+        self.actions = Actions(clock)
+        self.identities = Identities(state, store, wall, requests.drives, line)
+        self.readdressing = Readdress(requests, store, state, self.identities, clock, wall, follow)
+        self.context = context = OperationContext(requests, store, state, line, clock, disturbances)
         reads, self._writes = Reads(context), Writes(context)
         self._stops = Stops(context, self._writes)
         self._groups = GroupWrites(context, self._writes)
-        steps = VerbSteps(context, self._writes, self._stops, restarted)
-        self._verbs = Verbs(context, self._stops, steps)
+        self._verbs = Verbs(context, self._writes, self._stops)
         self.set_roster: Final = context.set_roster
         self.close: Final = context.permissions.close
         self.read: Final = reads.read
         self.read_address: Final = reads.read_address
         self.restore_rights: Final = self._writes.restore_rights
         self.groups: Final = self._groups.groups
-        self.identity: Final = identities.report
+        self.identity: Final = self.identities.report
         self.wear: Final = context.wear.report
 
     async def why(self, drive: str, *, fresh: bool = False) -> WhyReport:
@@ -141,7 +151,7 @@ class Operations:
 
     async def readdress(self, drive: str, address: int) -> WriteReport:
         """Give a drive another address and follow it there (`Readdress.change`)."""
-        work = self._readdress.change(drive, address)
+        work = self.readdressing.change(drive, address)
         return await self.actions.log_end("readdress-asked", drive, {"value": str(address)}, work)
 
     def accept(self, drive: str, shown: Mapping[str, str]) -> IdentityReport:
@@ -155,7 +165,7 @@ class Operations:
             OperationError: No such drive, nothing known of it yet, or it is not what was shown.
         """
         with self.actions.logged("accept", drive):
-            return self._identities.accept(drive, shown)
+            return self.identities.accept(drive, shown)
 
     def forget_times(self, drive: str) -> TimesReport:
         """Drop the measured answer times of a drive: those of manual and roster count then.
@@ -167,7 +177,7 @@ class Operations:
             found = self.context.requests.drives.get(drive)
             rows = tuple(row for row in found.station.measured.rows() if row.slow)
             found.station.measured.forget()
-            self._times_changed(found)
+            self.context.line.use_answer_times(found)
             return TimesReport(drive, rows)
 
     def _shown(self, target: str, code: Code, value: Decimal | int | str) -> str:

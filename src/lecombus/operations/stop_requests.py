@@ -15,7 +15,7 @@ from lecombus.drives.stops import STOP_PATIENCE_S, usable_word
 from lecombus.errors import OperationError
 from lecombus.fieldbus.lecom.exchanges.jobs import MulticastJob
 from lecombus.fieldbus.lecom.exchanges.stop_job import StopJob
-from lecombus.fieldbus.lecom.request_maker import ignore_end, shared_form
+from lecombus.fieldbus.lecom.request_maker import shared_form
 from lecombus.fieldbus.station import JobStep, Station
 from lecombus.operations.context import OperationContext
 from lecombus.operations.failure_kinds import kind_of
@@ -24,7 +24,7 @@ from lecombus.operations.requests import Ending
 from lecombus.operations.writes import Writes
 from lecombus.parameters import Code, Value
 from lecombus.readings import DriveState
-from lecombus.schedule import Outcome, Priority, Request
+from lecombus.schedule import Outcome, Priority, Request, ignore_end
 
 __all__ = ["STOP_REMEDY", "Stops"]
 

@@ -51,6 +51,7 @@ from lecombus.operations.verb_reports import (
     without_fault,
 )
 from lecombus.operations.verb_steps import TROUBLE, VerbSteps, words_of
+from lecombus.operations.writes import Writes
 from lecombus.schedule import Outcome
 
 __all__ = ["Verbs"]
@@ -61,10 +62,10 @@ STOPS = {Verb.INHIBIT: StopAction.INHIBIT, Verb.QUICK_STOP: StopAction.QUICK_STO
 class Verbs:
     """Carries out what a person wants of one drive."""
 
-    def __init__(self, context: OperationContext, stops: Stops, steps: VerbSteps) -> None:
+    def __init__(self, context: OperationContext, writes: Writes, stops: Stops) -> None:
         self._context = context
         self._stops = stops
-        self._steps = steps
+        self._steps = VerbSteps(context, writes, stops)
 
     async def verb(
         self,

@@ -75,20 +75,12 @@ class VerbSteps:
         context: What all operations share.
         writes: Writes codes.
         stops: Stops drives.
-        restarted: Called with a drive that was made to restart; it is then audited.
     """
 
-    def __init__(
-        self,
-        context: OperationContext,
-        writes: Writes,
-        stops: Stops,
-        restarted: Callable[[str], None],
-    ) -> None:
+    def __init__(self, context: OperationContext, writes: Writes, stops: Stops) -> None:
         self._context = context
         self._writes = writes
         self._stops = stops
-        self._restarted = restarted
 
     async def carry_out(self, run: Run, steps: Sequence[VerbStep]) -> WriteReport | None:
         """Take steps one after the other; return the report of the one that was not done."""
@@ -162,12 +154,15 @@ class VerbSteps:
         return await self._context.diagnosis.explain(report, run.station, wire)
 
     async def _back_again(self, run: Run, step: RestartStep) -> WriteReport:
-        """Wait for a drive that restarts until it has been audited.
+        """Wait for a drive that restarts until it has been audited: what it lost is set then.
 
-        Its answer is never given, so a missing one says nothing (EDB2102EN 6.4).
+        Its answer is never given, so a missing one says nothing (EDB2102EN 6.4: a TRIP reset of
+        820X initialises drive and fieldbus module).
         """
         name = run.station.name
-        self._restarted(name)
+        drive = self._context.requests.drives.find(name)
+        if drive is not None:
+            self._context.line.doubt(drive, "it was made to restart: to be audited")
         with anyio.move_on_after(BACK_WITHIN_S):
             while self._context.store.state(name) is not DriveState.ONLINE:  # noqa: ASYNC110
                 await anyio.sleep(LOOK_AGAIN_S)

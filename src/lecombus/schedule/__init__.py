@@ -9,7 +9,7 @@ seconds and a deadline.
 
 from lecombus.schedule.fault_hypothesis import FaultHypothesis
 from lecombus.schedule.polling import Cyclic, PollingEntry
-from lecombus.schedule.request import Outcome, Priority, Request, Settle
+from lecombus.schedule.request import Outcome, Priority, Request, Settle, ignore_end
 from lecombus.schedule.schedule import Schedule
 from lecombus.schedule.stats import ScheduleStats, WatchdogStats
 from lecombus.schedule.watchdog_deadline import WatchdogDeadline, WatchdogFeeding
@@ -27,4 +27,5 @@ __all__ = [
     "WatchdogDeadline",
     "WatchdogFeeding",
     "WatchdogStats",
+    "ignore_end",
 ]

@@ -25,6 +25,7 @@ __all__ = [
     "Priority",
     "Request",
     "Settle",
+    "ignore_end",
 ]
 
 # Where a request is: not in a schedule, in its lane, waiting for a time, or on the line.
@@ -85,6 +86,10 @@ class Outcome(StrEnum):
 
 
 Settle = Callable[[Outcome, str], None]
+
+
+def ignore_end(outcome: Outcome, reason: str) -> None:
+    """The end of a request without a waiter: its result is in the store."""
 
 
 @dataclass(slots=True, eq=False)

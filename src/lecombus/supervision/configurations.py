@@ -21,7 +21,7 @@ from lecombus.drive_runtime import Drive
 from lecombus.errors import LecombusError
 from lecombus.line_events import ExchangeEvent, LineRequests
 from lecombus.parameters import Code, Value
-from lecombus.schedule import Outcome
+from lecombus.schedule import ignore_end
 
 __all__ = ["Configurations"]
 
@@ -61,7 +61,7 @@ class Configurations:
         is_urgent = code == family.configured_by
         ask = self._line.read_soon if is_urgent else self._line.read_later
         try:
-            ask(drive, code, ignore)
+            ask(drive, code, ignore_end)
         except LecombusError as exc:
             logger.info("drive=%s event=configuration-not-asked reason=%s", drive.name, exc)
 
@@ -83,7 +83,3 @@ class Configurations:
             found.configuration or "any",
         )  # fmt: skip
         self._line.use_family(drive, found)
-
-
-def ignore(outcome: Outcome, reason: str) -> None:
-    """The end of a read whose value comes to `Configurations.seen`."""

@@ -8,24 +8,23 @@ because another device may answer from now on; its values stay while address and
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
-from lecombus.config import DriveEntry
+from lecombus.capacity.watchdog_demand import faults_of
+from lecombus.config import DriveEntry, Roster
 from lecombus.drive_runtime import Drive
 from lecombus.drives import family
 from lecombus.drives.measured import MeasuredTimes
 from lecombus.fieldbus.station import Station
 from lecombus.metrics import Metrics
 from lecombus.operations.requests import Requests
-from lecombus.schedule import Schedule, WatchdogDeadline
+from lecombus.schedule import Cyclic, WatchdogDeadline
 from lecombus.store import Store
-from lecombus.supervision.audit_queue import AuditQueue
-from lecombus.supervision.cyclic_reads import CyclicReads
 from lecombus.supervision.drive_supervisor import DriveSupervisor
 from lecombus.supervision.health import Health
 
-__all__ = ["DriveChanges"]
+__all__ = ["Changes", "DriveChanges"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,16 +42,34 @@ class _Left:
     feed: WatchdogDeadline | None
 
 
+@dataclass(frozen=True, slots=True)
+class Changes:
+    """The drives that a new roster changed, by name and in its order.
+
+    Args:
+        added: They are new.
+        removed: They are gone.
+        changed: Something is different about them.
+    """
+
+    added: tuple[str, ...]
+    removed: tuple[str, ...]
+    changed: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """Write it for the log: `added=c,d removed=none changed=a`."""
+        parts = {"added": self.added, "removed": self.removed, "changed": self.changed}
+        return " ".join(f"{key}={','.join(names) or 'none'}" for key, names in parts.items())
+
+
 class DriveChanges:
     """Changes the drives of one line.
 
     Args:
         requests: Has the drives, and makes their requests.
-        schedule: Who is sent to when.
         store: Their values and states.
         metrics: Their counters.
-        health: How they are doing.
-        audits: Takes drives that are to be audited.
+        health: How they are doing; has them audited.
         supervisor: Has their watchdogs fed.
         clock: Monotonic time, seconds.
     """
@@ -60,31 +77,28 @@ class DriveChanges:
     def __init__(
         self,
         requests: Requests,
-        schedule: Schedule,
         store: Store,
         metrics: Metrics,
         health: Health,
-        audits: AuditQueue,
         supervisor: DriveSupervisor,
         clock: Callable[[], float],
     ) -> None:
         self._requests = requests
         self._drives = requests.drives
-        self._schedule = schedule
+        self._schedule = requests.worker.schedule
         self._store = store
         self._metrics = metrics
         self._health = health
-        self._audits = audits
         self._supervisor = supervisor
         self._clock = clock
-        self._reads = CyclicReads(requests, schedule, store, metrics.rolling_window)
 
-    def apply(self, entries: Sequence[DriveEntry]) -> None:
-        """Make the line's drives those of a roster.
+    def apply(self, old: Roster, roster: Roster) -> Changes:
+        """Make the line's drives and groups those of a roster.
 
         Drives leave before others come, because these may have their addresses.
         """
-        wanted = {entry.name: entry for entry in entries}
+        before = self._drives.entries()
+        wanted = {entry.name: entry for entry in roster.drives}
         left: dict[str, _Left] = {}
         for drive in tuple(self._drives):
             entry = wanted.get(drive.name)
@@ -94,11 +108,21 @@ class DriveChanges:
                 left[drive.name] = _Left(drive, drive.entry, self._leave(drive))
             elif entry != drive.entry:
                 self.change_use(drive, entry)
-        for entry in entries:
+        for entry in roster.drives:
             if entry.name in left:
                 self._begin_again(left[entry.name], entry)
             elif self._drives.find(entry.name) is None:
                 self.add(entry)
+        for name in set(old.groups) - set(roster.groups):
+            self._metrics.counters.remove(name)
+        for name in roster.groups:
+            self._metrics.counters.add_group(name)
+        self._schedule.expect(faults_of(roster, self._requests.maker.timing))
+        return Changes(
+            added=tuple(name for name in wanted if name not in before),
+            removed=tuple(name for name in before if name not in wanted),
+            changed=tuple(name for name, now in wanted.items() if before.get(name, now) != now),
+        )
 
     def add(self, entry: DriveEntry) -> None:
         """Add a drive."""
@@ -108,7 +132,7 @@ class DriveChanges:
     def change_use(self, drive: Drive, entry: DriveEntry) -> None:
         """Read other codes of a drive, or allow other things; it stays the drive it is."""
         drive.entry = entry
-        self._reads.take(drive, self._clock())
+        self._read_cyclically(drive)
 
     def remove(self, drive: Drive) -> None:
         """Remove a drive and all that is known of it."""
@@ -134,21 +158,46 @@ class DriveChanges:
         self._drives.put(drive)
         self._schedule.add_drive(name)
         self._health.begin(drive)
-        self._reads.take(drive, self._clock())
+        self._read_cyclically(drive)
         self._supervisor.begin(drive)
         if self._requests.worker.is_open:
-            self._audits.ask(drive)
+            self._health.audits.ask(drive)
 
     def _leave(self, drive: Drive) -> WatchdogDeadline | None:
         """Send nothing more to a drive; gives how far the feeding of its watchdog was."""
         name = drive.name
-        self._audits.withdraw(drive)
+        self._health.audits.withdraw(drive)
         reason = f"{name} was taken out of the roster"
         feed = self._schedule.remove_drive(name, self._clock(), reason)
         self._drives.take_out(drive)
         drive.control_word.forget()
-        self._reads.forget(drive)
+        for code in drive.cyclic:  # the schedule has forgotten them already
+            self._store.expect(name, code, None)
+        drive.cyclic.clear()
         return feed
+
+    def _read_cyclically(self, drive: Drive) -> None:
+        """Read of a drive what its entry says from now on, and nothing else.
+
+        Schedule, store and metrics must agree on these codes. Only what differs is exchanged: reads
+        that stayed keep their place in the cadence, and values known keep standing.
+        """
+        running, entry = drive.cyclic, drive.entry
+        wanted = {one.code: one.every_s for one in entry.cyclic}
+        same = {code for code, one in running.items() if wanted.get(code) == one.cyclic.period_s}
+        if running and same == set(running) == set(wanted):
+            return
+        for code in set(running) - same:
+            self._schedule.remove_cyclic(running.pop(code))
+            if code not in wanted:
+                self._store.expect(entry.name, code, None)
+        for code, every_s in wanted.items():
+            if code not in same:
+                self._store.expect(entry.name, code, every_s)
+                make = self._requests.cyclic_maker(entry.name, code)
+                cyclic = Cyclic(entry.name, every_s, make)
+                running[code] = self._schedule.add_cyclic(cyclic, self._clock())
+        self._metrics.rolling_window.expect(entry.name, tuple(wanted))
 
     def _station(self, entry: DriveEntry) -> Station:
         kind = family(entry.family)

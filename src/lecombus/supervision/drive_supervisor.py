@@ -19,22 +19,21 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import anyio
 
 from lecombus.drive_runtime import Drive, RunningAudit
 from lecombus.errors import LecombusError
 from lecombus.fieldbus.station import Station
+from lecombus.operations.facade import Operations
 from lecombus.operations.requests import Requests, is_of_the_line
 from lecombus.readings import DriveState
-from lecombus.schedule import Schedule, WatchdogFeeding, WatchdogStats
+from lecombus.schedule import WatchdogFeeding
 from lecombus.store import Store
 from lecombus.supervision.audit import Audit
-from lecombus.supervision.audit_queue import AuditQueue
 from lecombus.supervision.health import Health
-from lecombus.supervision.rechecks import Rechecks
-from lecombus.supervision.watchdogs import WatchdogAudit
+from lecombus.supervision.watchdogs import Rechecks, WatchdogAudit
 from lecombus.supervision.write_prechecks import WritePrechecks
 
 __all__ = ["DriveSupervisor"]
@@ -53,35 +52,31 @@ class DriveSupervisor:
 
     Args:
         requests: Sends requests and waits for their end.
-        schedule: Feeds the drives.
         store: Gets the remarks.
+        health: Has the audits that were asked for, and takes the end of each.
+        operations: Knows the drives' identities and which were moved to another address.
         clock: Monotonic time, seconds.
-        health: Takes the end of each audit.
-        audits: The audits that were asked for.
-        prechecks: What decides whether a drive may be written to.
     """
 
     def __init__(
         self,
         requests: Requests,
-        schedule: Schedule,
         store: Store,
-        clock: Callable[[], float],
         health: Health,
-        audits: AuditQueue,
-        prechecks: WritePrechecks,
+        operations: Operations,
+        clock: Callable[[], float],
     ) -> None:
         self._requests = requests
         self._drives = requests.drives
-        self._schedule = schedule
-        watchdogs = WatchdogAudit(requests, store, self._feed)
-        self._audits = Audit(requests, prechecks, watchdogs)
-        self._rechecks = Rechecks(requests, watchdogs, health)
-        self._prechecks = prechecks
         self._clock = clock
-        self._queue = audits
-        self._one_at_a_time = anyio.Lock()
         self._health = health
+        watchdogs = WatchdogAudit(requests, store, self._feed)
+        self._prechecks = WritePrechecks(
+            requests, store, operations.identities, operations.readdressing
+        )
+        self._audits = Audit(requests, self._prechecks, watchdogs)
+        self._rechecks = Rechecks(requests, watchdogs, health)
+        self._one_at_a_time = anyio.Lock()
 
     async def run(self) -> None:
         """Make the audits that are asked for, until the daemon ends.
@@ -91,7 +86,7 @@ class DriveSupervisor:
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(self._rechecks.run)
             while True:
-                for drive, audit in await self._queue.next():
+                for drive, audit in await self._health.audits.next():
                     tasks.start_soon(self._audit_within, drive, audit)
 
     def begin(self, drive: Drive) -> None:
@@ -156,20 +151,6 @@ class DriveSupervisor:
     async def _learn_the_rest(self, drive: Drive) -> None:
         await self._audits.learn_the_rest(drive, drive.station)
 
-    def note_lapses(self, feeds: Mapping[str, WatchdogStats]) -> None:
-        """Log each watchdog whose time ran out unfed, once per lapse that the schedule counted.
-
-        Args:
-            feeds: The schedule's figures, looked at every second or so.
-        """
-        for name, feed in feeds.items():
-            drive = self._drives.find(name)
-            if drive is None:
-                continue
-            if feed.lapses > drive.feed.lapses:
-                logger.warning("drive=%s event=watchdog-missed time_s=%g", name, feed.time_s)
-            drive.feed.lapses = feed.lapses
-
     def _audit_failed(self, drive: Drive, exc: LecombusError) -> None:
         self._health.audit_failed(drive, str(exc))
         # `port-lost` or `line-silent` says it once for all drives, `state` for one.
@@ -180,7 +161,7 @@ class DriveSupervisor:
         feeding = None
         if time_s is not None:
             feeding = WatchdogFeeding(time_s, self._requests.feed_maker(drive.name))
-        self._schedule.set_feeding(drive.name, feeding, self._clock())
+        self._requests.worker.schedule.set_feeding(drive.name, feeding, self._clock())
 
 
 def is_slow(station: Station) -> bool:

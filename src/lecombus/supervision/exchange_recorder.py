@@ -1,7 +1,8 @@
 """What each exchange means: one event in plain words, given to all that follow the line.
 
 The worker has one observer; this is it. It runs while the drive that was asked next
-is already thinking. The order of the subscribers stands in one place, in `line_runtime`.
+is already thinking. `follow_line` sets who gets the events, in one order. Store and metrics know no
+events, and a control word is one drive's; so what exchanges do to them stands here.
 """
 
 from __future__ import annotations
@@ -21,9 +22,16 @@ from lecombus.fieldbus.reports import ExchangeReport
 from lecombus.fieldbus.station import StepKind
 from lecombus.line_events import ExchangeEvent, LineChange
 from lecombus.metrics import Metrics
-from lecombus.readings import NO_SUCH_CODE
+from lecombus.operations.facade import Operations
+from lecombus.readings import NO_SUCH_CODE, DriveState, LineState
+from lecombus.schedule import Priority
+from lecombus.store import Store
+from lecombus.supervision.command_effects import CommandEffects
+from lecombus.supervision.configurations import Configurations
+from lecombus.supervision.fault_watch import FaultWatch
+from lecombus.supervision.line_requests import RequestsToLine
 
-__all__ = ["ExchangeRecorder", "ExchangeSubscriber", "LineSubscriber"]
+__all__ = ["ExchangeRecorder", "ExchangeSubscriber", "LineSubscriber", "follow_line"]
 
 ExchangeSubscriber = Callable[[ExchangeEvent], None]
 """Takes an exchange; it must return quickly and never raise."""
@@ -148,3 +156,130 @@ def _failed(report: ExchangeReport) -> str:
         return _OUTCOMES[report.result.kind]
     refused = isinstance(answer, NakAnswer | UnknownCodeAnswer)
     return "refused" if refused else "unexpected"
+
+
+class StoreRecord:
+    """Writes values and the line's state into the store.
+
+    Args:
+        store: The store.
+    """
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+
+    def exchange_ended(self, event: ExchangeEvent) -> None:
+        """Keep what was read, and what is not true any more because it was written."""
+        store, code = self._store, event.code
+        if event.is_write:
+            for drive in event.drives:
+                store.value_written(drive.name, code, event.ended_s)
+        if event.read is not None:
+            store.value_read(event.drives[0].name, code, event.read, event.read_s)
+        elif event.read_failure is not None:
+            store.value_failed(event.drives[0].name, code, event.read_failure)
+        elif event.acknowledged and event.written is not None:
+            store.setpoint_taken(event.drives[0].name, code, event.written, event.ended_s)
+
+    def line_changed(self, change: LineChange) -> None:
+        """Keep how the line is doing."""
+        if change.is_open:
+            self._store.line_state(LineState.OPEN, change.reason)
+            return
+        # Which line it is need not be said to the line's own store.
+        reason = change.reason
+        text = reason.partition(": ")[2] if reason.startswith("line ") else reason
+        self._store.line_state(LineState.LOST, text)
+
+
+def record_control_words(event: ExchangeEvent) -> None:
+    """Keep what an exchange shows of the control words of its drives."""
+    if event.written is not None:
+        for drive in event.drives:
+            if event.to_all:
+                drive.control_word.written_to_all(event.code, event.written)
+            else:
+                drive.control_word.written(event.code, event.written, heard=event.acknowledged)
+    if event.read is not None:
+        event.drives[0].control_word.seen(event.code, event.read)
+    if event.answered and event.drives:
+        event.drives[0].control_word.heard(event.ended_s)
+
+
+class MetricsRecord:
+    """Counts exchanges.
+
+    Args:
+        metrics: The metrics.
+    """
+
+    def __init__(self, metrics: Metrics) -> None:
+        self._counters = metrics.counters
+        self._window = metrics.rolling_window
+
+    def exchange_ended(self, event: ExchangeEvent) -> None:
+        """Count an exchange."""
+        report, result = event.report, event.report.result
+        if event.read is not None:
+            self._window.value(report.drive, event.code, event.ended_s)
+        took_s = result.ended_s - result.started_s
+        busy_s = took_s + report.quarantined_s
+        # A repetition and a stop of a silent drive wait otherwise than their class.
+        is_promised = report.attempt == 1
+        if report.priority is Priority.STOP and report.step.kind is not StepKind.MULTICAST:
+            is_promised &= all(one.health.state is not DriveState.OFFLINE for one in event.drives)
+        self._counters.exchange(
+            report.drive,
+            report.step.kind,
+            event.outcome,
+            took_s=took_s,
+            busy_s=busy_s,
+            priority=report.priority,
+            waited_s=report.waited_s,
+        )
+        self._window.exchange(
+            report.priority,
+            busy_s,
+            max(report.waited_s, 0.0) if is_promised else None,
+            result.ended_s,
+            good=result.kind is ResultKind.ANSWERED or result.kind is ResultKind.SENT,
+        )
+        if result.late:
+            self._counters.late_answers.inc(result.late)
+
+    def line_changed(self, change: LineChange) -> None:
+        """Count an opening of the port."""
+        if change.is_open:
+            self._counters.port_opened()
+
+
+def follow_line(
+    recorder: ExchangeRecorder,
+    store: Store,
+    metrics: Metrics,
+    line: RequestsToLine,
+    operations: Operations,
+    clock: Callable[[], float],
+    wall: Callable[[], float],
+) -> None:
+    """Set who follows the events of a line, in this order and no other.
+
+    First what was read and written is kept, so that all who follow find it. Health comes behind
+    those that read values: what a drive said is known before it is judged by having said it.
+    The counts come last, because a stop of a drive that is offline by now counts otherwise.
+    """
+    values, counts, health = StoreRecord(store), MetricsRecord(metrics), line.health
+    recorder.subscribe(
+        exchanges=(
+            values.exchange_ended,
+            record_control_words,
+            FaultWatch(store, line, wall).exchange_ended,
+            CommandEffects(store, line, clock).exchange_ended,
+            Configurations(line).exchange_ended,
+            operations.identities.exchange_ended,
+            operations.context.wear.exchange_ended,
+            health.exchange_ended,
+            counts.exchange_ended,
+        ),
+        changes=(values.line_changed, health.line_changed, counts.line_changed),
+    )

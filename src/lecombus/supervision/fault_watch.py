@@ -27,7 +27,7 @@ from lecombus.errors import LecombusError
 from lecombus.line_events import ExchangeEvent, LineRequests
 from lecombus.parameters import Code, Value
 from lecombus.readings import ActiveFault
-from lecombus.schedule import Outcome, Settle
+from lecombus.schedule import Outcome, Settle, ignore_end
 from lecombus.store import Store
 
 __all__ = ["FAULT_REMARK", "FaultWatch"]
@@ -259,7 +259,3 @@ def agrees(table: FaultTable, number: int, kind: FaultKind | None, digit: int) -
 def number_text(number: int | None) -> str:
     """Write a fault's number for the log."""
     return "unknown" if number is None else str(number)
-
-
-def ignore_end(outcome: Outcome, reason: str) -> None:
-    """The end of a read without a waiter: its value comes to `FaultWatch.seen`."""

@@ -17,19 +17,19 @@ What must not live here: reading or writing anything; the schedule and the super
 
 from __future__ import annotations
 
+import asyncio
 import logging
 from collections.abc import Callable
 
-from lecombus.drive_runtime import Drive, LineDrives
+from lecombus.drive_runtime import Drive, LineDrives, RunningAudit
 from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
 from lecombus.fieldbus.station import StepKind
 from lecombus.line_events import ExchangeEvent, LineChange
 from lecombus.readings import DriveState
 from lecombus.schedule import Schedule
 from lecombus.store import Store
-from lecombus.supervision.audit_queue import AuditQueue
 
-__all__ = ["Health"]
+__all__ = ["AuditQueue", "Health"]
 
 logger = logging.getLogger(__name__)
 
@@ -56,6 +56,44 @@ AGAIN_S = 60.0
 """A line that is opened again so soon flaps: that its drives start again is not logged then."""
 
 
+class AuditQueue:
+    """The audits of one line's drives that were asked for and have not begun.
+
+    They are asked for by events of the line, which are no tasks and cannot start one; the drive
+    supervisor's task starts them.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: list[tuple[Drive, RunningAudit]] = []
+        self._wanted = asyncio.Event()
+
+    def ask(self, drive: Drive) -> None:
+        """Have a drive audited; one under audit is audited once more when that has ended.
+
+        Its control word is not known any more: it may have restarted.
+        """
+        drive.control_word.forget()
+        if drive.audit.running is not None:
+            drive.audit.again = True
+            drive.audit.running.asked_again.set()
+            return
+        drive.audit.running = RunningAudit()
+        self._waiting.append((drive, drive.audit.running))
+        self._wanted.set()
+
+    def withdraw(self, drive: Drive) -> None:
+        """Cancel the audit of a drive, whether it has begun or not."""
+        if drive.audit.running is not None:
+            drive.audit.running.cancel()
+
+    async def next(self) -> list[tuple[Drive, RunningAudit]]:
+        """Wait for audits that were asked for."""
+        await self._wanted.wait()
+        self._wanted.clear()
+        waiting, self._waiting = self._waiting, []
+        return waiting
+
+
 class Health:
     """Judges the drives of one line.
 
@@ -63,8 +101,10 @@ class Health:
         drives: The drives.
         schedule: Parks the drives that are offline.
         store: Keeps the states.
-        audits: Takes drives that must be audited before they are called online.
         clock: Monotonic time, seconds.
+
+    Attributes:
+        audits: The drives that must be audited before they are called online.
     """
 
     def __init__(
@@ -72,13 +112,12 @@ class Health:
         drives: LineDrives,
         schedule: Schedule,
         store: Store,
-        audits: AuditQueue,
         clock: Callable[[], float],
     ) -> None:
         self._drives = drives
         self._schedule = schedule
         self._store = store
-        self._audits = audits
+        self.audits = AuditQueue()
         self._clock = clock
         self._opened_s = -AGAIN_S
 
@@ -108,7 +147,7 @@ class Health:
             health.heard = False
             reason = "the line was opened: to be audited"
             self._set(drive, DriveState.STARTING, reason, is_news=is_news)
-            self._audits.ask(drive)
+            self.audits.ask(drive)
 
     def exchange_ended(self, event: ExchangeEvent) -> None:
         """Judge a drive by an exchange with it; a multicast says nothing of its members."""
@@ -134,20 +173,11 @@ class Health:
         elif kind is not ResultKind.LOST:
             self._missed(drive, fault)
 
-    def restarted(self, name: str) -> None:
-        """A drive was restarted by a command: what it lost is set before it is online.
-
-        Source: EDB2102EN 6.4 (TRIP reset of 820X: drive and fieldbus module are initialised).
-        """
-        drive = self._drives.find(name)
-        if drive is not None:
-            self.doubted(drive, "it was made to restart: to be audited")
-
     def doubted(self, drive: Drive, reason: str) -> None:
         """A drive may be another: nothing but stops is written to it before its audit."""
-        if drive.health.state is not DriveState.OFFLINE:
+        if self._has(drive) and drive.health.state is not DriveState.OFFLINE:
             self._set(drive, DriveState.STARTING, reason)
-            self._audits.ask(drive)
+            self.audits.ask(drive)
 
     def audited(self, drive: Drive) -> None:
         """The supervisor has found the drive in order, or has put it in order."""
@@ -182,7 +212,7 @@ class Health:
             self._schedule.set_probe(drive.name, None, now)
             self._schedule.unpark(drive.name, now)
             self._set(drive, DriveState.STARTING, "it answers again: being audited")
-            self._audits.ask(drive)
+            self.audits.ask(drive)
         elif health.state is DriveState.DEGRADED:
             if misses < AUDIT_AFTER and not health.audit_due:
                 self._set(drive, DriveState.ONLINE, "")
@@ -194,7 +224,7 @@ class Health:
             if misses >= AUDIT_AFTER:
                 if not health.audit_due:
                     health.audit_due, health.due_from_s = True, self._clock()
-                self._audits.ask(drive)
+                self.audits.ask(drive)
 
     def _log_held_back(self, heard: Drive) -> None:
         """Log the drives that are offline: with the first one heard it is no longer all of them."""

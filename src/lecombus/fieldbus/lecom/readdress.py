@@ -83,7 +83,7 @@ class Readdress:
         identities: Identities,
         clock: Callable[[], float],
         wall: Callable[[], float],
-        follow: Callable[[Drive, int], None],
+        follow: Callable[[str, int], None],
     ) -> None:
         self._requests = requests
         self._store = store
@@ -248,7 +248,7 @@ class Readdress:
         logger.warning("drive=%s event=readdressed from=%d to=%d", drive, station.address, address)
         self._following = True
         try:
-            self._follow(self._drives.get(drive), address)
+            self._follow(drive, address)
         finally:
             self._following = False
         home = self._drives.get(drive).home

@@ -27,10 +27,10 @@ from lecombus.fieldbus.lecom.exchanges.stop_job import StopJob
 from lecombus.fieldbus.lecom.protocol.timing import ACK_CHARS, write_request_chars
 from lecombus.fieldbus.station import Station
 from lecombus.parameters import AddressForm, Code, Value
-from lecombus.schedule import Outcome, Priority, Request, Settle
+from lecombus.schedule import Outcome, Priority, Request, Settle, ignore_end
 from lecombus.schedule.fan_out import Part
 
-__all__ = ["RequestMaker", "ignore_end", "shared_form"]
+__all__ = ["RequestMaker", "shared_form"]
 
 
 MAX_KEPT: Final = 8192
@@ -53,10 +53,6 @@ class _FeedCost(NamedTuple):
     slow: SlowAnswers
     measured: tuple[float, float]
     told: tuple[float, float]
-
-
-def ignore_end(outcome: Outcome, reason: str) -> None:
-    """The end of a request without a waiter: its result is in the store."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,255 @@
+"""What is looked at once a second: the schedule's figures, and the remarks that follow from them.
+
+`LineWatch` takes a snapshot of the schedule into the figures of the last minutes, for the metrics
+and for `lecombus plan`. From it and from what the line counted come remarks: cyclic reads that the
+line cannot hold, answers that were not asked for (`line.duplicates` counts them), and in the log
+watchdogs whose time ran out. `port_watch` says who else has the port open.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Mapping
+from typing import Final
+
+from lecombus.capacity.facts import answers_of, facts_of
+from lecombus.config import LineEntry, Roster
+from lecombus.drive_runtime import LineDrives
+from lecombus.fieldbus.lecom.exchanges.duplicates import Found
+from lecombus.metrics import LineSnapshot, Metrics
+from lecombus.metrics.rolling_window import LATELY_S
+from lecombus.operations.facade import Operations
+from lecombus.operations.requests import Requests
+from lecombus.readings import DriveState, Json
+from lecombus.schedule import WatchdogStats
+from lecombus.schedule.polling import STRETCH_WINDOW_S
+from lecombus.schedule.stats import ScheduleStats
+from lecombus.store import Store
+from lecombus.supervision.exchange_recorder import ExchangeRecorder
+from lecombus.supervision.line_requests import RequestsToLine
+from lecombus.supervision.port_watch import PortWatch
+
+__all__ = ["LineWatch", "PollOverload"]
+
+logger = logging.getLogger(__name__)
+
+OVERLOAD_REMARK: Final = "cadence"
+SAID_FROM: Final = 1.05
+"""A cadence stretched by less than this is not worth a remark."""
+
+STARTING_MOST_S: Final = 600.0
+"""A full line's first start takes minutes; a drive that is starting for longer than this, seconds,
+is in some trouble of its own and hides nothing."""
+
+PAUSED_FROM_S: Final = 1.5
+"""The figure comes once a second; where it comes so much later, seconds, the daemon did not run."""
+
+SECOND_ANSWERS_REMARK: Final = "second-answers"
+LEAST: Final = 3
+"""Fewer second answers than this within a minute are not worth a remark."""
+
+PART: Final = 2 / 3
+"""Of those that can be told, so many came behind the same drive's own answer."""
+
+
+class LineWatch:
+    """Looks at one line once a second.
+
+    Args:
+        requests: Has the worker, the schedule and the drives.
+        store: Gets the remarks.
+        metrics: Keeps the figures of the last minutes.
+        recorder: Counts failed exchanges.
+        line: Uses measured answer times; has the drives' health.
+        operations: Counts writes.
+        entry: The line, as in the roster.
+        clock: Monotonic time, seconds.
+
+    Attributes:
+        port: Says who else has the port open.
+    """
+
+    def __init__(
+        self,
+        requests: Requests,
+        store: Store,
+        metrics: Metrics,
+        recorder: ExchangeRecorder,
+        line: RequestsToLine,
+        operations: Operations,
+        entry: LineEntry,
+        clock: Callable[[], float],
+    ) -> None:
+        self.port = PortWatch(store, entry)
+        self._drives = requests.drives
+        self._worker = requests.worker
+        self._store = store
+        self._window = metrics.rolling_window
+        self._recorder = recorder
+        self._line = line
+        self._operations = operations
+        self._clock = clock
+        self._overload = PollOverload(store)
+
+    def look(self) -> None:
+        """Log and remark what has changed; once a second."""
+        self._operations.actions.look()
+        now_s = self._clock()
+        stats = self._gather(now_s)
+        for drive in self._drives:
+            self._line.use_answer_times(drive)
+        found = self._worker.exchange_loop.duplicates.found(now_s)
+        remark_second_answers(found, self._drives, self._store)
+        self._line.health.check_overdue()
+        self._log_lapses(stats.feeds)
+        starting = any(drive.health.state is DriveState.STARTING for drive in self._drives)
+        is_open = self._worker.is_open
+        self._overload.note(stats.stretch, now_s, is_open=is_open, starting=starting)
+
+    def wants_look_at_port(self) -> bool:
+        """Whether to look who else has the port open; about once a second."""
+        return self.port.note(
+            self._recorder.failures,
+            self._clock(),
+            is_open=self._worker.is_open,
+            silent=self._line.health.is_silent,
+            heard=any(drive.health.heard for drive in self._drives),
+        )
+
+    def snapshot(self) -> LineSnapshot:
+        """Return what the page of metrics shows besides what the store holds."""
+        now = self._clock()
+        stats = self._gather(now)
+        self._store.set_stretch(stats.stretch)
+        feeds = {name: feed for name, feed in stats.feeds.items() if not feed.paused}
+        return LineSnapshot(
+            stats.depth,
+            stats.stretch,
+            self._window.cyclic_late.most(now, LATELY_S) or 0.0,
+            {name: feed.time_s - feed.age_s for name, feed in feeds.items()},
+            {name: feed.lapses for name, feed in stats.feeds.items()},
+            stats.refused,
+            stats.cyclic_skipped + stats.cyclic_dropped,
+            self._operations.context.wear.figures(self._store.names()),
+            None if math.isinf(stats.slack_s) else stats.slack_s,
+            self._window.woken_late.most(now, LATELY_S) or 0.0,
+            self._answer_ratios(),
+        )
+
+    def plan_facts(self, roster: Roster) -> dict[str, Json]:
+        """Give what a plan of this line is made from, and what its last minutes showed."""
+        now_s = self._clock()
+        self._gather(now_s)
+        stations = [drive.station for drive in self._drives]
+        names = [drive.name for drive in self._drives]
+        return {
+            "roster": facts_of(roster, {one.name: one.measured.slow for one in stations}),
+            "measured": self._window.as_json(now_s),
+            "answers": answers_of({one.name: one.measured.rows() for one in stations}),
+            "state": str(self._store.line().state),
+            "away": [one for one in names if self._store.state(one) is DriveState.OFFLINE],
+        }
+
+    def _answer_ratios(self) -> dict[str, float]:
+        """By drive: the slowest answer measured, in its manual's time."""
+        rows = {drive.name: drive.station.measured.rows() for drive in self._drives}
+        return {name: of[0].measured_s / of[0].manual_s for name, of in rows.items() if of}
+
+    def _gather(self, now_s: float) -> ScheduleStats:
+        """Take a snapshot of the schedule into the last minutes; the only place that may."""
+        stats, window = self._worker.schedule.stats(now_s), self._window
+        window.cyclic_late.note(stats.cyclic_late_most_s, now_s)
+        window.woken_late.note(self._worker.lateness.take_s(), now_s)
+        if not math.isinf(stats.slack_s):
+            window.slack(stats.slack_s, now_s)
+        for name, feed in stats.feeds.items():
+            if not math.isinf(feed.margin_since_s):
+                window.margin(name, feed.margin_since_s, now_s)
+        return stats
+
+    def _log_lapses(self, feeds: Mapping[str, WatchdogStats]) -> None:
+        """Log each watchdog whose time ran out unfed, once per lapse that was counted."""
+        for name, feed in feeds.items():
+            drive = self._drives.find(name)
+            if drive is None:
+                continue
+            if feed.lapses > drive.feed.lapses:
+                logger.warning("drive=%s event=watchdog-missed time_s=%g", name, feed.time_s)
+            drive.feed.lapses = feed.lapses
+
+
+class PollOverload:
+    """The remark on a line that cannot hold the cyclic reads it was asked for.
+
+    What a line could not do while it was closed, while its drives were being started, or while the
+    daemon did not run, is not what it cannot hold: the periods of that time are given as they were
+    (`cyclic_stretch_ratio`), and no remark is made of them.
+
+    Args:
+        store: Gets the factor, and the remark.
+    """
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._closed_at_s = -math.inf  # when the line was last closed, starting or paused
+        self._starting_from_s: float | None = None
+        self._noted_s = math.inf
+
+    def note(self, stretch: float, now_s: float, *, is_open: bool, starting: bool = False) -> None:
+        """Take the figure of the moment; about once a second.
+
+        Args:
+            stretch: The factor by which cyclic periods grew in the last seconds, 1 or more.
+            now_s: Monotonic seconds.
+            is_open: Whether the line is open.
+            starting: Whether drives are being started.
+        """
+        if not starting:
+            self._starting_from_s = None
+        elif self._starting_from_s is None:
+            self._starting_from_s = now_s
+        begun_s = self._starting_from_s
+        paused = now_s - self._noted_s >= PAUSED_FROM_S
+        self._noted_s = now_s
+        if paused or not is_open or (begun_s is not None and now_s - begun_s < STARTING_MOST_S):
+            self._closed_at_s = now_s
+        self._store.set_stretch(stretch)
+        text = None
+        if stretch > SAID_FROM and now_s - self._closed_at_s > STRETCH_WINDOW_S:
+            text = (
+                f"the line cannot hold the cyclic reads asked for: every period is {stretch:.2f} "
+                "times as long; ask for fewer, more seldom, or at a higher baud rate"
+            )
+        self._store.note_line(OVERLOAD_REMARK, text)
+
+
+def remark_second_answers(found: Found, drives: LineDrives, store: Store) -> None:
+    """Remark answers that were not asked for: two drives at one address, or every answer twice.
+
+    Args:
+        found: How many came within the last minute, and behind whose answers.
+        drives: The drives.
+        store: Gets the remarks.
+    """
+    count, alone = found
+    known = sum(alone.values())
+    suspects = [drive.name for drive in drives
+                if alone.get(drive.name, 0) >= LEAST
+                and alone[drive.name] >= PART * known]  # fmt: skip
+    for drive in drives:
+        text, name, address = None, drive.name, drive.entry.address
+        if name in suspects:
+            text = (
+                f"two drives at address {address}? second answers came after its own, "
+                f"{alone[name]} in the last minute: give one of the two another address"
+            )
+        store.note(name, SECOND_ANSWERS_REMARK, text)
+    text = None
+    if count >= LEAST and not suspects:
+        text = (
+            f"{count} answers came in the last minute that nobody asked for: two drives at one "
+            "address, an adapter or device server that delivers twice, or another master; "
+            "until they end a stop takes more readings to be shown"
+        )
+    store.note_line(SECOND_ANSWERS_REMARK, text)
