@@ -23,7 +23,7 @@ SIM_URL = "sim:"
 
 def simulated_line(roster: Roster, *, faults: str = "", seed: int = 0) -> SimLine:
     """Build the simulated drives of a roster."""
-    from lecombus.fieldbus.lecom.simulator.world import build
+    from lecombus.fieldbus.lecom.simulator.line import build
 
     drives = [(entry.name, entry.address, entry.family) for entry in roster.drives]
     return build(drives, baud=roster.line.baud, faults=faults, seed=seed)

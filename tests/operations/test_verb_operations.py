@@ -13,7 +13,7 @@ import pytest
 
 from lecombus.drives import FAMILY_NAMES, StopAction, Verb
 from lecombus.errors import ExchangeError, LineError, OperationError
-from lecombus.fieldbus.lecom.simulator.families.inverter82xx import Drive82XX
+from lecombus.fieldbus.lecom.simulator.families.f82xx import Drive82XX
 from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.operations.reports import VerbReport
 from lecombus.parameters import Code

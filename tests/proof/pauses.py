@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from lecombus.fieldbus.lecom.simulator.drive import SimDrive
-from lecombus.fieldbus.lecom.simulator.families.inverter82xx import Drive82XX
+from lecombus.fieldbus.lecom.simulator.families.f82xx import Drive82XX
 from lecombus.fieldbus.lecom.simulator.line import SimLine
 from lecombus.fieldbus.lecom.simulator.receiver import ReceivedRequest
 from proof.lines import RandomLine

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from lecombus.drives import family
 from lecombus.fieldbus.lecom.address_codes import address_code
 from lecombus.fieldbus.lecom.exchanges.jobs import ReadBackJob, ReadJob, WriteJob
-from lecombus.fieldbus.lecom.simulator.families.inverter82xx import Drive82XX
+from lecombus.fieldbus.lecom.simulator.families.f82xx import Drive82XX
 from lecombus.fieldbus.lecom.simulator.line import SimLine
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome, Priority, Request

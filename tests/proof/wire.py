@@ -31,7 +31,7 @@ from lecombus.fieldbus.lecom.protocol.telegrams import (
     ValueAnswer,
 )
 from lecombus.fieldbus.lecom.simulator.drive import SimDrive
-from lecombus.fieldbus.lecom.simulator.families.inverter82xx import Drive82XX
+from lecombus.fieldbus.lecom.simulator.families.f82xx import Drive82XX
 from lecombus.fieldbus.lecom.simulator.line import SimLine
 from lecombus.fieldbus.reports import ExchangeReport
 from lecombus.fieldbus.station import StepKind

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 
 import anyio
 
-from lecombus.fieldbus.lecom.simulator.line import SimLine
-from lecombus.fieldbus.lecom.simulator.world import build
+from lecombus.fieldbus.lecom.simulator.line import SimLine, build
 from lecombus.schedule import Priority
 from proof.clients import Clients
 from proof.invariants import Invariants

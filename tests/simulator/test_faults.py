@@ -14,7 +14,7 @@ from lecombus.fieldbus.lecom.simulator import (
     build,
     parse_faults,
 )
-from lecombus.fieldbus.lecom.simulator.spoiling import make_noise
+from lecombus.fieldbus.lecom.simulator.faults import make_noise
 from lecombus.fieldbus.lecom.simulator.wire import PARITY_TABLE
 from support.sim_host import Host, read_telegram, write_telegram
 

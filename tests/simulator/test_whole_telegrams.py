@@ -12,11 +12,10 @@ from random import Random
 
 import pytest
 
-from lecombus.fieldbus.lecom.simulator.line import SimLine
+from lecombus.fieldbus.lecom.simulator.line import SimLine, build
 from lecombus.fieldbus.lecom.simulator.outbox import Speech
 from lecombus.fieldbus.lecom.simulator.receiver import ReceivedRequest
 from lecombus.fieldbus.lecom.simulator.wire import EOT, ETX, PARITY_TABLE, STX, bcc
-from lecombus.fieldbus.lecom.simulator.world import build
 from support.sim_host import code_field
 
 DRIVES = [("a", 1, "8200vector"), ("b", 2, "820x"), ("c", 12, "93xx"), ("d", 13, "smvector")]

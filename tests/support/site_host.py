@@ -21,9 +21,8 @@ from lecombus.drives import StopAction, family
 from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.request_maker import RequestMaker
 from lecombus.fieldbus.lecom.simulator.drive import SimDrive
-from lecombus.fieldbus.lecom.simulator.line import SimLine
+from lecombus.fieldbus.lecom.simulator.line import SimLine, build
 from lecombus.fieldbus.lecom.simulator.memory import MemoryEnd
-from lecombus.fieldbus.lecom.simulator.world import build
 from lecombus.fieldbus.reports import ExchangeReport
 from lecombus.fieldbus.station import Station
 from lecombus.line.port import Port, PortSettings, Receiver
@@ -172,7 +171,7 @@ class Rig:
         retries: Repetitions.
         baud: Bits per second.
         opener: Opens the port instead of the simulated line.
-        Others as for `simulator.world.build`.
+        Others as for `simulator.line.build`.
     """
 
     def __init__(

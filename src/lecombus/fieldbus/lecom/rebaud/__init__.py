@@ -10,11 +10,11 @@ at another rate cannot be fed.
 
 from __future__ import annotations
 
-from lecombus.fieldbus.lecom.rebaud.access import LineAccess
-from lecombus.fieldbus.lecom.rebaud.checking import Obstacle, check
-from lecombus.fieldbus.lecom.rebaud.drives import DrivePlace, RebaudDrive, Subject
-from lecombus.fieldbus.lecom.rebaud.moving import Rebaud
-from lecombus.fieldbus.lecom.rebaud.report import RebaudEnd, ending_of, situation, what_to_do
+from .access import LineAccess
+from .checking import Obstacle, check
+from .drives import DrivePlace, RebaudDrive, Subject
+from .moving import Rebaud
+from .report import RebaudEnd, ending_of, situation, what_to_do
 
 __all__ = [
     "DrivePlace",

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Protocol
 
 from lecombus.drives.access import DriveAccess, ReadResult, WriteResult
-from lecombus.fieldbus.lecom.rebaud.drives import RebaudDrive
 from lecombus.parameters import Code, Value
+
+from .drives import RebaudDrive
 
 __all__ = ["InterruptedRebaudError", "LineAccess", "RebaudLine"]
 

@@ -18,10 +18,11 @@ from lecombus.drives.access import is_passing
 from lecombus.drives.identity import is_identity, text_of
 from lecombus.durations import format_duration
 from lecombus.fieldbus.lecom.protocol.addressing import Form
-from lecombus.fieldbus.lecom.rebaud.access import RebaudLine
-from lecombus.fieldbus.lecom.rebaud.drives import DrivePlace, RebaudDrive
 from lecombus.fieldbus.lecom.standstill import Standstill, ask_standstill
 from lecombus.parameters import Code, Value
+
+from .access import RebaudLine
+from .drives import DrivePlace, RebaudDrive
 
 __all__ = ["Obstacle", "check", "is_same_drive", "standstill"]
 

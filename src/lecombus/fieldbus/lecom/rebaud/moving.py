@@ -24,9 +24,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from lecombus.drives import saving_rule
-from lecombus.fieldbus.lecom.rebaud.access import InterruptedRebaudError, LineAccess, RebaudLine
-from lecombus.fieldbus.lecom.rebaud.checking import Obstacle, check, is_same_drive, standstill
-from lecombus.fieldbus.lecom.rebaud.drives import DrivePlace, RebaudDrive, Subject
+
+from .access import InterruptedRebaudError, LineAccess, RebaudLine
+from .checking import Obstacle, check, is_same_drive, standstill
+from .drives import DrivePlace, RebaudDrive, Subject
 
 __all__ = ["Rebaud"]
 

@@ -11,8 +11,9 @@ from __future__ import annotations
 from enum import StrEnum
 
 from lecombus.drives import saving_rule
-from lecombus.fieldbus.lecom.rebaud.drives import DrivePlace, RebaudDrive
-from lecombus.fieldbus.lecom.rebaud.moving import Rebaud
+
+from .drives import DrivePlace, RebaudDrive
+from .moving import Rebaud
 
 __all__ = ["RebaudEnd", "ending_of", "situation", "what_to_do"]
 

@@ -11,11 +11,11 @@ drive.
 
 from __future__ import annotations
 
-from lecombus.fieldbus.lecom.scanning.asking import AddressAccess, Heard, HeardKind, Question
-from lecombus.fieldbus.lecom.scanning.diagnosis import why_nothing
-from lecombus.fieldbus.lecom.scanning.finding import Finding, FoundWatchdog, Unclear
-from lecombus.fieldbus.lecom.scanning.proposal import ProposedLine, check_place, entries, propose
-from lecombus.fieldbus.lecom.scanning.search import ForeignTalkError, Scan, ScanPlan
+from .asking import AddressAccess, Heard, HeardKind, Question
+from .diagnosis import why_nothing
+from .finding import Finding, FoundWatchdog, Unclear
+from .proposal import ProposedLine, check_place, entries, propose
+from .search import ForeignTalkError, Scan, ScanPlan
 
 __all__ = [
     "AddressAccess",

@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from lecombus.fieldbus.lecom.protocol.controls import STX
-from lecombus.fieldbus.lecom.scanning.finding import Unclear
+
+from .finding import Unclear
 
 __all__ = ["why_nothing"]
 

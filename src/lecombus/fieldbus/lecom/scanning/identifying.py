@@ -28,15 +28,10 @@ from decimal import Decimal
 
 from lecombus.drives import Family, family
 from lecombus.fieldbus.lecom.protocol.addressing import Form
-from lecombus.fieldbus.lecom.scanning.asking import (
-    AddressAccess,
-    Heard,
-    HeardKind,
-    Question,
-    read_surely,
-)
-from lecombus.fieldbus.lecom.scanning.finding import Finding, FoundWatchdog
 from lecombus.parameters import Code, Format
+
+from .asking import AddressAccess, Heard, HeardKind, Question, read_surely
+from .finding import Finding, FoundWatchdog
 
 __all__ = ["identify"]
 

@@ -16,7 +16,8 @@ from lecombus.capacity.watchdog_feasibility import find_infeasible
 from lecombus.config import Roster, WatchdogEntry, parse_roster
 from lecombus.drives import family
 from lecombus.durations import format_duration
-from lecombus.fieldbus.lecom.scanning.finding import Finding, Unclear
+
+from .finding import Finding, Unclear
 
 __all__ = ["ProposedLine", "check_place", "entries", "propose"]
 

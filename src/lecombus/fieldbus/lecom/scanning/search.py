@@ -29,10 +29,11 @@ from dataclasses import dataclass
 from lecombus.errors import LineError
 from lecombus.fieldbus.lecom.protocol.host_parser import RequestParser
 from lecombus.fieldbus.lecom.protocol.telegrams import ReadRequest, WriteRequest
-from lecombus.fieldbus.lecom.scanning.asking import AddressAccess, Heard, HeardKind, Question
-from lecombus.fieldbus.lecom.scanning.finding import Finding, Unclear
-from lecombus.fieldbus.lecom.scanning.identifying import identify
 from lecombus.parameters import Code
+
+from .asking import AddressAccess, Heard, HeardKind, Question
+from .finding import Finding, Unclear
+from .identifying import identify
 
 __all__ = ["ForeignTalkError", "Scan", "ScanPlan"]
 

@@ -11,19 +11,14 @@ simulates the line and its drives: only the ends (`pty`, `tcp`, `memory`), `paci
 
 from __future__ import annotations
 
-from lecombus.fieldbus.lecom.simulator.control import Control, ControlError
-from lecombus.fieldbus.lecom.simulator.control_socket import (
-    LONGEST_PATH,
-    ControlSocket,
-    send_to_simulator,
-)
-from lecombus.fieldbus.lecom.simulator.drive import LogEntry, SimDrive
-from lecombus.fieldbus.lecom.simulator.faults import Faults, LateKind, parse_faults
-from lecombus.fieldbus.lecom.simulator.line import SimLine
-from lecombus.fieldbus.lecom.simulator.memory import MemoryEnd, MemoryPort
-from lecombus.fieldbus.lecom.simulator.pty import PtyEnd
-from lecombus.fieldbus.lecom.simulator.tcp import TcpEnd
-from lecombus.fieldbus.lecom.simulator.world import build
+from .control import Control, ControlError
+from .control_socket import LONGEST_PATH, ControlSocket, send_to_simulator
+from .drive import LogEntry, SimDrive
+from .faults import Faults, LateKind, parse_faults
+from .line import SimLine, build
+from .memory import MemoryEnd, MemoryPort
+from .pty import PtyEnd
+from .tcp import TcpEnd
 
 __all__ = [
     "LONGEST_PATH",

@@ -16,14 +16,13 @@ from difflib import get_close_matches
 from typing import Final, Protocol
 
 from lecombus.durations import DurationError, parse_duration
-from lecombus.fieldbus.lecom.simulator.drive import SimDrive
-from lecombus.fieldbus.lecom.simulator.faults import parse_faults
-from lecombus.fieldbus.lecom.simulator.keypad import set_value, value_of
-from lecombus.fieldbus.lecom.simulator.line import SimLine
-from lecombus.fieldbus.lecom.simulator.looking import code_text, describe, parse_code, summary
+
+from .drive import SimDrive
+from .faults import parse_faults
+from .line import SimLine
+from .looking import code_text, describe, parse_code, set_value, summary, value_of
 
 __all__ = ["Control", "ControlError"]
-
 
 SWAP_S = 10.0
 """The least time of a replacement of a drive, seconds: its master loses it for that time."""

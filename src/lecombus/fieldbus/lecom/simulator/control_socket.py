@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final, Self
 
-from lecombus.fieldbus.lecom.simulator.control import ControlError
+from .control import ControlError
 
 __all__ = ["LONGEST_PATH", "ControlSocket", "send_to_simulator"]
 

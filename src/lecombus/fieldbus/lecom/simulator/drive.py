@@ -13,18 +13,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from lecombus.fieldbus.lecom.simulator.families import MODELS
-from lecombus.fieldbus.lecom.simulator.families.inverter82xx import Drive82XX
-from lecombus.fieldbus.lecom.simulator.model import Model, Restart
-from lecombus.fieldbus.lecom.simulator.parameters import CommError, ExtendedError, Refusal
-from lecombus.fieldbus.lecom.simulator.receiver import ReceivedRequest
-from lecombus.fieldbus.lecom.simulator.wire import (
-    ACK,
-    NAK,
-    read_code_field,
-    unknown_code,
-    value_reply,
-)
+from .families import MODELS
+from .families.f82xx import Drive82XX
+from .model import Model, Restart
+from .parameters import CommError, ExtendedError, Refusal
+from .receiver import ReceivedRequest
+from .wire import ACK, NAK, read_code_field, unknown_code, value_reply
 
 __all__ = ["LogEntry", "Overrides", "Reply", "SimDrive"]
 

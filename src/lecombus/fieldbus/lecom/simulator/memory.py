@@ -12,7 +12,8 @@ import asyncio
 from typing import Protocol
 
 from lecombus.errors import LineLostError
-from lecombus.fieldbus.lecom.simulator.line import SimLine
+
+from .line import SimLine
 
 __all__ = ["MemoryEnd", "MemoryPort"]
 

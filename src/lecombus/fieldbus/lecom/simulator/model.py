@@ -13,17 +13,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import ClassVar, Final
 
-from lecombus.fieldbus.lecom.simulator.motor import Motor
-from lecombus.fieldbus.lecom.simulator.parameters import (
-    CommError,
-    ExtendedError,
-    Kept,
-    Parameters,
-    Refusal,
-    Spec,
-)
-from lecombus.fieldbus.lecom.simulator.troubles import Kind, Troubles
-from lecombus.fieldbus.lecom.simulator.wire import decimal_text, read_decimal
+from .motor import Motor
+from .parameters import CommError, ExtendedError, Kept, Parameters, Refusal, Spec
+from .troubles import Kind, Troubles
+from .wire import decimal_text, read_decimal
 
 __all__ = ["INHIBIT", "JOG_BITS", "QSP", "REVERSE", "Model", "Restart", "tens_digit", "word_text"]
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from heapq import heappop, heappush
 
-from lecombus.fieldbus.lecom.simulator.drive import SimDrive
-from lecombus.fieldbus.lecom.simulator.spoiling import Spoiler
+from .drive import SimDrive
+from .faults import Spoiler
 
 __all__ = ["Outbox", "Speech"]
 

@@ -19,7 +19,7 @@ import time
 from abc import ABC, abstractmethod
 from typing import Final, Self
 
-from lecombus.fieldbus.lecom.simulator.line import SimLine
+from .line import SimLine
 
 __all__ = ["PacedEnd"]
 

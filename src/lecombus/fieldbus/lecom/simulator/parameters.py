@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from decimal import Decimal
 from enum import Enum, IntEnum, auto
 
-from lecombus.fieldbus.lecom.simulator.wire import decimal_text, read_decimal, read_hexadecimal
+from .wire import decimal_text, read_decimal, read_hexadecimal
 
 __all__ = ["CommError", "ExtendedError", "Kept", "Parameters", "Refusal", "Spec", "d", "h", "s"]
 

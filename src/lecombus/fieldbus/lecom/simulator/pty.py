@@ -17,8 +17,8 @@ import tty
 from pathlib import Path
 from typing import Final
 
-from lecombus.fieldbus.lecom.simulator.line import SimLine
-from lecombus.fieldbus.lecom.simulator.pacing import PacedEnd
+from .line import SimLine
+from .pacing import PacedEnd
 
 __all__ = ["PtyEnd"]
 

@@ -14,7 +14,7 @@ from enum import Enum, auto
 from functools import lru_cache
 from typing import Final
 
-from lecombus.fieldbus.lecom.simulator.wire import ENQ, EOT, ETX, PARITY_TABLE, STX, bcc
+from .wire import ENQ, EOT, ETX, PARITY_TABLE, STX, bcc
 
 __all__ = ["ReceivedRequest", "RequestReceiver"]
 

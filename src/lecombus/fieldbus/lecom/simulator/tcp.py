@@ -10,8 +10,8 @@ import contextlib
 import socket
 import time
 
-from lecombus.fieldbus.lecom.simulator.line import SimLine
-from lecombus.fieldbus.lecom.simulator.pacing import PacedEnd
+from .line import SimLine
+from .pacing import PacedEnd
 
 __all__ = ["TcpEnd"]
 

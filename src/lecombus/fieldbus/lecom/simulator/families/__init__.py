@@ -5,17 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Final
 
-from lecombus.fieldbus.lecom.simulator.families.f82xx import (
-    Drive820X,
-    Drive821X,
-    Drive822X,
-    Drive824X,
-    Vector8200,
-)
-from lecombus.fieldbus.lecom.simulator.families.f93xx import Drive93XX
-from lecombus.fieldbus.lecom.simulator.families.generic import Generic
-from lecombus.fieldbus.lecom.simulator.families.smvector import SMVector
-from lecombus.fieldbus.lecom.simulator.model import Model
+from ..model import Model
+from .f82xx import Drive820X, Drive821X, Drive822X, Drive824X, Vector8200
+from .f93xx import Drive93XX
+from .generic import Generic
+from .smvector import SMVector
 
 __all__ = ["MODELS"]
 

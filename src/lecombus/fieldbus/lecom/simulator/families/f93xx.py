@@ -14,17 +14,63 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar, Final
 
-from lecombus.fieldbus.lecom.simulator.families.module2102 import RFG_STOP, RFG_ZERO, Module2102
-from lecombus.fieldbus.lecom.simulator.families.table2102 import FAULTS_93XX, SPECS_93XX
-from lecombus.fieldbus.lecom.simulator.model import JOG_BITS, QSP, tens_digit, word_of, word_text
-from lecombus.fieldbus.lecom.simulator.parameters import CommError, ExtendedError, Refusal, Spec
-from lecombus.fieldbus.lecom.simulator.troubles import Kind
+from ..model import JOG_BITS, QSP, tens_digit, word_of, word_text
+from ..parameters import CommError, ExtendedError, Kept, Refusal, Spec, d, h, s
+from ..troubles import Kind, kinds
+from .module2102 import MODULE_SPECS, RFG_STOP, RFG_ZERO, Module2102
 
 __all__ = ["Drive93XX"]
 
 _SPEED, _TORQUE = 1, 4
 _CASCADES: Final = (6, 7)
 """Configurations 6xx1 and 7xx1: slaves of a digital frequency, with fewer functions."""
+
+SPECS_93XX: Final[tuple[Spec, ...]] = (
+    *MODULE_SPECS,
+    d(3, "0", (0, 4), kept=Kept.PROCESS),
+    d(5, "1001", (0, 72000), kept=Kept.MEMORY),
+    d(9, "1", (1, 99)),
+    d(11, "3000", (500, 16000), kept=Kept.MEMORY),
+    d(12, "2", (0, 9999), decimals=3, kept=Kept.MEMORY),
+    d(13, "2", (0, 9999), decimals=3, kept=Kept.MEMORY),
+    *(d(39, "10", (-200, 200), subcode=n, decimals=2, kept=Kept.MEMORY) for n in range(1, 16)),
+    d(40, "0", (0, 1), kept=Kept.PROCESS),
+    d(43, "0", (0, 0), kept=Kept.PROCESS),
+    d(46, "0"),
+    d(50, "0"),
+    d(51, "0"),
+    d(52, "0"),
+    d(53, "540"),
+    d(54, "0"),
+    d(61, "38"),
+    *(d(67, "0", subcode=n) for n in range(9)),
+    h(68, "H0000"),
+    d(93, "9321"),
+    d(99, "20"),
+    *(d(102, "2", (0, 9999), subcode=n, decimals=3, kept=Kept.MEMORY) for n in range(1, 4)),
+    *(d(103, "2", (0, 9999), subcode=n, decimals=3, kept=Kept.MEMORY) for n in range(1, 4)),
+    d(105, "2", (0, 9999), decimals=3, kept=Kept.MEMORY),
+    d(125, "0", (0, 4)),
+    h(135, "H0000", writable=True),
+    d(141, "0", (-200, 200), decimals=2, kept=Kept.PROCESS),
+    h(150, "H0000"),
+    *(d(161, "0", subcode=n) for n in range(9)),
+    *(d(168, "0", subcode=n) for n in range(9)),
+    d(178, "1234"),
+    d(179, "5678"),
+    s(200, "33S9300I_20000"),
+    s(201, "Mar 17 1999 10:31"),
+)
+
+FAULTS_93XX: Final = kinds(
+    trips=(
+        *(11, 12, 15, 50, 53, 58, 61, 62, 63, 64, 70, 71, 72, 73, 74, 75, 77, 78, 79, 82, 83, 86),
+        *(91, 105, 107, 110, 111, 153, 163, 200),
+    ),
+    messages=(1020, 1030, 1091),
+    warnings=(2054, 2057, 2058, 2061, 2062, 2063, 2064, 2082, 2083, 2086, 2091, 2153),
+)
+"""LECOM fault numbers of C0168. Source: EDB2102EN 8.2."""
 
 
 class Drive93XX(Module2102):

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import ClassVar, Final
 
-from lecombus.fieldbus.lecom.simulator.model import Model
-from lecombus.fieldbus.lecom.simulator.parameters import Kept, Spec, d, s
+from ..model import Model
+from ..parameters import Kept, Spec, d, s
 
 __all__ = ["Generic"]
 

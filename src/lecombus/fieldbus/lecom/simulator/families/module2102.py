@@ -1,5 +1,8 @@
 """Drives behind a 2102 fieldbus module: what the module itself adds.
 
+The default of a code is the setting the maker ships. Where the manual prints none, and for the
+controllers' own codes that it only mentions, it is what such a drive commonly shows.
+
 Source: EDB2102EN 6.2, 6.3, 8.2.
 """
 
@@ -7,13 +10,27 @@ from __future__ import annotations
 
 from typing import ClassVar, Final
 
-from lecombus.fieldbus.lecom.simulator.model import Model, word_text
+from ..model import Model, word_text
+from ..parameters import Kept, Spec, d, s
 
-__all__ = ["RFG_STOP", "RFG_ZERO", "Module2102"]
+__all__ = ["MODULE_SPECS", "RFG_STOP", "RFG_ZERO", "Module2102"]
 
 RFG_STOP: Final = 0x0010
 RFG_ZERO: Final = 0x0020
 """Bits of C0135 that act on the ramp generator. Source: EDB2102EN 8.2."""
+
+MODULE_SPECS: Final[tuple[Spec, ...]] = (
+    d(248, "0", (0, 255), kept=Kept.MODULE),
+    d(249, "0", (0, 15), kept=Kept.MODULE),
+    s(1810, "33S2102I_10000"),
+    s(1811, "2000-05-02"),
+    d(1920, "0", (0, 1), kept=Kept.MODULE),
+    d(1921, "0", (0, 1), kept=Kept.MODULE),
+    d(1922, "0", (0, 2), kept=Kept.MODULE),
+    d(1923, "3000", (50, 65535), kept=Kept.MODULE),
+    d(1962, "0"),
+)
+"""The module's own codes. The manual prints no default for C1923; 3000 ms stands in."""
 
 
 class Module2102(Model):
