@@ -14,8 +14,9 @@ from lecombus.fieldbus.lecom.protocol.timing import MAX_ANSWER_CHARS
 from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.parameters import Code
 from lecombus.readings import DriveState
-from support.disturbances import AFTER_S, LINES, PATTERNS, Picture, look, roster_text
-from support.site_host import Plant, roster_of, until, with_plant
+from support.disturbances import AFTER_S, LINES, PATTERNS, Picture, look, mixed_roster
+from support.rosters import roster_text
+from support.site_host import Plant, until, with_plant
 from support.virtual_loop import Paused
 
 QUICK = [
@@ -44,7 +45,7 @@ def check(size: int, name: str) -> None:
             await anyio.sleep(1.0)
         assert (await look(plant, 11)).worse_than(before) == []
 
-    with_plant(test, roster_text(*LINES[size]), seed=3, spread=0.3)
+    with_plant(test, mixed_roster(*LINES[size]), seed=3, spread=0.3)
 
 
 @pytest.mark.parametrize(("size", "name"), QUICK)
@@ -83,7 +84,7 @@ def test_no_answer_is_missed_because_the_daemon_was_late(name: str) -> None:
         for drive in plant.roster.drives:
             assert not plant.site.requests.station(drive.name).measured.slow.reads
 
-    with_plant(test, roster_text(*LINES[8]), seed=3, spread=0.3)
+    with_plant(test, mixed_roster(*LINES[8]), seed=3, spread=0.3)
 
 
 def test_a_value_that_lay_in_the_kernel_is_not_shown_as_fresh() -> None:
@@ -97,7 +98,7 @@ def test_a_value_that_lay_in_the_kernel_is_not_shown_as_fresh() -> None:
         assert found.value is not None
         assert (found.age_s or 0.0) > 4.5
 
-    with_plant(test, roster_text(*LINES[8]), seed=3)
+    with_plant(test, mixed_roster(*LINES[8]), seed=3)
 
 
 @pytest.mark.parametrize("baud", [9600, 19200])
@@ -123,4 +124,4 @@ def test_an_answer_without_end_silences_the_line_no_longer_than_the_longest_answ
         assert plant.state("b") is DriveState.ONLINE
 
     two = [("a", 1, "8200vector"), ("b", 2, "8200vector")]
-    with_plant(test, roster_of(two, baud=baud, drive=", cyclic: [{code: C0150, every: 200ms}]"))
+    with_plant(test, roster_text(two, baud=baud, drive="cyclic: [{code: C0150, every: 200ms}]"))

@@ -18,7 +18,8 @@ from lecombus.cli.entry import COMMANDS, main
 from lecombus.config import roster_json_schema
 from lecombus.drives import FAMILY_NAMES, family
 from lecombus.parameters import Code
-from support.site_host import Plant, roster_of, until, with_plant
+from support.rosters import roster_text
+from support.site_host import Plant, until, with_plant
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -114,8 +115,8 @@ def test_metrics_are_those_that_are_served() -> None:
             name + suffix for name in served for suffix in ("", "_bucket", "_sum", "_count")
         }
 
-    watched = ", watchdog: {time: 2s, action: inhibit, configure: true}"
-    with_plant(test, roster_of([("a", 11, "8200vector")], drive=watched))
+    watched = "watchdog: {time: 2s, action: inhibit, configure: true}"
+    with_plant(test, roster_text([("a", 11, "8200vector")], drive=watched))
 
 
 def test_every_log_event_is_documented() -> None:

@@ -15,7 +15,8 @@ import anyio
 import pytest
 
 import lecombus
-from support.site_host import Plant, roster_of, with_plant
+from support.rosters import roster_text
+from support.site_host import Plant, with_plant
 
 OURS = str(Path(lecombus.__file__).parent)
 SIMULATED = str(Path(OURS) / "fieldbus" / "lecom" / "simulator")
@@ -50,7 +51,7 @@ class Calls:
     ],
 )
 def test_an_exchange_takes_no_more_calls_than_it_did(every: str, most: int) -> None:
-    cyclic = f", cyclic: [{{code: C0150, every: {every}}}, {{code: C0050, every: {every}}}]"
+    cyclic = f"cyclic: [{{code: C0150, every: {every}}}, {{code: C0050, every: {every}}}]"
 
     async def test(plant: Plant) -> None:
         await plant.online()
@@ -63,4 +64,4 @@ def test_an_exchange_takes_no_more_calls_than_it_did(every: str, most: int) -> N
         assert exchanges > 100
         assert calls.count / exchanges <= most
 
-    with_plant(test, roster_of(DRIVES, drive=cyclic))
+    with_plant(test, roster_text(DRIVES, drive=cyclic))

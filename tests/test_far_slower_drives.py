@@ -11,13 +11,14 @@ from lecombus.parameters import Code
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome
 from lecombus.schedule.shares import LISTEN_S
-from support.site_host import Plant, roster_of, until, with_plant
+from support.rosters import roster_text
+from support.site_host import Plant, until, with_plant
 
 TWO = [("a", 1, "8200vector"), ("b", 2, "8200vector")]
 STATUS, ADDRESS = Code(150), Code(9)
-BUSY = ", cyclic: [{code: C0150, every: 100ms}, {code: C0046, every: 100ms}]"
+BUSY = "cyclic: [{code: C0150, every: 100ms}, {code: C0046, every: 100ms}]"
 """More than the line can hold: it is never idle by itself."""
-ROSTER = roster_of(TWO, drive=BUSY)
+ROSTER = roster_text(TWO, drive=BUSY)
 QUARANTINE_S = 0.06
 MANUAL_S = 0.12
 """A time-out by the manual at this baud rate, quarantine included."""
@@ -66,7 +67,7 @@ def test_a_code_that_takes_most_of_a_second_is_learnt_on_a_busy_line(addressing:
             assert reading.value is not None
             assert reading.value.raw.strip() == address
 
-    with_plant(test, roster_of(TWO, drive=f"{BUSY}, addressing: {addressing}"))
+    with_plant(test, roster_text(TWO, drive=f"{BUSY}, addressing: {addressing}"))
 
 
 def test_a_drive_that_takes_half_a_second_for_everything_comes_online() -> None:
@@ -106,14 +107,11 @@ def test_a_watchdog_that_presses_ends_the_listening_and_is_fed() -> None:
         assert plant.line["a"].watchdog_fired == fired
         assert plant.site.schedule.stats(plant.now_s).feeds["a"].lapses == 0
 
-    drives = (
-        "line: {name: l, port: 'sim:', baud: 19200}\n"
-        "drives:\n"
-        "  - {name: a, address: 1, family: 8200vector, cyclic: [],\n"
-        "     watchdog: {time: 1500ms, action: inhibit, configure: true}}\n"
-        "  - {name: b, address: 2, family: 8200vector, cyclic: [{code: C0150, every: 100ms}]}\n"
-    )
-    with_plant(test, drives)
+    own = {
+        "a": "cyclic: [], watchdog: {time: 1500ms, action: inhibit, configure: true}",
+        "b": "cyclic: [{code: C0150, every: 100ms}]",
+    }
+    with_plant(test, roster_text(TWO, own=own))
 
 
 def test_a_stop_waits_for_a_slow_drive_s_reading_no_longer_than_for_a_quick_one_s() -> None:

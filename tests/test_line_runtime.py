@@ -14,7 +14,8 @@ from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.parameters import Code, Value
 from lecombus.readings import DriveState, LineState, Quality
 from lecombus.schedule import Outcome
-from support.site_host import Plant, roster_of, until, with_plant
+from support.rosters import roster_text
+from support.site_host import Plant, until, with_plant
 
 AB = [("a", 11, "8200vector"), ("b", 12, "8200vector")]
 STATUS, SETPOINT, ENABLE, WORD = Code(150), Code(46), Code(40), Code(135)
@@ -29,7 +30,7 @@ def test_a_site_has_tried_all_once_every_drive_was_asked_also_those_that_are_not
         await plant.online("a")
         assert plant.state("b") is DriveState.OFFLINE
 
-    with_plant(test, roster_of(AB))
+    with_plant(test, roster_text(AB))
 
 
 def test_a_drive_that_answers_and_reports_a_fault_does_not_look_healthy() -> None:
@@ -41,7 +42,7 @@ def test_a_drive_that_answers_and_reports_a_fault_does_not_look_healthy() -> Non
         assert "C0150 reads H" in plant.site.store.drive("a").remarks["fault"]
         assert not [key for key in plant.site.store.drive("b").remarks if key.startswith("fault")]
 
-    with_plant(test, roster_of(AB))
+    with_plant(test, roster_text(AB))
 
 
 def test_a_reloaded_roster_leaves_alone_what_did_not_change() -> None:
@@ -49,40 +50,40 @@ def test_a_reloaded_roster_leaves_alone_what_did_not_change() -> None:
         await plant.online()
         before = plant.site.store.reading("a", STATUS)
         assert before is not None
-        plant.apply(roster_of([*AB, ("c", 13, "8200vector")]))
+        plant.apply(roster_text([*AB, ("c", 13, "8200vector")]))
         after = plant.site.store.reading("a", STATUS)
         assert after is not None
         assert (after.value, after.quality) == (before.value, Quality.GOOD)
         assert plant.state("a") is DriveState.ONLINE
         assert plant.state("c") is DriveState.STARTING
 
-    with_plant(test, roster_of(AB))
+    with_plant(test, roster_text(AB))
 
 
 def test_a_new_roster_is_told_by_the_drives_it_changes() -> None:
     async def test(plant: Plant) -> None:
         moved = [("b", 14, "8200vector"), ("c", 13, "8200vector")]
-        changes = plant.site.apply(parse_roster(roster_of(moved), "hall-3.yaml"))
+        changes = plant.site.apply(parse_roster(roster_text(moved), "hall-3.yaml"))
         assert str(changes) == "added=c removed=a changed=b"
         again = plant.site.apply(plant.site.roster)
         assert str(again) == "added=none removed=none changed=none"
 
-    with_plant(test, roster_of(AB))
+    with_plant(test, roster_text(AB))
 
 
 def test_a_new_drive_is_audited_and_comes_online() -> None:
     async def test(plant: Plant) -> None:
         await plant.online("a")
-        plant.apply(roster_of(AB))
+        plant.apply(roster_text(AB))
         await plant.online("b")
 
-    with_plant(test, roster_of(AB[:1]), also=AB[1:])
+    with_plant(test, roster_text(AB[:1]), also=AB[1:])
 
 
 def test_a_drive_taken_out_is_spoken_to_no_more() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()
-        plant.apply(roster_of(AB[:1]))
+        plant.apply(roster_text(AB[:1]))
         await anyio.sleep(0.2)
         since_s = plant.now_s
         await anyio.sleep(20.0)
@@ -91,7 +92,7 @@ def test_a_drive_taken_out_is_spoken_to_no_more() -> None:
         with pytest.raises(OperationError, match="no drive 'b'"):
             await plant.site.operations.read("b", STATUS)
 
-    with_plant(test, roster_of(AB, watchdog="{time: 2s, action: inhibit, configure: true}"))
+    with_plant(test, roster_text(AB, watchdog="{time: 2s, action: inhibit, configure: true}"))
 
 
 @pytest.mark.parametrize("kept", [True, False])
@@ -105,7 +106,7 @@ def test_a_drive_may_be_taken_out_or_changed_while_it_is_spoken_to(
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(ask, plant, writing)
             await until(lambda: len(plant.end.sent) > said)
-            plant.apply(roster_of(AB, drive=", answer_time: 30ms") if kept else roster_of(AB[:1]))
+            plant.apply(roster_text(AB, drive="answer_time: 30ms") if kept else roster_text(AB[:1]))
         await anyio.sleep(10.0)
         assert plant.site.worker.is_open
         assert plant.state("a") is DriveState.ONLINE
@@ -117,7 +118,7 @@ def test_a_drive_may_be_taken_out_or_changed_while_it_is_spoken_to(
             else:
                 await plant.site.operations.read("b", STATUS)
 
-    with_plant(test, roster_of(AB, drive=", cyclic: []") if not kept else roster_of(AB))
+    with_plant(test, roster_text(AB, drive="cyclic: []") if not kept else roster_text(AB))
 
 
 def test_a_value_of_the_device_that_had_the_name_before_is_not_the_new_one_s() -> None:
@@ -130,7 +131,7 @@ def test_a_value_of_the_device_that_had_the_name_before_is_not_the_new_one_s() -
             tasks.start_soon(read_or_not, plant)
             await until(lambda: len(plant.end.sent) > said)
             assert plant.end.sent[-1].data[1:3] == b"12"
-            plant.apply(roster_of([AB[0], ("b", 13, "8200vector")], drive=", cyclic: []"))
+            plant.apply(roster_text([AB[0], ("b", 13, "8200vector")], drive="cyclic: []"))
         found = plant.site.store.reading("b", Code(50))
         assert found is None or found.value is None or found.value.raw == "13"
 
@@ -138,17 +139,17 @@ def test_a_value_of_the_device_that_had_the_name_before_is_not_the_new_one_s() -
         with contextlib.suppress(OperationError):
             await plant.site.operations.read("b", Code(50))
 
-    with_plant(test, roster_of(AB, drive=", cyclic: []"), also=[("c", 13, "8200vector")])
+    with_plant(test, roster_text(AB, drive="cyclic: []"), also=[("c", 13, "8200vector")])
 
 
 def test_a_roster_with_another_line_is_refused_and_nothing_changes() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()
         with pytest.raises(ConfigError, match="restart"):
-            plant.apply(roster_of(AB[:1], baud=9600))
+            plant.apply(roster_text(AB[:1], baud=9600))
         assert plant.state("b") is DriveState.ONLINE
 
-    with_plant(test, roster_of(AB))
+    with_plant(test, roster_text(AB))
 
 
 def test_a_cadence_the_line_cannot_hold_is_remarked() -> None:
@@ -157,12 +158,12 @@ def test_a_cadence_the_line_cannot_hold_is_remarked() -> None:
         await anyio.sleep(30.0)
         plant.site.watch.look()
         assert "cannot hold the cyclic reads" in plant.site.store.line().remarks["cadence"]
-        plant.apply(roster_of(AB))
+        plant.apply(roster_text(AB))
         await anyio.sleep(120.0)
         plant.site.watch.look()
         assert "cadence" not in plant.site.store.line().remarks
 
-    with_plant(test, roster_of(AB, drive=", cyclic: [{code: C0150, every: 50ms}]"))
+    with_plant(test, roster_text(AB, drive="cyclic: [{code: C0150, every: 50ms}]"))
 
 
 def test_what_was_not_read_while_the_line_was_lost_is_no_remark_about_its_cadence() -> None:
@@ -175,7 +176,7 @@ def test_what_was_not_read_while_the_line_was_lost_is_no_remark_about_its_cadenc
             plant.site.watch.look()
             assert "cadence" not in plant.site.store.line().remarks
 
-    with_plant(test, roster_of(AB))
+    with_plant(test, roster_text(AB))
 
 
 def test_drives_that_are_being_started_raise_no_alarm_about_the_cadence() -> None:
@@ -191,8 +192,8 @@ def test_drives_that_are_being_started_raise_no_alarm_about_the_cadence() -> Non
         await plant.online()
 
     many = [(name, 11 + place, "8200vector") for place, name in enumerate("abcdef")]
-    dog = ", watchdog: {time: 4s, action: quick-stop, configure: true}"
-    with_plant(test, roster_of(many, drive=dog))
+    dog = "watchdog: {time: 4s, action: quick-stop, configure: true}"
+    with_plant(test, roster_text(many, drive=dog))
 
 
 def test_a_drive_that_never_ends_starting_hides_the_remark_for_minutes_only() -> None:
@@ -207,7 +208,7 @@ def test_a_drive_that_never_ends_starting_hides_the_remark_for_minutes_only() ->
             plant.site.watch.look()
         assert "cadence" in plant.site.store.line().remarks
 
-    with_plant(test, roster_of(AB, drive=", cyclic: [{code: C0150, every: 50ms}]"))
+    with_plant(test, roster_text(AB, drive="cyclic: [{code: C0150, every: 50ms}]"))
 
 
 def test_a_setpoint_is_known_by_what_the_drive_had_and_by_what_it_acknowledged() -> None:
@@ -235,7 +236,7 @@ def test_a_setpoint_is_known_by_what_the_drive_had_and_by_what_it_acknowledged()
         assert motion.setpoint is not None
         assert motion.setpoint.as_json()["stale"] is True
 
-    with_plant(test, roster_of(AB))
+    with_plant(test, roster_text(AB))
 
 
 def test_a_refused_write_leaves_what_is_known_as_it_is() -> None:
@@ -249,7 +250,7 @@ def test_a_refused_write_leaves_what_is_known_as_it_is() -> None:
         assert reading is not None
         assert (reading.value, reading.quality) == (Value.parse("0"), Quality.GOOD)
 
-    with_plant(test, roster_of(AB))
+    with_plant(test, roster_text(AB))
 
 
 def test_a_quick_stop_after_an_inhibit_does_not_lift_the_inhibit() -> None:
@@ -265,7 +266,7 @@ def test_a_quick_stop_after_an_inhibit_does_not_lift_the_inhibit() -> None:
         assert report.outcome is Outcome.VERIFIED
         assert plant.line["a"].model.control & 0x0208 == 0x0208
 
-    with_plant(test, roster_of(AB))
+    with_plant(test, roster_text(AB))
 
 
 def test_a_control_word_whose_write_was_not_answered_is_read_before_it_is_changed() -> None:
@@ -279,14 +280,14 @@ def test_a_control_word_whose_write_was_not_answered_is_read_before_it_is_change
         await plant.site.operations.stop(StopAction.QUICK_STOP, "a")
         assert plant.line["a"].model.control & 0x0208 == 0x0208
 
-    with_plant(test, roster_of(AB, drive=", cyclic: []"))
+    with_plant(test, roster_text(AB, drive="cyclic: []"))
 
 
 def test_what_a_site_is_asked_at_its_end_is_what_the_roster_says() -> None:
     async def test(plant: Plant) -> None:
         assert plant.site.stop_action() is StopAction.INHIBIT
 
-    with_plant(test, roster_of(AB, rest="on_shutdown: inhibit"))
+    with_plant(test, roster_text(AB, sections="on_shutdown: inhibit"))
 
 
 GUARD = "{time: 2s, action: quick-stop, configure: true}"
@@ -295,7 +296,7 @@ GUARD = "{time: 2s, action: quick-stop, configure: true}"
 def test_a_drive_that_gets_another_address_while_it_is_audited_is_spoken_to_there_only() -> None:
     async def test(plant: Plant) -> None:
         await until(lambda: any(b"RE" in one.data[3:5] for one in plant.sent_to(11)), within_s=20.0)
-        plant.apply(roster_of([("a", 12, "8200vector")]))
+        plant.apply(roster_text([("a", 12, "8200vector")]))
         await plant.online("a")
         await anyio.sleep(2.0)
         said = len(plant.sent_to(11))
@@ -304,7 +305,7 @@ def test_a_drive_that_gets_another_address_while_it_is_audited_is_spoken_to_ther
         assert plant.line[12].text(46) == "33"
         assert len(plant.sent_to(11)) == said
 
-    with_plant(test, roster_of([("a", 11, "8200vector")]), also=[("b", 12, "8200vector")])
+    with_plant(test, roster_text([("a", 11, "8200vector")]), also=[("b", 12, "8200vector")])
 
 
 def test_drives_taken_out_while_they_wait_for_their_audit_harm_nobody() -> None:
@@ -312,9 +313,9 @@ def test_drives_taken_out_while_they_wait_for_their_audit_harm_nobody() -> None:
 
     async def test(plant: Plant) -> None:
         await anyio.sleep(3.0)
-        plant.apply(roster_of(drives[:2], watchdog=GUARD))
+        plant.apply(roster_text(drives[:2], watchdog=GUARD))
         await plant.online("a", "b", within_s=60.0)
-        plant.apply(roster_of(drives, watchdog=GUARD))
+        plant.apply(roster_text(drives, watchdog=GUARD))
         await plant.online(within_s=120.0)
 
-    with_plant(test, roster_of(drives, watchdog=GUARD))
+    with_plant(test, roster_text(drives, watchdog=GUARD))

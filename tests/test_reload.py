@@ -10,7 +10,8 @@ import pytest
 from lecombus.parameters import Code
 from lecombus.readings import DriveState, Quality
 from lecombus.schedule import Priority
-from support.site_host import Plant, roster_of, until, with_plant
+from support.rosters import roster_text
+from support.site_host import Plant, until, with_plant
 
 DRIVES = [(name, address, "8200vector") for address, name in enumerate("abcdef", 11)]
 NAMES = "abcdef"
@@ -20,7 +21,7 @@ GUARD = "{time: 2s, action: quick-stop, configure: true}"
 
 
 def roster(cyclic: str, *, more: str = "", guard: str = GUARD) -> str:
-    return roster_of(DRIVES, watchdog=guard, drive=f", cyclic: [{cyclic}]{more}")
+    return roster_text(DRIVES, watchdog=guard, drive=f"cyclic: [{cyclic}]{more}")
 
 
 EVERY_2_S = "{code: C0150, every: 2s}"

@@ -15,7 +15,8 @@ from lecombus.errors import OperationError
 from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
 from lecombus.parameters import Code
 from lecombus.readings import DriveState
-from support.site_host import Plant, roster_of, with_plant
+from support.rosters import roster_text
+from support.site_host import Plant, with_plant
 
 TWO = [("a", 1, "8200vector"), ("b", 2, "8200vector")]
 ADDRESS = Code(9)
@@ -82,7 +83,7 @@ def test_a_drive_three_times_as_slow_comes_online_and_stays(
         assert by_drive["b"] > 2.0 > 1.25 > by_drive["a"]
 
     with caplog.at_level(logging.WARNING):
-        with_plant(test, roster_of(TWO, drive=", cyclic: [{code: C0150, every: 500ms}]"))
+        with_plant(test, roster_text(TWO, drive="cyclic: [{code: C0150, every: 500ms}]"))
     said = [one.getMessage() for one in caplog.records if "slow-drive" in one.getMessage()]
     assert len(said) == 1
     assert "drive=b" in said[0]
@@ -105,7 +106,7 @@ def test_the_plan_of_the_running_line_reckons_with_what_was_measured() -> None:
         assert [row["code"] for row in document["answers"]["b"] if row["slow"]]
         assert not [row for row in document["answers"]["a"] if row["slow"]]
 
-    with_plant(test, roster_of(TWO, drive=", cyclic: [{code: C0150, every: 500ms}]"))
+    with_plant(test, roster_text(TWO, drive="cyclic: [{code: C0150, every: 500ms}]"))
 
 
 def test_a_code_that_is_answered_quickly_again_is_reckoned_by_the_manual() -> None:
@@ -122,7 +123,7 @@ def test_a_code_that_is_answered_quickly_again_is_reckoned_by_the_manual() -> No
         assert station.answer_s(Code(150)) is None
         assert "C0150" not in remarks(plant, "b").partition("answers later")[2]
 
-    with_plant(test, roster_of(TWO, drive=", cyclic: [{code: C0150, every: 2s}]"))
+    with_plant(test, roster_text(TWO, drive="cyclic: [{code: C0150, every: 2s}]"))
 
 
 def test_what_was_learnt_is_dropped_when_somebody_says_so_and_learnt_again() -> None:
@@ -141,14 +142,14 @@ def test_what_was_learnt_is_dropped_when_somebody_says_so_and_learnt_again() -> 
         with pytest.raises(OperationError, match="no drive"):
             plant.site.operations.forget_times("c")
 
-    with_plant(test, roster_of(TWO, drive=", cyclic: [{code: C0150, every: 500ms}]"))
+    with_plant(test, roster_text(TWO, drive="cyclic: [{code: C0150, every: 500ms}]"))
 
 
 def test_a_new_roster_entry_begins_anew() -> None:
     async def test(plant: Plant) -> None:
         slow_down(plant, "b", 3.0)
         await work(plant, 60)
-        text = roster_of(TWO, drive=", cyclic: [{code: C0150, every: 500ms}], answer_time: 150ms")
+        text = roster_text(TWO, drive="cyclic: [{code: C0150, every: 500ms}], answer_time: 150ms")
         plant.apply(text)
         plant.site.watch.look()
         assert "answers later" not in remarks(plant, "b")
@@ -156,7 +157,7 @@ def test_a_new_roster_entry_begins_anew() -> None:
         assert plant.state("b") is DriveState.ONLINE
         assert "answers later" not in remarks(plant, "b")
 
-    with_plant(test, roster_of(TWO, drive=", cyclic: [{code: C0150, every: 500ms}]"))
+    with_plant(test, roster_text(TWO, drive="cyclic: [{code: C0150, every: 500ms}]"))
 
 
 def test_all_drives_slow_are_told_apart_all_the_same() -> None:
@@ -177,7 +178,7 @@ def test_all_drives_slow_are_told_apart_all_the_same() -> None:
         assert sum(lost(plant, name, settled_s) for name in "abc") == 0
 
     three = [*TWO, ("c", 3, "8200vector")]
-    with_plant(test, roster_of(three, drive=", cyclic: [{code: C0009, every: 300ms}]"))
+    with_plant(test, roster_text(three, drive="cyclic: [{code: C0009, every: 300ms}]"))
 
 
 def test_a_slow_drive_s_writes_and_watchdog_are_kept_too() -> None:
@@ -192,8 +193,8 @@ def test_a_slow_drive_s_writes_and_watchdog_are_kept_too() -> None:
         assert plant.site.schedule.stats(plant.now_s).feeds["b"].lapses == lapses
         assert plant.site.schedule.stats(plant.now_s).feeds["a"].lapses == 0
 
-    watched = ", watchdog: {time: 2s, action: inhibit, configure: true}"
-    with_plant(test, roster_of(TWO, drive=watched))
+    watched = "watchdog: {time: 2s, action: inhibit, configure: true}"
+    with_plant(test, roster_text(TWO, drive=watched))
 
 
 def test_twice_the_same_virtual_line_is_twice_the_same() -> None:
@@ -205,6 +206,6 @@ def test_twice_the_same_virtual_line_is_twice_the_same() -> None:
         seen.append([(one.result.ended_s, one.result.kind.value) for one in plant.reports])
 
     for _ in range(2):
-        with_plant(test, roster_of(TWO), faults="late=0.05:0.2s", seed=5, spread=0.3)
+        with_plant(test, roster_text(TWO), faults="late=0.05:0.2s", seed=5, spread=0.3)
     assert seen[0] == seen[1]
     assert len(seen[0]) > 50

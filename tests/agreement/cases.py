@@ -6,14 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from lecombus.config import Roster, parse_roster
+from support.rosters import Wanted, roster_text
 
 __all__ = ["CASES", "Case"]
 
 EXCHANGE = ("failed exchange", "stop", "stop, loaded")
 CLIENTS = ("control", "control, loaded", "interactive", "interactive, loaded")
 
-STATUS = ", cyclic: [{code: C0150, every: %s}]"
-EXTENDED = ", cyclic: [{code: C0039/1, every: 1s}, {code: C0039/2, every: 700ms}]"
+STATUS = "cyclic: [{code: C0150, every: %s}]"
+EXTENDED = "cyclic: [{code: C0039/1, every: 1s}, {code: C0039/2, every: 700ms}]"
 """Codes with subcodes are asked for in extended addressing only."""
 FAMILIES = ("820x", "821x", "8200vector", "93xx", "smvector")
 
@@ -25,22 +26,21 @@ class Case:
     Args:
         name: What is special about it.
         line: Keys of the line.
-        drives: Keys of each drive.
+        drives: Each drive, and more keys of it.
         tight: The promises whose worst case comes in a minute: measured is close to them.
     """
 
     name: str
     line: str
-    drives: tuple[str, ...]
+    drives: tuple[tuple[Wanted, str], ...]
     tight: frozenset[str]
 
     def text(self, port: str = "sim:") -> str:
         """Give the roster's text."""
-        entries = "".join(f"  - {{{drive}}}\n" for drive in self.drives)
-        return (
-            f"line: {{name: l, port: '{port}', adapter_latency: 1ms, {self.line}}}\n"
-            f"drives:\n{entries}"
-        )
+        line = f"adapter_latency: 1ms, {self.line}"
+        own = {drive[0]: keys for drive, keys in self.drives}
+        drives = [drive for drive, _ in self.drives]
+        return roster_text(drives, port=port, baud=None, line=line, own=own)
 
     def roster(self, port: str = "sim:") -> Roster:
         """Give the roster."""
@@ -49,11 +49,11 @@ class Case:
 
 def _drives(
     families: Sequence[str], rest: str = "", watchdog: str = "", first: int = 1
-) -> tuple[str, ...]:
+) -> tuple[tuple[Wanted, str], ...]:
     addresses = [address for address in range(first, 100) if address % 10][: len(families)]
-    guard = f", watchdog: {{time: {watchdog}, action: quick-stop, configure: true}}"
+    guard = f"watchdog: {{time: {watchdog}, action: quick-stop, configure: true}}, "
     return tuple(
-        f"name: d{address}, address: {address}, family: {kind}{guard if watchdog else ''}{rest}"
+        ((f"d{address}", address, kind), f"{guard if watchdog else ''}{rest}")
         for address, kind in zip(addresses, families, strict=True)
     )
 
@@ -71,7 +71,7 @@ CROWDED = (
     Case(
         "20 drives at 9600 baud",
         "baud: 9600, turnaround: 2ms",
-        _drives(["93xx"] * 20, ", cyclic: []", "1500ms"),
+        _drives(["93xx"] * 20, "cyclic: []", "1500ms"),
         frozenset(),
     ),
     Case(
@@ -105,7 +105,7 @@ CASES = (
     Case(
         "feeds alone",
         "baud: 9600, turnaround: 2ms",
-        _drives(["93xx"] * 12, ", cyclic: []", "2s"),
+        _drives(["93xx"] * 12, "cyclic: []", "2s"),
         frozenset({*EXCHANGE, "feed distance"}),
     ),
     Case(
@@ -117,7 +117,7 @@ CASES = (
     Case(
         "many codes of one drive",
         "baud: 9600, turnaround: 0ms",
-        _drives(["8200vector"], f", cyclic: [{NEAR}]"),
+        _drives(["8200vector"], f"cyclic: [{NEAR}]"),
         frozenset({*EXCHANGE, *CLIENTS}),
     ),
     Case(
@@ -135,14 +135,14 @@ CASES = (
     Case(
         "shortest watchdogs",
         "baud: 19200, turnaround: 2ms",
-        _drives(["smvector"] * 8, ", cyclic: []", "540ms"),
+        _drives(["smvector"] * 8, "cyclic: []", "540ms"),
         frozenset({"failed exchange", "stop", "feed distance"}),
     ),
     Case(
         "one short watchdog",
         "baud: 9600, turnaround: 0ms",
         (
-            *_drives(["smvector"], ", cyclic: []", "400ms"),
+            *_drives(["smvector"], "cyclic: []", "400ms"),
             *_drives(["8200vector"] * 9, STATUS % "3s", "8s", first=11),
         ),
         frozenset({*EXCHANGE, "cyclic", "background"}),

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from support.paced_line import drives
+from support.rosters import roster_text
 
 __all__ = ["DRIVES", "write_roster"]
 
@@ -34,21 +35,10 @@ def write_roster(
         codes: What it is asked for.
     """
     cyclic = ", ".join(f"{{code: {code}, every: {every_ms}ms}}" for code in codes)
-    rows = [
-        f"  - {{name: {name}, address: {address}, family: {family}, cyclic: [{cyclic}]}}"
-        for name, address, family in drives(DRIVES)
-    ]
-    text = "\n".join(
-        [
-            f"line: {{name: bench, port: '{port}', baud: {baud}, turnaround: {turnaround_ms}ms, "
-            "echo: no}",
-            "drives:",
-            *rows,
-            f"api: {{socket: {folder / 'api.sock'}, http: '127.0.0.1:{http}'}}",
-            f"state: {folder / 'state.json'}",
-            "",
-        ]
-    )
+    text = roster_text(
+        drives(DRIVES), port=port, baud=baud, folder=folder, http=http,
+        line=f"turnaround: {turnaround_ms}ms, echo: no", drive=f"cyclic: [{cyclic}]",
+    )  # fmt: skip
     path = folder / f"roster-{baud}-{turnaround_ms}-{every_ms}.yaml"
     path.write_text(text)
     return path

@@ -6,10 +6,10 @@ import dataclasses
 import logging
 from pathlib import Path
 
-from lecombus.config import parse_roster
 from proof.lines import RandomLine
 from proof.world import run_line
 from support.paced_line import drives
+from support.rosters import make_roster
 
 from .table import Row, spread
 
@@ -47,10 +47,5 @@ def measure(folder: Path, rounds: int) -> list[Row]:
 
 def busy_line() -> RandomLine:
     """A full line whose cyclic reads keep it about half busy."""
-    entries = "".join(
-        f"  - {{name: {name}, address: {address}, family: {family}, "
-        "watchdog: {time: 4s, action: quick-stop}}\n"
-        for name, address, family in drives(31)
-    )
-    roster = parse_roster(f"line: {{name: l, port: 'sim:', baud: 19200}}\ndrives:\n{entries}", "r")
+    roster = make_roster(drives(31), watchdog="{time: 4s, action: quick-stop}")
     return RandomLine(0, "quiet", roster, "", LENGTH_S)

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from lecombus.config import Roster, parse_roster
+from lecombus.config import Roster
+from support.rosters import make_roster
 
 FAMILIES = ("8200vector", "smvector", "93xx", "821x", "820x")
 
 
-def roster_of(
+def line_of(
     count: int,
     *,
     time: str = "2s",
@@ -21,14 +22,10 @@ def roster_of(
 ) -> Roster:
     """A line of some drives, families in turn; `times`: other watchdog times, by drive."""
     addresses = [address for address in range(1, 99) if address % 10][:count]
-    drives = []
-    for number, address in enumerate(addresses):
-        family = only or FAMILIES[number % len(FAMILIES)]
-        own = times.get(f"d{address}", time)
-        watchdog = f", watchdog: {{time: {own}, action: quick-stop, configure: true}}"
-        drives.append(
-            f"  - {{name: d{address}, address: {address}, family: {family}"
-            f"{watchdog if time else ''}{cyclic}}}\n"
-        )
-    head = f"line: {{name: l, port: 'sim:', baud: {baud}, medium: rs485, repeaters: true}}\n"
-    return parse_roster(f"{head}drives:\n{''.join(drives)}", "r.yaml")
+    drives = [
+        (f"d{address}", address, only or FAMILIES[number % len(FAMILIES)])
+        for number, address in enumerate(addresses)
+    ]
+    guard = "watchdog: {time: %s, action: quick-stop, configure: true}"
+    own = {name: guard % times.get(name, time) if time else "" for name, _, _ in drives}
+    return make_roster(drives, baud=baud, line="repeaters: true", own=own, drive=cyclic)

@@ -14,16 +14,15 @@ from lecombus.api.decimal_json import encode
 from lecombus.capacity.facts import facts_of, roster_of
 from lecombus.capacity.live import LOAD_ROOM, LivePlan, compare
 from lecombus.capacity.plan import make_plan
-from lecombus.config import parse_roster
 from lecombus.drives import StopAction
 from lecombus.metrics.rolling_window import RollingWindow
 from lecombus.parameters import Code
 from lecombus.readings import DriveState
 from lecombus.schedule import Priority
+from support.rosters import make_roster, roster_text
 from support.site_host import Plant, until, with_plant
-from support.site_host import roster_of as written
 
-WATCHED = ", watchdog: {time: 2s, action: inhibit, configure: true}"
+WATCHED = "watchdog: {time: 2s, action: inhibit, configure: true}"
 DRIVES = [("a", 1, "8200vector"), ("b", 2, "smvector"), ("c", 3, "821x")]
 
 
@@ -51,7 +50,7 @@ def test_what_is_carried_plans_the_same() -> None:
         assert facts_of(found) == facts_of(plant.roster)
 
     drive = WATCHED + ", answer_time: 90ms, addressing: standard"
-    with_plant(test, written([("a", 1, "8200vector"), ("b", 2, "821x")], drive=drive))
+    with_plant(test, roster_text([("a", 1, "8200vector"), ("b", 2, "821x")], drive=drive))
 
 
 def test_a_line_that_works_keeps_what_was_promised() -> None:
@@ -79,7 +78,7 @@ def test_a_line_that_works_keeps_what_was_promised() -> None:
         assert live.slack_s is not None
         assert 0.0 < live.slack_s < 1.8
 
-    with_plant(test, written(DRIVES, drive=WATCHED))
+    with_plant(test, roster_text(DRIVES, drive=WATCHED))
 
 
 @pytest.mark.parametrize("every", ["2s", "10s"])
@@ -95,18 +94,18 @@ def test_feeding_early_is_not_beyond_the_promise(every: str) -> None:
         assert live.beyond == ()
 
     cyclic = f", cyclic: [{{code: C0150, every: {every}}}]"
-    with_plant(test, written([(f"d{at}", at, "smvector") for at in range(1, 9)],
+    with_plant(test, roster_text([(f"d{at}", at, "smvector") for at in range(1, 9)],
                              drive=WATCHED + cyclic))  # fmt: skip
 
 
 @pytest.mark.parametrize(("added_s", "said"), [(0.0, "within"), (0.006, "as with an adapter")])
 def test_an_adapter_that_adds_to_every_answer_is_suspected(added_s: float, said: str) -> None:
     """Reads that take longer by less than the adapter may add, and by nothing else."""
-    text = "line: {name: l, port: 'sim:', adapter_latency: 10ms}\ndrives:\n" + "".join(
-        f"  - {{name: d{at}, address: {at}, family: smvector, "
-        "cyclic: [{code: C0150, every: 500ms}]}\n" for at in range(1, 9)
+    drives = [(f"d{at}", at, "smvector") for at in range(1, 9)]
+    roster = make_roster(
+        drives, baud=9600, line="adapter_latency: 10ms",
+        drive="cyclic: [{code: C0150, every: 500ms}]",
     )  # fmt: skip
-    roster = parse_roster(text, "r.yaml")
     cost_s = make_plan(roster).exchanges[0].times.usual_s - roster.line.turnaround_s + added_s
     minutes = RollingWindow(0.0)
     for number in range(16 * 100):
@@ -129,7 +128,7 @@ def test_what_stops_of_drives_that_are_away_wait_is_not_held_against_their_class
         await plant.site.operations.stop(StopAction.INHIBIT, "b")
         assert class_of(live_of(plant), "stop").waits == 1
 
-    with_plant(test, written(DRIVES, drive=WATCHED))
+    with_plant(test, roster_text(DRIVES, drive=WATCHED))
 
 
 def test_what_is_beyond_the_promise_is_said() -> None:
@@ -149,7 +148,7 @@ def test_what_is_beyond_the_promise_is_said() -> None:
         assert live.failed > 0
         assert live.as_json()["beyond"] == list(live.beyond)
 
-    with_plant(test, written(DRIVES))
+    with_plant(test, roster_text(DRIVES))
 
 
 def test_old_measures_are_forgotten() -> None:
@@ -165,7 +164,7 @@ def test_old_measures_are_forgotten() -> None:
         assert (found.waits, found.most_s, found.median_s) == (0, None, None)
         assert found.verdict == "nothing measured"
 
-    with_plant(test, written(DRIVES))
+    with_plant(test, roster_text(DRIVES))
 
 
 def test_an_unwatched_line_names_no_watchdog() -> None:
@@ -180,7 +179,7 @@ def test_an_unwatched_line_names_no_watchdog() -> None:
         assert live.as_json()["classes"][2]["quiet_s"] is None
         json.dumps(live.as_json(), allow_nan=False)
 
-    with_plant(test, written(DRIVES))
+    with_plant(test, roster_text(DRIVES))
 
 
 def class_of(live: LivePlan, name: str) -> Any:

@@ -17,12 +17,12 @@ from lecombus.schedule import ignore_end
 from lecombus.schedule.watchdog_deadline import WatchdogDeadline, WatchdogFeeding
 from lecombus.schedule.watchdog_set import WatchdogSet
 
-from .rosters import roster_of
+from .rosters import line_of
 
 
 @pytest.mark.parametrize("kind", ["820x", "8200vector", "93xx", "smvector"])
 def test_an_attempt_is_as_long_as_the_request_says(kind: str) -> None:
-    roster = roster_of(1, only=kind)
+    roster = line_of(1, only=kind)
     timing = line_timing(roster.line)
     drive, of = roster.drives[0], family(kind)
     maker = RequestMaker(timing, 2, lambda priority, outcome: None)
@@ -37,10 +37,8 @@ def test_an_attempt_is_as_long_as_the_request_says(kind: str) -> None:
 
 
 def test_it_waits_for_one_round_of_feeds_and_the_exchange_under_way() -> None:
-    few, many = (
-        make_plan(roster_of(count, time="4s", baud=19200, only="93xx")) for count in (5, 25)
-    )
-    roster = roster_of(5, time="4s", baud=19200, only="93xx")
+    few, many = (make_plan(line_of(count, time="4s", baud=19200, only="93xx")) for count in (5, 25))
+    roster = line_of(5, time="4s", baud=19200, only="93xx")
     feed_s = dearest_feed_times(roster.drives[0], line_timing(roster.line)).usual_s
     longer_s = many.silent_stop.quiet_s - few.silent_stop.quiet_s
     assert longer_s == pytest.approx(20 * feed_s)
@@ -49,7 +47,7 @@ def test_it_waits_for_one_round_of_feeds_and_the_exchange_under_way() -> None:
 
 
 def test_the_round_is_that_of_the_running_schedule() -> None:
-    roster = roster_of(7, time="4s", baud=19200)
+    roster = line_of(7, time="4s", baud=19200)
     timing = line_timing(roster.line)
     maker = RequestMaker(timing, 2, lambda priority, outcome: None)
     feeds = WatchdogSet()
@@ -64,6 +62,6 @@ def test_the_round_is_that_of_the_running_schedule() -> None:
 
 
 def test_on_a_slow_line_at_least_three_telegrams_go_out() -> None:
-    plan = make_plan(roster_of(60, time="60s", baud=1200))
+    plan = make_plan(line_of(60, time="60s", baud=1200))
     assert plan.silent_stop.quiet_s > STOP_PATIENCE_S
     assert plan.silent_stop.telegrams == 3

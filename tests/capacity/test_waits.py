@@ -17,14 +17,14 @@ from lecombus.drives.measured import SlowAnswers
 from lecombus.parameters import Code
 from lecombus.schedule import Cyclic, Outcome, Priority, Request, Schedule, WatchdogFeeding
 
-from .rosters import roster_of
+from .rosters import line_of
 
 LINES = [
-    roster_of(1),
-    roster_of(5, time="1s"),
-    roster_of(12, time="3s", baud=19200),
-    roster_of(31, time="4s", baud=19200),
-    roster_of(8, time=""),
+    line_of(1),
+    line_of(5, time="1s"),
+    line_of(12, time="3s", baud=19200),
+    line_of(31, time="4s", baud=19200),
+    line_of(8, time=""),
 ]
 
 
@@ -100,7 +100,7 @@ def test_no_wait_is_longer_than_promised(roster: Roster, priority: Priority) -> 
 
 
 def test_the_stop_waits_for_the_exchange_under_way_and_nothing_else() -> None:
-    roster = roster_of(31, time="4s", baud=19200)
+    roster = line_of(31, time="4s", baud=19200)
     stop = make_plan(roster).wait("stop")
     timing = line_timing(roster.line)
     given_up = max(
@@ -113,7 +113,7 @@ def test_the_stop_waits_for_the_exchange_under_way_and_nothing_else() -> None:
 
 
 def test_a_higher_class_never_waits_longer_under_the_same_load() -> None:
-    plan = make_plan(roster_of(12, time="3s", baud=19200))
+    plan = make_plan(line_of(12, time="3s", baud=19200))
     stop, control = plan.wait("stop"), plan.wait("control")
     assert stop.quiet_s < control.quiet_s
     assert stop.loaded_s < control.loaded_s
@@ -121,13 +121,13 @@ def test_a_higher_class_never_waits_longer_under_the_same_load() -> None:
 
 
 def test_where_reading_takes_all_there_is_no_promise() -> None:
-    roster = roster_of(60, time="4.2s", baud=9600)
+    roster = line_of(60, time="4.2s", baud=9600)
     assert math.isinf(make_plan(roster).wait("cyclic").quiet_s)
     assert make_plan(roster).as_json()["waits"][4]["quiet_s"] is None
 
 
 def test_without_watchdogs_a_setpoint_waits_for_one_exchange() -> None:
-    roster = roster_of(8, time="")
+    roster = line_of(8, time="")
     timing = line_timing(roster.line)
     longest_s = max(
         read_times(drive, entry.code, timing).worst_s
@@ -140,22 +140,21 @@ def test_without_watchdogs_a_setpoint_waits_for_one_exchange() -> None:
 
 
 def test_what_watchdogs_leave_no_time_for_is_under_nobodys_way() -> None:
-    watched = make_plan(roster_of(2, time="500ms", only="8200vector", baud=19200))
-    free = make_plan(roster_of(2, time="", only="8200vector", baud=19200))
+    watched = make_plan(line_of(2, time="500ms", only="8200vector", baud=19200))
+    free = make_plan(line_of(2, time="", only="8200vector", baud=19200))
     assert free.wait("interactive").loaded_s > 0.6, "a module's own codes take half a second"
     assert watched.wait("interactive").loaded_s < 0.5, "they are never asked for here"
 
 
 def test_the_stop_of_a_silent_drive_waits_also_for_what_is_begun_while_others_are_away() -> None:
-    watched = make_plan(roster_of(2, time="500ms", only="8200vector", baud=19200))
+    watched = make_plan(line_of(2, time="500ms", only="8200vector", baud=19200))
     assert watched.wait("stop").loaded_s < 0.2
     assert watched.silent_stop.loaded_s > 0.6
 
 
 def test_feeds_that_can_be_due_together_stand_before_a_setpoint() -> None:
     few, many = (
-        make_plan(roster_of(count, time="2s", cyclic=", cyclic: []", only="93xx"))
-        for count in (6, 12)
+        make_plan(line_of(count, time="2s", cyclic="cyclic: []", only="93xx")) for count in (6, 12)
     )
     feed_s = many.watchdogs[0].feed_s
     more_s = many.wait("control").quiet_s - few.wait("control").quiet_s
@@ -163,23 +162,23 @@ def test_feeds_that_can_be_due_together_stand_before_a_setpoint() -> None:
 
 
 def test_feeds_that_reads_take_care_of_do_not() -> None:
-    reads = ", cyclic: [{code: C0150, every: 500ms}]"
-    read = make_plan(roster_of(4, time="8s", cyclic=reads, baud=19200))
-    unread = make_plan(roster_of(4, time="8s", cyclic=", cyclic: []", baud=19200))
+    reads = "cyclic: [{code: C0150, every: 500ms}]"
+    read = make_plan(line_of(4, time="8s", cyclic=reads, baud=19200))
+    unread = make_plan(line_of(4, time="8s", cyclic="cyclic: []", baud=19200))
     assert read.wait("interactive").quiet_s < unread.wait("interactive").quiet_s
 
 
 def test_reads_of_one_code_in_one_form_wait_for_the_end_of_a_doubt() -> None:
-    alike = ", cyclic: [{code: C0039/1, every: 1s}]"
-    plan = make_plan(roster_of(3, time="", cyclic=alike, only="93xx"))
+    alike = "cyclic: [{code: C0039/1, every: 1s}]"
+    plan = make_plan(line_of(3, time="", cyclic=alike, only="93xx"))
     assert plan.wait("cyclic").quiet_s > 0.5, "so long an old answer may come"
-    one = make_plan(roster_of(1, time="", cyclic=alike, only="93xx"))
+    one = make_plan(line_of(1, time="", cyclic=alike, only="93xx"))
     assert one.wait("cyclic").quiet_s == pytest.approx(LATENESS_S)
 
 
 def test_a_stop_waits_for_feeds_that_there_is_never_time_for() -> None:
     """Found by proof seed 499: two drives, and one of them answers as late as its watchdog."""
-    roster = roster_of(2, time="500ms", baud=19200)
+    roster = line_of(2, time="500ms", baud=19200)
     first, second = roster.drives
     late = first.model_copy(update={"slow": SlowAnswers({Code(150): 0.41})})
     slow = roster.model_copy(update={"drives": (late, second)})
@@ -190,7 +189,7 @@ def test_a_stop_waits_for_feeds_that_there_is_never_time_for() -> None:
 
 def test_no_exchange_is_promised_to_take_no_time() -> None:
     """Beside such feeds there is never room for one: what stands for a feed goes all the same."""
-    roster = roster_of(3, time="10s", baud=1200)
+    roster = line_of(3, time="10s", baud=1200)
     short = [
         one.model_copy(update={"watchdog": one.watchdog.model_copy(update={"time_s": 0.25})})
         for one in roster.drives

@@ -36,7 +36,8 @@ from lecombus.fieldbus.lecom.simulator.parameters import Refusal
 from lecombus.parameters import Code
 from lecombus.schedule import Priority, Request
 from support.fake_drive import Ear
-from support.site_host import Plant, roster_of, with_plant
+from support.rosters import roster_text
+from support.site_host import Plant, with_plant
 
 FAMILIES = ("820x", "821x", "822x", "824x", "8200vector", "93xx", "smvector")
 PATIENCE_S = 120.0
@@ -129,7 +130,7 @@ async def put_back(drive: HttpDrive, backup: Backup, ear: Ear) -> Restored:
 
 def roster(kind: str) -> str:
     drives = [("a", 11, kind), ("b", 12, "8200vector")]
-    return roster_of(drives, drive=", restore: true", watchdog="{time: 5s, action: inhibit}")
+    return roster_text(drives, drive="restore: true", watchdog="{time: 5s, action: inhibit}")
 
 
 @pytest.mark.parametrize("kind", FAMILIES)

@@ -19,15 +19,14 @@ from lecombus.drives.measured import AnswerRow, SlowAnswers
 from lecombus.metrics.rolling_window import RollingWindow
 from lecombus.parameters import Code
 from lecombus.schedule.request import Priority
+from support.rosters import roster_text
 
 pytestmark = pytest.mark.clock
 
-ROSTER = """\
-line: {name: l, port: "sim:"}
-drives:
-  - {name: a, address: 11, family: smvector, watchdog: {time: TIME, action: quick-stop}}
-  - {name: b, address: 12, family: 8200vector, watchdog: {time: TIME, action: quick-stop}}
-"""
+ROSTER = roster_text(
+    [("a", 11, "smvector"), ("b", 12, "8200vector")],
+    name="l", baud=None, watchdog="{time: TIME, action: quick-stop}",
+)  # fmt: skip
 
 
 @pytest.fixture
@@ -77,7 +76,7 @@ def test_what_the_schedule_and_a_slow_adapter_make_of_it_is_said(
     out = capsys.readouterr().out
     assert "run by the schedule: 13% of it is taken (reads 13%, feeds 0%;" in out
     assert "if the adapter adds its 5ms to every answer: 15% is asked for, every watchdog" in out
-    slow = roster.read_text().replace('"sim:"', '"sim:", adapter_latency: 1s')
+    slow = roster.read_text().replace("'sim:'", "'sim:', adapter_latency: 1s")
     roster.write_text(slow)
     assert main(["plan", "-c", str(roster)]) == 0
     assert "not every watchdog is held: a time of" in capsys.readouterr().out

@@ -25,24 +25,19 @@ from lecombus.errors import LineLostError
 from lecombus.fieldbus.lecom.rebaud import LineAccess, Subject
 from lecombus.line.loop import run as run_loop
 from support.rebauding import RebaudLine, Step, Write
+from support.rosters import roster_text
 
 pytestmark = pytest.mark.clock
 
-ROSTER = """\
-line: {{name: bench, port: {port}}}
-drives:
-  - {{name: feeder, address: 11, family: 8200vector}}
-  - {{name: belt, address: 12, family: smvector}}
-api: {{socket: {folder}/bench.sock}}
-state: {folder}/bench.json
-"""
 DRIVES = [("feeder", 11, "8200vector"), ("belt", 12, "smvector")]
 
 
 @pytest.fixture
 def roster(short_dir: Path) -> Path:
     path = short_dir / "bench.yaml"
-    path.write_text(ROSTER.format(port=short_dir / "bus", folder=short_dir))
+    path.write_text(
+        roster_text(DRIVES, name="bench", port=short_dir / "bus", baud=None, folder=short_dir)
+    )
     return path
 
 
@@ -82,7 +77,7 @@ def test_what_cannot_be_done_is_refused_with_what_can(
 ) -> None:
     text = roster.read_text()
     if change[0] == "/":
-        text = text.replace(str(roster.parent / "bus"), '"socket://192.0.2.7:4001"')
+        text = text.replace(str(roster.parent / "bus"), "socket://192.0.2.7:4001")
     elif change[0]:
         text = text.replace(*change)
     roster.write_text(text)
@@ -105,7 +100,7 @@ def test_a_rate_at_which_the_watchdogs_cannot_be_fed_is_refused_beforehand(
 
 def test_a_running_daemon_is_named_and_must_be_stopped(run: Run, roster: Path) -> None:
     with socket.socket(socket.AF_UNIX) as served:
-        served.bind(str(roster.parent / "bench.sock"))
+        served.bind(str(roster.parent / "api.sock"))
         served.listen()
         ran = run("rebaud", "19200", "-c", str(roster), "--yes")
     assert ran.status == 1
@@ -174,7 +169,7 @@ def test_what_stands_against_it_is_named_for_people_and_programs(
     run: Run, roster: Path, line: RebaudLine
 ) -> None:
     line["belt"].present = False
-    (roster.parent / "bench.json").write_text(
+    (roster.parent / "state.json").write_text(
         json.dumps({"version": 1, "drives": {"feeder": {"identity": {"C1810": "OTHER"}}}})
     )
     ran = run("rebaud", "19200", "-c", str(roster), "--yes", "--json")
@@ -189,10 +184,10 @@ def test_what_stands_against_it_is_named_for_people_and_programs(
 def test_a_state_file_that_cannot_be_read_is_no_permission(
     run: Run, roster: Path, line: RebaudLine
 ) -> None:
-    (roster.parent / "bench.json").write_text("{")
+    (roster.parent / "state.json").write_text("{")
     ran = run("rebaud", "19200", "-c", str(roster), "--yes")
     assert ran.status == 1
-    assert "bench.json" in ran.err
+    assert "state.json" in ran.err
     assert line.steps == []
 
 

@@ -22,28 +22,19 @@ from cli.test_simulate import simulated
 from lecombus.cli import scan
 from lecombus.config import load_roster
 from lecombus.fieldbus.lecom.protocol import bcc
+from support.rosters import roster_text
 
 pytestmark = pytest.mark.clock
 
-NINE = """\
-line: {name: hall-3, port: "sim:", baud: 19200}
-drives:
-  - {name: a, address: 1, family: 820x}
-  - {name: b, address: 11, family: 8200vector}
-  - {name: c, address: 12, family: 93xx}
-  - {name: d, address: 13, family: smvector}
-  - {name: e, address: 14, family: smvector}
-  - {name: f, address: 21, family: smvector}
-  - {name: g, address: 57, family: generic}
-  - {name: h, address: 58, family: generic}
-  - {name: i, address: 99, family: smvector}
-"""
-FEW = """\
-line: {name: hall-3, port: "sim:", baud: 19200}
-drives:
-  - {name: c, address: 12, family: generic}
-  - {name: d, address: 13, family: smvector}
-"""
+NINE = roster_text(
+    [
+        ("a", 1, "820x"), ("b", 11, "8200vector"), ("c", 12, "93xx"), ("d", 13, "smvector"),
+        ("e", 14, "smvector"), ("f", 21, "smvector"), ("g", 57, "generic"), ("h", 58, "generic"),
+        ("i", 99, "smvector"),
+    ],
+    name="hall-3",
+)  # fmt: skip
+FEW = roster_text([("c", 12, "generic"), ("d", 13, "smvector")], name="hall-3")
 ADDRESSES = "1-3,11-15,21,57,58,99"
 
 

@@ -15,14 +15,11 @@ from pathlib import Path
 import pytest
 
 from cli.conftest import Run
+from support.rosters import roster_text
 
 pytestmark = pytest.mark.clock
 
-ROSTER = """\
-line: {name: hall-3, port: "sim:", baud: 19200}
-drives:
-  - {name: feeder, address: 11, family: 8200vector}
-"""
+ROSTER = roster_text([("feeder", 11, "8200vector")], name="hall-3")
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from cli.conftest import Run
+from support.rosters import roster_text
 
 pytestmark = pytest.mark.clock
 
@@ -22,15 +23,12 @@ pytestmark = pytest.mark.clock
 def running(folder: Path) -> Iterator[subprocess.Popen[str]]:
     """Run a daemon on simulated drives in a folder with a short path; all of them are online."""
     roster, socket = folder / "hall-3.yaml", folder / "hall-3.sock"
-    roster.write_text(f"""\
-line: {{name: hall-3, port: "sim:", baud: 19200}}
-drives:
-  - {{name: feeder, address: 11, family: 8200vector}}
-  - {{name: belt, address: 12, family: 93xx, restore: true}}
-groups:
-  conveyors: {{members: [feeder, belt]}}
-api: {{socket: {socket}}}
-""")
+    text = roster_text(
+        [("feeder", 11, "8200vector"), ("belt", 12, "93xx")],
+        name="hall-3", own={"belt": "restore: true"},
+        sections=f"groups: {{conveyors: {{members: [feeder, belt]}}}}\napi: {{socket: {socket}}}",
+    )  # fmt: skip
+    roster.write_text(text)
     with subprocess.Popen(
         [sys.executable, "-m", "lecombus", "run", "-c", str(roster), "--log-format", "json"],
         stderr=subprocess.PIPE,

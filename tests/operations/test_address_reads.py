@@ -13,7 +13,8 @@ from lecombus.fieldbus.lecom.scanning import Question, Scan, ScanPlan
 from lecombus.operations.address_reads import Heard, HeardKind
 from lecombus.parameters import Code
 from lecombus.schedule import Priority
-from support.site_host import Plant, roster_of, until, with_plant
+from support.rosters import roster_text
+from support.site_host import Plant, until, with_plant
 
 FED = [("a", 11, "8200vector"), ("b", 12, "smvector"), ("c", 13, "822x")]
 NEW = [("x", 21, "93xx"), ("y", 34, "generic"), ("z", 99, "smvector"), ("w", 35, "820x")]
@@ -60,7 +61,7 @@ def test_a_scan_beside_fed_drives_finds_the_others_and_no_feed_is_late() -> None
         asked_of_unknown = [one for one in plant.reports if one.drive.startswith("address ")]
         assert {one.priority for one in asked_of_unknown} == {Priority.BACKGROUND}
 
-    with_plant(test, roster_of(FED, watchdog=WATCHED), also=NEW)
+    with_plant(test, roster_text(FED, watchdog=WATCHED), also=NEW)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -72,7 +73,7 @@ def test_late_answers_of_the_rosters_drives_make_none_elsewhere(seed: int) -> No
         assert search.found == []
 
     faults = "late=0.3:0.05s-0.5s:adapter"
-    with_plant(test, roster_of(FED), faults=faults, seed=seed)
+    with_plant(test, roster_text(FED), faults=faults, seed=seed)
 
 
 def test_what_comes_back_is_told_apart() -> None:
@@ -95,7 +96,7 @@ def test_what_comes_back_is_told_apart() -> None:
         assert garbled.received
         assert garbled.disturbances > before
 
-    with_plant(test, roster_of([("a", 11, "generic")], drive=", cyclic: []"), also=NEW)
+    with_plant(test, roster_text([("a", 11, "generic")], drive="cyclic: []"), also=NEW)
 
 
 @pytest.mark.parametrize(
@@ -113,7 +114,7 @@ def test_what_may_not_be_asked_is_refused_before_anything_is_sent(
         assert refused.value.kind == kind
         assert not [one for one in plant.reports if one.drive.startswith("address ")]
 
-    with_plant(test, roster_of(FED))
+    with_plant(test, roster_text(FED))
 
 
 def test_without_a_line_nothing_is_asked() -> None:
@@ -124,4 +125,4 @@ def test_without_a_line_nothing_is_asked() -> None:
         with pytest.raises(LineLostError):
             await ask(plant, Question(0, 21, Code(9)))
 
-    with_plant(test, roster_of(FED))
+    with_plant(test, roster_text(FED))

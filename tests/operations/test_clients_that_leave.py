@@ -12,12 +12,13 @@ from lecombus.drives import StopAction, Verb
 from lecombus.operations.requests import IS_GONE
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome
-from support.site_host import Plant, roster_of, until, with_plant
+from support.rosters import roster_text
+from support.site_host import Plant, until, with_plant
 
-ROSTER = roster_of(
+ROSTER = roster_text(
     [("a", 11, "821x"), ("b", 12, "821x"), ("c", 13, "821x")],
-    drive=", cyclic: [{code: C0150, every: 1s}], writable: [C0001, C0040, C0046, C0135]",
-    rest="groups:\n  two: {members: [a, b], multicast: yes}\n  three: {members: [a, b]}\n",
+    drive="cyclic: [{code: C0150, every: 1s}], writable: [C0001, C0040, C0046, C0135]",
+    sections="groups:\n  two: {members: [a, b], multicast: yes}\n  three: {members: [a, b]}\n",
 )
 RUN = "H0000"
 Act = Callable[[Plant], Awaitable[object]]

@@ -26,13 +26,14 @@ from lecombus.operations.reports import WriteReport
 from lecombus.parameters import Code
 from lecombus.readings import LineState, Quality
 from lecombus.schedule import Outcome, Priority
-from support.site_host import Plant, roster_of, until, with_plant
+from support.rosters import roster_text
+from support.site_host import Plant, until, with_plant
 
 AB = [("a", 11, "8200vector"), ("b", 12, "8200vector")]
 STATUS, SETPOINT, ENABLE, PLAIN = Code(150), Code(46), Code(40), Code(11)
 MODULE = Code(1920)  # not stored: written without being read first
-WRITABLE = ", cyclic: [], writable: [C0011, C0012, C0040, C0043, C0046, C0135, C1920]"
-ROSTER = roster_of(AB, drive=WRITABLE)
+WRITABLE = "cyclic: [], writable: [C0011, C0012, C0040, C0043, C0046, C0135, C1920]"
+ROSTER = roster_text(AB, drive=WRITABLE)
 
 
 async def write(plant: Plant, code: Code, value: int | str, **more: object) -> WriteReport:
@@ -96,7 +97,7 @@ def test_an_undescribed_code_that_reads_as_a_word_takes_no_digits() -> None:
         await write_g(520)
         assert [one.text for one in device.log if one.kind == "write"] == ["208", "H0208"]
 
-    with_plant(test, roster_of([("g", 22, "generic")], drive=", writable: [C0030]"))
+    with_plant(test, roster_text([("g", 22, "generic")], drive="writable: [C0030]"))
 
 
 def test_a_drive_that_does_not_answer_is_named_in_the_error() -> None:
@@ -163,7 +164,7 @@ def test_a_refusal_says_what_may_be_written(writable: str, told: str) -> None:
             f"{told}"
         )
 
-    with_plant(test, roster_of(AB, drive=f", cyclic: []{writable}"))
+    with_plant(test, roster_text(AB, drive=f"cyclic: []{writable}"))
 
 
 def test_what_is_also_writable_takes_nothing_away() -> None:
@@ -175,7 +176,7 @@ def test_what_is_also_writable_takes_nothing_away() -> None:
             report = await plant.site.operations.verb("a", verb, **keys)  # type: ignore[arg-type]
             assert report.outcome in (Outcome.DONE, Outcome.VERIFIED)
 
-    with_plant(test, roster_of(AB, drive=", cyclic: [], also_writable: [C0012]"))
+    with_plant(test, roster_text(AB, drive="cyclic: [], also_writable: [C0012]"))
 
 
 def test_a_drive_is_not_written_to_before_it_is_audited_nor_while_it_is_offline() -> None:
@@ -242,7 +243,7 @@ def test_a_value_that_the_manual_does_not_allow_is_refused_before_anything_is_se
     kind: str, code: int, value: str, message: str
 ) -> None:
     drives = [("a", 11, kind)]
-    more = f", cyclic: [], writable: [{code}]"
+    more = f"cyclic: [], writable: [{code}]"
 
     async def test(plant: Plant) -> None:
         await plant.online()
@@ -254,7 +255,7 @@ def test_a_value_that_the_manual_does_not_allow_is_refused_before_anything_is_se
         await anyio.sleep(0.5)
         assert not any(b"\x02" in one.data for one in plant.sent_to(11, since_s))
 
-    with_plant(test, roster_of(drives, drive=more))
+    with_plant(test, roster_text(drives, drive=more))
 
 
 def test_a_value_at_the_ends_of_the_range_is_written_and_an_undescribed_code_takes_any() -> None:
@@ -264,8 +265,8 @@ def test_a_value_at_the_ends_of_the_range_is_written_and_an_undescribed_code_tak
             report = await plant.site.operations.write("a", Code(code), value)
             assert report.outcome is Outcome.DONE, code
 
-    writable = ", cyclic: [], writable: [C0046, C2011, C0014]"
-    with_plant(test, roster_of([("a", 11, "821x")], drive=writable))
+    writable = "cyclic: [], writable: [C0046, C2011, C0014]"
+    with_plant(test, roster_text([("a", 11, "821x")], drive=writable))
 
 
 def test_another_parameter_set_is_written_only_when_it_is_named() -> None:
@@ -275,7 +276,7 @@ def test_another_parameter_set_is_written_only_when_it_is_named() -> None:
             await plant.site.operations.write("a", Code(2011), 60)
         assert refused.value.kind == "not-writable"
 
-    with_plant(test, roster_of([("a", 11, "821x")], drive=", writable: [C0011]"))
+    with_plant(test, roster_text([("a", 11, "821x")], drive="writable: [C0011]"))
 
 
 def test_a_group_write_that_one_member_cannot_take_goes_to_none() -> None:
@@ -289,7 +290,7 @@ def test_a_group_write_that_one_member_cannot_take_goes_to_none() -> None:
             assert not any(b"\x02" in one.data for one in plant.sent_to(address, since_s))
 
     groups = "groups:\n  both: {members: [a, b]}\n"
-    roster = roster_of(AB, drive=WRITABLE, rest=groups)
+    roster = roster_text(AB, drive=WRITABLE, sections=groups)
     with_plant(test, roster.replace(", cyclic: []", ", unchecked: [C0046], cyclic: []", 1))
 
 
@@ -471,4 +472,4 @@ def test_nothing_more_is_written_once_the_daemon_is_ending_but_stops_are_said() 
         report = await plant.site.operations.stop(StopAction.INHIBIT, "a")
         assert report.outcome is Outcome.VERIFIED
 
-    with_plant(test, roster_of([("a", 11, "8200vector")]))
+    with_plant(test, roster_text([("a", 11, "8200vector")]))

@@ -15,7 +15,8 @@ from lecombus.parameters import Code, Value
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority
 from lecombus.schedule.fan_out import least_order, took_s
-from support.site_host import Plant, roster_of, until, with_plant
+from support.rosters import roster_text
+from support.site_host import Plant, until, with_plant
 
 NAMES = {f"d{address}": address for address in range(1, 33) if address % 10}
 HOLD_S = 0.23
@@ -25,21 +26,21 @@ LATER_HOLD_S = 0.05
 
 SETPOINT = Code(46)
 
-ROSTER = roster_of(
+ROSTER = roster_text(
     [(name, address, "820x") for name, address in NAMES.items()] + [("other", 99, "smvector")],
-    drive=", cyclic: []",
-    rest=f"groups: {{slow: {{members: [{', '.join(NAMES)}]}}}}",
+    drive="cyclic: []",
+    sections=f"groups: {{slow: {{members: [{', '.join(NAMES)}]}}}}",
 )
 """The drive beside them keeps the group from being one multicast."""
 
 MIXED = [("c", 13, "8200vector"), ("b", 12, "822x"), ("d", 14, "822x"), ("a", 11, "820x")]
-MIXED_ROSTER = roster_of(
+MIXED_ROSTER = roster_text(
     [*MIXED, ("other", 19, "smvector")],
-    drive=", cyclic: [], writable: [C0011, C0046, C1921]",
-    rest="groups: {mixed: {members: [c, b, d, a]}, two: {members: [c, a]}}",
+    drive="cyclic: [], writable: [C0011, C0046, C1921]",
+    sections="groups: {mixed: {members: [c, b, d, a]}, two: {members: [c, a]}}",
 )
-TEENS_ROSTER = roster_of(
-    MIXED, drive=", cyclic: []", rest="groups: {teens: {members: [c, b, d, a], multicast: yes}}"
+TEENS_ROSTER = roster_text(
+    MIXED, drive="cyclic: []", sections="groups: {teens: {members: [c, b, d, a], multicast: yes}}"
 )
 
 

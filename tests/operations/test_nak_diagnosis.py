@@ -15,24 +15,25 @@ from lecombus.operations.reports import WriteReport
 from lecombus.parameters import Code
 from lecombus.readings import DriveState, Quality
 from lecombus.schedule import Outcome
-from support.site_host import Plant, roster_of, with_plant
+from support.rosters import roster_text
+from support.site_host import Plant, with_plant
 
 FAMILIES = [
     ("vector", 11, "8200vector"), ("belt", 12, "821x"), ("pump", 13, "820x"),
     ("servo", 21, "93xx"), ("fan", 22, "smvector"),
 ]  # fmt: skip
 ALL = (
-    ", writable: [C0001, C0005, C0011, C0012, C0037, C0040, C0046, C0135, C0141]"
+    "writable: [C0001, C0005, C0011, C0012, C0037, C0040, C0046, C0135, C0141]"
     ", cyclic: [{code: C0050, every: 2s}]"
 )
-SMV = ", writable: [C0037, C0040, C0135, C0140, C1061], cyclic: [{code: C0050, every: 2s}]"
+SMV = "writable: [C0037, C0040, C0135, C0140, C1061], cyclic: [{code: C0050, every: 2s}]"
 
 
 def roster(*names: str) -> str:
     drives = [one for one in FAMILIES if one[0] in names]
     text = ""
     for one in drives:
-        text = text or roster_of(drives, drive=SMV if one[2] == "smvector" else ALL)
+        text = text or roster_text(drives, drive=SMV if one[2] == "smvector" else ALL)
     return text
 
 
@@ -178,7 +179,7 @@ def test_a_read_that_is_refused_by_nak_says_what_may_be_the_matter_and_the_drive
         assert outcomes == {"answered"}
 
     drives = [("counter", 31, "generic"), ("vector", 11, "8200vector")]
-    with_plant(test, roster_of(drives, drive=", cyclic: [{code: C6000, every: 1s}]"))
+    with_plant(test, roster_text(drives, drive="cyclic: [{code: C6000, every: 1s}]"))
 
 
 def test_a_drive_that_is_silent_is_not_given_a_cause_of_its_own() -> None:

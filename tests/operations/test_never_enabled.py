@@ -18,7 +18,8 @@ from lecombus.drives import FAMILY_NAMES, StopAction, Verb
 from lecombus.fieldbus.lecom.simulator.model import Model
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome
-from support.site_host import Plant, roster_of, until, with_plant
+from support.rosters import roster_text
+from support.site_host import Plant, until, with_plant
 
 DESCRIBED = [name for name in FAMILY_NAMES if name != "generic"]
 QUICK, INHIBIT = StopAction.QUICK_STOP, StopAction.INHIBIT
@@ -30,12 +31,12 @@ Path = Callable[[Plant], Awaitable[object]]
 
 def roster(family: str) -> str:
     setpoint = {"smvector": "C0140", "93xx": "C0141"}.get(family, "C0046")
-    writable = f", writable: [C0011, C0012, C0040, C0043, C0135, {setpoint}], restore: true"
+    writable = f"writable: [C0011, C0012, C0040, C0043, C0135, {setpoint}], restore: true"
     if family == "smvector":
-        writable = ", writable: [C0040, C0043, C0135, C0140, C1061, C1103], restore: true"
-    return roster_of(
+        writable = "writable: [C0040, C0043, C0135, C0140, C1061, C1103], restore: true"
+    return roster_text(
         [("a", 11, family), ("b", 12, family)], drive=writable,
-        rest="groups:\n  both: {members: [a, b]}\n",
+        sections="groups:\n  both: {members: [a, b]}\n",
     )  # fmt: skip
 
 
@@ -268,7 +269,9 @@ def test_nor_when_the_watchdog_acted_while_the_line_was_away(family: str, as_wri
         assert not any(powered for powered, _ in seen)
 
     watchdog = "{time: 2s, action: inhibit, configure: true}"
-    with_plant(test, roster_of([("a", 11, family)], watchdog=watchdog), word_as_written=as_written)
+    with_plant(
+        test, roster_text([("a", 11, family)], watchdog=watchdog), word_as_written=as_written
+    )
 
 
 @BOTH_KINDS

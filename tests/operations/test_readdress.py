@@ -19,12 +19,13 @@ from lecombus.parameters import Code, Value
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome
 from lecombus.state import State
-from support.site_host import Plant, roster_of, until, with_plant
+from support.rosters import roster_text
+from support.site_host import Plant, until, with_plant
 
 DRIVES = [("a", 11, "8200vector"), ("b", 12, "8200vector"), ("v", 21, "smvector")]
-ALLOW = ", allow_address_change: true"
+ALLOW = "allow_address_change: true"
 GROUPS = "\ngroups: {teens: {members: [a, b]}}"
-ROSTER = roster_of(DRIVES, drive=ALLOW, rest=GROUPS)
+ROSTER = roster_text(DRIVES, drive=ALLOW, sections=GROUPS)
 
 
 async def ready(plant: Plant) -> None:
@@ -281,7 +282,7 @@ def test_no_plain_write_moves_a_drive_whatever_the_roster_says(drive: str, code:
 
     listed = ", writable: [C0009, C0125, C1410, C1411, C1403, C0248, C0249]"
     drives = [*DRIVES, ("g", 31, "generic")]
-    with_plant(test, roster_of(drives, drive=ALLOW + listed))
+    with_plant(test, roster_text(drives, drive=ALLOW + listed))
 
 
 def test_a_code_bank_of_another_makers_device_is_a_code_like_any_other() -> None:
@@ -289,11 +290,11 @@ def test_a_code_bank_of_another_makers_device_is_a_code_like_any_other() -> None
         await plant.online()
         assert (await plant.site.operations.write("g", Code(249), 1)).outcome is Outcome.DONE
 
-    with_plant(test, roster_of([("g", 31, "generic")], drive=", writable: [C0249]"))
+    with_plant(test, roster_text([("g", 31, "generic")], drive="writable: [C0249]"))
 
 
 KEEPS = [("a", 11, "93xx"), ("s", 12, "820x")]
-KEEPS_ROSTER = roster_of(KEEPS, drive=ALLOW)
+KEEPS_ROSTER = roster_text(KEEPS, drive=ALLOW)
 
 
 def test_a_drive_that_must_be_told_to_save_is_told_and_is_there_after_its_next_start() -> None:

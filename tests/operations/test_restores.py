@@ -7,13 +7,14 @@ import pytest
 from lecombus.errors import OperationError
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome, Priority
-from support.site_host import Plant, roster_of, with_plant
+from support.rosters import roster_text
+from support.site_host import Plant, with_plant
 
 DOG = "{time: 5s, action: inhibit, configure: true}"
-OPEN = roster_of(
-    [("a", 11, "8200vector"), ("b", 12, "93xx")], watchdog=DOG, drive=", restore: true"
+OPEN = roster_text(
+    [("a", 11, "8200vector"), ("b", 12, "93xx")], watchdog=DOG, drive="restore: true"
 )
-SHUT = roster_of([("a", 11, "8200vector")])
+SHUT = roster_text([("a", 11, "8200vector")])
 
 
 def test_a_setting_that_is_not_writable_is_restored_where_the_roster_permits_it() -> None:

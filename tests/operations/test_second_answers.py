@@ -17,7 +17,8 @@ from lecombus.operations.reports import GroupReport
 from lecombus.parameters import Code
 from lecombus.readings import LineState
 from lecombus.schedule import Outcome
-from support.site_host import Plant, roster_of, with_plant
+from support.rosters import roster_text
+from support.site_host import Plant, with_plant
 
 FAMILIES = ("8200vector", "821x", "822x", "smvector", "93xx", "8200vector", "820x", "824x")
 DRIVES = [(f"d{n}", 11 + n, family) for n, family in enumerate(FAMILIES)]
@@ -39,7 +40,7 @@ def stopped(faults: str, seed: int, action: StopAction, dead_for_s: float) -> Gr
         await anyio.sleep(dead_for_s)
         reports.append(await plant.site.operations.stop(action, "all"))
 
-    with_plant(test, roster_of(DRIVES), seed=seed)
+    with_plant(test, roster_text(DRIVES), seed=seed)
     return reports[0]
 
 
@@ -71,10 +72,10 @@ def test_nor_in_many_lines(faults: str) -> None:
 
 SETPOINT, RAMP = Code(46), Code(12)
 INVERTERS = [(f"d{n}", 11 + n, "8200vector") for n in range(8)]
-WRITES = roster_of(
+WRITES = roster_text(
     INVERTERS,
-    drive=", writable: [C0012, C0046]",
-    rest="groups:\n  one-by-one: {members: [%s]}\n  multicast: {members: [%s], multicast: yes}\n"
+    drive="writable: [C0012, C0046]",
+    sections="groups: {one-by-one: {members: [%s]}, multicast: {members: [%s], multicast: yes}}"
     % (2 * (", ".join(name for name, _, _ in INVERTERS),)),
 )
 
@@ -169,7 +170,7 @@ def remarks(faults: str, seconds: float = 20.0) -> tuple[dict[str, str], str]:
                 found[name] = text
         line.append(plant.site.store.line().remarks.get("second-answers", ""))
 
-    with_plant(test, roster_of(DRIVES, drive=", cyclic: [{code: C0150, every: 3s}]"))
+    with_plant(test, roster_text(DRIVES, drive="cyclic: [{code: C0150, every: 3s}]"))
     return found, line[0]
 
 

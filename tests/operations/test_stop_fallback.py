@@ -16,24 +16,19 @@ from lecombus.drives import StopAction, Verb
 from lecombus.operations.reports import GroupReport, VerbReport, WriteReport
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome
+from support.rosters import roster_text
 from support.site_host import Plant, with_plant
 
-ROSTER = """
-line: {{name: t, port: "sim:", baud: 19200}}
-on_shutdown: {goodbye}
-drives:
-  - {{name: hoist, address: 11, family: 821x, stop_fallback: none}}
-  - {{name: lift, address: 12, family: {second}, stop_fallback: none}}
-  - {{name: belt, address: 13, family: 821x}}
-groups:
-  near: {{members: [hoist, lift]}}
-"""
 QUICK, INHIBIT = StopAction.QUICK_STOP, StopAction.INHIBIT
 Ask = Callable[[Plant], Awaitable[GroupReport | VerbReport]]
 
 
 def roster(second: str = "821x", goodbye: str = "quick-stop") -> str:
-    return ROSTER.format(second=second, goodbye=goodbye)
+    return roster_text(
+        [("hoist", 11, "821x"), ("lift", 12, second), ("belt", 13, "821x")],
+        own=dict.fromkeys(("hoist", "lift"), "stop_fallback: none"),
+        sections=f"on_shutdown: {goodbye}\ngroups: {{near: {{members: [hoist, lift]}}}}",
+    )
 
 
 async def refusing(plant: Plant) -> None:

@@ -28,7 +28,8 @@ from operations.groups import (
     WRITABLE,
     written,
 )
-from support.site_host import Plant, roster_of, until, with_plant
+from support.rosters import roster_text
+from support.site_host import Plant, until, with_plant
 
 
 def test_all_members_are_told_to_stop_before_the_first_is_asked_whether_it_did() -> None:
@@ -105,7 +106,7 @@ def test_a_stop_is_sent_to_a_drive_that_is_offline_but_after_those_that_are_not(
         assert [m.outcome for m in report.members] == [Outcome.UNKNOWN, Outcome.VERIFIED]
         assert plant.now_s - since_s < 3.0
 
-    often = roster_of(TEENS, drive=", cyclic: [{code: C0150, every: 200ms}]", rest=GROUPS)
+    often = roster_text(TEENS, drive="cyclic: [{code: C0150, every: 200ms}]", sections=GROUPS)
     with_plant(test, often)
 
 
@@ -149,7 +150,7 @@ def test_a_quick_stop_the_terminals_do_not_leave_to_us_is_an_inhibit_at_once(kin
         )
         assert drive.control & 0x0200
 
-    with_plant(test, roster_of([("a", 11, kind)]))
+    with_plant(test, roster_text([("a", 11, kind)]))
 
 
 @pytest.mark.parametrize("action", [QUICK, INHIBIT])
@@ -176,7 +177,7 @@ def test_a_running_drive_of_every_family_ends_in_a_stop_that_is_proven(
         await anyio.sleep(30.0)
         assert drive.motor.speed == 0.0
 
-    with_plant(test, roster_of([("a", 11, kind)]))
+    with_plant(test, roster_text([("a", 11, kind)]))
 
 
 def test_a_stop_that_is_not_proven_says_how_to_stop_the_drive_all_the_same() -> None:
@@ -291,7 +292,7 @@ def test_drives_that_are_silent_keep_the_living_ones_from_their_stop_once_at_mos
         assert living < (0.25 if known else 0.4)
 
     groups = "groups:\n  six: {members: [p, q, r, s, t, u]}\n"
-    with_plant(test, roster_of([*SIX, ("v", 37, "8200vector")], drive=WRITABLE, rest=groups))
+    with_plant(test, roster_text([*SIX, ("v", 37, "8200vector")], drive=WRITABLE, sections=groups))
 
 
 def test_a_drive_that_was_deaf_for_two_seconds_is_stopped_all_the_same() -> None:
@@ -344,7 +345,7 @@ def test_a_stop_of_a_drive_that_leaves_the_roster_meanwhile_is_reported() -> Non
         await plant.online()
         stopping = asyncio.create_task(plant.site.operations.stop(INHIBIT, "a"))
         await anyio.lowlevel.checkpoint()
-        plant.apply(roster_of(MIXED[1:], drive=WRITABLE))
+        plant.apply(roster_text(MIXED[1:], drive=WRITABLE))
         report = await stopping
         assert report.outcome is Outcome.VERIFIED
         assert report.members[0].reading is None
@@ -412,4 +413,4 @@ def test_the_proof_of_a_stop_waits_until_a_module_that_acknowledges_early_hears_
         assert len(said) == 1
         assert plant.line["a"].model.stop_wanted()
 
-    with_plant(test, roster_of([("a", 1, "820x")], drive=", cyclic: []"))
+    with_plant(test, roster_text([("a", 1, "820x")], drive="cyclic: []"))

@@ -11,7 +11,8 @@ import pytest
 
 from lecombus.drives import FAMILY_NAMES, StopAction
 from lecombus.schedule import Outcome
-from support.site_host import Plant, roster_of, with_plant
+from support.rosters import roster_text
+from support.site_host import Plant, with_plant
 
 DESCRIBED = [name for name in FAMILY_NAMES if name != "generic"]
 BANKED = ("820x", "822x", "8200vector", "93xx", "smvector")
@@ -33,7 +34,7 @@ def stopped(family: str, codes: dict[int, str], action: StopAction, *, known: bo
         assert report.outcome is Outcome.VERIFIED, report.reason
         assert model.control & (BITS[action] | BITS[StopAction.INHIBIT])
 
-    with_plant(test, roster_of([("a", 11, family)]))
+    with_plant(test, roster_text([("a", 11, family)]))
 
 
 @pytest.mark.parametrize("action", StopAction)
@@ -85,7 +86,7 @@ def test_a_93xx_that_does_not_follow_its_control_word_is_inhibited(configuration
         assert report.outcome is Outcome.VERIFIED
         assert "C0135 reads H0008; inhibit" in report.reason
 
-    with_plant(test, roster_of([("a", 11, "93xx")]))
+    with_plant(test, roster_text([("a", 11, "93xx")]))
 
 
 @pytest.mark.parametrize("family", DESCRIBED)
@@ -104,4 +105,4 @@ def test_a_quick_stop_leaves_an_inhibit_that_somebody_set_at_the_drive(family: s
         assert report.outcome is Outcome.VERIFIED
         assert model.control & BITS[StopAction.INHIBIT]
 
-    with_plant(test, roster_of([("a", 11, family)]))
+    with_plant(test, roster_text([("a", 11, family)]))

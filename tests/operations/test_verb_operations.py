@@ -19,7 +19,8 @@ from lecombus.operations.reports import VerbReport
 from lecombus.parameters import Code
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome
-from support.site_host import Plant, roster_of, until, with_plant
+from support.rosters import roster_text
+from support.site_host import Plant, until, with_plant
 
 DESCRIBED = [name for name in FAMILY_NAMES if name != "generic"]
 WATCHDOG = "{time: 2s, action: quick-stop, configure: true}"
@@ -35,7 +36,7 @@ def with_drive(test: Callable[[Plant], Awaitable[None]], kind: str, **keys: Any)
         await plant.online()
         await test(plant)
 
-    with_plant(main, roster_of([("a", 11, kind)], **{"watchdog": WATCHDOG} | keys))
+    with_plant(main, roster_text([("a", 11, kind)], **{"watchdog": WATCHDOG} | keys))
 
 
 async def do(plant: Plant, verb: Verb, **keys: Any) -> VerbReport:
@@ -177,7 +178,7 @@ def test_820x_that_restarts_too_fast_to_be_missed_has_its_watchdog_again_all_the
         assert report.outcome is Outcome.VERIFIED
         assert (drive.params.text(1922), drive.params.text(1923)) == ("2", "2000")
 
-    with_drive(test, "820x", drive=", cyclic: []")
+    with_drive(test, "820x", drive="cyclic: []")
 
 
 def test_820x_that_does_not_come_back_is_unknown_in_time_for_whoever_asked() -> None:
@@ -317,7 +318,7 @@ def test_an_enable_lifts_what_the_watchdog_did_whatever_the_control_word_reads(
         assert drive.motor.output > 0.0
 
     watchdog = f"{{time: 2s, action: {action}, configure: true}}"
-    roster = roster_of([("a", 11, kind)], watchdog=watchdog)
+    roster = roster_text([("a", 11, kind)], watchdog=watchdog)
     with_plant(test, roster, word_as_written=as_written)
 
 
@@ -362,7 +363,7 @@ def test_an_enable_is_taken_back_by_a_quick_stop_where_an_inhibit_could_drop_the
         assert inhibited or drive.stop_wanted()
         assert (await plant.site.operations.why("a")).findings[0].name == "enable-taken-back"
 
-    with_drive(test, kind, drive=", stop_fallback: none")
+    with_drive(test, kind, drive="stop_fallback: none")
 
 
 @pytest.mark.parametrize("kind", [one for one in DESCRIBED if one != "smvector"])
@@ -396,7 +397,7 @@ def test_a_drive_that_is_away_or_locked_is_stopped_and_nothing_else() -> None:
         assert stop.outcome is Outcome.UNKNOWN
         assert "emergency stop circuit" in stop.remedy
 
-    with_plant(test, roster_of([("a", 11, "smvector")]))
+    with_plant(test, roster_text([("a", 11, "smvector")]))
 
 
 def test_a_roster_that_allows_no_writes_allows_no_verbs_but_stops() -> None:
@@ -405,7 +406,7 @@ def test_a_roster_that_allows_no_writes_allows_no_verbs_but_stops() -> None:
         assert error.kind == "not-writable"
         assert (await do(plant, Verb.QUICK_STOP)).outcome is Outcome.VERIFIED
 
-    with_drive(test, "8200vector", drive=", writable: []")
+    with_drive(test, "8200vector", drive="writable: []")
 
 
 def test_generic_and_unknown_drives_have_no_verbs() -> None:
@@ -443,7 +444,7 @@ def test_a_line_lost_half_way_leaves_the_outcome_unknown() -> None:
         assert report.outcome is Outcome.UNKNOWN
         assert report.remedy
 
-    with_drive(test, "8200vector", drive=", cyclic: []", watchdog="")
+    with_drive(test, "8200vector", drive="cyclic: []", watchdog="")
 
 
 # ---- with others on the line ----------------------------------------------------------------
@@ -464,7 +465,7 @@ def test_a_stop_ends_a_verb_wherever_it_is(action: StopAction, after_s: float) -
         await anyio.sleep(5.0)
         assert drive.control & 0x0208, "the stop stands"
 
-    with_drive(test, "8200vector", drive=", cyclic: []", watchdog="")
+    with_drive(test, "8200vector", drive="cyclic: []", watchdog="")
 
 
 @pytest.mark.parametrize("after_s", [0.0, 0.03, 0.06, 0.09, 0.12])
@@ -478,7 +479,7 @@ def test_a_control_word_another_client_writes_meanwhile_is_not_undone(after_s: f
         await enabling
         assert drive.control & 0x4004 == 0x4004
 
-    with_drive(test, "8200vector", drive=", cyclic: []", watchdog="")
+    with_drive(test, "8200vector", drive="cyclic: []", watchdog="")
 
 
 @pytest.mark.parametrize("after_s", [0.0, 0.05, 0.1])
@@ -496,7 +497,7 @@ def test_a_plain_write_that_means_stop_is_not_undone_by_an_enable(
         assert (await enabling).outcome is Outcome.SUPERSEDED
         assert drive.inhibited() or drive.stop_wanted()
 
-    with_drive(test, kind, drive=", cyclic: []", watchdog="")
+    with_drive(test, kind, drive="cyclic: []", watchdog="")
 
 
 def test_a_group_write_that_means_stop_is_not_undone_by_an_enable() -> None:
@@ -509,7 +510,7 @@ def test_a_group_write_that_means_stop_is_not_undone_by_an_enable() -> None:
         assert (await enabling).outcome is Outcome.SUPERSEDED
         assert drive.inhibited()
 
-    with_drive(test, "8200vector", drive=", cyclic: []", watchdog="")
+    with_drive(test, "8200vector", drive="cyclic: []", watchdog="")
 
 
 @pytest.mark.parametrize(("code", "text"), [(40, "1"), (135, "H0000")])
@@ -566,7 +567,7 @@ def test_an_enable_that_cannot_be_seen_is_taken_back(kind: str) -> None:
         assert "it was inhibited again" in report.remedy
         assert drive.inhibited()
 
-    with_drive(test, kind, drive=", cyclic: []", watchdog="")
+    with_drive(test, kind, drive="cyclic: []", watchdog="")
 
 
 def test_one_enable_or_reset_at_a_time() -> None:
@@ -621,4 +622,4 @@ def test_a_drive_that_runs_without_the_line_is_not_said_to_be_enabled_by_it() ->
         assert "C0005 that ends in 1" in report.remedy
         assert report.written == ()
 
-    with_plant(test, roster_of([("servo", 21, "93xx")]))
+    with_plant(test, roster_text([("servo", 21, "93xx")]))

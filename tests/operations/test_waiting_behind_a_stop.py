@@ -15,15 +15,16 @@ from lecombus.operations.reports import VerbReport, WriteReport
 from lecombus.operations.requests import CAME_S
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome
-from support.site_host import Plant, roster_of, until, with_plant
+from support.rosters import roster_text
+from support.site_host import Plant, until, with_plant
 
 WRITABLE = (
-    ", restore: true, allow_address_change: true, cyclic: [{code: C0150, every: 1s}], "
+    "restore: true, allow_address_change: true, cyclic: [{code: C0150, every: 1s}], "
     "unchecked: [C0777], writable: [C0001, C0011, C0012, C0040, C0046, C0127, C0135, C0777, C1920]"
 )
-ROSTER = roster_of(
+ROSTER = roster_text(
     [("a", 11, "821x"), ("b", 12, "821x"), ("c", 13, "821x")], drive=WRITABLE,
-    rest="groups:\n  two: {members: [a, b], multicast: yes}\n",
+    sections="groups:\n  two: {members: [a, b], multicast: yes}\n",
 )  # fmt: skip
 QUICK, INHIBIT = StopAction.QUICK_STOP, StopAction.INHIBIT
 
@@ -202,7 +203,7 @@ def test_a_watchdog_that_is_being_set_is_set_behind_the_stop() -> None:
         assert "watchdog" not in plant.site.store.drive("a").remarks
 
     watchdog = "{time: 2s, action: quick-stop, configure: true}"
-    with_plant(test, roster_of([("a", 11, "821x")], watchdog=watchdog))
+    with_plant(test, roster_text([("a", 11, "821x")], watchdog=watchdog))
 
 
 @pytest.mark.parametrize("verb", [Verb.ENABLE, Verb.SET_SPEED])

@@ -16,13 +16,14 @@ from lecombus.operations.wear import counts, wears
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome
 from lecombus.state import State
-from support.site_host import Plant, roster_of, with_plant
+from support.rosters import roster_text
+from support.site_host import Plant, with_plant
 
 TWO = [("a", 11, "8200vector"), ("b", 12, "8200vector")]
 RAMP, SETPOINT, ENABLE, UNKNOWN = Code(12), Code(46), Code(40), Code(469)
 LIMIT = "stored_writes: {burst: 3, every: 10min}"
-WRITABLE = f", cyclic: [], {LIMIT}, writable: [C0012, C0037, C0040, C0043, C0046, C0469, C2012]"
-ROSTER = roster_of(TWO, drive=WRITABLE)
+WRITABLE = f"cyclic: [], {LIMIT}, writable: [C0012, C0037, C0040, C0043, C0046, C0469, C2012]"
+ROSTER = roster_text(TWO, drive=WRITABLE)
 
 
 async def write(plant: Plant, value: object, code: Code = RAMP, **more: bool) -> WriteReport:
@@ -137,7 +138,7 @@ def test_a_group_writes_only_to_the_members_that_hold_another_value() -> None:
 
     drives = [*TWO, ("c", 13, "8200vector")]
     groups = "\ngroups: {pair: {members: [a, b]}}"
-    with_plant(test, roster_of(drives, drive=WRITABLE, rest=groups))
+    with_plant(test, roster_text(drives, drive=WRITABLE, sections=groups))
 
 
 def test_a_multicast_of_a_stored_parameter_counts_for_every_member() -> None:
@@ -149,7 +150,7 @@ def test_a_multicast_of_a_stored_parameter_counts_for_every_member() -> None:
         assert {one.reason for one in again.members} == {"already there, not written"}
         assert (counted(plant), counted(plant, "b")) == ({"C0012": 1}, {"C0012": 1})
 
-    with_plant(test, roster_of(TWO, drive=WRITABLE, rest="\ngroups: {all: {multicast: yes}}"))
+    with_plant(test, roster_text(TWO, drive=WRITABLE, sections="\ngroups: {all: {multicast: yes}}"))
 
 
 def test_counts_go_on_from_before_and_stand_on_the_metrics_page() -> None:

@@ -17,7 +17,8 @@ from lecombus.operations.reports import VerbReport
 from lecombus.parameters import Code, Value
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome
-from support.site_host import Plant, roster_of, until, with_plant
+from support.rosters import roster_text
+from support.site_host import Plant, until, with_plant
 
 FAMILIES = [
     ("vector", 11, "8200vector"), ("belt", 12, "821x"), ("pump", 13, "820x"),
@@ -41,7 +42,7 @@ def at(drive: str, test: Callable[[Plant], Awaitable[None]]) -> None:
         await test(plant)
 
     chosen = [one for one in FAMILIES if one[0] == drive]
-    with_plant(main, roster_of(chosen))
+    with_plant(main, roster_text(chosen))
 
 
 def named(plant: Plant, drive: str) -> bool:
@@ -244,7 +245,7 @@ def test_what_was_never_read_proves_nothing() -> None:
         assert "operating-mode" not in names(report)
         assert not report.history_known
 
-    with_plant(main, roster_of(FAMILIES[:1], drive=", cyclic: []"))
+    with_plant(main, roster_text(FAMILIES[:1], drive="cyclic: []"))
 
 
 def test_the_old_fault_in_the_memory_is_history_and_no_answer() -> None:
@@ -332,7 +333,7 @@ def test_no_drive_and_no_such_drive() -> None:
         report = await plant.site.operations.why("counter")
         assert report.as_json(Language.EN)["output"] is None
 
-    with_plant(main, roster_of([("counter", 31, "generic")]))
+    with_plant(main, roster_text([("counter", 31, "generic")]))
 
 
 def test_every_reason_is_of_families_that_have_its_codes_and_states() -> None:
@@ -443,7 +444,7 @@ def test_an_enable_that_was_refused_is_remembered_with_its_remedy() -> None:
         assert (await plant.site.operations.why("belt", fresh=True)).last_enable is None
 
     drives = [one for one in FAMILIES if one[0] == "belt"]
-    roster = roster_of(drives, drive=", also_writable: [C0001]")
+    roster = roster_text(drives, drive="also_writable: [C0001]")
 
     async def main(plant: Plant) -> None:
         await plant.online()
@@ -518,7 +519,7 @@ def test_a_quick_stop_of_the_watchdog_that_no_word_shows_is_a_hint_until_an_enab
 
     chosen = [one for one in FAMILIES if one[0] == drive]
     watchdog = "{time: 2s, action: quick-stop, configure: true}"
-    with_plant(main, roster_of(chosen, watchdog=watchdog), word_as_written=True)
+    with_plant(main, roster_text(chosen, watchdog=watchdog), word_as_written=True)
 
 
 @pytest.mark.parametrize("how", ["stop", "verb", "write"])

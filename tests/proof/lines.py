@@ -20,9 +20,10 @@ from lecombus.capacity.demand_bound import Stream, find_overload, load_of
 from lecombus.capacity.exchange_costs import own_longest_s, stop_s
 from lecombus.capacity.watchdog_demand import demand_of, smallest, under_way_s
 from lecombus.capacity.watchdog_feasibility import AWAY_ATTEMPTS
-from lecombus.config import DriveEntry, Roster, line_timing, parse_roster
+from lecombus.config import DriveEntry, Roster, line_timing
 from lecombus.drives import family
 from lecombus.schedule.watchdog_deadline import HARD_PART
+from support.rosters import make_roster
 
 FAMILIES = ("820x", "821x", "822x", "824x", "8200vector", "93xx", "smvector")
 BAUDS = (1200, 2400, 4800, 9600, 19200, 19200, 19200)
@@ -136,14 +137,11 @@ def line_of(seed: int, length_s: float) -> RandomLine:
     drives = sorted(dict(drives).items())
     baud = random.choice(BAUDS)
     head = (
-        f"line: {{name: l, port: 'sim:', baud: {baud}, repeaters: true, "
-        f"turnaround: {random.choice(('0ms', '2ms', '5ms'))}, "
-        f"retries: {random.randrange(4)}}}\n"
+        f"baud: {baud}, repeaters: true, turnaround: {random.choice(('0ms', '2ms', '5ms'))}, "
+        f"retries: {random.randrange(4)}"
     )
     period_ms = random.choice((200, 500, 1000, 3000, 10000))
-    cyclic = random.choice(
-        ("", ", cyclic: []", f", cyclic: [{{code: C0150, every: {period_ms}ms}}]")
-    )
+    cyclic = random.choice(("", "cyclic: []", f"cyclic: [{{code: C0150, every: {period_ms}ms}}]"))
     watched = [random.random() < 0.85 for _ in drives]
     roster = _read(head, drives, watched, [LONGEST_WATCHDOG_S] * len(drives), cyclic)
     short = [random.random() < share for share in [random.choice((1.0, 1.0, 0.4))] for _ in drives]
@@ -207,17 +205,15 @@ def _read(
     times: list[float],
     cyclic: str,
 ) -> Roster:
-    entries = []
+    own = {}
     for number, (address, kind) in enumerate(drives):
-        guard = ""
+        keys = [] if kind == "smvector" else ["also_writable: [C0012]"]
         if watched[number]:
-            milliseconds = math.ceil(times[number] * 1000) + 1
-            guard = f", watchdog: {{time: {milliseconds}ms, action: quick-stop, configure: true}}"
-        more = "" if kind == "smvector" else ", also_writable: [C0012]"
-        entries.append(
-            f"  - {{name: d{address}, address: {address}, family: {kind}{guard}{cyclic}{more}}}\n"
-        )
-    return parse_roster(f"{head}drives:\n{''.join(entries)}{_groups(drives)}", "r.yaml")
+            time = f"{math.ceil(times[number] * 1000) + 1}ms"
+            keys.append(f"watchdog: {{time: {time}, action: quick-stop, configure: true}}")
+        own[f"d{address}"] = ", ".join(keys)
+    named = [(f"d{address}", address, kind) for address, kind in drives]
+    return make_roster(named, baud=None, line=head, drive=cyclic, own=own, sections=_groups(drives))
 
 
 def _groups(drives: list[tuple[int, str]]) -> str:

@@ -15,12 +15,13 @@ from random import Random
 
 from lecombus.capacity.exchange_costs import watched_s
 from lecombus.capacity.watchdog_demand import demand_of, least_time_s
-from lecombus.config import Roster, parse_roster
+from lecombus.config import Roster
 from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.fieldbus.lecom.simulator.line import SimLine
 from lecombus.line_runtime import LineRuntime
 from lecombus.schedule import Priority
 from proof.lines import ADDRESSES, FAMILIES, RandomLine
+from support.rosters import make_roster
 
 __all__ = ["MOST_TOLERATED", "Losses", "TolerantLine", "tolerant_line"]
 
@@ -71,18 +72,14 @@ def tolerant_line(seed: int, *, tolerate: int, losses: int, length_s: float) -> 
         {random.choice(ADDRESSES): random.choice(FAMILIES) for _ in range(count)}.items()
     )
     baud = random.choice((1200, 4800, 9600, 19200, 19200))
-    few = random.choice((", cyclic: []", "", ", cyclic: [{code: C0150, every: 1s}]"))
+    few = random.choice(("cyclic: []", "", "cyclic: [{code: C0150, every: 1s}]"))
 
     def roster(time_ms: int) -> Roster:
-        guard = f", watchdog: {{time: {time_ms}ms, action: quick-stop, configure: true}}{few}"
-        return parse_roster(
-            f"line: {{name: l, port: 'sim:', baud: {baud}, tolerate: {tolerate}}}\ndrives:\n"
-            + "".join(
-                f"  - {{name: d{address}, address: {address}, family: {kind}{guard}}}\n"
-                for address, kind in drives
-            ),
-            "r.yaml",
-        )
+        return make_roster(
+            [(f"d{address}", address, kind) for address, kind in drives],
+            baud=baud, line=f"tolerate: {tolerate}", drive=few,
+            watchdog=f"{{time: {time_ms}ms, action: quick-stop, configure: true}}",
+        )  # fmt: skip
 
     while (least_s := least_time_s(demand_of(roster(60000)), all_alike=True)) is None:
         drives = drives[: len(drives) // 2]  # no time of so many outlasts so much

@@ -9,14 +9,13 @@ import pytest
 from lecombus.fieldbus.lecom.simulator import PtyEnd
 from support.daemon_host import (
     Daemon,
-    Wanted,
     on_a_pty,
-    roster_text,
     running,
     short_dir,
     sim_line,
     until,
 )
+from support.rosters import Wanted, roster_text
 
 pytestmark = [pytest.mark.real, pytest.mark.timeout(40)]
 
@@ -53,7 +52,7 @@ def test_an_adapter_that_holds_bytes_back_for_16_ms_is_worked_with() -> None:
     """What an FTDI does without its low latency mode: bytes come in batches."""
     line = sim_line(DRIVES, faults="late=1:1ms-16ms")
     with short_dir() as folder, PtyEnd(line, folder / "port") as end:
-        text = roster_text(end.path, folder, DRIVES, line="adapter_latency: 16ms")
+        text = roster_text(DRIVES, port=end.path, folder=folder, line="adapter_latency: 16ms")
         with running(text, folder) as daemon:
             daemon.until_online()
             works(daemon)

@@ -18,7 +18,8 @@ from pathlib import Path
 import pytest
 
 from support.children import child
-from support.daemon_host import Daemon, free_port, roster_text, running, short_dir
+from support.daemon_host import Daemon, free_port, running, short_dir
+from support.rosters import roster_text
 
 pytestmark = [pytest.mark.real, pytest.mark.long, pytest.mark.timeout(400)]
 
@@ -115,7 +116,7 @@ def full_line(folder: Path, http: int) -> Iterator[Daemon]:
     """Run a daemon with 31 drives, all online."""
     keys = "cyclic: [{code: C0150, every: 2s}, {code: C0050, every: 5s}]"
     roster = roster_text(
-        folder / "port", folder, DRIVES, http=http,
+        DRIVES, port=folder / "port", folder=folder, http=http,
         watchdog="{time: 2s, action: inhibit}", drive=keys,
     )  # fmt: skip
     (folder / "line.yaml").write_text(roster)

@@ -16,12 +16,11 @@ import pytest
 from support.children import Child, child
 from support.daemon_host import (
     Daemon,
-    Wanted,
-    roster_text,
     running,
     short_dir,
     until,
 )
+from support.rosters import Wanted, roster_text
 from support.traffic import CUT, HANGING, Asked, Traffic, get, put
 
 pytestmark = pytest.mark.real
@@ -49,7 +48,7 @@ KEYS = "cyclic: [{code: C0150, every: 2s}, {code: C0050, every: 5s}]"
 def full_line(folder: Path) -> Iterator[tuple[Daemon, Child]]:
     """Run a daemon with 31 drives, three of them absent; each has been tried once."""
     watchdog = "{time: 2s, action: inhibit}"
-    roster = roster_text(folder / "port", folder, DRIVES, watchdog=watchdog, drive=KEYS)
+    roster = roster_text(DRIVES, port=folder / "port", folder=folder, watchdog=watchdog, drive=KEYS)
     (folder / "line.yaml").write_text(roster)
     absent = "absent=" + "+".join(map(str, ABSENT))
     words = ("--roster", folder / "line.yaml", "--faults", absent)

@@ -17,16 +17,15 @@ import pytest
 
 from support.daemon_host import (
     Daemon,
-    Wanted,
     command,
     free_port,
-    roster_text,
     running,
     short_dir,
     started,
     until,
 )
 from support.real_parts import require
+from support.rosters import Wanted, roster_text
 
 pytestmark = [pytest.mark.real, pytest.mark.timeout(60)]
 
@@ -80,7 +79,7 @@ def both() -> Iterator[tuple[Daemon, Daemon]]:
         direct, served = stack.enter_context(short_dir()), stack.enter_context(short_dir())
         port = free_port()
         rosters = [
-            roster_text(where, folder, DRIVES, watchdog=WATCHDOG)
+            roster_text(DRIVES, port=where, folder=folder, watchdog=WATCHDOG)
             for where, folder in (
                 (direct / "device", direct),
                 (f"socket://127.0.0.1:{port}", served),

@@ -15,10 +15,10 @@ import pytest
 
 from lecombus import daemon as daemon_module
 from lecombus import line_runtime
-from lecombus.config import parse_roster
 from lecombus.fieldbus.lecom.simulator import PtyEnd
 from lecombus.line.worker import LineWorker
-from support.daemon_host import Daemon, Wanted, roster_text, running, short_dir, sim_line, until
+from support.daemon_host import FIVE, Daemon, running, short_dir, sim_line, until
+from support.rosters import Wanted, make_roster, roster_text
 
 pytestmark = [pytest.mark.real, pytest.mark.timeout(40)]
 
@@ -67,7 +67,7 @@ class Manager:
 
 @contextmanager
 def managed(
-    *, faults: str = "", drives: tuple[Wanted, ...] = DRIVES, more: str = ""
+    *, faults: str = "", drives: tuple[Wanted, ...] = DRIVES, sections: str = ""
 ) -> Iterator[tuple[Daemon, Manager, PtyEnd]]:
     """Run a daemon as a service manager would, with watchdogs that inhibit after 2 s."""
     with (
@@ -75,7 +75,9 @@ def managed(
         PtyEnd(sim_line((*DRIVES, FAN), faults=faults), folder / "device") as end,
     ):
         manager = Manager(folder / "notify")
-        text = roster_text(end.path, folder, drives, watchdog=WATCHDOG, more=more)
+        text = roster_text(
+            drives, port=end.path, folder=folder, watchdog=WATCHDOG, sections=sections
+        )
         try:
             with running(text, folder, env={"NOTIFY_SOCKET": str(manager.path)}) as daemon:
                 yield daemon, manager, end
@@ -122,7 +124,7 @@ def test_a_line_that_cannot_be_opened_is_alive_but_not_ready() -> None:
 
 
 def test_sigterm_inhibits_the_drives_if_wanted_and_ends_with_status_0() -> None:
-    with managed(more="on_shutdown: inhibit") as (daemon, manager, end):
+    with managed(sections="on_shutdown: inhibit") as (daemon, manager, end):
         daemon.until_online()
         for name, code in (("belt", "C0135"), ("winder", "C0135")):
             answer = daemon.client.put(f"/v1/drives/{name}/codes/{code}", json={"value": "H0000"})
@@ -201,8 +203,8 @@ def test_drives_come_and_go_at_sighup_while_the_others_stay_fed() -> None:
     with managed() as (daemon, _, end):
         daemon.until_online()
         folder = daemon.folder
-        with_fan = roster_text(end.path, folder, (*DRIVES, FAN), watchdog=WATCHDOG)
-        without_belt = roster_text(end.path, folder, (WINDER, FAN), watchdog=WATCHDOG)
+        with_fan = roster_text((*DRIVES, FAN), port=end.path, folder=folder, watchdog=WATCHDOG)
+        without_belt = roster_text((WINDER, FAN), port=end.path, folder=folder, watchdog=WATCHDOG)
         since = daemon.get("/v1/drives/winder")["since"]
         daemon.roster.write_text(with_fan)
         daemon.tell(signal.SIGHUP)
@@ -235,7 +237,7 @@ def test_pings_stop_when_the_line_task_stalls_though_all_else_goes_on(
         manager = Manager(folder / "notify")
         monkeypatch.setenv("NOTIFY_SOCKET", str(manager.path))
         try:
-            roster = parse_roster(roster_text("sim:", folder), "roster.yaml")
+            roster = make_roster(FIVE, folder=folder)
             anyio.run(end_when_unhealthy, daemon_module.Daemon(roster, None), manager)
         finally:
             manager.close()

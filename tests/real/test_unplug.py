@@ -13,16 +13,15 @@ from lecombus.fieldbus.lecom.simulator import PtyEnd
 from real.test_ser2net import ser2net
 from support.daemon_host import (
     Daemon,
-    Wanted,
     free_port,
     on_a_pty,
-    roster_text,
     running,
     short_dir,
     sim_line,
     until,
 )
 from support.real_parts import require
+from support.rosters import Wanted, roster_text
 from support.traffic import CUT, HANGING, Asked, Traffic, get, put
 
 pytestmark = [pytest.mark.real, pytest.mark.slow, pytest.mark.timeout(90)]
@@ -105,7 +104,8 @@ def test_ser2net_killed_ten_times_is_found_again() -> None:
         served.start()
         try:
             with running(
-                roster_text(f"socket://127.0.0.1:{port}", folder, DRIVES, drive=KEYS), folder
+                roster_text(DRIVES, port=f"socket://127.0.0.1:{port}", folder=folder, drive=KEYS),
+                folder,
             ) as daemon:
                 pull_again_and_again(daemon, served.kill, served.start)
         finally:

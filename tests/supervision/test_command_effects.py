@@ -13,8 +13,9 @@ from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome
 from lecombus.store import LineState, Store
 from lecombus.supervision.command_effects import ZERO_GAP_S, CommandEffects
+from support.rosters import roster_text
 from support.single_drives import AskedLine, drive_of, read_of
-from support.site_host import Plant, roster_of, with_plant
+from support.site_host import Plant, with_plant
 
 WORD, OUTPUT, OPERATING, INHIBIT, CONTROL = (Code(one) for one in (150, 50, 68, 40, 135))
 TURNS, STANDS = "H0600", "H0640"
@@ -163,7 +164,7 @@ def test_the_motion_is_known_soon_after_a_plain_write(name: str, after: Doing) -
                     seen.append(motion.doing)
             assert set(seen) == {expected}, "known soon, and never shown as it is not"
 
-    with_plant(test, roster_of(LINE, baud=9600))
+    with_plant(test, roster_text(LINE, baud=9600))
 
 
 def test_after_a_stop_of_all_every_motion_is_known_soon() -> None:
@@ -175,7 +176,7 @@ def test_after_a_stop_of_all_every_motion_is_known_soon() -> None:
         doing = {plant.site.store.motion(name).doing for name, *_ in LINE}
         assert doing <= {Doing.STOPPED, Doing.STOPPING}
 
-    with_plant(test, roster_of(LINE, baud=9600))
+    with_plant(test, roster_text(LINE, baud=9600))
 
 
 def test_a_quick_stop_by_a_terminal_is_known_when_the_motor_has_stopped() -> None:
@@ -199,4 +200,4 @@ def test_a_quick_stop_by_a_terminal_is_known_when_the_motor_has_stopped() -> Non
         assert motion.doing in (Doing.STOPPING, Doing.STOPPED)  # C0050 has a slow turn, too
         assert motion.stops[0].name == "quick-stop"
 
-    with_plant(test, roster_of(LINE, baud=9600))
+    with_plant(test, roster_text(LINE, baud=9600))

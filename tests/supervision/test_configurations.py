@@ -11,8 +11,9 @@ from lecombus.parameters import Code
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome
 from lecombus.supervision.configurations import Configurations
+from support.rosters import roster_text
 from support.single_drives import AskedLine, drive_of, read_of
-from support.site_host import Plant, roster_of, until, with_plant
+from support.site_host import Plant, until, with_plant
 
 C0005, C0135, C0150, C1921 = Code(5), Code(135), Code(150), Code(1921)
 
@@ -82,7 +83,7 @@ def test_other_codes_families_and_drives_say_nothing() -> None:
     assert (post.taken, inverter.taken, inverter.asked) == ([], [], [])
 
 
-ROSTER = roster_of([("a", 11, "93xx"), ("b", 12, "8200vector")], drive=", writable: [C0005, C0040]")
+ROSTER = roster_text([("a", 11, "93xx"), ("b", 12, "8200vector")], drive="writable: [C0005, C0040]")
 
 
 def configuration(plant: Plant, drive: str = "a") -> str:
@@ -172,7 +173,7 @@ def test_states_are_shown_only_from_good_values() -> None:
         await until(lambda: states(plant, "c") is None, within_s=30.0)
         assert store.drive("c").as_json()["states"] is None
 
-    with_plant(test, roster_of([("c", 13, "821x")]))
+    with_plant(test, roster_text([("c", 13, "821x")]))
 
 
 def test_shortened_response_time_is_followed_and_not_known_after_a_write() -> None:
@@ -201,5 +202,5 @@ def test_a_drive_told_to_acknowledge_early_is_left_alone_after_its_next_write() 
         await until(lambda: station("a").hold_s == 0.0, within_s=10.0)
         assert all(one.result.kind is ResultKind.ANSWERED for one in plant.reports)
 
-    roster = roster_of([("a", 1, "820x")], drive=", cyclic: [], writable: [C0046, C1921]")
+    roster = roster_text([("a", 1, "820x")], drive="cyclic: [], writable: [C0046, C1921]")
     with_plant(test, roster)

@@ -15,7 +15,8 @@ from lecombus.fieldbus.lecom.simulator.parameters import CommError, ExtendedErro
 from lecombus.parameters import Code
 from lecombus.readings import DriveState
 from lecombus.store import DriveChanged, LineState
-from support.site_host import Plant, plainly, roster_of, until, with_plant
+from support.rosters import roster_text
+from support.site_host import Plant, plainly, until, with_plant
 
 ONE = [("a", 11, "8200vector")]
 GUARD = "{time: 2s, action: quick-stop, configure: true}"
@@ -56,7 +57,7 @@ def test_every_family_is_armed_as_the_roster_says_and_nothing_is_remarked() -> N
         plant.line.advance(plant.now_s)
         assert [plant.line[name].watchdog_fired for name, _, _ in FIVE] == [0] * 5
 
-    with_plant(test, roster_of(FIVE, watchdog=GUARD))
+    with_plant(test, roster_text(FIVE, watchdog=GUARD))
 
 
 def test_what_is_set_already_is_not_written_again() -> None:
@@ -66,7 +67,7 @@ def test_what_is_set_already_is_not_written_again() -> None:
         await plant.online()
         assert not [entry for entry in plant.line["a"].log if entry.kind == "write"]
 
-    with_plant(test, roster_of(ONE, watchdog=GUARD))
+    with_plant(test, roster_text(ONE, watchdog=GUARD))
 
 
 def test_without_configure_a_difference_stands_as_a_remark_and_nothing_is_written() -> None:
@@ -83,7 +84,7 @@ def test_without_configure_a_difference_stands_as_a_remark_and_nothing_is_writte
         plant.line.advance(plant.now_s)
         assert plant.line["a"].watchdog_fired == 0
 
-    with_plant(test, roster_of(ONE, watchdog=LOOK, drive=", cyclic: []"))
+    with_plant(test, roster_text(ONE, watchdog=LOOK, drive="cyclic: []"))
 
 
 def test_a_watchdog_the_roster_does_not_name_is_remarked_and_not_fed() -> None:
@@ -92,7 +93,7 @@ def test_a_watchdog_the_roster_does_not_name_is_remarked_and_not_fed() -> None:
         await until(lambda: "the roster names none" in (remark(plant, "a") or ""))
         assert "a" not in plant.site.schedule.stats(plant.now_s).feeds
 
-    with_plant(test, roster_of(ONE))
+    with_plant(test, roster_text(ONE))
 
 
 def test_a_refused_setting_ends_in_a_remark_not_in_a_loop() -> None:
@@ -101,7 +102,7 @@ def test_a_refused_setting_ends_in_a_remark_not_in_a_loop() -> None:
         await plant.online()
         assert "the drive's watchdog is off" in (remark(plant, "a") or "")
 
-    with_plant(test, roster_of(ONE, watchdog=GUARD))
+    with_plant(test, roster_text(ONE, watchdog=GUARD))
 
 
 def test_a_module_that_lost_its_settings_in_a_power_failure_is_armed_again() -> None:
@@ -117,7 +118,7 @@ def test_a_module_that_lost_its_settings_in_a_power_failure_is_armed_again() -> 
 
     drives = [*ONE, ("b", 12, "8200vector")]
     with_plant(
-        test, roster_of(drives, watchdog=GUARD, drive=", cyclic: [{code: C0150, every: 300ms}]")
+        test, roster_text(drives, watchdog=GUARD, drive="cyclic: [{code: C0150, every: 300ms}]")
     )
 
 
@@ -132,7 +133,7 @@ def test_a_drive_without_watchdog_codes_gets_a_remark_and_is_online(code: int) -
         asked = [one.data[3:5] for one in plant.sent_to(11)[said:]]
         assert b"RF" not in asked, "and it is not asked for ever"
 
-    with_plant(test, roster_of(ONE, watchdog=GUARD))
+    with_plant(test, roster_text(ONE, watchdog=GUARD))
 
 
 @pytest.mark.parametrize("code", [135, 1921, 150])
@@ -142,7 +143,7 @@ def test_a_drive_without_another_code_of_the_audit_comes_online_all_the_same(cod
         await plant.online(within_s=20.0)
         assert plant.line["a"].model.watchdog_setting() == (2.0, 2)
 
-    with_plant(test, roster_of(ONE, watchdog=GUARD))
+    with_plant(test, roster_text(ONE, watchdog=GUARD))
 
 
 def test_a_device_without_a_description_is_online_once_it_answers_anything() -> None:
@@ -150,7 +151,7 @@ def test_a_device_without_a_description_is_online_once_it_answers_anything() -> 
         drop_code(plant, "g", 150)
         await plant.online(within_s=20.0)
 
-    with_plant(test, roster_of([("g", 11, "generic")]))
+    with_plant(test, roster_text([("g", 11, "generic")]))
 
 
 def test_a_drive_that_says_nonsense_about_its_watchdog_does_not_stop_the_others() -> None:
@@ -160,7 +161,7 @@ def test_a_drive_that_says_nonsense_about_its_watchdog_does_not_stop_the_others(
         assert plant.state("a") is DriveState.STARTING
         assert "nonsense" in plant.site.store.drive("a").reason
 
-    with_plant(test, roster_of([*ONE, ("b", 12, "8200vector")], watchdog=GUARD))
+    with_plant(test, roster_text([*ONE, ("b", 12, "8200vector")], watchdog=GUARD))
 
 
 def test_a_returning_drive_is_audited_before_it_is_called_online() -> None:
@@ -185,7 +186,7 @@ def test_a_returning_drive_is_audited_before_it_is_called_online() -> None:
         assert {entry.code for entry in writes} == {1922, 1923}
         assert all(entry.time_s < states[-1][0] for entry in writes)
 
-    with_plant(test, roster_of(ONE, watchdog=GUARD))
+    with_plant(test, roster_text(ONE, watchdog=GUARD))
 
 
 def test_after_the_line_came_back_every_drive_is_audited_again() -> None:
@@ -203,7 +204,7 @@ def test_after_the_line_came_back_every_drive_is_audited_again() -> None:
         assert plant.line["a"].model.watchdog_setting() == (2.0, 2)
         assert plant.line["b"].model.watchdog_setting() == (2.0, 2)
 
-    with_plant(test, roster_of([*ONE, ("b", 12, "8200vector")], watchdog=GUARD))
+    with_plant(test, roster_text([*ONE, ("b", 12, "8200vector")], watchdog=GUARD))
 
 
 def test_a_line_that_was_lost_often_is_not_waited_for_longer_when_it_is_back() -> None:
@@ -217,7 +218,7 @@ def test_a_line_that_was_lost_often_is_not_waited_for_longer_when_it_is_back() -
         await plant.online()
         assert plant.now_s - opened_s < 6.0
 
-    with_plant(test, roster_of(ONE, watchdog=GUARD))
+    with_plant(test, roster_text(ONE, watchdog=GUARD))
 
 
 @pytest.mark.parametrize("open_s", [0.0, 5.0])
@@ -258,7 +259,7 @@ def test_a_line_that_flaps_fills_no_log_and_its_states_stay_right(
         assert "event=port-lost" in caplog.records[-1].getMessage()
 
     with caplog.at_level(logging.INFO):
-        with_plant(test, roster_of(FIVE, watchdog=GUARD))
+        with_plant(test, roster_text(FIVE, watchdog=GUARD))
 
 
 def test_a_drive_that_stays_away_when_a_flapping_line_is_back_is_told(
@@ -283,7 +284,7 @@ def test_a_drive_that_stays_away_when_a_flapping_line_is_back_is_told(
         assert ["to=offline" in text for text in told[1:]] == [True]
 
     with caplog.at_level(logging.INFO):
-        with_plant(test, roster_of(FIVE, watchdog=GUARD))
+        with_plant(test, roster_text(FIVE, watchdog=GUARD))
 
 
 def test_an_audit_asked_for_while_the_rest_is_learnt_is_not_forgotten() -> None:
@@ -296,7 +297,7 @@ def test_an_audit_asked_for_while_the_rest_is_learnt_is_not_forgotten() -> None:
         plant.site.health.audits.ask(plant.site.drives.get("a"))
         await until(lambda: plant.line["a"].model.watchdog_setting() == (2.0, 2), within_s=30.0)
 
-    with_plant(test, roster_of(ONE, watchdog=GUARD))
+    with_plant(test, roster_text(ONE, watchdog=GUARD))
 
 
 def test_shortened_response_is_learnt_and_the_drive_left_alone_after_each_write() -> None:
@@ -317,12 +318,12 @@ def test_shortened_response_is_learnt_and_the_drive_left_alone_after_each_write(
         plant.line.advance(plant.now_s)
         assert plant.line["a"].text(46) == "22"
 
-    with_plant(test, roster_of(ONE, watchdog=GUARD))
+    with_plant(test, roster_text(ONE, watchdog=GUARD))
 
 
 def test_the_supervisor_cannot_end_silently() -> None:
     async def main() -> None:
-        async with Plant(roster_of(ONE, watchdog=GUARD)) as plant:
+        async with Plant(roster_text(ONE, watchdog=GUARD)) as plant:
 
             def fail(drive: Drive) -> None:
                 raise RuntimeError(f"a mistake about {drive.name}")
@@ -363,7 +364,7 @@ def test_no_watchdog_of_31_drives_fires_in_ten_minutes_of_load_with_three_absent
         assert ended["good"] > 5_000
         assert absent_share(plant, started_s + 60.0) <= 0.10
 
-    with_plant(test, roster_of(drives, watchdog=GUARD))
+    with_plant(test, roster_text(drives, watchdog=GUARD))
 
 
 async def ask(plant: Plant, name: str, code: int, ended: dict[str, int]) -> None:
@@ -405,7 +406,7 @@ def test_absent_drives_take_no_more_than_their_share_however_many(count: int) ->
         )
         assert 0 < spent_s <= 0.10 * 120.0
 
-    with_plant(test, roster_of(drives))
+    with_plant(test, roster_text(drives))
 
 
 def test_no_watchdog_is_called_missed_of_a_drive_not_heard_since_the_port_was_opened(
@@ -427,7 +428,7 @@ def test_no_watchdog_is_called_missed_of_a_drive_not_heard_since_the_port_was_op
         await looked_at(plant, 30)
         assert len([one for one in caplog.messages if "event=watchdog-missed" in one]) == 1
 
-    with_plant(test, roster_of(ONE, watchdog=GUARD))
+    with_plant(test, roster_text(ONE, watchdog=GUARD))
 
 
 def test_drives_that_are_all_silent_are_not_told_one_by_one(
@@ -448,7 +449,7 @@ def test_drives_that_are_all_silent_are_not_told_one_by_one(
         await plant.online("a", within_s=120)
         assert offline() == ["drive=b"], "with the first one heard it is no longer all of them"
 
-    with_plant(test, roster_of([("a", 11, "8200vector"), ("b", 12, "8200vector")]))
+    with_plant(test, roster_text([("a", 11, "8200vector"), ("b", 12, "8200vector")]))
 
 
 def test_a_watchdog_that_ran_out_unfed_is_logged_once_per_lapse(
@@ -475,7 +476,7 @@ def test_a_watchdog_that_ran_out_unfed_is_logged_once_per_lapse(
             await plant.online(within_s=60)
             await looked_at(plant, 5)
 
-    with_plant(test, roster_of(ONE, watchdog=GUARD))
+    with_plant(test, roster_text(ONE, watchdog=GUARD))
 
 
 @pytest.mark.parametrize("cut", ["drives", "adapter", "adapter flaps"])
@@ -518,7 +519,7 @@ def test_one_cut_of_the_line_is_one_miss_of_each_watchdog_in_the_log_and_in_the_
             await plant.online(within_s=120)
             assert set(missed().values()) == {count}
 
-    with_plant(test, roster_of(FIVE, watchdog=GUARD))
+    with_plant(test, roster_text(FIVE, watchdog=GUARD))
 
 
 def test_a_lost_port_is_logged_once_and_not_once_more_for_each_drive(
@@ -542,4 +543,4 @@ def test_a_lost_port_is_logged_once_and_not_once_more_for_each_drive(
         assert not [one for one in states if "to=offline" in one]
         assert len([one for one in states if "from=online to=starting" in one]) == 5
 
-    with_plant(test, roster_of(FIVE, watchdog=GUARD))
+    with_plant(test, roster_text(FIVE, watchdog=GUARD))

@@ -15,8 +15,9 @@ from lecombus.readings import ActiveFault
 from lecombus.schedule import Outcome
 from lecombus.store import Store
 from lecombus.supervision.fault_watch import TRIES, FaultWatch
+from support.rosters import roster_text
 from support.single_drives import AskedLine, drive_of
-from support.site_host import Plant, roster_of, until, with_plant
+from support.site_host import Plant, until, with_plant
 
 C0068, C0150, C0161 = Code(68), Code(150), Code(161)
 FINE, TRIPPED, WARNS, MESSAGE = "H0670", "H0870", "H1670", "H0770"
@@ -264,7 +265,7 @@ def test_every_trip_of_an_smvector_is_named(digit_of: str) -> None:
             model.reset_fault()
             await until(lambda: store.drive("e").fault is None, within_s=14.0)
 
-    with_plant(test, roster_of(FAMILIES[-1:]))
+    with_plant(test, roster_text(FAMILIES[-1:]))
 
 
 def test_a_trip_of_an_smvector_whose_history_reads_otherwise_is_shown_and_never_misnamed() -> None:
@@ -283,7 +284,7 @@ def test_a_trip_of_an_smvector_whose_history_reads_otherwise_is_shown_and_never_
             model.reset_fault()
             await until(lambda: store.drive("e").fault is None, within_s=14.0)
 
-    with_plant(test, roster_of(FAMILIES[-1:]))
+    with_plant(test, roster_text(FAMILIES[-1:]))
 
 
 def test_a_trip_of_every_family_is_named_soon_and_gone_after_its_reset() -> None:
@@ -313,7 +314,7 @@ def test_a_trip_of_every_family_is_named_soon_and_gone_after_its_reset() -> None
         page = (await plant.site.metrics.fresh_page(openmetrics=False)).decode()
         assert "lecombus_drive_fault_number" not in page
 
-    with_plant(test, roster_of(FAMILIES))
+    with_plant(test, roster_text(FAMILIES))
 
 
 def test_a_fault_of_a_drive_that_is_silent_since_is_shown_as_stale() -> None:
@@ -327,4 +328,4 @@ def test_a_fault_of_a_drive_that_is_silent_since_is_shown_as_stale() -> None:
         assert isinstance(document, dict)
         assert document["stale"] is True
 
-    with_plant(test, roster_of(FAMILIES[:1]))
+    with_plant(test, roster_text(FAMILIES[:1]))

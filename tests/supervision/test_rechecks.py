@@ -8,7 +8,8 @@ import pytest
 from lecombus.parameters import Code
 from lecombus.readings import DriveState
 from lecombus.schedule import Priority
-from support.site_host import Plant, roster_of, until, with_plant
+from support.rosters import roster_text
+from support.site_host import Plant, until, with_plant
 
 SMVECTOR, VECTOR = [("a", 1, "smvector")], [("a", 1, "8200vector")]
 ACTION = {"smvector": Code(1426), "8200vector": Code(1922)}
@@ -16,7 +17,7 @@ ROUND_S = 300.0
 
 
 def watched(configure: str) -> str:
-    return f", watchdog: {{time: 2s, action: quick-stop, configure: {configure}}}"
+    return f"watchdog: {{time: 2s, action: quick-stop, configure: {configure}}}"
 
 
 def asked(plant: Plant, code: Code, since_s: float) -> list[float]:
@@ -42,7 +43,7 @@ def test_a_watchdog_that_was_switched_off_at_the_keypad_is_set_again() -> None:
         await plant.online(within_s=60.0)
         assert params.text(1426) == "2"
 
-    with_plant(test, roster_of(SMVECTOR, drive=watched("true")))
+    with_plant(test, roster_text(SMVECTOR, drive=watched("true")))
 
 
 def test_one_that_the_roster_does_not_let_be_set_is_remarked() -> None:
@@ -63,7 +64,7 @@ def test_one_that_the_roster_does_not_let_be_set_is_remarked() -> None:
         assert plant.state("a") is DriveState.ONLINE, "it is said once, and not doubted for ever"
         assert asked(plant, ACTION["smvector"], found_s)
 
-    with_plant(test, roster_of(SMVECTOR, drive=watched("false")))
+    with_plant(test, roster_text(SMVECTOR, drive=watched("false")))
 
 
 def test_modules_whose_codes_take_long_are_asked_for_a_hundredth_of_the_line() -> None:
@@ -82,7 +83,7 @@ def test_modules_whose_codes_take_long_are_asked_for_a_hundredth_of_the_line() -
         assert plant.site.schedule.stats(plant.now_s).feeds["v1"].lapses == 0
 
     drives = [(f"v{number}", number, "8200vector") for number in range(1, 7)]
-    with_plant(test, roster_of(drives, drive=", cyclic: []" + watched("true")))
+    with_plant(test, roster_text(drives, drive="cyclic: [], " + watched("true")))
 
 
 @pytest.mark.parametrize("configure", ["true", "false"])
@@ -104,5 +105,5 @@ def test_times_of_a_watchdog_that_is_off_in_drive_and_roster_are_no_difference(
         assert not [one for one in caplog.messages if "off" in one and "watchdog" in one]
         assert plant.line["a"].text(time_code) == "7000", "nothing needs to be set"
 
-    off = f", watchdog: {{time: 2s, action: none, configure: {configure}}}"
-    with_plant(test, roster_of(drives, drive=off))
+    off = f"watchdog: {{time: 2s, action: none, configure: {configure}}}"
+    with_plant(test, roster_text(drives, drive=off))

@@ -14,11 +14,12 @@ from lecombus.parameters import Code
 from lecombus.readings import DriveState, Quality
 from lecombus.schedule import Outcome
 from lecombus.state import DriveFacts, State
-from support.site_host import Plant, roster_of, until, with_plant
+from support.rosters import roster_text
+from support.site_host import Plant, until, with_plant
 
 ONE = [("a", 11, "8200vector")]
-WRITABLE = ", writable: [C0012, C0046, C0135]"
-ROSTER = roster_of(ONE, drive=WRITABLE)
+WRITABLE = "writable: [C0012, C0046, C0135]"
+ROSTER = roster_text(ONE, drive=WRITABLE)
 MODULE, SETPOINT = Code(1810), Code(46)
 
 
@@ -98,7 +99,7 @@ def test_a_swapped_drive_is_not_written_to_until_it_is_accepted(
 
     state = State({"a": DriveFacts(writes={"C0012": 9})})
     with caplog.at_level(logging.INFO):
-        with_plant(test, roster_of(ONE, drive=WRITABLE, watchdog=watchdog), state=state)
+        with_plant(test, roster_text(ONE, drive=WRITABLE, watchdog=watchdog), state=state)
     events = [record.getMessage() for record in caplog.records]
     assert len([one for one in events if "event=drive-swapped" in one]) == 1
     assert len([one for one in events if "event=identity-accepted" in one]) == 1
@@ -193,12 +194,12 @@ def test_a_smvector_of_other_software_is_locked_until_the_roster_accepts_it() ->
             await plant.site.operations.write("a", Code(1061), 20)
         assert caught.value.kind == "locked"
         assert "P494 reads software 1.30" in str(caught.value)
-        plant.apply(roster_of(drives, drive=", accept_software: [1.3]"))
+        plant.apply(roster_text(drives, drive="accept_software: [1.3]"))
         await plant.online()
         assert lock(plant) == ""
 
     drives = [("a", 11, "smvector")]
-    with_plant(test, roster_of(drives))
+    with_plant(test, roster_text(drives))
 
 
 @pytest.mark.parametrize(("number", "value"), [(249, "4"), (248, "1")])
@@ -242,14 +243,14 @@ def test_where_extended_addressing_is_ruled_out_nothing_is_believed_and_nothing_
         with pytest.raises(OperationError, match="nothing is written to a"):
             await write(plant)
 
-    with_plant(test, roster_of(ONE, drive=f"{WRITABLE}, addressing: standard"))
+    with_plant(test, roster_text(ONE, drive=f"{WRITABLE}, addressing: standard"))
 
 
 def test_a_drive_whose_identity_the_line_has_no_time_for_works_all_the_same() -> None:
     """Reading a string may hold the line for longer than the others' watchdogs can wait."""
     drives = [(f"d{address}", address, "smvector") for address in range(1, 5)]
-    roster = roster_of(
-        drives, baud=1200, watchdog="{time: 2000ms, action: quick-stop}", line=", tolerate: 0"
+    roster = roster_text(
+        drives, baud=1200, watchdog="{time: 2000ms, action: quick-stop}", line="tolerate: 0"
     )
 
     async def test(plant: Plant) -> None:
@@ -273,7 +274,7 @@ def test_a_drive_whose_feed_takes_much_of_its_watchdog_time_comes_online(
 ) -> None:
     """Its own feed goes before a longer exchange with it, but not for ever."""
     watchdog = f"{{time: {time_ms}ms, action: quick-stop}}"
-    roster = roster_of([("a", 11, "smvector")], baud=baud, line=", tolerate: 0", watchdog=watchdog)
+    roster = roster_text([("a", 11, "smvector")], baud=baud, line="tolerate: 0", watchdog=watchdog)
 
     async def test(plant: Plant) -> None:
         plant.line["a"].model.params.set(1425, str(time_ms))
@@ -305,4 +306,4 @@ def test_a_seldom_asked_drive_that_was_swapped_between_two_failures_is_locked() 
         assert written(plant)[since:] == []
 
     seldom = f"{WRITABLE}, cyclic: [{{code: C0150, every: 20s}}]"
-    with_plant(test, roster_of(ONE, drive=seldom))
+    with_plant(test, roster_text(ONE, drive=seldom))

@@ -28,17 +28,16 @@ import httpx2
 import pytest
 
 from lecombus.fieldbus.lecom.simulator import PtyEnd, SimLine, build
+from support.rosters import Wanted, roster_text
 
 __all__ = [
     "FIVE",
     "Daemon",
     "Ran",
-    "Wanted",
     "command",
     "free_port",
     "lecombus",
     "on_a_pty",
-    "roster_text",
     "running",
     "short_dir",
     "sim_line",
@@ -49,9 +48,6 @@ __all__ = [
 SRC = Path(__file__).parents[2] / "src"
 LOOK_AGAIN_S = 0.02
 T = TypeVar("T")
-
-Wanted = tuple[str, int, str]
-"""A drive's name, address and family."""
 
 FIVE: tuple[Wanted, ...] = (
     ("feeder", 11, "8200vector"),
@@ -93,51 +89,6 @@ def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
-
-
-def roster_text(
-    port: str | Path,
-    folder: Path,
-    drives: Sequence[Wanted] = FIVE,
-    *,
-    line: str = "",
-    watchdog: str = "",
-    drive: str = "",
-    more: str = "",
-    http: int | None = None,
-) -> str:
-    """Write a roster.
-
-    Args:
-        port: The line's port.
-        folder: Where the API's socket is put.
-        drives: The drives.
-        line: Further keys of the line, such as `turnaround: 5ms, stall: 2s`.
-        watchdog: A watchdog for all drives, such as `{time: 2s, action: inhibit}`.
-        drive: Further keys of every drive.
-        more: Further sections, whole lines.
-        http: A TCP port for the API.
-    """
-    keys = ", ".join(filter(None, (drive, watchdog and f"watchdog: {watchdog}")))
-    keys = keys and f", {keys}"
-    rows = [
-        f"  - {{name: {name}, address: {address}, family: {family}{keys}}}"
-        for name, address, family in drives
-    ]
-    said = line and f", {line}"
-    serve = "" if http is None else f", http: '127.0.0.1:{http}'"
-    baud = "" if "baud:" in line else ", baud: 19200"
-    return "\n".join(
-        [
-            f"line: {{name: test, port: '{port}'{baud}{said}}}",
-            "drives:",
-            *rows,
-            f"api: {{socket: {folder / 'api.sock'}{serve}}}",
-            f"state: {folder / 'state.json'}",
-            more,
-            "",
-        ]
-    )
 
 
 def sim_line(drives: Sequence[Wanted] = FIVE, *, baud: int = 19200, **more: Any) -> SimLine:
@@ -302,6 +253,6 @@ def on_a_pty(
     """Run a daemon on a pseudo terminal of simulated drives, served by this process."""
     line = sim_line(drives, faults=faults)
     with PtyEnd(line, folder / "port") as end:
-        text = roster_text(folder / "port", folder, drives, **roster)
+        text = roster_text(drives, port=folder / "port", folder=folder, **roster)
         with running(text, folder) as daemon:
             yield daemon, end

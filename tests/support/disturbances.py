@@ -21,10 +21,11 @@ from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
 from lecombus.fieldbus.lecom.simulator.faults import Faults, parse_faults
 from lecombus.parameters import Code
 from lecombus.readings import DriveState
+from support.rosters import roster_text
 from support.site_host import Plant
 from support.virtual_loop import Machine, Paused, Starved
 
-__all__ = ["LINES", "PATTERNS", "Pattern", "Picture", "look", "roster_text"]
+__all__ = ["LINES", "PATTERNS", "Pattern", "Picture", "look", "mixed_roster"]
 
 LASTS_S = 60.0
 AFTER_S = 60.0
@@ -34,20 +35,17 @@ SETPOINTS = {"smvector": 1061, "8200vector": 46, "93xx": 141, "820x": 46, "821x"
 WATCHDOG = "{time: 2s, action: %s, configure: true}"
 
 
-def roster_text(drives: int, baud: int) -> str:
+def mixed_roster(count: int, baud: int) -> str:
     """Write a roster of so many drives; with 31 most are SMVectors, which start quickly."""
-    lines = []
-    for number in range(drives):
-        kind = FAMILIES[number % len(FAMILIES)] if drives < 31 or number % 4 == 0 else "smvector"
+    drives, own = [], {}
+    every = max(2 * count // 10, 1)
+    for number in range(count):
+        kind = FAMILIES[number % len(FAMILIES)] if count < 31 or number % 4 == 0 else "smvector"
         action = "trip" if kind == "smvector" else "quick-stop"
-        every = max(2 * drives // 10, 1)
-        lines.append(
-            f"  - {{name: d{number}, address: {number + 1 + number // 9}, family: {kind},"
-            f" watchdog: {WATCHDOG % action}, writable: [C{SETPOINTS[kind]:04}],"
-            f" cyclic: [{{code: C0150, every: {every}s}}, {{code: C0046, every: {4 * every}s}}]}}"
-        )
-    head = f"line: {{name: t, port: 'sim:', baud: {baud}, turnaround: 2ms}}"
-    return "\n".join([head, "drives:", *lines, "api: {socket: /tmp/x.sock}", ""])
+        drives.append((f"d{number}", number + 1 + number // 9, kind))
+        own[f"d{number}"] = f"watchdog: {WATCHDOG % action}, writable: [C{SETPOINTS[kind]:04}]"
+    cyclic = f"cyclic: [{{code: C0150, every: {every}s}}, {{code: C0046, every: {4 * every}s}}]"
+    return roster_text(drives, baud=baud, own=own, drive=cyclic)
 
 
 LINES = {8: (8, 9600), 12: (12, 9600), 31: (31, 19200)}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from lecombus.config import parse_roster
 from lecombus.drive_runtime import Drive
 from lecombus.drives import Family, family
 from lecombus.errors import LineLostError
@@ -15,7 +14,7 @@ from lecombus.fieldbus.station import JobStep, Station, StepKind
 from lecombus.line_events import ExchangeEvent
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Priority, Settle
-from support.site_host import roster_of
+from support.rosters import make_roster
 
 __all__ = ["AskedLine", "drive_of", "read_of"]
 
@@ -24,7 +23,7 @@ def drive_of(
     name: str = "a", kind: str = "8200vector", clock: Callable[[], float] = lambda: 0.0
 ) -> Drive:
     """A drive of a roster that names it alone."""
-    entry = parse_roster(roster_of([(name, 1, kind)]), "r.yaml").drives[0]
+    entry = make_roster([(name, 1, kind)]).drives[0]
     described = family(kind)
     return Drive(entry, Station(name, 1, described, entry.forms), clock)
 

@@ -44,7 +44,6 @@ __all__ = [
     "Telegram",
     "Watch",
     "plainly",
-    "roster_of",
     "until",
 ]
 
@@ -426,36 +425,6 @@ class Plant:
             lambda: all(self.state(name) is DriveState.ONLINE for name in names),
             within_s=within_s,
         )
-
-
-def roster_of(
-    drives: Iterable[tuple[str, int, str]],
-    *,
-    baud: int = 19200,
-    watchdog: str = "",
-    line: str = "",
-    drive: str = "",
-    rest: str = "",
-) -> str:
-    """Write a roster's text.
-
-    Args:
-        drives: Name, address, family.
-        baud: Bits per second.
-        watchdog: What stands behind `watchdog:` of every drive; empty for none.
-        line: More keys of the line, such as `, retries: 1`.
-        drive: More keys of every drive, such as `, cyclic: []`.
-        rest: More sections.
-    """
-    guard = f", watchdog: {watchdog}" if watchdog else ""
-    entries = "".join(
-        f"  - {{name: {name}, address: {address}, family: {kind}{guard}{drive}}}\n"
-        for name, address, kind in drives
-    )
-    return (
-        f"line: {{name: t, port: 'sim:', baud: {baud}, turnaround: 2ms{line}}}\n"
-        f"drives:\n{entries}{rest}\napi: {{socket: /tmp/x.sock}}\n"
-    )
 
 
 async def until(condition: Callable[[], bool], *, within_s: float = 60.0) -> None:
