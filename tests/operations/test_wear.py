@@ -159,7 +159,7 @@ def test_counts_go_on_from_before_and_stand_on_the_metrics_page() -> None:
         await write(plant, 7)
         await write(plant, 3, UNKNOWN)
         page = (await plant.site.metrics.fresh_page(openmetrics=False)).decode()
-        label = 'lecombus_parameter_writes_total{line="t",drive="a",code='
+        label = 'lecombus_parameter_writes_total{line="test",drive="a",code='
         assert f'{label}"C0012"}} 42' in page
         assert f'{label}"other"}} 0' in page, "the drive has no C0469 and said so"
         report = plant.site.operations.wear("a")
