@@ -302,8 +302,8 @@ def test_a_trip_of_every_family_is_named_soon_and_gone_after_its_reset() -> None
         await until(named, within_s=4.0)
         assert plant.now_s - started_s < 4.0
         page = (await plant.site.metrics.fresh_page(openmetrics=False)).decode()
-        assert 'lecombus_drive_fault{line="t",drive="d"} 1' in page
-        assert 'lecombus_drive_fault_number{line="t",drive="d",kind="trip"} 82' in page
+        assert 'lecombus_drive_fault{line="test",drive="d"} 1' in page
+        assert 'lecombus_drive_fault_number{line="test",drive="d",kind="trip"} 82' in page
         document = store.drive("c").as_json()["fault"]
         assert isinstance(document, dict)
         assert (document["keypad"], document["stale"]) == ("OC4", False)
