@@ -578,7 +578,7 @@ def test_measured_times_refuse_nothing_for_a_stop_behind_it() -> None:
 @pytest.mark.parametrize("tolerate", [1, 2, 3])
 def test_feeds_leave_room_for_lost_answers_with_a_stop_on_an_idle_line(tolerate: int) -> None:
     world = lost_stop_world(tolerate)
-    feeds = world.schedule._watchdogs
+    feeds = world.schedule.watchdogs
     least_s = math.inf
     while world.now_s < 20.0:
         world.run(world.now_s + 0.003)
