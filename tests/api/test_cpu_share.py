@@ -9,7 +9,7 @@ from itertools import pairwise
 import anyio
 import pytest
 
-from lecombus.api.start_queue import LONGEST_REST_S, CpuShare
+from lecombus.api.tcp_connection import LONGEST_REST_S, CpuShare
 
 pytestmark = [pytest.mark.anyio, pytest.mark.clock]
 

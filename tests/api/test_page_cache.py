@@ -8,7 +8,7 @@ import anyio
 import httpx2
 import pytest
 
-from lecombus.api.page_cache import KEEPS_S, PageCache
+from lecombus.api.read_routes import KEEPS_S, PageCache
 from lecombus.parameters import Value
 from lecombus.readings import DriveState
 from support.api_line import FREQUENCY, Line

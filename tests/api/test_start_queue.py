@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from lecombus.api.start_queue import StartQueue
+from lecombus.api.connection import StartQueue
 
 pytestmark = pytest.mark.anyio
 

@@ -15,7 +15,7 @@ import pytest
 from starlette.types import Receive, Scope, Send
 
 from lecombus.api import limits, serve, tcp_connection
-from lecombus.api.start_queue import CpuShare
+from lecombus.api.tcp_connection import CpuShare
 from support.api_line import Line
 
 pytestmark = [pytest.mark.anyio, pytest.mark.real]

@@ -227,7 +227,7 @@ def test_a_stop_ends_the_step_of_a_verb_that_waits(verb: Verb) -> None:
 
 
 def test_a_stop_ends_what_was_asked_for_before_it_and_had_to_wait_for_its_turn() -> None:
-    """A crowd's requests are begun one at a time, a stop at once (`api.start_queue`)."""
+    """A crowd's requests are begun one at a time, a stop at once (`api.connection`)."""
 
     async def test(plant: Plant) -> None:
         await plant.online()

@@ -6,9 +6,7 @@ through a browser (DNS rebinding). What a browser sends for a page of another or
 by its `Origin` and `Sec-Fetch-Site`: such a page could not read the answer, but could send request
 after request. A request without a host, with two, or with one that is none, is not well made
 (RFC 9112, 3.2). After a refusal the connection ends. Over the Unix socket the host is not checked:
-a stop counts more. `HeadAsGet`, `WithActor` and `WithDate` stand before both.
-
-What must not live here: sockets (`server`), how many requests there may be (`limits`).
+a stop counts more. `WithActor`, `WithDate` and `StopPaths` stand before both.
 """
 
 from __future__ import annotations
@@ -27,7 +25,7 @@ from lecombus.api.read_routes import ADDRESSES_PATH
 from lecombus.operations.actions import ACTOR, Actor
 from lecombus.roster import is_loopback
 
-__all__ = ["ACTOR_KEY", "HeadAsGet", "ReadOnlyAccess", "WithActor", "WithDate", "date_header"]
+__all__ = ["ACTOR_KEY", "ReadOnlyAccess", "StopPaths", "WithActor", "WithDate", "date_header"]
 
 HOST: Final = re.compile(r"(?:\[([0-9a-f:.]+)\]|([^\[\]:]+))(?::[0-9]{0,5})?")
 
@@ -85,8 +83,8 @@ class WithDate:
         await self._app(scope, receive, send_dated)
 
 
-class HeadAsGet:
-    """Lets the application answer HEAD as it answers GET; the connection leaves the body out.
+class StopPaths:
+    """Removes extra slashes around the path of a stop; the router would not find it.
 
     Args:
         app: The application behind.
@@ -97,8 +95,9 @@ class HeadAsGet:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on."""
-        if scope["type"] == "http" and scope["method"] == "HEAD":
-            scope = {**scope, "method": "GET"}
+        path = scope["path"] if scope["type"] == "http" else ""
+        if is_stop(path) and path != (plain := f"/{path.strip('/')}"):
+            scope = {**scope, "path": plain}
         await self._app(scope, receive, send)
 
 

@@ -24,11 +24,12 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Match, Route
 
+from lecombus.api.access import StopPaths
 from lecombus.api.answers import JSON_TYPE, Problem, problem_of, status_response
 from lecombus.api.decimal_json import short
 from lecombus.api.idempotency import Idempotency
 from lecombus.api.read_routes import ReadRoutes
-from lecombus.api.stop_routes import StopPaths, StopRoutes
+from lecombus.api.stop_routes import StopRoutes
 from lecombus.api.write_routes import WriteRoutes
 from lecombus.errors import LecombusError
 from lecombus.metrics import OPENMETRICS_TYPE, TEXT_TYPE, Metrics, wants_openmetrics
@@ -160,9 +161,10 @@ async def not_routed(request: Request, exc: Exception) -> Response:
     path = short(request.url.path)
     if exc.status_code == 405:
         allowed = ", ".join(allowed_methods(request))
+        method = "GET" if request.method == "HEAD" else request.method  # the answers are the same
         return Problem(
             "wrong-method",
-            f"{short(request.method)} is not possible on {path}",
+            f"{short(method)} is not possible on {path}",
             remedy=f"{allowed} {'are' if ', ' in allowed else 'is'} possible there",
             headers={"Allow": allowed},
         ).response()

@@ -26,8 +26,8 @@ import uvicorn
 from anyio.abc import TaskStatus
 from starlette.types import ASGIApp
 
-from lecombus.api.access import HeadAsGet, ReadOnlyAccess, WithActor, WithDate
-from lecombus.api.connection import Connection
+from lecombus.api.access import ReadOnlyAccess, WithActor, WithDate
+from lecombus.api.connection import Connection, StartQueue
 from lecombus.api.limits import (
     ACCEPT_AT_ONCE,
     TCP_LIMIT,
@@ -37,8 +37,7 @@ from lecombus.api.limits import (
     RequestLimiter,
     connection_limit,
 )
-from lecombus.api.start_queue import CpuShare, StartQueue, TimedApp
-from lecombus.api.tcp_connection import TcpConnection
+from lecombus.api.tcp_connection import CpuShare, TcpConnection, TimedApp
 from lecombus.errors import OperationError
 from lecombus.roster import is_loopback
 
@@ -66,7 +65,7 @@ class Served:
     http: tuple[str, int] | None
 
 
-class Listener(uvicorn.Server):
+class DaemonServer(uvicorn.Server):
     """A uvicorn server that leaves signals to the daemon."""
 
     @contextmanager
@@ -103,16 +102,16 @@ async def serve(
     with ExitStack() as resources:
         unix = resources.enter_context(unix_socket(socket_path))
         places, bound = ConnectionPlaces(connection_limit()), None
-        listeners = [(Listener(unix_configuration(app, places)), unix)]
+        listeners = [(DaemonServer(unix_configuration(app, places)), unix)]
         if http is not None:
             tcp = resources.enter_context(tcp_socket(*http))
             bound = (http[0], tcp.getsockname()[1])
-            listeners.append((Listener(tcp_configuration(app, http[0], places)), tcp))
+            listeners.append((DaemonServer(tcp_configuration(app, http[0], places)), tcp))
         task_status.started(Served(socket_path, bound))
         await run_until_cancelled(listeners)
 
 
-async def run_until_cancelled(listeners: list[tuple[Listener, socket.socket]]) -> None:
+async def run_until_cancelled(listeners: list[tuple[DaemonServer, socket.socket]]) -> None:
     """Run the servers; when cancelled let each end its requests, then return."""
     async with anyio.create_task_group() as shielded, anyio.create_task_group() as tasks:
         for listener, its_socket in listeners:
@@ -120,14 +119,14 @@ async def run_until_cancelled(listeners: list[tuple[Listener, socket.socket]]) -
         tasks.start_soon(close_when_cancelled, [listener for listener, _ in listeners])
 
 
-async def run_shielded(listener: Listener, its_socket: socket.socket) -> None:
+async def run_shielded(listener: DaemonServer, its_socket: socket.socket) -> None:
     """Run one server to its own end: cancelling it half-way would cut requests."""
     with anyio.CancelScope(shield=True):
         await listener.serve([its_socket])
     assert listener.should_exit, "a server ended without being asked to: the API would be gone"
 
 
-async def close_when_cancelled(listeners: list[Listener]) -> None:
+async def close_when_cancelled(listeners: list[DaemonServer]) -> None:
     """Ask the servers to end once this task is cancelled."""
     try:
         await anyio.sleep_forever()
@@ -139,7 +138,7 @@ async def close_when_cancelled(listeners: list[Listener]) -> None:
 def unix_configuration(app: ASGIApp, places: ConnectionPlaces) -> uvicorn.Config:
     """Return how the Unix socket is served."""
     kind = type("PlacedConnection", (Connection,), {"places": places, "starts": StartQueue()})
-    return configuration(WithActor(HeadAsGet(RequestLimiter(app))), kind, ACCEPT_AT_ONCE)
+    return configuration(WithActor(RequestLimiter(app)), kind, ACCEPT_AT_ONCE)
 
 
 def tcp_configuration(app: ASGIApp, host: str, places: ConnectionPlaces) -> uvicorn.Config:
@@ -147,7 +146,7 @@ def tcp_configuration(app: ASGIApp, host: str, places: ConnectionPlaces) -> uvic
     share = CpuShare()
     kind = type("PlacedTcpConnection", (TcpConnection,), {"places": places, "share": share})
     limited = RequestLimiter(PacedLineRequests(WithActor(app)), TCP_LIMIT, TCP_WAITING_LIMIT)
-    access = ReadOnlyAccess(HeadAsGet(limited), host)
+    access = ReadOnlyAccess(limited, host)
     return configuration(TimedApp(access, share), kind, 1)
 
 

@@ -5,8 +5,6 @@ only for what cannot be guessed: no way to stop, no target, a body that is no JS
 is ignored, and the answer lists it in `ignored`: a query, unknown keys of the body, an
 `Idempotency-Key` that cannot be kept. A person who misspelt a key reads so after the drives have
 stopped. The body of a verb is not read at all.
-
-What must not live here: what a stop is (`operations`), what a body may say (`bodies`).
 """
 
 from __future__ import annotations
@@ -14,35 +12,16 @@ from __future__ import annotations
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
-from starlette.types import ASGIApp, Receive, Scope, Send
 
 from lecombus.api.answers import report_response
 from lecombus.api.decimal_json import short
 from lecombus.api.idempotency import SharedStops, key_mistake, keys_of
-from lecombus.api.limits import STOP_PATH, is_stop
+from lecombus.api.limits import STOP_PATH
 from lecombus.api.request_checks import read_stop
 from lecombus.drives import Verb
 from lecombus.operations.facade import Operations
 
-__all__ = ["StopPaths", "StopRoutes"]
-
-
-class StopPaths:
-    """Removes extra slashes around the path of a stop; the router would not find it.
-
-    Args:
-        app: The application behind.
-    """
-
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on."""
-        path = scope["path"] if scope["type"] == "http" else ""
-        if is_stop(path) and path != (plain := f"/{path.strip('/')}"):
-            scope = {**scope, "path": plain}
-        await self._app(scope, receive, send)
+__all__ = ["StopRoutes"]
 
 
 class StopRoutes:

@@ -11,21 +11,42 @@ It differs from one over the Unix socket in five things:
   take its answer, for `PATIENCE_S`;
 * it is closed in two steps (`LingeringTransport`), so that a client that still sends reads why.
 
-What must not live here: who may do what (`access`).
+TCP answers reads to any program on this machine. A flood of requests there must not take the time
+in which the line is served. So all work for TCP clients begins piece by piece, one client after the
+other, and after a piece nothing begins until `1 / PART` times its processor time has passed. The
+time is that of this thread: while the machine runs something else it does not count. Steps of
+requests under way are measured as well (`TimedCoroutine`).
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable
-from typing import Any, Final
+import time
+from collections import deque
+from collections.abc import Callable, Coroutine, Generator
+from typing import Any, Final, Self
+
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from lecombus.api.connection import Connection
-from lecombus.api.start_queue import CpuShare
 from lecombus.operations.actions import Actor
 
-__all__ = ["PATIENCE_S", "TCP_PENDING_LIMIT", "LingeringTransport", "TcpConnection"]
+__all__ = [
+    "PART",
+    "PATIENCE_S",
+    "TCP_PENDING_LIMIT",
+    "CpuShare",
+    "LingeringTransport",
+    "TcpConnection",
+    "TimedApp",
+    "TimedCoroutine",
+]
+
+PART: Final = 0.2
+
+LONGEST_REST_S: Final = 1.0
+"""After the longest piece too, so that each client gets its turn."""
 
 TCP_PENDING_LIMIT: Final = 2
 
@@ -213,3 +234,129 @@ class TcpConnection(Connection, asyncio.BufferedProtocol):
         if running is None or not self._is_answered:
             return running is None or running.more_body
         return self._is_begun
+
+
+class CpuShare:
+    """Begins one piece after the other, and rests in between.
+
+    Args:
+        part: How much of the loop's time all pieces together may take, 0 to 1.
+        clock: The processor time of this thread, seconds.
+    """
+
+    def __init__(self, part: float = PART, clock: Callable[[], float] = time.thread_time) -> None:
+        self._part = part
+        self._clock = clock
+        self._waiting: dict[object, deque[Callable[[], None]]] = {}  # by client, the next one first
+        self._free_at_s = 0.0  # by the loop's clock
+        self._called: asyncio.Handle | None = None
+
+    def take(self, client: object, begin: Callable[[], None]) -> None:
+        """Begin something for a client in its turn, never before this returns."""
+        self._waiting.setdefault(client, deque()).append(begin)
+        if self._called is None:
+            self._call()
+
+    def forget(self, client: object) -> None:
+        """Begin nothing more for a client that is gone: many of them would fill the memory."""
+        self._waiting.pop(client, None)
+
+    def spend(self, seconds: float) -> None:
+        """Count processor time that was used."""
+        now_s = asyncio.get_running_loop().time()
+        free_at_s = max(self._free_at_s, now_s) + seconds / self._part
+        self._free_at_s = min(free_at_s, now_s + LONGEST_REST_S)
+
+    def _call(self) -> None:
+        loop = asyncio.get_running_loop()
+        if self._free_at_s > loop.time():
+            self._called = loop.call_at(self._free_at_s, self._next)
+        else:
+            self._called = loop.call_soon(self._next)
+
+    def _next(self) -> None:
+        self._called = None
+        if self._waiting and self._free_at_s <= asyncio.get_running_loop().time():
+            began_s = self._clock()
+            try:
+                self._pop()()
+            finally:
+                self.spend(self._clock() - began_s)
+        if self._waiting and self._called is None:
+            self._call()
+
+    def _pop(self) -> Callable[[], None]:
+        """Take the next client's first piece; its other pieces wait behind the other clients."""
+        client = next(iter(self._waiting))
+        asked = self._waiting.pop(client)
+        begin = asked.popleft()
+        if asked:
+            self._waiting[client] = asked
+        return begin
+
+    def timed(self, work: Coroutine[Any, Any, None]) -> TimedCoroutine:
+        """Return a coroutine whose every step is counted."""
+        return TimedCoroutine(work, self._clock, self.spend)
+
+
+class TimedCoroutine(Generator[Any, Any, None]):
+    """Awaits a coroutine and measures how much processor time each of its steps took.
+
+    Args:
+        work: The coroutine.
+        clock: The processor time, seconds.
+        spend: Gets the time of each step, seconds.
+    """
+
+    def __init__(
+        self,
+        work: Coroutine[Any, Any, None],
+        clock: Callable[[], float],
+        spend: Callable[[float], None],
+    ) -> None:
+        self._work = work
+        self._clock = clock
+        self._spend = spend
+
+    def __await__(self) -> Self:
+        """Return what the loop drives."""
+        return self
+
+    def send(self, value: Any) -> Any:
+        """Take a step with the result that was waited for."""
+        began_s = self._clock()
+        try:
+            return self._work.send(value)
+        finally:
+            self._spend(self._clock() - began_s)
+
+    def throw(self, raised: Any, value: Any = None, traceback: Any = None) -> Any:
+        """Take a step with an error, such as being cancelled."""
+        began_s = self._clock()
+        try:
+            return self._work.throw(raised if value is None else value)
+        finally:
+            self._spend(self._clock() - began_s)
+
+    def close(self) -> None:
+        """End the coroutine."""
+        self._work.close()
+
+
+class TimedApp:
+    """Counts the processor time of every step of an application.
+
+    Args:
+        app: The application behind.
+        share: Where it is counted.
+    """
+
+    def __init__(self, app: ASGIApp, share: CpuShare) -> None:
+        self._app = app
+        self._share = share
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on."""
+        answering = self._app(scope, receive, send)
+        assert isinstance(answering, Coroutine), "an ASGI application is a coroutine function"
+        await self._share.timed(answering)

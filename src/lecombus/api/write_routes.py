@@ -16,7 +16,9 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from lecombus.api.answers import Problem, ProblemError, json_response, report_response
-from lecombus.api.bodies import (
+from lecombus.api.decimal_json import short
+from lecombus.api.idempotency import Idempotency
+from lecombus.api.request_checks import (
     AcceptBody,
     AddressBody,
     DriveWriteBody,
@@ -24,10 +26,10 @@ from lecombus.api.bodies import (
     SpeedBody,
     VerbBody,
     WriteBody,
+    code_of,
+    read_body,
+    refuse_query,
 )
-from lecombus.api.decimal_json import short
-from lecombus.api.idempotency import Idempotency
-from lecombus.api.request_checks import code_of, read_body, refuse_query
 from lecombus.drives import Verb
 from lecombus.operations.facade import Operations
 from lecombus.operations.requests import refuse_for_gone_client
