@@ -334,7 +334,7 @@ def test_a_stop_does_not_wait_for_the_server_s_libraries() -> None:
     assert done.stdout == "[]\n"
 
 
-@pytest.mark.parametrize("module", ["verb_commands", "status", "read", "write", "drive_commands"])
+@pytest.mark.parametrize("module", ["verb_commands", "status", "code_commands", "drive_commands"])
 def test_a_command_for_the_daemon_imports_nothing_heavy(module: str) -> None:
     heavy = "{'pydantic', 'rich', 'yaml', 'starlette', 'anyio', 'serial', 'lecombus.config'}"
     program = (

@@ -19,7 +19,7 @@ import pytest
 from cli.conftest import Run
 from cli.test_simulate import simulated
 from lecombus.cli import rebaud
-from lecombus.cli.rebaud_line import carry_out
+from lecombus.cli.rebaud import carry_out
 from lecombus.config import Roster, parse_roster
 from lecombus.errors import LineLostError
 from lecombus.fieldbus.lecom.rebaud import LineAccess, Subject

@@ -8,7 +8,7 @@ import pytest
 
 from cli.conftest import Run
 from cli.daemon_stub import DaemonStub
-from lecombus.cli import why_command
+from lecombus.cli import status
 
 pytestmark = pytest.mark.clock
 
@@ -52,7 +52,7 @@ def test_stored_reads_nothing_and_json_is_the_daemons_own(run: Run, daemon: Daem
 def test_a_person_gets_sentences(
     run: Run, daemon: DaemonStub, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(why_command, "on_terminal", lambda: True)
+    monkeypatch.setattr(status, "on_terminal", lambda: True)
     daemon.answers["GET /v1/drives/feeder/why?lang=de&fresh=true"] = (200, json.dumps(DOCUMENT))
     ran = run("why", "feeder", "--lang", "de")
     assert ran.out.splitlines() == [
@@ -72,7 +72,7 @@ def test_a_person_gets_sentences(
 def test_an_empty_and_an_unread_memory_are_told_apart(
     run: Run, daemon: DaemonStub, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(why_command, "on_terminal", lambda: True)
+    monkeypatch.setattr(status, "on_terminal", lambda: True)
     for known, text in ((True, "is empty"), (False, "has not been read")):
         document = {**DOCUMENT, "findings": [], "history": [], "history_known": known}
         path = "GET /v1/drives/feeder/why?lang=en&fresh=true"

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
+from functools import wraps
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -31,6 +33,7 @@ __all__ = [
     "NUMBER",
     "VALUE",
     "CommandWithNumbers",
+    "DaemonOptions",
     "Given",
     "daemon_options",
     "json_option",
@@ -56,6 +59,21 @@ _WORD_OR_OCTETS = re.compile(r"(?:[Hh]|0[xX])[0-9A-Fa-f]+|O(?:[0-9A-Fa-f]{2})+",
 _NEGATIVE = re.compile(r"-\.?[0-9]")
 _HIDDEN = "\0"
 """Put before a negative number while click looks for options; no word can contain it."""
+
+
+@dataclass(frozen=True, slots=True)
+class DaemonOptions:
+    """Which daemon a command asks, and how it prints the answer.
+
+    Args:
+        socket: What `--socket` says.
+        url: What `--url` says.
+        as_json: Print the daemon's document.
+    """
+
+    socket: str | None
+    url: str | None
+    as_json: bool
 
 
 class CommandWithNumbers(click.Command):
@@ -229,12 +247,17 @@ def wait_option(function: Function) -> Function:
     )(function)
 
 
-def daemon_options(function: Function) -> Function:
-    """Give a command `--socket`, `--url` and `--json`."""
-    function = json_option(function)
-    function = click.option(
+def daemon_options(function: Callable[..., int]) -> Callable[..., int]:
+    """Give a command `--socket`, `--url` and `--json`; it gets them as one, `daemon`."""
+
+    @wraps(function)
+    def command(*, socket: str | None, url: str | None, as_json: bool, **given: Any) -> int:
+        return function(daemon=DaemonOptions(socket, url, as_json), **given)
+
+    command = json_option(command)
+    command = click.option(
         "--url", metavar="URL", help="The daemon's HTTP address, such as http://127.0.0.1:9740."
-    )(function)
+    )(command)
     return click.option(
         "--socket", metavar="PATH", help="The daemon's socket; default: the only one there is."
-    )(function)
+    )(command)

@@ -1,8 +1,9 @@
-"""`lecombus backup`: a drive's parameters as a file."""
+"""`lecombus backup` and `lecombus diff`: a drive's parameters as a file, and what two differ in."""
 
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,26 +15,30 @@ from lecombus import __version__
 from lecombus.backups import (
     Backup,
     BackupEntry,
+    Comparison,
+    Difference,
     Head,
     Listener,
     ReadResult,
+    compare,
     section_of,
     take,
     wanted_codes,
     write_backup,
 )
-from lecombus.cli.arguments import CODES, daemon_options, wait_option
-from lecombus.cli.backup_files import check_target, save
+from lecombus.cli.arguments import CODES, DaemonOptions, daemon_options, wait_option
+from lecombus.cli.backup_files import check_target, load_backup, save
 from lecombus.cli.client import connect_async
 from lecombus.cli.drive_access import HttpDrive
 from lecombus.cli.exits import CommandError, Exit, Problem
-from lecombus.cli.progress_bar import progress
-from lecombus.cli.screen import counted
+from lecombus.cli.screen import counted, progress, show_rows
 from lecombus.drives import family
 from lecombus.parameters import Code
 from lecombus.readings import Json
 
-__all__ = ["backup_command", "entry_json", "read_drive"]
+__all__ = ["backup_command", "diff_command", "incomplete", "read_drive"]
+
+SUFFIXES = (".yaml", ".yml")
 
 
 @click.command("backup")
@@ -61,9 +66,7 @@ def backup_command(
     also: tuple[tuple[Code, ...], ...],
     patience_s: float,
     partial: bool,
-    socket: str | None,
-    url: str | None,
-    as_json: bool,
+    daemon: DaemonOptions,
 ) -> int:
     """Read every described parameter of DRIVE, of all parameter sets, into a YAML file.
 
@@ -78,14 +81,14 @@ def backup_command(
     if output is not None:
         check_target(output)
     wanted = [code for codes in also for code in codes]
-    with progress(drive, quiet=as_json) as bar:
-        backup, left = anyio.run(fetch, socket, url, drive, wanted, patience_s, bar)
+    with progress(drive, quiet=daemon.as_json) as bar:
+        backup, left = anyio.run(fetch, daemon, drive, wanted, patience_s, bar)
     if left and not partial:
         raise incomplete(drive, left, output)
     text = write_backup(backup)
     if output is not None:
         save(output, text)
-    if as_json:
+    if daemon.as_json:
         click.echo(json.dumps(summary(backup, output, left), ensure_ascii=False))
     elif output is None:
         click.echo(text, nl=False)
@@ -97,15 +100,14 @@ def backup_command(
 
 
 async def fetch(
-    socket: str | None,
-    url: str | None,
+    daemon: DaemonOptions,
     drive: str,
     also: Sequence[Code],
     patience_s: float,
     listener: Listener,
 ) -> tuple[Backup, list[ReadResult]]:
     """Connect and read."""
-    async with connect_async(socket, url) as (client, where):
+    async with connect_async(daemon) as (client, where):
         return await read_drive(
             HttpDrive(client, where, drive), also, patience_s=patience_s, listener=listener
         )
@@ -180,4 +182,136 @@ def entry_json(backup: Backup, entry: BackupEntry) -> dict[str, Json]:
         "raw": None if entry.value is None else entry.value.raw,
         "unit": None if info is None else info.unit,
         "reason": entry.missing or None,
+    }
+
+
+# ---- differences -----------------------------------------------------------------------------
+
+
+@click.command("diff")
+@click.argument("one", metavar="A")
+@click.argument("other", metavar="B")
+@click.option(
+    "--all",
+    "everything",
+    is_flag=True,
+    help="Also process values, addresses and what tells drives apart.",
+)
+@wait_option
+@daemon_options
+def diff_command(
+    one: str,
+    other: str,
+    everything: bool,
+    patience_s: float,
+    daemon: DaemonOptions,
+) -> int:
+    """Show the differences of A and B; each is a backup's file, or a drive, which is read now.
+
+    An argument with a slash, or that ends in .yaml or .yml, is a file; all others are drives.
+    Numbers are compared as numbers: 35.0 is 35.
+
+    Exit status: 0 they are equal; 1 they differ (or a drive could not be read: nothing is shown
+    then). In a pipe: code, name, A, B, unit, separated by tabs. With --json: {"equal", "same",
+    "left_out", "remarks", "differences": [{"code", "name", "unit", "one", "other"}]}.
+    """
+    with progress("reading", quiet=daemon.as_json) as bar:
+        backups = anyio.run(gather, (one, other), daemon, patience_s, bar)
+    found = compare(*backups, everything=everything)
+    if daemon.as_json:
+        click.echo(json.dumps(comparison_json(found), ensure_ascii=False))
+    else:
+        show(found, one, other)
+    return Exit.DONE if found.equal else Exit.FAILED
+
+
+async def gather(
+    names: tuple[str, str],
+    daemon: DaemonOptions,
+    patience_s: float,
+    listener: Listener,
+) -> tuple[Backup, Backup]:
+    """Load or read both."""
+    first, second = names
+    before = load_backup(Path(first)) if is_file(first) else None
+    after = load_backup(Path(second)) if is_file(second) else None
+    if before is not None and after is not None:
+        return before, after
+    async with connect_async(daemon) as (client, where):
+        # What the file knows beyond the descriptions is asked of the drive as well.
+        also = [code for backup in (before, after) if backup for code in backup.entries]
+
+        async def read(name: str) -> Backup:
+            drive = HttpDrive(client, where, name)
+            backup, left = await read_drive(drive, also, patience_s=patience_s, listener=listener)
+            if left:
+                raise incomplete(name, left, None)
+            return backup
+
+        return before or await read(first), after or await read(second)
+
+
+def is_file(name: str) -> bool:
+    """Return whether a file is meant.
+
+    Raises:
+        CommandError: It can be both.
+    """
+    if os.sep in name or name.endswith(SUFFIXES):
+        return True
+    if Path(name).is_file():
+        problem = Problem(f"{name} is a file here and may be a drive", f"write ./{name} for it")
+        raise CommandError(Exit.USAGE, problem)
+    return False
+
+
+def show(found: Comparison, one: str, other: str) -> None:
+    """Print the differences as a table or as lines of cells."""
+    for remark in found.remarks:
+        click.echo(remark, err=True)
+    rows = [
+        (
+            str(each.code), each.name, shown(each.one, each.meaning_one),
+            shown(each.other, each.meaning_other), each.unit or "",
+        )
+        for each in found.differences
+    ]  # fmt: skip
+    if rows:
+        show_rows(("code", "name", one, other, "unit"), rows)
+    elif not found.same:
+        click.echo("there is nothing to compare", err=True)
+
+
+def shown(entry: BackupEntry | None, meaning: str) -> str:
+    """Return one side of a difference."""
+    if entry is None:
+        return "not there"
+    if entry.value is None:
+        return f"not read ({entry.missing})"
+    return f"{entry.value} ({meaning})" if meaning else entry.value.raw
+
+
+def comparison_json(found: Comparison) -> dict[str, Json]:
+    """Return the JSON form."""
+    return {
+        "equal": found.equal,
+        "same": found.same,
+        "left_out": found.left_out,
+        "remarks": list(found.remarks),
+        "differences": [difference_json(each) for each in found.differences],
+    }
+
+
+def difference_json(each: Difference) -> dict[str, Json]:
+    """Return the JSON form of one difference."""
+
+    def side(entry: BackupEntry | None) -> Json:
+        return None if entry is None or entry.value is None else entry.value.raw
+
+    return {
+        "code": str(each.code),
+        "name": each.name,
+        "unit": each.unit,
+        "one": side(each.one),
+        "other": side(each.other),
     }

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import os
 import socket as system_socket
-from collections.abc import AsyncIterator, Iterator, Mapping
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass
 from decimal import Decimal
@@ -19,8 +19,10 @@ from pathlib import Path
 from typing import Any, Literal
 from urllib.parse import quote
 
+import click
 import httpx2
 
+from lecombus.cli.arguments import DaemonOptions
 from lecombus.cli.document_rows import kind_of
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.readings import Json
@@ -80,6 +82,13 @@ class Answer:
     text: str
     data: Any
 
+    def show(self, print_it: Callable[[Any], object], *, as_json: bool) -> None:
+        """Print it: as it came, or as a command shows it."""
+        if as_json:
+            click.echo(self.text)
+        else:
+            print_it(self.data)
+
 
 class DaemonClient:
     """A running daemon.
@@ -137,19 +146,13 @@ class DaemonClient:
 
 
 @contextmanager
-def connect(socket: str | None, url: str | None) -> Iterator[DaemonClient]:
+def connect(daemon: DaemonOptions) -> Iterator[DaemonClient]:
     """Connect to the daemon that a command line means.
 
-    Args:
-        socket: What `--socket` says.
-        url: What `--url` says.
-
     Raises:
-        CommandError: It does not say which daemon, or contradicts itself.
+        CommandError: It does not say which daemon, contradicts itself, or there is none.
     """
-    path, base = find_daemon(socket, url)
-    if path:
-        _knock(path)
+    path, base = _reach(daemon)
     transport = httpx2.HTTPTransport(uds=path) if path else None
     client = httpx2.Client(
         base_url=base or LOCAL, transport=transport, timeout=TIMEOUT, trust_env=False
@@ -159,24 +162,16 @@ def connect(socket: str | None, url: str | None) -> Iterator[DaemonClient]:
 
 
 @asynccontextmanager
-async def connect_async(
-    socket: str | None, url: str | None
-) -> AsyncIterator[tuple[httpx2.AsyncClient, str]]:
+async def connect_async(daemon: DaemonOptions) -> AsyncIterator[tuple[httpx2.AsyncClient, str]]:
     """Connect for work that asks several things at once.
-
-    Args:
-        socket: What `--socket` says.
-        url: What `--url` says.
 
     Returns:
         The client, and where the daemon is, for messages.
 
     Raises:
-        CommandError: It does not say which daemon, or contradicts itself.
+        CommandError: It does not say which daemon, contradicts itself, or there is none.
     """
-    path, base = find_daemon(socket, url)
-    if path:
-        _knock(path)
+    path, base = _reach(daemon)
     transport = httpx2.AsyncHTTPTransport(uds=path) if path else None
     client = httpx2.AsyncClient(
         base_url=base or LOCAL, transport=transport, timeout=TIMEOUT, trust_env=False
@@ -209,6 +204,14 @@ def answer_of(response: httpx2.Response, where: str) -> Answer:
     if response.is_success or (isinstance(data, dict) and data.get("outcome")):
         return Answer(response.text, data)
     raise _refused(response.status_code, data)
+
+
+def _reach(daemon: DaemonOptions) -> tuple[str, str]:
+    """Return the socket's path and the URL, one of them empty; something listens at the socket."""
+    path, base = find_daemon(daemon.socket, daemon.url)
+    if path:
+        _knock(path)
+    return path, base
 
 
 def _knock(path: str) -> None:

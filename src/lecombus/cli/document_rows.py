@@ -24,11 +24,9 @@ __all__ = [
     "kind_of",
     "members_of",
     "quality_of",
-    "show_group",
-    "show_members",
+    "show_outcomes",
     "show_reading",
     "show_verb",
-    "show_write",
     "shown_value",
     "status_of",
     "value_of",
@@ -101,12 +99,8 @@ def quality_of(reading: Document) -> tuple[str, str]:
     return quality, reason
 
 
-def show_reading(reading: Document) -> Exit:
-    """Print one value; on a terminal as a sentence, in a pipe as cells.
-
-    Returns:
-        FAILED for a value of quality bad.
-    """
+def show_reading(reading: Document) -> None:
+    """Print one value; on a terminal as a sentence, in a pipe as cells."""
     code, (quality, reason) = code_of(reading), quality_of(reading)
     value, unit = shown_value(reading), table_text(reading.get("unit"))
     if on_terminal():
@@ -121,34 +115,13 @@ def show_reading(reading: Document) -> Exit:
     else:
         cells = (table_text(reading.get("drive")), code, value, unit, quality, reason)
         show_rows(("drive", "code", "value", "unit", "quality", "reason"), [cells])
-    return Exit.FAILED if quality == "bad" else Exit.DONE
 
 
-def show_write(report: Document) -> Exit:
-    """Print how one write ended.
-
-    Returns:
-        DONE for done and verified, FAILED for everything else.
-    """
-    _show_outcomes([report])
-    return status_of(report)
-
-
-def show_group(report: Document) -> Exit:
-    """Print how a group write ended, member by member.
-
-    Returns:
-        DONE only if it is done or verified for all of them.
-    """
-    show_members(report)
-    return status_of(report)
-
-
-def show_members(report: Document, *, said_once: Sequence[str] = ()) -> None:
-    """Print how a group write or a stop ended, member by member.
+def show_outcomes(report: Document, *, said_once: Sequence[str] = ()) -> None:
+    """Print how a write, a group write or a stop ended, member by member.
 
     Args:
-        report: The report of the group.
+        report: The report of the group, or of one write.
         said_once: What is not said of each member but below, once for all it is the same for.
     """
     members = members_of(report)
@@ -166,18 +139,13 @@ def show_members(report: Document, *, said_once: Sequence[str] = ()) -> None:
                 click.echo(f"{', '.join(names)}: {text}", err=True)
 
 
-def show_verb(report: Document) -> Exit:
-    """Print how a verb ended.
-
-    Returns:
-        DONE for done and verified, FAILED for everything else.
-    """
+def show_verb(report: Document) -> None:
+    """Print how a verb ended."""
     states = [str(state) for state in report.get("states") or () if state not in _DETAILS]
     shown = ", ".join(state.replace("_", " ") for state in states)
     cells = [table_text(report.get(key)) for key in ("drive", "verb", "outcome")]
     rows = [(*cells, shown, _reads(report), _why(report))]
     show_rows(("drive", "verb", "outcome", "shows", "reads", "why"), rows)
-    return status_of(report)
 
 
 def _show_outcomes(

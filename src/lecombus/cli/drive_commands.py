@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import click
 
-from lecombus.cli.arguments import CODE, daemon_options
+from lecombus.cli.arguments import CODE, DaemonOptions, daemon_options
 from lecombus.cli.client import DaemonClient, connect, path_of
-from lecombus.cli.document_rows import Document, show_write, status_of
+from lecombus.cli.document_rows import Document, show_outcomes, status_of
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.screen import age, on_terminal, show_rows, table_text
 from lecombus.parameters import Code
@@ -40,21 +42,19 @@ class _SeenType(click.ParamType[tuple[str, str]]):
 def accept_command(
     drive: str,
     seen: tuple[tuple[str, str], ...],
-    socket: str | None,
-    url: str | None,
-    as_json: bool,
+    daemon: DaemonOptions,
 ) -> int:
     """Accept the device that answers at DRIVE's address as DRIVE, after a replacement.
 
     Shows the old and the new identity, and asks. Until then only stops are sent to it. In a
     pipe, or with --json, there is no question: repeat every value that differs with --seen.
     """
-    with connect(socket, url) as daemon:
+    with connect(daemon) as client:
         path = path_of("drive", drive)
-        known: Document = daemon.get(f"{path}/identity").data
+        known: Document = client.get(f"{path}/identity").data
         found, accepted = dict(known.get("found") or {}), dict(known.get("accepted") or {})
         differing = {code: text for code, text in found.items() if accepted.get(code) != text}
-        if not seen and not as_json:
+        if not seen and not daemon.as_json:
             rows = [
                 (code, accepted.get(code, ""), found.get(code, ""))
                 for code in dict.fromkeys((*accepted, *found))
@@ -62,28 +62,28 @@ def accept_command(
             show_rows(("code", "was", "is"), rows, title=drive)
         if not differing and found:
             if not known.get("problem"):
-                _ask_again(daemon, drive, found)
-            if as_json:
-                click.echo(daemon.get(f"{path}/identity").text)
+                _ask_again(client, drive, found)
+            if daemon.as_json:
+                click.echo(client.get(f"{path}/identity").text)
             else:
                 click.echo(table_text(known.get("problem")) or f"{drive} is the drive it was")
             return Exit.FAILED if known.get("problem") else Exit.DONE
-        _confirm_identity(drive, differing, dict(seen), may_ask=on_terminal() and not as_json)
-        answer = daemon.post(f"{path}/accept", {"identity": found})
-    if as_json:
-        click.echo(answer.text)
-    else:
-        click.echo(f"{drive} is accepted; it is audited now, then it may be written to")
+        _confirm_identity(
+            drive, differing, dict(seen), may_ask=on_terminal() and not daemon.as_json
+        )
+        answer = client.post(f"{path}/accept", {"identity": found})
+    accepted_text = f"{drive} is accepted; it is audited now, then it may be written to"
+    answer.show(lambda _: click.echo(accepted_text), as_json=daemon.as_json)
     return Exit.DONE
 
 
-def _ask_again(daemon: DaemonClient, drive: str, found: dict[str, str]) -> None:
+def _ask_again(client: DaemonClient, drive: str, found: dict[str, str]) -> None:
     """Read the identity from the drive again: its audit may be long ago."""
     path = path_of("drive", drive)
     for code in found:
-        daemon.get(f"{path}/codes/{code}", fresh="true")
-    known = dict(daemon.get(f"{path}/identity").data.get("found") or {})
-    state: Document = daemon.get(path).data
+        client.get(f"{path}/codes/{code}", fresh="true")
+    known = dict(client.get(f"{path}/identity").data.get("found") or {})
+    state: Document = client.get(path).data
     if known != found or state.get("state") != "online":
         what = f"{drive} is {table_text(state.get('state'))}: {table_text(state.get('reason'))}"
         raise CommandError(Exit.FAILED, Problem(what, "repeat this when it is online"))
@@ -119,9 +119,7 @@ def _confirm_identity(
 @click.argument("address", type=click.IntRange(1, 99), metavar="NEW")
 @click.option("--yes", is_flag=True, help="Do it without asking.")
 @daemon_options
-def readdress_command(
-    drive: str, address: int, yes: bool, socket: str | None, url: str | None, as_json: bool
-) -> int:
+def readdress_command(drive: str, address: int, yes: bool, daemon: DaemonOptions) -> int:
     """Give DRIVE the address NEW, find it there, and use that address from then on.
 
     The roster must say `allow_address_change: true` for it, the drive must be inhibited or stopped,
@@ -133,16 +131,14 @@ def readdress_command(
     if address % 10 == 0:
         what = f"{address} is no drive's address"
         raise CommandError(Exit.USAGE, Problem(what, "1 to 99 without 10, 20 .. 90 would be right"))
-    with connect(socket, url) as daemon:
+    with connect(daemon) as client:
         path = path_of("drive", drive)
         if not yes:
-            known: Document = daemon.get(path).data
-            _confirm_address(known, address, may_ask=on_terminal() and not as_json)
-        answer = daemon.post(f"{path}/address", {"address": address})
-    if as_json:
-        click.echo(answer.text)
-        return status_of(answer.data)
-    return show_write(answer.data)
+            known: Document = client.get(path).data
+            _confirm_address(known, address, may_ask=on_terminal() and not daemon.as_json)
+        answer = client.post(f"{path}/address", {"address": address})
+    answer.show(show_outcomes, as_json=daemon.as_json)
+    return status_of(answer.data)
 
 
 def _confirm_address(known: Document, address: int, *, may_ask: bool) -> None:
@@ -166,40 +162,38 @@ def _confirm_address(known: Document, address: int, *, may_ask: bool) -> None:
 @click.command("wear")
 @click.argument("drive")
 @daemon_options
-def wear_command(drive: str, socket: str | None, url: str | None, as_json: bool) -> int:
+def wear_command(drive: str, daemon: DaemonOptions) -> int:
     """Show how often each code that wears DRIVE's memory was written, the highest count first.
 
     Every write that may have reached the memory counts, since counting began; "this device":
     since this device was accepted. In a pipe: code, name, writes, to this device, and how long
     until it may be written again. With --json: the daemon's document.
     """
-    with connect(socket, url) as daemon:
-        answer = daemon.get(f"{path_of('drive', drive)}/wear")
-    if as_json:
-        click.echo(answer.text)
-        return Exit.DONE
-    codes = answer.data.get("codes") or []
+    with connect(daemon) as client:
+        answer = client.get(f"{path_of('drive', drive)}/wear")
+    answer.show(partial(_show_wear, drive), as_json=daemon.as_json)
+    return Exit.DONE
+
+
+def _show_wear(drive: str, report: Document) -> None:
+    codes = report.get("codes") or []
     if not codes and on_terminal():
         click.echo(f"nothing that wears its memory was written to {drive} yet")
-        return Exit.DONE
+        return
     rows = [
         (
-            table_text(one.get("code")),
-            table_text(one.get("name")),
-            table_text(one.get("writes")),
-            table_text(one.get("to_this_device")),
+            *(table_text(one.get(key)) for key in ("code", "name", "writes", "to_this_device")),
             age(one["wait_s"]) if one.get("wait_s") else "",
         )
         for one in codes
     ]
     show_rows(("code", "name", "writes", "this device", "again in"), rows)
-    return Exit.DONE
 
 
 @click.command("forget-times")
 @click.argument("drive")
 @daemon_options
-def forget_times_command(drive: str, socket: str | None, url: str | None, as_json: bool) -> int:
+def forget_times_command(drive: str, daemon: DaemonOptions) -> int:
     """Drop the measured answer times of DRIVE.
 
     Time-outs and plans then use its manual and the roster, until most of its answers are late
@@ -207,16 +201,18 @@ def forget_times_command(drive: str, socket: str | None, url: str | None, as_jso
     the time measured, in seconds; if there is nothing, a message on standard error says so.
     With --json: the daemon's document.
     """
-    with connect(socket, url) as daemon:
-        answer = daemon.post(f"{path_of('drive', drive)}/forget-times", {})
-    if as_json:
-        click.echo(answer.text)
-        return Exit.DONE
-    forgotten = answer.data.get("forgotten") or []
+    with connect(daemon) as client:
+        answer = client.post(f"{path_of('drive', drive)}/forget-times", {})
+    answer.show(partial(_show_forgotten, drive), as_json=daemon.as_json)
+    return Exit.DONE
+
+
+def _show_forgotten(drive: str, report: Document) -> None:
+    forgotten = report.get("forgotten") or []
     if not forgotten:
         text = f"nothing was measured of {drive} that is later than its manual says"
         click.echo(text, err=not on_terminal())
-        return Exit.DONE
+        return
     rows = [
         (
             table_text(one.get("code")),
@@ -227,4 +223,3 @@ def forget_times_command(drive: str, socket: str | None, url: str | None, as_jso
         for one in forgotten
     ]
     show_rows(("code", "as", "manual, s", "measured, s"), rows, title=f"forgotten of {drive}")
-    return Exit.DONE

@@ -36,9 +36,9 @@ COMMANDS: Final[Mapping[str, tuple[str, str]]] = {
     "check": ("check", "List the mistakes of a roster, or show what it means."),
     "plan": ("line_plan", "Say what a line can hold and how long requests wait, before it runs."),
     "simulate": ("simulate", "Simulate a roster's drives, on a pty or a TCP port."),
-    "read": ("read", "Read one code of one drive."),
-    "write": ("write", "Write one code of one drive."),
-    "group": ("write", "Write one code of every drive of a group."),
+    "read": ("code_commands", "Read one code of one drive."),
+    "write": ("code_commands", "Write one code of one drive."),
+    "group": ("code_commands", "Write one code of every drive of a group."),
     "enable": ("verb_commands", "Release quick stop and inhibit of one drive: its motor may turn."),
     "set-speed": ("verb_commands", "Give one drive its speed, in Hz or %."),
     "reset-fault": ("verb_commands", "Reset the fault of one drive, which stays inhibited."),
@@ -52,11 +52,11 @@ COMMANDS: Final[Mapping[str, tuple[str, str]]] = {
     "forget-times": ("drive_commands", "Drop the measured answer times of a drive."),
     "describe": ("describe", "Say what is known of the codes of a family of drives."),
     "backup": ("backup", "Read all parameters of a drive into a file."),
-    "diff": ("diff", "Show the differences of two backups or drives."),
+    "diff": ("backup", "Show the differences of two backups or drives."),
     "restore": ("restore", "Write a backup back into a drive, after showing what that changes."),
     "status": ("status", "Show the line and its drives, or one drive with its values."),
     "scan": ("scan", "Find the drives on a line, and propose a roster."),
-    "why": ("why_command", "Say why a drive does not turn, and what to do next."),
+    "why": ("status", "Say why a drive does not turn, and what to do next."),
 }
 """By name, in the order of the help: the module in `cli/` with its `NAME_command`, and the help."""
 

@@ -17,7 +17,7 @@ from lecombus.capacity.live import LivePlan, compare
 from lecombus.capacity.plan import LinePlan, make_plan
 from lecombus.capacity.timeline import Preview, picture, preview
 from lecombus.capacity.watchdog_feasibility import InfeasibleWatchdog, find_infeasible, rounded_up
-from lecombus.cli.arguments import daemon_options
+from lecombus.cli.arguments import DaemonOptions, daemon_options
 from lecombus.cli.client import Answer, connect
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.screen import counted, show_table
@@ -63,9 +63,7 @@ def plan_command(
     roster: Path | None,
     live: bool,
     from_daemon: bool,
-    socket: str | None,
-    url: str | None,
-    as_json: bool,
+    daemon: DaemonOptions,
     svg: Path | None,
 ) -> int:
     """Say what a line can hold and how long requests wait at most, before it runs.
@@ -84,12 +82,12 @@ def plan_command(
     if live and from_daemon:
         raise click.UsageError("--live and --from-daemon are two different tables: give one")
     if live:
-        return _live(roster, svg, socket, url, as_json=as_json)
+        return _live(roster, svg, daemon)
     if from_daemon:
-        loaded, answers = measured_roster(roster, socket, url)
+        loaded, answers = measured_roster(roster, daemon)
     elif roster is None:
         raise click.UsageError("-c ROSTER is missing; or --live for the line that is running")
-    elif socket or url:
+    elif daemon.socket or daemon.url:
         raise click.UsageError("--socket and --url need --live or --from-daemon")
     else:
         loaded, answers = load_roster(roster), None
@@ -97,7 +95,7 @@ def plan_command(
     if svg is not None:
         _draw(loaded, shown, svg, roster)
     unheld = [] if answers is None else find_infeasible(loaded)
-    if as_json:
+    if daemon.as_json:
         more = {} if answers is None else {"answers": answers, "unheld": list(map(asdict, unheld))}
         run = {"run": shown.as_json()}
         click.echo(json.dumps(plan.as_json() | run | more, ensure_ascii=False))
@@ -109,14 +107,12 @@ def plan_command(
     return Exit.DONE
 
 
-def _live(
-    roster: Path | None, svg: Path | None, socket: str | None, url: str | None, *, as_json: bool
-) -> int:
+def _live(roster: Path | None, svg: Path | None, daemon: DaemonOptions) -> int:
     if roster is not None or svg is not None:
         raise click.UsageError("--live takes the running daemon's roster: leave out -c and --svg")
-    with connect(socket, url) as daemon:
-        found = live_of(daemon.get("/v1/plan"))
-    if as_json:
+    with connect(daemon) as client:
+        found = live_of(client.get("/v1/plan"))
+    if daemon.as_json:
         click.echo(json.dumps(found.as_json(), ensure_ascii=False))
     else:
         show_live(found)
@@ -278,15 +274,12 @@ def live_of(answer: Answer) -> LivePlan:
         return compare(roster, measured, document["away"], document["state"])
 
 
-def measured_roster(
-    file: Path | None, socket: str | None, url: str | None
-) -> tuple[Roster, Answers]:
+def measured_roster(file: Path | None, daemon: DaemonOptions) -> tuple[Roster, Answers]:
     """Give a roster with the answer times that a running daemon has measured.
 
     Args:
         file: The roster; None: the one that is running.
-        socket: What `--socket` says.
-        url: What `--url` says.
+        daemon: Which daemon.
 
     Returns:
         The roster, and what was measured of its drives.
@@ -295,8 +288,8 @@ def measured_roster(
         CommandError: There is no daemon, or it speaks another version.
     """
     wanted = None if file is None else load_roster(file)
-    with connect(socket, url) as daemon:
-        answer = daemon.get("/v1/plan")
+    with connect(daemon) as client:
+        answer = client.get("/v1/plan")
     with _understood():
         document = json.loads(answer.text)
         roster, slow = roster_of(document["roster"]), slow_of(document["roster"])

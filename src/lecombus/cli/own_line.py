@@ -11,24 +11,38 @@ from collections.abc import AsyncIterator, Iterable
 from contextlib import AsyncExitStack, asynccontextmanager
 
 import anyio
+import anyio.to_thread
 
-from lecombus.cli.exits import CommandError
+from lecombus.api.decimal_json import encode
+from lecombus.cli.document_rows import Document
+from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.config import LineEntry, line_timing
 from lecombus.drive_runtime import LineDrives
-from lecombus.errors import LecombusError, LineLostError
+from lecombus.drives import family
+from lecombus.errors import ExchangeError, LecombusError, LineLostError, NoReplyError
 from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.request_maker import RequestMaker
 from lecombus.fieldbus.reports import ExchangeReport
+from lecombus.fieldbus.station import Station
+from lecombus.line.loop import run
+from lecombus.line.no_answers import END_IT, others_at, shared, unheard_remedy
 from lecombus.line.opening import open_port
 from lecombus.line.port import Port, PortSettings, Receiver
 from lecombus.line.worker import LineWorker, WorkerOptions
 from lecombus.operations.requests import Requests
+from lecombus.parameters import Code, Value
+from lecombus.readings import Quality, Reading
 from lecombus.schedule import Outcome, Priority, Schedule
 
-__all__ = ["OwnLine", "OwnPort", "own_line", "own_port"]
+__all__ = ["OwnLine", "OwnPort", "own_line", "own_port", "read_directly"]
 
 STRAYS_KEPT = 256
 """How many unsolicited bytes are kept."""
+
+ADAPTER_LATENCY_S = 0.05
+"""What a device server adds; an adapter adds less, and longer time-outs cost nothing here."""
+RETRIES = 2
+"""How often a read without a roster is repeated, as a roster has it by default."""
 
 OPTIONS = WorkerOptions(stall_s=0.0)
 """A line may be silent here: perhaps no drive is on it."""
@@ -217,3 +231,62 @@ async def own_port(
     """Open and reopen a port within a block; arguments as for `OwnPort`."""
     async with AsyncExitStack() as stack:
         yield OwnPort(line, retries, options, drives, stack)
+
+
+def read_directly(
+    port: str, baud: int, address: int, family_name: str, code: Code
+) -> tuple[str, Document]:
+    """Read one code.
+
+    Args:
+        port: Device path or `socket://HOST:PORT`.
+        baud: 1200..19200 bit/s.
+        address: 1..99, not ending in 0.
+        family_name: Whose answer times and value names to go by.
+        code: What to read.
+
+    Returns:
+        The reading, as a JSON text and as a document.
+
+    Raises:
+        LecombusError: The port cannot be opened, or the drive did not give a value.
+        CommandError: Another program reads the port, or nothing is heard.
+    """
+    described = family(family_name)
+    station = Station("drive", address, described, described.forms)
+    value = run(_read, PortSettings(port, baud), station, code)
+    info = described.info(code)
+    meaning = info.meaning(value) if info is not None else None
+    reading = Reading(
+        drive=str(address),
+        code=code,
+        name=info.name if info else "",
+        unit=info.unit if info else None,
+        format=value.format.name,
+        value=value,
+        quality=Quality.GOOD,
+        reason=None,
+        time_s=time.time(),
+        age_s=0.0,
+        text=str(meaning) if meaning is not None else None,
+    )
+    document = reading.as_json()
+    return encode(document), document
+
+
+async def _read(settings: PortSettings, station: Station, code: Code) -> Value:
+    timing = LineTiming(settings.baud, adapter_latency_s=ADAPTER_LATENCY_S)
+    async with own_line(settings, timing, retries=RETRIES) as line:
+        line.schedule.add_drive(station.name)
+        try:
+            return await line.requests.read(station, code, Priority.INTERACTIVE)
+        except ExchangeError as exc:
+            others = await anyio.to_thread.run_sync(others_at, settings.url)
+            if others:
+                what = f"{exc}; {shared(settings.url, others)}"
+                raise CommandError(Exit.FAILED, Problem(what, END_IT, "port-shared")) from exc
+            if isinstance(exc, NoReplyError) and not line.bytes_heard:
+                what = f"no drive answers at address {station.address}: not one byte came back"
+                remedy = f"{unheard_remedy(settings.url, settings.baud)}, and its address"
+                raise CommandError(Exit.FAILED, Problem(what, remedy, "no-answer")) from exc
+            raise

@@ -3,26 +3,34 @@
 from __future__ import annotations
 
 import json
+import signal
 import socket
-import sys
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import anyio
 import click
 
 from lecombus.capacity.watchdog_feasibility import find_infeasible
 from lecombus.cli.arguments import json_option, roster_option
 from lecombus.cli.exits import CommandError, Exit, Problem
-from lecombus.cli.progress_bar import progress
-from lecombus.cli.rebaud_line import carry_out, form_of
-from lecombus.cli.screen import on_terminal, show_rows
+from lecombus.cli.own_line import OwnPort, own_port
+from lecombus.cli.screen import can_ask, make_sure, on_terminal, progress, show_rows
 from lecombus.config import DriveEntry, Roster, load_roster
 from lecombus.drives import family, saving_rule
+from lecombus.drives.access import ReadResult, WriteResult
 from lecombus.drives.identity import identity_codes
-from lecombus.errors import LecombusError
+from lecombus.errors import (
+    CutReplyError,
+    ExchangeError,
+    LecombusError,
+    NakError,
+    UnknownCodeError,
+)
 from lecombus.fieldbus.lecom.protocol import BAUDS
+from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.fieldbus.lecom.rebaud import (
     DrivePlace,
     LineAccess,
@@ -34,15 +42,20 @@ from lecombus.fieldbus.lecom.rebaud import (
     situation,
     what_to_do,
 )
+from lecombus.fieldbus.station import Station
 from lecombus.line.loop import run
-from lecombus.parameters import Code
+from lecombus.line_runtime import options_of
+from lecombus.parameters import AddressForm, Code, Value
+from lecombus.schedule import Outcome, Priority
 from lecombus.state import State
 
-__all__ = ["rebaud_command"]
+__all__ = ["carry_out", "rebaud_command"]
 
 Procedure = Callable[[LineAccess], Awaitable[None]]
 
 RATES = [str(baud) for baud in BAUDS]
+
+_INTERRUPTS = (signal.SIGINT, signal.SIGTERM)
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,7 +257,9 @@ def _ask_drives(work: Rebaud, roster: Roster, *, quiet: bool) -> None:
 
 def _do(work: Rebaud, options: RebaudOptions) -> int:
     """Ask, move the drives, offer to set them back, and show the result."""
-    _make_sure(work, options)
+    if not options.yes:
+        question = f"Change the line from {work.old} to {work.new} baud?"
+        make_sure(question, as_json=options.as_json)
     trouble = _try(work, work.move, options, DrivePlace.NEW, work.new)
     went_back = False
     if (
@@ -307,30 +322,11 @@ def _try(
     return ""
 
 
-def _can_be_asked(options: RebaudOptions) -> bool:
-    return not options.as_json and sys.stdin.isatty() and sys.stdout.isatty()
-
-
-def _make_sure(work: Rebaud, options: RebaudOptions) -> None:
-    """Ask, unless the command line has answered already.
-
-    Raises:
-        CommandError: The user cannot be asked, or the answer was no.
-    """
-    if options.yes:
-        return
-    if not _can_be_asked(options):
-        problem = Problem("nobody can be asked here; nothing was written", "repeat it with --yes")
-        raise CommandError(Exit.USAGE, problem)
-    if not click.confirm(f"Change the line from {work.old} to {work.new} baud?"):
-        raise CommandError(Exit.FAILED, Problem("nothing was written"))
-
-
 def _wants_back(work: Rebaud, options: RebaudOptions) -> bool:
     """Ask whether drives are to be set back; without an answer they stay."""
     if options.back:
         return True
-    if options.yes or not _can_be_asked(options):
+    if options.yes or options.as_json or not can_ask():
         return False
     for drive in work.drives:
         if drive.why:
@@ -419,3 +415,130 @@ def _as_json(drive: RebaudDrive, work: Rebaud) -> dict[str, object]:
         "motion": drive.motion or None,
         "watchdog": drive.note or None,
     }
+
+
+# ---- on the line -----------------------------------------------------------------------------
+
+
+def form_of(forms: tuple[AddressForm, ...]) -> AddressForm:
+    """Choose the addressing form that no code bank redirects, where the drive knows it."""
+    return Form.EXTENDED if Form.EXTENDED in forms else forms[0]
+
+
+async def carry_out(
+    procedure: Callable[[LineAccess], Awaitable[None]],
+    roster: Roster,
+    subjects: tuple[Subject, ...],
+    interrupt: Callable[[], None],
+    watch: Callable[[], None],
+) -> None:
+    """Carry out a procedure to its end.
+
+    Args:
+        procedure: What is done on the line.
+        roster: The line and its drives.
+        subjects: The drives.
+        interrupt: Called at a signal; the procedure then ends by itself.
+        watch: Called before every telegram and at the end.
+
+    Raises:
+        LecombusError: The port cannot be opened, or was lost.
+    """
+    stations = {one.name: _station(one, roster) for one in subjects}
+    # A line may be silent here: its drives may be at the other rate.
+    options = replace(options_of(roster), stall_s=0.0)
+    failure: LecombusError | None = None
+    async with anyio.create_task_group() as tasks:
+        await tasks.start(_listen, interrupt)
+        try:
+            async with own_port(
+                roster.line, retries=roster.line.retries, options=options, drives=stations
+            ) as port:
+                await procedure(_Line(port, stations, watch))
+                watch()
+        except LecombusError as exc:  # outside the task group, or it would come out wrapped
+            failure = exc
+        tasks.cancel_scope.cancel()
+    if failure is not None:
+        raise failure
+
+
+async def _listen(
+    interrupt: Callable[[], None],
+    *,
+    task_status: anyio.abc.TaskStatus[None] = anyio.TASK_STATUS_IGNORED,
+) -> None:
+    with anyio.open_signal_receiver(*_INTERRUPTS) as signals:
+        task_status.started()
+        async for _ in signals:
+            interrupt()
+
+
+def _station(subject: Subject, roster: Roster) -> Station:
+    entry = roster.drive(subject.name)
+    assert entry is not None, "subjects are made from the roster"
+    kind = family(entry.family)
+    return Station(
+        entry.name,
+        entry.address,
+        kind,
+        (subject.form,),
+        hold_s=kind.hold_after_write_s,
+        answer_time_s=entry.answer_time_s,
+    )
+
+
+class _Line:
+    """`LineAccess` on a port opened by the command."""
+
+    def __init__(
+        self, port: OwnPort, stations: dict[str, Station], watch: Callable[[], None]
+    ) -> None:
+        self.port = port
+        self.stations = stations
+        self.watch = watch
+
+    def at(self, baud: int, drive: str, *, retries: int) -> _Drive:
+        """Return a drive at a baud rate."""
+        return _Drive(self, baud, self.stations[drive], retries)
+
+    async def wait(self, baud: int, for_s: float) -> None:
+        """Send nothing for some seconds."""
+        self.watch()
+        await self.port.at(baud)
+        await anyio.sleep(for_s)
+
+
+@dataclass(frozen=True, slots=True)
+class _Drive:
+    """`DriveAccess` on a port opened by the command."""
+
+    line: _Line
+    baud: int
+    station: Station
+    retries: int
+
+    async def read(self, code: Code) -> ReadResult:
+        """Read a code."""
+        self.line.watch()
+        requests = (await self.line.port.at(self.baud)).requests
+        try:
+            value = await requests.read(
+                self.station, code, Priority.INTERACTIVE, retries=self.retries
+            )
+        except CutReplyError:
+            raise
+        except UnknownCodeError as exc:
+            return ReadResult(code, None, "no-such-code", str(exc))
+        except NakError as exc:
+            return ReadResult(code, None, "nak", str(exc))
+        except ExchangeError as exc:
+            return ReadResult(code, None, "no-answer", str(exc))
+        return ReadResult(code, value)
+
+    async def write(self, code: Code, value: Value, *, verify: bool) -> WriteResult:
+        """Write a code once."""
+        self.line.watch()
+        requests = (await self.line.port.at(self.baud)).requests
+        outcome, reason = await requests.write(self.station, code, value, verify=verify)
+        return WriteResult(outcome in (Outcome.DONE, Outcome.VERIFIED), outcome.value, reason)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import json
-import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 import anyio
@@ -20,7 +20,6 @@ from lecombus.backups import (
     Restored,
     RestorePlan,
     RestoreStep,
-    Skip,
     is_inhibited,
     make_plan,
     read_backup,
@@ -28,14 +27,13 @@ from lecombus.backups import (
     take,
 )
 from lecombus.backups.plan import codes_to_read
-from lecombus.cli.arguments import daemon_options, wait_option
+from lecombus.cli.arguments import DaemonOptions, daemon_options, wait_option
 from lecombus.cli.backup import incomplete
 from lecombus.cli.backup_files import Notes, digest_of, read_text
 from lecombus.cli.client import connect_async
 from lecombus.cli.drive_access import HttpDrive, RestoreRights, Whose
 from lecombus.cli.exits import CommandError, Exit, Problem
-from lecombus.cli.progress_bar import progress
-from lecombus.cli.screen import counted, on_terminal, show_rows
+from lecombus.cli.screen import counted, make_sure, on_terminal, progress, show_rows
 from lecombus.drives import family
 from lecombus.parameters import Code, Value
 from lecombus.readings import Json
@@ -56,7 +54,7 @@ class RestoreOptions:
         yes: Do not ask the user.
         enable: Lift the inhibit at the end if it was enabled before.
         patience_s: How long to wait for what is away, seconds.
-        as_json: Print JSON.
+        daemon: The drive's daemon; whether JSON is printed.
     """
 
     backup: Backup
@@ -67,7 +65,7 @@ class RestoreOptions:
     yes: bool
     enable: bool
     patience_s: float
-    as_json: bool
+    daemon: DaemonOptions
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,9 +111,7 @@ def restore_command(
     other_drive: bool,
     enable: bool,
     patience_s: float,
-    socket: str | None,
-    url: str | None,
-    as_json: bool,
+    daemon: DaemonOptions,
 ) -> int:
     """Write the backup in FILE back into DRIVE.
 
@@ -131,19 +127,19 @@ def restore_command(
     backup = read_backup(text, str(file))
     options = RestoreOptions(
         backup, digest_of(text), drive, other_drive, dry_run, yes or dry_run, enable, patience_s,
-        as_json,
+        daemon,
     )  # fmt: skip
     with said_when_interrupted("nothing was written"):
-        seen = anyio.run(look, options, socket, url)
+        seen = anyio.run(look, options)
     if dry_run:
-        if as_json:
+        if daemon.as_json:
             click.echo(json.dumps(plan_json(seen.plan, drive)))
         else:
             show_plan(seen.plan, drive, enabled=seen.enabled, enable=enable)
         check(options, seen)
         return Exit.DONE
     with Notes.opened(seen.whose.line, drive) as notes:
-        return carry_out(options, seen, notes, socket, url)
+        return carry_out(options, seen, notes)
 
 
 @contextlib.contextmanager
@@ -156,18 +152,18 @@ def said_when_interrupted(what: str) -> Iterator[None]:
         raise
 
 
-async def look(options: RestoreOptions, socket: str | None, url: str | None) -> Seen:
+async def look(options: RestoreOptions) -> Seen:
     """Read what a plan is made from, and make it.
 
     Raises:
         CommandError: The drive could not be read.
     """
-    async with connect_async(socket, url) as (client, where):
+    async with connect_async(options.daemon) as (client, where):
         drive = HttpDrive(client, where, options.drive)
         whose, rights = await drive.whose(), await drive.restore_rights()
         kind = family(whose.family)
         codes = codes_to_read(options.backup, rights.owned) if kind is options.backup.family else ()
-        with progress(f"reading {options.drive}", quiet=options.as_json) as bar:
+        with progress(f"reading {options.drive}", quiet=options.daemon.as_json) as bar:
             taken = await take(drive, codes, patience_s=options.patience_s, listener=bar)
         if taken.unsettled:
             raise incomplete(options.drive, taken.unsettled, None)
@@ -193,59 +189,57 @@ def check(options: RestoreOptions, seen: Seen) -> None:
         raise CommandError(Exit.FORBIDDEN, problem)
 
 
-def carry_out(
-    options: RestoreOptions, seen: Seen, notes: Notes, socket: str | None, url: str | None
-) -> int:
+def carry_out(options: RestoreOptions, seen: Seen, notes: Notes) -> int:
     """Show the plan, ask, and do it."""
     before = left_by(notes, options)
     plan = seen.plan
     unsaved = plan.save is not None and before is not None and bool(before.done)
-    if not options.as_json:
+    if not options.daemon.as_json:
         show_plan(plan, options.drive, enabled=seen.enabled, enable=options.enable)
         show_earlier(before, notes, options)
     check(options, seen)
     if not plan.steps and not unsaved:
         notes.finish()
-        if options.as_json:
-            click.echo(json.dumps(result_json(plan, Restored(), options.drive)))
+        give_result(plan, Restored(), options, lambda *_: None)
         return Exit.DONE
-    make_sure(options)
+    if not options.yes:
+        with said_when_interrupted("nothing was written"):
+            make_sure(f"Restore {options.drive}?", as_json=options.daemon.as_json)
     enabled = seen.enabled is True or (before is not None and before.enabled)
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     begun = before or Progress(options.backup.name, options.digest, now, enabled)
     notes.begin(replace(begun, enabled=enabled))
     result = Restored()
     try:
-        with progress(options.drive, quiet=options.as_json) as bar:
-            result, stops = anyio.run(
-                work, options, plan, notes, unsaved, socket, url, bar, result.written
-            )
+        with progress(options.drive, quiet=options.daemon.as_json) as bar:
+            result, stops = anyio.run(work, options, plan, notes, unsaved, bar, result.written)
     except KeyboardInterrupt:
         result.stopped = "interrupted"
-        if options.as_json:
-            click.echo(json.dumps(result_json(plan, result, options.drive)))
-        else:
-            show_interrupted(plan, result, options.drive)
+        give_result(plan, result, options, show_interrupted)
         raise
     if result.complete:
         notes.finish()
     enabling = ""
     if options.enable and enabled and result.complete:
-        enabling = enable_again(options, stops, socket, url)
-    tell_result(plan, result, options, enabled=enabled and options.enable and not enabling)
+        enabling = enable_again(options, stops)
+    enabled_again = enabled and options.enable and not enabling
+    give_result(plan, result, options, partial(show_result, enabled=enabled_again))
     if enabling:
         raise CommandError(Exit.FAILED, Problem(f"{options.drive} stays inhibited: {enabling}"))
     return Exit.DONE if result.complete else Exit.FAILED
 
 
-def tell_result(
-    plan: RestorePlan, result: Restored, options: RestoreOptions, *, enabled: bool
+def give_result(
+    plan: RestorePlan,
+    result: Restored,
+    options: RestoreOptions,
+    show: Callable[[RestorePlan, Restored, str], None],
 ) -> None:
-    """Show what became of the plan, or write it as JSON."""
-    if options.as_json:
+    """Print what was done, as JSON or by `show`."""
+    if options.daemon.as_json:
         click.echo(json.dumps(result_json(plan, result, options.drive)))
     else:
-        show_result(plan, result, options.drive, enabled=enabled)
+        show(plan, result, options.drive)
 
 
 def left_by(notes: Notes, options: RestoreOptions) -> Progress | None:
@@ -266,30 +260,11 @@ def show_earlier(before: Progress | None, notes: Notes, options: RestoreOptions)
         )
 
 
-def make_sure(options: RestoreOptions) -> None:
-    """Ask, unless the command line has answered already.
-
-    Raises:
-        CommandError: The user cannot be asked, or the answer was no.
-    """
-    if options.yes:
-        return
-    if options.as_json or not (sys.stdin.isatty() and sys.stdout.isatty()):
-        problem = Problem("nobody can be asked here; nothing was written", "repeat it with --yes")
-        raise CommandError(Exit.USAGE, problem)
-    with said_when_interrupted("nothing was written"):
-        sure = click.confirm(f"Restore {options.drive}?")
-    if not sure:
-        raise CommandError(Exit.FAILED, Problem("nothing was written"))
-
-
 async def work(
     options: RestoreOptions,
     plan: RestorePlan,
     notes: Notes,
     unsaved: bool,
-    socket: str | None,
-    url: str | None,
     listener: Listener,
     kept: dict[Code, Value],
 ) -> tuple[Restored, str]:
@@ -303,7 +278,7 @@ async def work(
         notes.done(code, value)
         kept[code] = value
 
-    async with connect_async(socket, url) as (client, where):
+    async with connect_async(options.daemon) as (client, where):
         drive = HttpDrive(client, where, options.drive)
         with contextlib.suppress(CommandError):  # a daemon that is away is waited for
             drive.stops = (await drive.restore_rights()).stops
@@ -314,13 +289,13 @@ async def work(
         return result, drive.stops
 
 
-def enable_again(options: RestoreOptions, stops: str, socket: str | None, url: str | None) -> str:
+def enable_again(options: RestoreOptions, stops: str) -> str:
     """Lift the inhibit; give why it could not be, empty when it was."""
     drive = options.drive
     left = f"{drive} is restored, and stays inhibited unless `lecombus status` shows it enabled"
 
     async def enable() -> str:
-        async with connect_async(socket, url) as (client, where):
+        async with connect_async(options.daemon) as (client, where):
             said = await HttpDrive(client, where, drive, stops=stops).enable()
             return "" if said.done else said.text or said.kind
 
@@ -347,7 +322,9 @@ def show_plan(plan: RestorePlan, drive: str, *, enabled: bool | None, enable: bo
         for step in plan.steps
     ]  # fmt: skip
     rows += [
-        ("skip", str(skip.code), skip.name, "", "", "", skip.why) for skip in unexpected_skips(plan)
+        ("skip", str(skip.code), skip.name, "", "", "", skip.why)
+        for skip in plan.skips
+        if not skip.expected
     ]
     if rows:
         show_rows(("", "code", "name", "now", "then", "unit", "why"), rows)
@@ -369,11 +346,6 @@ def headline(plan: RestorePlan, drive: str) -> str:
     if expected:
         parts.append(f"{expected} process values and the like")
     return f"{drive}: " + ", ".join(parts)
-
-
-def unexpected_skips(plan: RestorePlan) -> list[Skip]:
-    """Return what is left out unexpectedly: no process values and the like."""
-    return [skip for skip in plan.skips if not skip.expected]
 
 
 def with_meaning(value: Value, meaning: str) -> str:

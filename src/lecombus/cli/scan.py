@@ -17,12 +17,11 @@ import anyio
 import click
 
 from lecombus.cli import client
-from lecombus.cli.arguments import daemon_options
+from lecombus.cli.arguments import DaemonOptions, daemon_options
 from lecombus.cli.client import DaemonClient, connect
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.own_line import OwnPort, own_port
-from lecombus.cli.progress_bar import Bar, progress
-from lecombus.cli.screen import on_terminal, show_rows
+from lecombus.cli.screen import Bar, on_terminal, progress, show_rows
 from lecombus.config import LineEntry, line_timing
 from lecombus.config.building import STATE_DIR
 from lecombus.drives import family
@@ -137,9 +136,7 @@ def scan_command(
     name: str,
     output: Path | None,
     force: bool,
-    socket: str | None,
-    url: str | None,
-    as_json: bool,
+    daemon: DaemonOptions,
 ) -> int:
     """Find the drives on a line, say what they are, and propose a roster.
 
@@ -159,7 +156,7 @@ def scan_command(
     "why", "says", "watchdog", "remarks"}], "unclear", "roster"}. Exit status 1: no drive found.
     """
     rates = ALL_BAUDS if all_bauds else bauds or (9600,)
-    options = ScanOptions(addresses, rates, thorough, output, force, as_json)
+    options = ScanOptions(addresses, rates, thorough, output, force, daemon.as_json)
     _check_output(options)
     if all_bauds and bauds:
         raise CommandError(
@@ -170,8 +167,8 @@ def scan_command(
             what = "a daemon scans at its line's baud rate only"
             remedy = "leave the rates out, or stop the daemon and scan with --port"
             raise CommandError(Exit.USAGE, Problem(what, remedy))
-        return _through_daemon(options, socket, url)
-    if socket or url:
+        return _through_daemon(options, daemon)
+    if daemon.socket or daemon.url:
         raise CommandError(
             Exit.USAGE, Problem("--port and a daemon are both given", "leave one of them out")
         )
@@ -208,8 +205,8 @@ def _on_own_port(options: ScanOptions, line: LineEntry) -> int:
     return Exit.DONE
 
 
-def _through_daemon(options: ScanOptions, socket: str | None, url: str | None) -> int:
-    with connect(socket, url) as daemon:
+def _through_daemon(options: ScanOptions, where: DaemonOptions) -> int:
+    with connect(where) as daemon:
         line = _line_of(daemon)
         known = {int(one["address"]) for one in daemon.get("/v1/drives").data["drives"]}
         addresses = tuple(one for one in options.addresses if one not in known)

@@ -1,26 +1,39 @@
-"""What goes to standard output: tables for people, tabs for pipes, JSON for programs.
+"""What a command prints: tables for people, tabs for pipes, JSON for programs.
 
 On a terminal a list of rows becomes a table with headings (rich is imported only then). In a pipe
 the same rows are lines of tab-separated cells without headings, so that cut and awk can use them.
 A report of several tables says which is which in a pipe, too.
 With `--json` exactly one JSON document is printed, with decimals as the daemon wrote them.
+
+On standard error a bar shows how far long work has come, on a terminal only. Lines for the user,
+such as a lost line or a refused code, are shown in a pipe too, except with JSON.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Self
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Self
 
 import click
 
+from lecombus.cli.exits import CommandError, Exit, Problem
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
 __all__ = [
+    "Bar",
     "Styled",
     "age",
+    "can_ask",
     "counted",
     "harmless",
+    "make_sure",
     "mark",
     "on_terminal",
+    "progress",
     "show_rows",
     "show_table",
     "table_text",
@@ -37,6 +50,24 @@ _STYLES: Mapping[str, str] = {
 def on_terminal() -> bool:
     """Return whether standard output is a terminal."""
     return sys.stdout.isatty()
+
+
+def can_ask() -> bool:
+    """Return whether a person is in front of this command, to be asked."""
+    return sys.stdin.isatty() and sys.stdout.isatty()
+
+
+def make_sure(question: str, *, as_json: bool) -> None:
+    """Ask before something is written.
+
+    Raises:
+        CommandError: The user cannot be asked, or the answer was no.
+    """
+    if as_json or not can_ask():
+        problem = Problem("nobody can be asked here; nothing was written", "repeat it with --yes")
+        raise CommandError(Exit.USAGE, problem)
+    if not click.confirm(question):
+        raise CommandError(Exit.FAILED, Problem("nothing was written"))
 
 
 def show_rows(headings: Sequence[str], rows: Iterable[Sequence[str]], *, title: str = "") -> None:
@@ -142,3 +173,53 @@ def _show_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     for row in rows:
         table.add_row(*(Text(harmless(cell), style=mark(cell)) for cell in row))
     Console(file=sys.stdout).print(table)
+
+
+class Bar:
+    """A listener that shows how far the work is.
+
+    Args:
+        bar: The bar; None: it is not shown.
+        task: Its one task.
+        quiet: Do not print lines either.
+    """
+
+    def __init__(self, bar: Progress | None, task: TaskID | None, *, quiet: bool) -> None:
+        self._bar = bar
+        self._task = task
+        self._quiet = quiet
+
+    def advance(self, done: int, total: int, title: str | None = None) -> None:
+        """Move the bar; `title`: change the text beside it."""
+        if self._bar is not None and self._task is not None:
+            self._bar.update(self._task, completed=done, total=total, description=title)
+
+    def say(self, text: str) -> None:
+        """Print a line above the bar."""
+        if self._quiet:
+            return
+        if self._bar is not None:
+            self._bar.console.print(text, markup=False, highlight=False, soft_wrap=True)
+        else:
+            click.echo(text, err=True)
+
+
+@contextmanager
+def progress(title: str, *, quiet: bool = False, counts: bool = True) -> Iterator[Bar]:
+    """Show a bar on a terminal while the block runs.
+
+    Args:
+        title: What the work is.
+        quiet: Print nothing at all, as for JSON.
+        counts: Show `3/20` behind the bar; otherwise the title stands there.
+    """
+    if quiet or not sys.stderr.isatty():
+        yield Bar(None, None, quiet=quiet)
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    text = TextColumn("{task.description}", markup=False)
+    columns = (text, BarColumn(30), MofNCompleteColumn()) if counts else (BarColumn(24), text)
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        yield Bar(bar, bar.add_task(title, total=None), quiet=False)

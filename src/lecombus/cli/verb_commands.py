@@ -11,18 +11,18 @@ from collections.abc import Mapping
 
 import click
 
-from lecombus.cli.arguments import EXPIRY, NUMBER, CommandWithNumbers, daemon_options
+from lecombus.cli.arguments import EXPIRY, NUMBER, CommandWithNumbers, DaemonOptions, daemon_options
 from lecombus.cli.client import connect, path_of
+from lecombus.cli.code_commands import write_document
 from lecombus.cli.document_rows import (
     Document,
     is_done,
     members_of,
-    show_members,
+    show_outcomes,
     show_verb,
     status_of,
 )
 from lecombus.cli.exits import CommandError, Exit, Problem
-from lecombus.cli.write import write_document
 from lecombus.readings import Json
 
 __all__ = [
@@ -38,47 +38,36 @@ _SPEED = re.compile(r"\0?([+-]?[0-9.,]+(?:[eE][+-]?[0-9]+)?)\s*(.*)", re.DOTALL)
 """A number, right or not, and a unit; before a negative one stands what hides it from click."""
 
 
-def _run_verb(
-    drive: str,
-    verb: str,
-    document: Mapping[str, Json],
-    *,
-    socket: str | None,
-    url: str | None,
-    as_json: bool,
-) -> Exit:
+def _run_verb(drive: str, verb: str, document: Mapping[str, Json], daemon: DaemonOptions) -> Exit:
     """Have a drive do something and show how it ended."""
-    with connect(socket, url) as daemon:
-        answer = daemon.post(f"{path_of('drive', drive)}/verbs/{verb}", document)
-    if as_json:
-        click.echo(answer.text)
-        return status_of(answer.data)
-    return show_verb(answer.data)
+    with connect(daemon) as client:
+        answer = client.post(f"{path_of('drive', drive)}/verbs/{verb}", document)
+    answer.show(show_verb, as_json=daemon.as_json)
+    return status_of(answer.data)
 
 
-def _send_stop(
-    target: str, action: str, *, socket: str | None, url: str | None, as_json: bool
-) -> Exit:
+def _send_stop(target: str, action: str, daemon: DaemonOptions) -> Exit:
     """Stop a drive or a group and show how it ended, member by member.
 
     Raises:
         CommandError: No drive was reached, or none is meant.
     """
     try:
-        with connect(socket, url) as daemon:
-            answer = daemon.post("/v1/stop", {"action": action, "target": target})
+        with connect(daemon) as client:
+            answer = client.post("/v1/stop", {"action": action, "target": target})
     except (CommandError, KeyboardInterrupt):
-        if not as_json:
+        if not daemon.as_json:
             _alarm(f"no drive has confirmed the {_words(action)}: motors may still turn")
         raise
-    if as_json:
-        click.echo(answer.text)
-        return status_of(answer.data)
-    doubtful = _not_confirmed(answer.data, action)
+    answer.show(lambda report: _show_stop(report, action), as_json=daemon.as_json)
+    return status_of(answer.data)
+
+
+def _show_stop(report: Document, action: str) -> None:
+    doubtful = _not_confirmed(report, action)
     if doubtful:
         _alarm(doubtful)
-    show_members(answer.data, said_once=("remedy",))
-    return status_of(answer.data)
+    show_outcomes(report, said_once=("remedy",))
 
 
 def _not_confirmed(report: Document, action: str) -> str:
@@ -107,7 +96,7 @@ def _words(action: str) -> str:
 @click.command("enable")
 @click.argument("drive")
 @daemon_options
-def enable_command(drive: str, socket: str | None, url: str | None, as_json: bool) -> int:
+def enable_command(drive: str, daemon: DaemonOptions) -> int:
     """Release quick stop and inhibit of DRIVE. Its motor turns if it has a setpoint.
 
     It is refused while a fault is active (`lecombus reset-fault`), and where a setting of the
@@ -117,7 +106,7 @@ def enable_command(drive: str, socket: str | None, url: str | None, as_json: boo
     In a pipe: drive, verb, outcome, what the drive shows, value read back, reason. With --json: the
     daemon's document, {"drive", "verb", "outcome", "reason", "states", "written"}.
     """
-    return _run_verb(drive, "enable", {}, socket=socket, url=url, as_json=as_json)
+    return _run_verb(drive, "enable", {}, daemon)
 
 
 @click.command("set-speed", cls=CommandWithNumbers)
@@ -133,9 +122,7 @@ def set_speed_command(
     speed: tuple[str, ...],
     verify: bool,
     expires: float | None,
-    socket: str | None,
-    url: str | None,
-    as_json: bool,
+    daemon: DaemonOptions,
 ) -> int:
     """Give DRIVE its speed: `set-speed belt 35 Hz`, `set-speed belt 70%`.
 
@@ -152,13 +139,13 @@ def set_speed_command(
     if not match[2]:
         raise click.UsageError(f"{match[1]} has no unit, write {match[1]} Hz or {match[1]}%", ctx)
     document = {**write_document(value, expires, verify or None), "unit": match[2]}
-    return _run_verb(drive, "set-speed", document, socket=socket, url=url, as_json=as_json)
+    return _run_verb(drive, "set-speed", document, daemon)
 
 
 @click.command("reset-fault")
 @click.argument("drive")
 @daemon_options
-def reset_fault_command(drive: str, socket: str | None, url: str | None, as_json: bool) -> int:
+def reset_fault_command(drive: str, daemon: DaemonOptions) -> int:
     """Reset the active fault of DRIVE, by its family's own way. It never starts the motor.
 
     The drive is inhibited first and stays so: `lecombus enable` lets it run again. Without a
@@ -167,31 +154,31 @@ def reset_fault_command(drive: str, socket: str | None, url: str | None, as_json
 
     In a pipe and with --json: as for enable.
     """
-    return _run_verb(drive, "reset-fault", {}, socket=socket, url=url, as_json=as_json)
+    return _run_verb(drive, "reset-fault", {}, daemon)
 
 
 @click.command("quick-stop")
 @click.argument("target")
 @daemon_options
-def quick_stop_command(target: str, socket: str | None, url: str | None, as_json: bool) -> int:
+def quick_stop_command(target: str, daemon: DaemonOptions) -> int:
     """Stop TARGET, a drive or a group, along its ramp by quick stop, before everything else.
 
     The same as `lecombus stop TARGET --action quick-stop`: it is sent before all other
     requests, and also where writes are refused. It is read back. It is not a safety function.
     """
-    return _send_stop(target, "quick-stop", socket=socket, url=url, as_json=as_json)
+    return _send_stop(target, "quick-stop", daemon)
 
 
 @click.command("inhibit")
 @click.argument("target")
 @daemon_options
-def inhibit_command(target: str, socket: str | None, url: str | None, as_json: bool) -> int:
+def inhibit_command(target: str, daemon: DaemonOptions) -> int:
     """Inhibit TARGET, a drive or a group, before everything else: no torque, the motor coasts.
 
     The same as `lecombus stop TARGET --action inhibit`: it is sent before all other requests,
     and also where writes are refused. It is read back. It is not a safety function.
     """
-    return _send_stop(target, "inhibit", socket=socket, url=url, as_json=as_json)
+    return _send_stop(target, "inhibit", daemon)
 
 
 @click.command("stop")
@@ -209,9 +196,7 @@ def stop_command(
     target: str | None,
     everything: bool,
     action: str,
-    socket: str | None,
-    url: str | None,
-    as_json: bool,
+    daemon: DaemonOptions,
 ) -> int:
     """Stop TARGET, a drive or a group, before everything else that waits.
 
@@ -227,4 +212,4 @@ def stop_command(
         raise CommandError(
             Exit.USAGE, Problem("a target and --all are both given", "leave one of them out")
         )
-    return _send_stop(target or "all", action, socket=socket, url=url, as_json=as_json)
+    return _send_stop(target or "all", action, daemon)

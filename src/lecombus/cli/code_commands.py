@@ -1,0 +1,194 @@
+"""`lecombus read`, `write` and `group`: one code of a drive, or of every drive of a group.
+
+A read goes through the daemon, or through a port that the command opens.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import click
+
+from lecombus.cli.arguments import (
+    CODE,
+    EXPIRY,
+    VALUE,
+    CommandWithNumbers,
+    DaemonOptions,
+    Given,
+    daemon_options,
+)
+from lecombus.cli.client import Answer, connect, path_of
+from lecombus.cli.document_rows import Document, show_outcomes, show_reading, status_of
+from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.fieldbus.lecom.protocol import BAUDS as ALL_BAUDS
+from lecombus.fieldbus.lecom.protocol import is_drive_address
+from lecombus.parameters import Code
+from lecombus.readings import Json
+
+__all__ = ["group_command", "read_command", "write_command", "write_document"]
+
+BAUDS = [str(baud) for baud in ALL_BAUDS]
+
+SENT_ONLY = (
+    "it was sent as one multicast, which nobody acknowledges, and --no-verify was given: who took "
+    "it is unknown, and so this is exit status 1; without --no-verify every member is read back"
+)
+
+
+@click.command("read")
+@click.argument("words", nargs=-1, metavar="[DRIVE] CODE")
+@click.option("--stored", is_flag=True, help="What the daemon knows; nothing is sent.")
+@click.option("--port", metavar="DEVICE", help="Open this port; no daemon. Needs --address.")
+@click.option("--address", type=int, help="The drive's address on that port.")
+@click.option("--family", default="generic", show_default=True, help="The drive's family.")
+@click.option("--baud", type=click.Choice(BAUDS), default="9600", show_default=True)
+@daemon_options
+def read_command(
+    words: Sequence[str],
+    stored: bool,
+    port: str | None,
+    address: int | None,
+    family: str,
+    baud: str,
+    daemon: DaemonOptions,
+) -> int:
+    """Read CODE of DRIVE now, or with --stored as the daemon last read it.
+
+    With --port no daemon is needed: `read --port /dev/ttyUSB0 --address 1 C0046`. A port that
+    another program has open is refused, and so is one that a daemon uses.
+
+    On a terminal: a line of text. In a pipe: drive, code, value, unit, quality, reason, separated
+    by tabs. With --json: {"drive", "code", "subcode", "name", "value", "raw", "format", "unit",
+    "quality", "reason", "time", "age_s", "text"}. A value of quality bad makes the exit status 1.
+    """
+    if port:
+        code = _only_code(words)
+        from lecombus.cli.own_line import read_directly
+
+        answer = Answer(*read_directly(port, int(baud), _drive_address(address), family, code))
+    else:
+        drive, code = _drive_and_code(words)
+        with connect(daemon) as client:
+            path = f"{path_of('drive', drive)}/codes/{code}"
+            answer = client.get(path) if stored else client.get(path, fresh="true")
+    answer.show(show_reading, as_json=daemon.as_json)
+    return Exit.FAILED if answer.data.get("quality") == "bad" else Exit.DONE
+
+
+def _drive_address(address: int | None) -> int:
+    """Return an address that one drive answers at; groups are never answered."""
+    if address is None:
+        raise CommandError(Exit.USAGE, Problem("--port needs --address", "give the drive's"))
+    if not is_drive_address(address):
+        problem = f"no drive has the address {address}"
+        remedy = "it is 1 to 99, and not 10, 20 .. 90, which are groups that nobody answers for"
+        raise CommandError(Exit.USAGE, Problem(problem, remedy))
+    return address
+
+
+def _only_code(words: Sequence[str]) -> Code:
+    if len(words) != 1:
+        raise CommandError(
+            Exit.USAGE, Problem("with --port only a code is named", "write read --port .. CODE")
+        )
+    return CODE.convert(words[0], None, None)
+
+
+def _drive_and_code(words: Sequence[str]) -> tuple[str, Code]:
+    if len(words) != 2:
+        raise CommandError(
+            Exit.USAGE, Problem("a drive and a code are needed", "write read DRIVE CODE")
+        )
+    return words[0], CODE.convert(words[1], None, None)
+
+
+def write_document(value: Given, expires: float | None, verify: bool | None) -> dict[str, Json]:
+    """Return the body of a write request.
+
+    Args:
+        value: What to write.
+        expires: Seconds after which it shall no longer be sent; None: the daemon's default.
+        verify: Whether to read it back; None: as the daemon sees fit.
+    """
+    document: dict[str, Json] = {"value": value}
+    if verify is not None:
+        document["verify"] = verify
+    if expires is not None:
+        document["expires"] = f"{round(expires * 1000)}ms"
+    return document
+
+
+@click.command("write", cls=CommandWithNumbers)
+@click.argument("drive")
+@click.argument("code", type=CODE)
+@click.argument("value", type=VALUE)
+@click.option("--verify", is_flag=True, help="Read it back afterwards.")
+@click.option("--expires", type=EXPIRY, help="Not sent any more after this time, such as 2s.")
+@daemon_options
+def write_command(
+    drive: str,
+    code: Code,
+    value: Given,
+    verify: bool,
+    expires: float | None,
+    daemon: DaemonOptions,
+) -> int:
+    """Write VALUE to CODE of DRIVE and wait for the outcome.
+
+    VALUE is a number (`write feeder C0046 -5`), a word such as H0008 or 0x0008, or octets such as
+    O1A2B. For a word, digits alone are refused: 0208 could be H0208 or decimal 208.
+
+    The outcome is one of done, verified (exit status 0), refused, expired, superseded, unknown
+    (1: it may have happened). In a pipe: drive, code, outcome, value read back, reason. With
+    --json: the daemon's document, {"drive", "code", "outcome", "reason", "cause", "reading"}.
+    """
+    with connect(daemon) as client:
+        path = f"{path_of('drive', drive)}/codes/{code}"
+        answer = client.put(path, write_document(value, expires, verify))
+    answer.show(show_outcomes, as_json=daemon.as_json)
+    return status_of(answer.data)
+
+
+def was_only_sent(report: Document) -> bool:
+    """Whether a multicast went out and nothing more is known of it."""
+    outcomes = {member.get("outcome") for member in report.get("members") or [report]}
+    return report.get("how") == "multicast" and outcomes == {"unknown"}
+
+
+@click.command("group", cls=CommandWithNumbers)
+@click.argument("group")
+@click.argument("code", type=CODE)
+@click.argument("value", type=VALUE)
+@click.option(
+    "--verify/--no-verify",
+    default=None,
+    help="Read it back from every member; a multicast is, unless told otherwise.",
+)
+@click.option("--expires", type=EXPIRY, help="Not sent any more after this time, such as 2s.")
+@daemon_options
+def group_command(
+    group: str,
+    code: Code,
+    value: Given,
+    verify: bool | None,
+    expires: float | None,
+    daemon: DaemonOptions,
+) -> int:
+    """Write VALUE to CODE of every drive of GROUP; the group `all` is every drive of the roster.
+
+    Where the group allows that (`lecombus check` shows it), it is sent as one multicast, which
+    is not acknowledged, and then read back. Otherwise one write follows the other.
+
+    Exit status 0 only if every member's outcome is done or verified: never for a multicast with
+    --no-verify, whose outcome is unknown. In a pipe: one line a member
+    with drive, code, outcome, value read back, reason. With --json: the daemon's document,
+    {"how", "outcome", "members": [as write]}.
+    """
+    with connect(daemon) as client:
+        path = f"{path_of('group', group)}/codes/{code}"
+        answer = client.put(path, write_document(value, expires, verify))
+    answer.show(show_outcomes, as_json=daemon.as_json)
+    if verify is False and was_only_sent(answer.data) and not daemon.as_json:
+        click.echo(SENT_ONLY, err=True)
+    return status_of(answer.data)
