@@ -18,7 +18,7 @@ from typing import Final
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from lecombus.api.answers import Problem
+from lecombus.api.answers import ProblemDocument
 from lecombus.api.decimal_json import short
 from lecombus.api.limits import is_stop
 from lecombus.api.read_routes import ADDRESSES_PATH
@@ -121,33 +121,33 @@ class ReadOnlyAccess:
         else:
             await replace(problem, headers=CLOSE).response()(scope, receive, send)
 
-    def _objection(self, scope: Scope) -> Problem | None:
+    def _objection(self, scope: Scope) -> ProblemDocument | None:
         hosts = [value.decode("latin-1") for name, value in scope["headers"] if name == b"host"]
         name = host_name(hosts[0].strip().lower()) if len(hosts) == 1 else ""
         if not name:
-            return Problem(
+            return ProblemDocument(
                 "bad-host",
                 f"the request names {short(', '.join(hosts)) or 'no host'}, where one host belongs",
                 remedy=RIGHT_HOST,
             )
         if not self._is_here(name):
-            return Problem(
+            return ProblemDocument(
                 "foreign-host", f"host {short(hosts[0])} is not this machine", remedy=RIGHT_HOST
             )
         if is_cross_site(scope, hosts[0]):
-            return Problem(
+            return ProblemDocument(
                 "cross-site",
                 "a web page of another origin asks",
                 remedy="open the address itself, or ask from a program",
             )
         if scope["method"] not in ("GET", "HEAD"):
-            return Problem(
+            return ProblemDocument(
                 "read-only",
                 f"{short(scope['method'])} is not answered over TCP",
                 remedy="use the Unix socket: only who may open it may write and stop",
             )
         if scope["path"].startswith(ADDRESSES_PATH):
-            return Problem(
+            return ProblemDocument(
                 "not-permitted",
                 "addresses of unknown drives are not asked over TCP",
                 remedy="use the Unix socket",

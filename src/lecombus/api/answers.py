@@ -1,6 +1,6 @@
 """Answers: JSON documents, and problem documents (RFC 9457) for every refusal and failure.
 
-Strategy: every failure becomes one `Problem`, made in one of two ways: `problem_of` from an
+Strategy: every failure becomes one `ProblemDocument`, made in one of two ways: `problem_of` from an
 error of lecombus' tree, `report_problem` from a write that ended in anything but `done` or
 `verified`. The status follows from the problem's kind by one table, and the OpenAPI document
 shows the same table.
@@ -58,7 +58,7 @@ __all__ = [
     "JSON_TYPE",
     "PROBLEM_TYPE",
     "STATUS_BY_KIND",
-    "Problem",
+    "ProblemDocument",
     "ProblemError",
     "json_response",
     "problem_of",
@@ -137,7 +137,7 @@ KIND_BY_OUTCOME: Final[Mapping[Outcome, str]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Problem:
+class ProblemDocument:
     """One problem document.
 
     Args:
@@ -183,7 +183,7 @@ class Problem:
             **self.more,
         }
 
-    def shortened(self) -> Problem:
+    def shortened(self) -> ProblemDocument:
         """Return the same with its names cut short, for a client may send names of any length."""
         return replace(self, drive=short(self.drive), code=short(self.code))
 
@@ -198,12 +198,12 @@ class Problem:
 class ProblemError(LecombusError):
     """A request that cannot be served; carries its problem document."""
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: ProblemDocument) -> None:
         super().__init__(problem.detail)
         self.problem = problem
 
 
-def problem_of(error: LecombusError, *, drive: str = "", code: str = "") -> Problem:
+def problem_of(error: LecombusError, *, drive: str = "", code: str = "") -> ProblemDocument:
     """Return the problem document of an error.
 
     Args:
@@ -214,7 +214,7 @@ def problem_of(error: LecombusError, *, drive: str = "", code: str = "") -> Prob
     if isinstance(error, ProblemError):
         return error.problem
     if isinstance(error, OperationError):
-        return Problem(
+        return ProblemDocument(
             error.kind,
             str(error),
             drive=error.drive or drive,
@@ -226,7 +226,7 @@ def problem_of(error: LecombusError, *, drive: str = "", code: str = "") -> Prob
     if isinstance(error, ExchangeError):
         cause, remedy = error.cause, error.remedy
     remedy = remedy or REMEDIES.get(kind, "")
-    return Problem(kind, str(error), drive=drive, code=code, cause=cause, remedy=remedy)
+    return ProblemDocument(kind, str(error), drive=drive, code=code, cause=cause, remedy=remedy)
 
 
 def retry_headers(after_s: float | None) -> dict[str, str]:
@@ -284,7 +284,7 @@ def report_response(
     return replace(problem, more={**problem.more, **more}).response()
 
 
-def report_problem(report: WriteReport | VerbReport) -> Problem | None:
+def report_problem(report: WriteReport | VerbReport) -> ProblemDocument | None:
     """Return the problem of a write or a verb that was not done, or None."""
     if report.outcome in (Outcome.DONE, Outcome.VERIFIED):
         return None
@@ -299,7 +299,7 @@ def report_problem(report: WriteReport | VerbReport) -> Problem | None:
         more = {key: document[key] for key in ("verb", "states", "written")}
     else:
         code = report.code
-    return Problem(
+    return ProblemDocument(
         kind,
         report.reason or kind,
         drive=report.drive,
@@ -311,7 +311,7 @@ def report_problem(report: WriteReport | VerbReport) -> Problem | None:
     )
 
 
-def group_problem(report: GroupReport) -> Problem | None:
+def group_problem(report: GroupReport) -> ProblemDocument | None:
     """Return the problem of a group write or stop that was not done everywhere, or None.
 
     Its kind is that of the member with the highest status, so a lost answer outweighs a refusal.
@@ -327,7 +327,7 @@ def group_problem(report: GroupReport) -> Problem | None:
     kind = worst.kind if worst else KIND_BY_OUTCOME[report.outcome]
     failed = ", ".join(problem.drive for problem in problems)
     document = report.as_json()
-    return Problem(
+    return ProblemDocument(
         kind,
         report.reason or f"{report.target}: not done by {failed}",
         cause=worst.cause if worst else "",
@@ -342,7 +342,7 @@ def status_response(kind: str, check: tuple[bool, str]) -> Response:
     good, detail = check
     if good:
         return json_response({"status": "ok", "detail": detail})
-    return Problem(kind, detail).response()
+    return ProblemDocument(kind, detail).response()
 
 
 def json_response(document: Json) -> Response:

@@ -25,7 +25,7 @@ from starlette.responses import Response
 from starlette.routing import Match, Route
 
 from lecombus.api.access import StopPaths
-from lecombus.api.answers import JSON_TYPE, Problem, problem_of, status_response
+from lecombus.api.answers import JSON_TYPE, ProblemDocument, problem_of, status_response
 from lecombus.api.decimal_json import short
 from lecombus.api.idempotency import Idempotency
 from lecombus.api.read_routes import ReadRoutes
@@ -162,20 +162,20 @@ async def not_routed(request: Request, exc: Exception) -> Response:
     if exc.status_code == 405:
         allowed = ", ".join(allowed_methods(request))
         method = "GET" if request.method == "HEAD" else request.method  # the answers are the same
-        return Problem(
+        return ProblemDocument(
             "wrong-method",
             f"{short(method)} is not possible on {path}",
             remedy=f"{allowed} {'are' if ', ' in allowed else 'is'} possible there",
             headers={"Allow": allowed},
         ).response()
-    return Problem(
+    return ProblemDocument(
         "no-such-path", f"there is nothing at {path}", remedy="paths stand in /openapi.json"
     ).response()
 
 
 async def unexpected_error(request: Request, exc: Exception) -> Response:
     """Answer an error that is a mistake in lecombus; it is raised again for the log."""
-    return Problem(
+    return ProblemDocument(
         "internal",
         f"{type(exc).__name__} while answering {short(request.url.path)}",
         remedy="this is a mistake in lecombus: please report it with the daemon's log",

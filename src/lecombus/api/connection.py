@@ -39,7 +39,7 @@ from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
 from lecombus.api.access import ACTOR_KEY, date_header
-from lecombus.api.answers import Problem
+from lecombus.api.answers import ProblemDocument
 from lecombus.api.limits import (
     BODY_LIMIT,
     BODY_TOO_BIG,
@@ -138,9 +138,9 @@ class Connection(HttpToolsProtocol):
         self._is_begun = False  # a request has begun and did not come whole yet
         self._is_in_body = False
         self._is_queued = False  # the next slice waits for its turn
-        self._refusal: Problem | None = None  # why the parser was ended
+        self._refusal: ProblemDocument | None = None  # why the parser was ended
         self._is_offer = False  # the head just read offers to speak another protocol
-        self._end: Problem | None = None  # nothing is parsed any more; said after the last answer
+        self._end: ProblemDocument | None = None  # if set: parse no more, send it after all answers
         self._is_half_closed = False
         self._running: Any = None  # the request that is being answered
         self.places.take(self)
@@ -340,7 +340,7 @@ class Connection(HttpToolsProtocol):
             if name == b"content-length" and int(value) > BODY_LIMIT:
                 self._refuse(BODY_TOO_BIG)
 
-    def _refuse(self, why: Problem) -> NoReturn:
+    def _refuse(self, why: ProblemDocument) -> NoReturn:
         """End the parser in the middle of a request; called while it parses."""
         self._refusal = why
         raise BeyondBoundsError(why.kind)
@@ -392,7 +392,7 @@ class Connection(HttpToolsProtocol):
             self._parse()
         self._end_if_answered()
 
-    def _give_up(self, why: Problem) -> None:
+    def _give_up(self, why: ProblemDocument) -> None:
         """Parse no more; what came whole is answered first."""
         if self._end is None:
             self._end = why
@@ -419,7 +419,7 @@ class Connection(HttpToolsProtocol):
         elif self._is_half_closed and not self._unread:
             self.transport.close()
 
-    def _say_end(self, problem: Problem) -> None:
+    def _say_end(self, problem: ProblemDocument) -> None:
         """Write a problem document without the application, and close."""
         answer = problem.response()
         headers = [one for one in answer.raw_headers if one[0] != b"connection"]

@@ -25,7 +25,7 @@ import anyio
 from starlette.requests import Request
 from starlette.responses import Response
 
-from lecombus.api.answers import STATUS_BY_KIND, Problem, ProblemError
+from lecombus.api.answers import STATUS_BY_KIND, ProblemDocument, ProblemError
 from lecombus.api.decimal_json import short
 
 __all__ = [
@@ -129,7 +129,7 @@ class Idempotency:
                 del self._entries[key]
                 return
         raise ProblemError(
-            Problem("queue-full", f"{KEY_LIMIT} requests with a key are under way already")
+            ProblemDocument("queue-full", f"{KEY_LIMIT} requests with a key are under way already")
         )
 
 
@@ -204,15 +204,17 @@ def check_keys(keys: Sequence[str]) -> None:
     """
     mistake = key_mistake(keys)
     if mistake and len(keys) > 1:
-        raise ProblemError(Problem("doubled-header", mistake, remedy="send the header once"))
+        raise ProblemError(
+            ProblemDocument("doubled-header", mistake, remedy="send the header once")
+        )
     if mistake:
-        raise ProblemError(Problem("bad-request", mistake, remedy="send a UUID"))
+        raise ProblemError(ProblemDocument("bad-request", mistake, remedy="send a UUID"))
 
 
 def reused(key: str) -> ProblemError:
     """Return the error for a key that was used for another request."""
     return ProblemError(
-        Problem(
+        ProblemDocument(
             "key-reused",
             f"Idempotency-Key {short(key)} was used for another request before",
             remedy="make a new key for every new request",

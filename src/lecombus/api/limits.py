@@ -26,7 +26,7 @@ from typing import Final, Protocol
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from lecombus.api.answers import Problem
+from lecombus.api.answers import ProblemDocument
 
 __all__ = [
     "ACCEPT_AT_ONCE",
@@ -70,32 +70,32 @@ BODY_LIMIT: Final = 8 * 1024
 CHUNKED_LIMIT: Final = 2 * BODY_LIMIT
 """Bytes of a body as sent, with what its chunks add and what follows the last one."""
 
-NOT_HTTP: Final = Problem(
+NOT_HTTP: Final = ProblemDocument(
     "bad-http",
     "what came on this connection is not a request in HTTP/1.1",
     remedy="use an HTTP client; requests before it were carried out",
 )
-HEAD_TOO_LONG: Final = Problem(
+HEAD_TOO_LONG: Final = ProblemDocument(
     "head-too-big",
     f"the head of the request is longer than {HEAD_LIMIT} bytes",
     remedy="send fewer and shorter headers",
 )
-TOO_MANY_HEADERS: Final = Problem(
+TOO_MANY_HEADERS: Final = ProblemDocument(
     "head-too-big",
     f"the request has more than {HEADERS_LIMIT} headers",
     remedy="send fewer headers: lecombus reads Host, Content-Length and Idempotency-Key",
 )
-TARGET_TOO_LONG: Final = Problem(
+TARGET_TOO_LONG: Final = ProblemDocument(
     "target-too-long",
     f"path and query of the request are longer than {TARGET_BYTES} bytes",
     remedy="give shorter names, and fewer query parameters",
 )
-TOO_MANY_PARAMETERS: Final = Problem(
+TOO_MANY_PARAMETERS: Final = ProblemDocument(
     "too-many-parameters",
     f"the request has more than {PARAMETERS_LIMIT} query parameters",
     remedy="no path takes more than three; they stand in /openapi.json",
 )
-BODY_TOO_BIG: Final = Problem(
+BODY_TOO_BIG: Final = ProblemDocument(
     "too-big",
     f"the body is longer than {BODY_LIMIT} bytes, or than {CHUNKED_LIMIT} with its chunks",
     remedy="a write is one value; send it alone",
@@ -261,10 +261,10 @@ def needs_line(scope: Scope) -> bool:
     return b"fresh" in query or b"%" in query  # which may spell it
 
 
-def refusal(limit: int, *, waits: bool) -> Problem:
+def refusal(limit: int, *, waits: bool) -> ProblemDocument:
     """Return the problem of a request beyond the limit."""
     doing = "wait for the line" if waits else "are being answered"
-    return Problem(
+    return ProblemDocument(
         "queue-full",
         f"{limit} requests {doing} already; this one was not begun",
         remedy="ask again, less often; a stop is never refused for this reason",

@@ -20,7 +20,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from lecombus.api.answers import Problem, ProblemError, json_response, text_response
+from lecombus.api.answers import ProblemDocument, ProblemError, json_response, text_response
 from lecombus.api.decimal_json import encode
 from lecombus.api.request_checks import (
     AddressQuery,
@@ -227,7 +227,7 @@ def number_of(address: str) -> int:
     """
     if not (address.isascii() and address.isdecimal() and len(address) <= 2):
         raise ProblemError(
-            Problem("no-such-address", f"{address!r} is no address", remedy="it is 1 to 99")
+            ProblemDocument("no-such-address", f"{address!r} is no address", remedy="it is 1 to 99")
         )
     return int(address)
 
@@ -243,7 +243,7 @@ def form_of(addressing: str) -> Form:
     except ValueError as exc:
         known = "standard or extended"
         raise ProblemError(
-            Problem("bad-request", f"addressing takes {known}", remedy=f"give {known}")
+            ProblemDocument("bad-request", f"addressing takes {known}", remedy=f"give {known}")
         ) from exc
 
 

@@ -25,7 +25,7 @@ from pydantic import (
 )
 from starlette.requests import Request
 
-from lecombus.api.answers import Problem, ProblemError
+from lecombus.api.answers import ProblemDocument, ProblemError
 from lecombus.api.decimal_json import NotJsonError, decode, decode_texts, short
 from lecombus.api.limits import BODY_LIMIT, BODY_TOO_BIG
 from lecombus.drives import Language, StopAction
@@ -346,7 +346,7 @@ def code_of(request: Request) -> Code:
         return Code.parse(text)
     except CodeValueError as exc:
         raise ProblemError(
-            Problem("no-such-code", str(exc), code=text, remedy="write C0150 or C0039/1")
+            ProblemDocument("no-such-code", str(exc), code=text, remedy="write C0150 or C0039/1")
         ) from exc
 
 
@@ -567,4 +567,4 @@ def example(model: type[Body]) -> str:
 
 def refusal(detail: str, remedy: str) -> ProblemError:
     """Return the error for a request that cannot be understood."""
-    return ProblemError(Problem("bad-request", detail, remedy=remedy))
+    return ProblemError(ProblemDocument("bad-request", detail, remedy=remedy))

@@ -15,7 +15,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from lecombus.api.answers import Problem, ProblemError, json_response, report_response
+from lecombus.api.answers import ProblemDocument, ProblemError, json_response, report_response
 from lecombus.api.decimal_json import short
 from lecombus.api.idempotency import Idempotency
 from lecombus.api.request_checks import (
@@ -187,5 +187,5 @@ def verb_of(word: str) -> Verb:
     except ValueError:
         remedy = f"they are {', '.join(Verb)}"
         raise ProblemError(
-            Problem("no-such-path", f"there is no verb {short(word)}", remedy=remedy)
+            ProblemDocument("no-such-path", f"there is no verb {short(word)}", remedy=remedy)
         ) from None

@@ -1,10 +1,10 @@
 """Backups of drives: the file, what two of them differ in, and how one is put back.
 
-`document` is a backup in memory, `writing` and `reading` its file. `compare` finds differences,
-`plan` says what a restore would do. `access` is all that is asked of a drive, `taking` reads it
-whole, `restoring` carries a plan out, `progress` remembers how far that came.
+`document` is a backup in memory, `backup_file` its file. `compare` finds differences, `plan` says
+what a restore would do. `taking` reads a drive whole, and has what is asked of it, `restoring`
+carries a plan out, `progress` remembers how far that came.
 
-Pure: coroutines here await nothing but `access`, so that they run over HTTP and on a virtual
+Pure: coroutines here await nothing but `RestoreAccess`, so that they run over HTTP and on a virtual
 clock alike. Files, terminals and HTTP are the command line's.
 """
 
@@ -12,15 +12,13 @@ from __future__ import annotations
 
 from lecombus.drives.access import ReadResult, WriteResult, is_passing
 
-from .access import Listener, RestoreAccess
+from .backup_file import read_backup, write_backup
 from .compare import Comparison, Difference, compare
 from .document import Backup, BackupEntry, Head, Section, section_of, wanted_codes
 from .plan import RestorePlan, RestoreStep, Skip, make_plan
 from .progress import Progress, done_line, head_line, read_progress
-from .reading import read_backup
 from .restoring import Restored, is_inhibited, restore
-from .taking import Taken, take
-from .writing import write_backup
+from .taking import Listener, RestoreAccess, Taken, take
 
 __all__ = [
     "Backup",

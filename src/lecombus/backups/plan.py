@@ -26,8 +26,8 @@ from lecombus.drives.access import ReadResult
 from lecombus.errors import CodeValueError
 from lecombus.parameters import Code, Value
 
+from .backup_file import meaning_of
 from .document import Backup, BackupEntry, Section, section_of
-from .writing import meaning_of
 
 __all__ = ["RestorePlan", "RestoreStep", "Skip", "codes_to_read", "make_plan"]
 

@@ -26,7 +26,7 @@ from lecombus.errors import CodeValueError
 from lecombus.parameters import Code, Value
 from lecombus.readings import Json
 
-__all__ = ["HttpDrive", "RestoreRights", "Whose"]
+__all__ = ["HttpDrive", "RestorePermission", "Whose"]
 
 AT_ONCE: Final = 4
 """Enough that one is always waiting while another is on the line, and no crowd for others."""
@@ -57,7 +57,7 @@ class Whose:
 
 
 @dataclass(frozen=True, slots=True)
-class RestoreRights:
+class RestorePermission:
     """Whether the daemon lets it be restored.
 
     Args:
@@ -112,7 +112,7 @@ class HttpDrive:
         drive = await self._ask("GET", self._path)
         return Whose(self._name, str(line["line"]), int(drive["address"]), str(drive["family"]))
 
-    async def restore_rights(self) -> RestoreRights:
+    async def restore_rights(self) -> RestorePermission:
         """Ask whether it may be restored.
 
         Raises:
@@ -121,7 +121,9 @@ class HttpDrive:
         said = await self._ask("GET", f"{self._path}/restore")
         reason = "" if said["permitted"] else str(said["reason"])
         owned = tuple(Code.parse(code) for code in said["owned"])
-        return RestoreRights(reason, str(said["remedy"] or ""), owned, str(said.get("stops") or ""))
+        return RestorePermission(
+            reason, str(said["remedy"] or ""), owned, str(said.get("stops") or "")
+        )
 
     # ---- what backups ask -------------------------------------------------------------------
 

@@ -31,7 +31,7 @@ from lecombus.cli.arguments import DaemonOptions, daemon_options, wait_option
 from lecombus.cli.backup import incomplete
 from lecombus.cli.backup_files import Notes, digest_of, read_text
 from lecombus.cli.client import connect_async
-from lecombus.cli.drive_access import HttpDrive, RestoreRights, Whose
+from lecombus.cli.drive_access import HttpDrive, RestorePermission, Whose
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.screen import counted, make_sure, on_terminal, progress, show_rows
 from lecombus.drives import family
@@ -80,7 +80,7 @@ class Seen:
     """
 
     whose: Whose
-    rights: RestoreRights
+    rights: RestorePermission
     plan: RestorePlan
     enabled: bool | None
 

@@ -64,7 +64,7 @@ class Counters:
         self._took = {
             kind: self._histogram(
                 "exchange_seconds",
-                "From the first byte of a telegram to the end of its answer, or to giving up.",
+                "Time from a telegram's first byte to the end of its answer, or to the time-out.",
                 ("kind", kind),
                 EXCHANGE_BUCKETS_S,
             )
@@ -73,7 +73,7 @@ class Counters:
         self._waited = {
             priority: self._histogram(
                 "queue_wait_seconds",
-                "How long a request waited before its telegram went out.",
+                "Time that a request waited before its telegram was sent.",
                 ("priority", label_of(priority)),
                 WAIT_BUCKETS_S,
             )
@@ -82,7 +82,7 @@ class Counters:
         self._taken = {
             priority: self._counter(
                 "line_seconds",
-                "Time the line was taken, by the class of what took it; quarantine included.",
+                "Time the line was in use, by the class of the request; quarantine included.",
                 priority=label_of(priority),
             )
             for priority in Priority
@@ -93,22 +93,22 @@ class Counters:
     def _make_plain(self) -> None:
         """Make the counters that have no label but the line."""
         self._busy = self._counter(
-            "line_busy_seconds", "Time the line was taken by telegrams, answers and quarantine."
+            "line_busy_seconds", "Time the line was in use by telegrams, answers and quarantine."
         )
         self._opens = self._counter("line_opens", "How often the port was opened.")
         self.late_answers = self._counter(
-            "late_answers", "Whole answers that came after they were given up; none was used."
+            "late_answers", "Whole answers that came after their time-out; none was used."
         )
         self.stray_bytes = self._counter(
-            "stray_bytes", "Bytes that came outside an exchange and were thrown away."
+            "stray_bytes", "Bytes that came outside an exchange and were discarded."
         )
         self.echo_mismatches = self._counter(
-            "echo_mismatches", "Echoes that differed from what was sent: collisions, bad wiring."
+            "echo_mismatches", "Echoes that differ from what was sent: collisions, bad wiring."
         )
 
     def _outcomes(self, priority: str) -> dict[Outcome, Counter]:
         """Make the counters of how the requests of a class ended."""
-        text = "Requests by class and how they ended; each ends exactly once."
+        text = "Requests by class and outcome; each has exactly one."
         return {
             outcome: self._counter("requests", text, priority=priority, outcome=outcome.value)
             for outcome in Outcome

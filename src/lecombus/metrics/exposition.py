@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from decimal import Decimal
 from typing import Final
 
 from prometheus_client import Metric
@@ -47,6 +48,12 @@ class Block:
     help: str
     lines: list[str] = field(default_factory=list)
     body: bytes = b""
+
+    def add(self, labels: str, value: float | Decimal) -> None:
+        """Add a sample; `labels`: as they stand between braces."""
+        suffix = "_total" if self.kind == "counter" else ""
+        text = format(value, "f") if isinstance(value, Decimal) else repr(value)
+        self.lines.append(f"{self.name}{suffix}{{{labels}}} {text}")
 
     def close(self) -> None:
         """Put the samples together; both formats share them, and a page is then a short join."""

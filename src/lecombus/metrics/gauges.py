@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from decimal import Decimal
 
 from lecombus.drives import Family
 from lecombus.errors import OperationError
@@ -67,35 +66,35 @@ class LineGauges:
         )
         self._late = gauge(
             "cyclic_lateness_seconds",
-            "How late the latest cyclic read of the last half minute was.",
+            "Longest delay of a cyclic read in the last 30 seconds.",
         )
         self._woken = gauge(
             "scheduler_lateness_seconds",
-            "How late the line's task was woken at most in the last half minute.",
+            "Longest delay in waking the line's task in the last 30 seconds.",
         )
         self._slack = gauge(
             "schedule_slack_seconds",
-            "Time left until the line must be free for feeding; absent while nothing is fed.",
+            "Time left until the line must be free to feed a watchdog; absent while none is fed.",
         )
         self._margin = gauge(
             "watchdog_margin_seconds", "Time left until the drive's watchdog would fire."
         )
         self._answers = gauge(
             "drive_answer_ratio",
-            "Slowest answer measured over the longest that the manual tells; adapter taken off.",
+            "Slowest answer time measured / longest in the manual, without the adapter's delay.",
         )
-        self._misses = counter("watchdog_misses", "Feeds that came later than the watchdog time.")
+        self._misses = counter("watchdog_misses", "Feeds that were later than the watchdog time.")
         self._refused = counter(
             "schedule_refusals",
-            "Requests the schedule refused: queue full, drive offline, line lost, no room.",
+            "Requests that the schedule refused: queue full, drive offline, line lost, no room.",
         )
         self._skipped = counter(
-            "cyclic_skipped", "Cyclic reads passed over: drive held back, or a feed went first."
+            "cyclic_skipped",
+            "Cyclic reads skipped: the drive was held back, or a feed was sent first.",
         )
-
         self._writes = counter(
             "parameter_writes",
-            "Writes that may have reached a drive's memory, for ever; other: codes not described.",
+            "Writes that may have reached a drive's memory, never reset; other: undescribed codes.",
         )
 
     @property
@@ -110,36 +109,27 @@ class LineGauges:
         """Write the lines of every family."""
         line = self._line
         up = store.line().state is LineState.OPEN
-        self._up.lines.append(f"{self._up.name}{{{line}}} {int(up)}")
-        self._stretch.lines.append(f"{self._stretch.name}{{{line}}} {snapshot.stretch!r}")
-        self._late.lines.append(f"{self._late.name}{{{line}}} {snapshot.lateness_s!r}")
-        self._woken.lines.append(f"{self._woken.name}{{{line}}} {snapshot.woken_late_s!r}")
+        self._up.add(line, int(up))
+        self._stretch.add(line, snapshot.stretch)
+        self._late.add(line, snapshot.lateness_s)
+        self._woken.add(line, snapshot.woken_late_s)
         if snapshot.slack_s is not None:
-            self._slack.lines.append(f"{self._slack.name}{{{line}}} {snapshot.slack_s!r}")
-        self._skipped.lines.append(
-            f"{self._skipped.name}_total{{{line}}} {snapshot.cyclic_skipped}"
-        )
+            self._slack.add(line, snapshot.slack_s)
+        self._skipped.add(line, snapshot.cyclic_skipped)
         for priority in Priority:
-            depth = snapshot.queue_depth.get(priority, 0)
             label = f'{line},priority="{label_of(priority)}"'
-            refused = snapshot.refused.get(priority, 0)
-            self._depth.lines.append(f"{self._depth.name}{{{label}}} {depth}")
-            self._refused.lines.append(f"{self._refused.name}_total{{{label}}} {refused}")
+            self._depth.add(label, snapshot.queue_depth.get(priority, 0))
+            self._refused.add(label, snapshot.refused.get(priority, 0))
         for drive, margin_s in snapshot.watchdog_margin_s.items():
-            label = f'{line},drive="{escape(drive)}"'
-            self._margin.lines.append(f"{self._margin.name}{{{label}}} {margin_s!r}")
+            self._margin.add(f'{line},drive="{escape(drive)}"', margin_s)
         for drive, ratio in snapshot.answer_ratio.items():
-            label = f'{line},drive="{escape(drive)}"'
-            self._answers.lines.append(f"{self._answers.name}{{{label}}} {ratio!r}")
+            self._answers.add(f'{line},drive="{escape(drive)}"', ratio)
         for drive, misses in snapshot.watchdog_misses.items():
-            label = f'{line},drive="{escape(drive)}"'
-            self._misses.lines.append(f"{self._misses.name}_total{{{label}}} {misses}")
+            self._misses.add(f'{line},drive="{escape(drive)}"', misses)
         for drive, writes in snapshot.writes.items():
             label = f'{line},drive="{escape(drive)}",code="'
-            self._writes.lines.extend(
-                f'{self._writes.name}_total{{{label}{code}"}} {count}'
-                for code, count in writes.items()
-            )
+            for code, count in writes.items():
+                self._writes.add(f'{label}{code}"', count)
 
 
 class DriveGauges:
@@ -160,12 +150,12 @@ class DriveGauges:
             "drive_values_not_good", "Cyclic codes whose value is stale or bad and so left out."
         )
         self._bit = gauge(
-            "drive_status_bit", "Bits of the status words the manual names; 1 when set."
+            "drive_status_bit", "Bits of the status words that the manual names; 1 when set."
         )
         self._fault = gauge("drive_fault", "1 while a status word of the drive reports a fault.")
         self._number = gauge(
             "drive_fault_number",
-            "LECOM number of the fault, message or warning the drive has, where it is known.",
+            "LECOM number of the drive's fault, message or warning, where it is known.",
         )
 
     @property
@@ -187,38 +177,34 @@ class DriveGauges:
             DriveState.DEGRADED,
         )
         good = [one for one in readings if one.quality is Quality.GOOD]
-        self._up.lines.append(f"{self._up.name}{{{label}}} {int(up)}")
-        self._not_good.lines.append(f"{self._not_good.name}{{{label}}} {len(readings) - len(good)}")
+        self._up.add(label, int(up))
+        self._not_good.add(label, len(readings) - len(good))
         faults: list[bool] = []
         for reading in good:
             self._value_line(label, reading)
             self._word_lines(label, reading, family, faults)
         if faults:
-            self._fault.lines.append(f"{self._fault.name}{{{label}}} {int(any(faults))}")
+            self._fault.add(label, int(any(faults)))
         if up and info.fault is not None and info.fault.number is not None:
-            kind = f'kind="{info.fault.kind}"'
-            self._number.lines.append(f"{self._number.name}{{{label},{kind}}} {info.fault.number}")
+            self._number.add(f'{label},kind="{info.fault.kind}"', info.fault.number)
 
     def _value_line(self, label: str, reading: Reading) -> None:
         assert reading.value is not None
         number = reading.value.quantity
         if number is None:
             return
-        text = format(number, "f") if isinstance(number, Decimal) else str(number)
         code = f'code="C{reading.code.number:04d}",subcode="{reading.code.subcode}"'
         named = f'name="{escape(reading.name)}",unit="{escape(reading.unit or "")}"'
-        self._value.lines.append(f"{self._value.name}{{{label},{code},{named}}} {text}")
+        self._value.add(f"{label},{code},{named}", number)
 
     def _word_lines(self, label: str, reading: Reading, family: Family, faults: list[bool]) -> None:
         assert reading.value is not None
         word = reading.value.word
         if word is None:
             return
-        start = f'{self._bit.name}{{{label},code="{reading.code}",bit="'
-        self._bit.lines.extend(
-            f'{start}{escape(name)}"}} {int(on)}'
-            for name, on in family.status_bits(reading.code, word).items()
-        )
+        start = f'{label},code="{reading.code}",bit="'
+        for name, on in family.status_bits(reading.code, word).items():
+            self._bit.add(f'{start}{escape(name)}"', int(on))
         fault = family.active_fault(reading.code, word)
         if fault is not None:
             faults.append(fault)

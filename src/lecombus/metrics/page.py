@@ -170,5 +170,6 @@ class Metrics:
             f'line="{escape(self._line)}",version="{escape(self._version)}",'
             f'python="{platform.python_version()}"'
         )
-        name = "lecombus_build_info"
-        return Block(name, "gauge", "1; what is running.", [f"{name}{{{labels}}} 1"])
+        block = Block("lecombus_build_info", "gauge", "Always 1; the labels say what is running.")
+        block.add(labels, 1)
+        return block

@@ -21,7 +21,7 @@ from queue import SimpleQueue
 from typing import Final
 
 from lecombus.state.document import State
-from lecombus.state.places import open_regular
+from lecombus.state.file import open_regular
 
 __all__ = ["Counts"]
 

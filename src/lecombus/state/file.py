@@ -6,18 +6,28 @@ it is set aside under its own name with `.damaged` and a number, and said. A fil
 is left alone, and nothing is kept then; so is what is no regular file. Where the path is a link,
 all this is done where it leads, also when there is nothing yet, and the link stays a link; it is
 checked again each time.
+
+Only regular files are opened, never a pipe, a device or a folder. Opening never waits: a pipe
+without a reader would block open() without end, and a device that is given another name
+(`/dev/full`, as root) is gone for everybody else.
 """
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import os
+import stat
 from pathlib import Path
 from typing import Final
 
 from lecombus.state.document import NewerStateError, State, StateFormatError
-from lecombus.state.places import check_regular, open_regular
 
-__all__ = ["StateFile"]
+__all__ = ["StateFile", "open_regular"]
+
+MODE: Final = 0o640
+
+NO_FILE: Final = "Not a regular file"
 
 LARGEST: Final = 8 * 1024 * 1024
 """Bytes; 90 drives with a hundred codes each take under one."""
@@ -140,3 +150,35 @@ class StateFile:
             f"{self.name} was damaged ({why}) and stands as {aside.name} now: what was known of "
             "the drives' identities and write counts begins anew; delete it when it is of no use"
         )
+
+
+def open_regular(path: Path, flags: int) -> int:
+    """Open a file and give its descriptor.
+
+    Raises:
+        OSError: It cannot be opened, or is no regular file.
+    """
+    with contextlib.suppress(FileNotFoundError):
+        _refuse(path, path.stat().st_mode)  # opening alone does something to some devices
+    descriptor = os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC, MODE)
+    try:
+        _refuse(path, os.fstat(descriptor).st_mode)
+    except OSError:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+def check_regular(path: Path) -> None:
+    """See that a place is free or holds a regular file, before its name is given to another.
+
+    Raises:
+        OSError: Something else stands there.
+    """
+    with contextlib.suppress(FileNotFoundError):
+        _refuse(path, path.lstat().st_mode)
+
+
+def _refuse(path: Path, mode: int) -> None:
+    if not stat.S_ISREG(mode):
+        raise OSError(errno.EINVAL, NO_FILE, str(path))
