@@ -16,7 +16,8 @@ from pathlib import Path
 import anyio
 import pytest
 
-from lecombus.api import access, serve
+import lecombus.api.answers
+from lecombus.api import serve
 from lecombus.api.connection import PENDING_LIMIT, Connection
 from lecombus.api.limits import CHUNKED_LIMIT, HEAD_LIMIT, HEADERS_LIMIT, TARGET_BYTES
 from lecombus.operations.reports import WriteReport
@@ -111,7 +112,9 @@ async def test_an_answer_is_dated_when_it_is_made_and_not_when_its_request_came(
 ) -> None:
     now_s = 1_000_000_000.0
     monkeypatch.setattr("time.time", lambda: now_s)
-    monkeypatch.setattr(access, "formatdate", lambda usegmt: formatdate(now_s, usegmt=usegmt))
+    monkeypatch.setattr(
+        lecombus.api.answers, "formatdate", lambda usegmt: formatdate(now_s, usegmt=usegmt)
+    )
     line.ops.gate = anyio.Event()
     async with connected(line, tmp_path) as client:
         await client.say(put(7))

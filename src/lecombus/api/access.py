@@ -1,4 +1,4 @@
-"""Who may do what: reads only over TCP, and for whom a request is carried out.
+"""Who may do what over TCP: reads only, and only for programs of this machine.
 
 `ReadOnlyAccess` stands before the TCP server: until there is access control it lets only reads
 through, and refuses hosts that are not this machine, so that no web page can reach the drives
@@ -6,26 +6,23 @@ through a browser (DNS rebinding). What a browser sends for a page of another or
 by its `Origin` and `Sec-Fetch-Site`: such a page could not read the answer, but could send request
 after request. A request without a host, with two, or with one that is none, is not well made
 (RFC 9112, 3.2). After a refusal the connection ends. Over the Unix socket the host is not checked:
-a stop counts more. `WithActor`, `WithDate` and `StopPaths` stand before both.
+a stop counts more.
 """
 
 from __future__ import annotations
 
 import re
 from dataclasses import replace
-from email.utils import formatdate
 from typing import Final
 
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from lecombus.api.answers import ProblemDocument
 from lecombus.api.decimal_json import short
-from lecombus.api.limits import is_stop
 from lecombus.api.read_routes import ADDRESSES_PATH
-from lecombus.operations.actions import ACTOR, Actor
 from lecombus.roster import is_loopback
 
-__all__ = ["ACTOR_KEY", "ReadOnlyAccess", "StopPaths", "WithActor", "WithDate", "date_header"]
+__all__ = ["ReadOnlyAccess"]
 
 HOST: Final = re.compile(r"(?:\[([0-9a-f:.]+)\]|([^\[\]:]+))(?::[0-9]{0,5})?")
 
@@ -34,71 +31,7 @@ RIGHT_HOST: Final = "ask for localhost or 127.0.0.1"
 OWN_SITES: Final = (b"none", b"same-origin")
 """What `Sec-Fetch-Site` says where a person typed the address, or a page of this server asks."""
 
-ACTOR_KEY: Final = "actor"
-"""The state of a request under which its connection puts its client."""
-
 CLOSE: Final = {"Connection": "close"}
-
-
-class WithActor:
-    """Sets for whom a request is carried out, so that the log of a write names the client.
-
-    Args:
-        app: The application behind.
-    """
-
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on."""
-        actor = scope.get("state", {}).get(ACTOR_KEY)
-        if isinstance(actor, Actor):
-            ACTOR.set(actor)
-            if actor.pid and scope["method"] not in ("GET", "HEAD") and not is_stop(scope["path"]):
-                actor.find_process()  # it may be gone afterwards; a stop does not wait for this
-        await self._app(scope, receive, send)
-
-
-class WithDate:
-    """Dates each answer with the moment at which it is made (RFC 9110, 6.6.1).
-
-    An answer is made when the outcome is known, which may be seconds after its request came.
-
-    Args:
-        app: The application behind.
-    """
-
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, and date its answer."""
-
-        async def send_dated(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                message["headers"] = [date_header(), *message.get("headers", ())]
-            await send(message)
-
-        await self._app(scope, receive, send_dated)
-
-
-class StopPaths:
-    """Removes extra slashes around the path of a stop; the router would not find it.
-
-    Args:
-        app: The application behind.
-    """
-
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on."""
-        path = scope["path"] if scope["type"] == "http" else ""
-        if is_stop(path) and path != (plain := f"/{path.strip('/')}"):
-            scope = {**scope, "path": plain}
-        await self._app(scope, receive, send)
 
 
 class ReadOnlyAccess:
@@ -156,11 +89,6 @@ class ReadOnlyAccess:
 
     def _is_here(self, name: str) -> bool:
         return name == self._host or is_loopback(name)
-
-
-def date_header() -> tuple[bytes, bytes]:
-    """Return the header that says when an answer was made: now."""
-    return b"date", formatdate(usegmt=True).encode()
 
 
 def is_cross_site(scope: Scope, host: str) -> bool:

@@ -30,9 +30,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from email.utils import formatdate
 from typing import Final
 
 from starlette.responses import Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from lecombus.api.decimal_json import encode, short
 from lecombus.errors import (
@@ -60,6 +62,8 @@ __all__ = [
     "STATUS_BY_KIND",
     "ProblemDocument",
     "ProblemError",
+    "WithDate",
+    "date_header",
     "json_response",
     "problem_of",
     "report_problem",
@@ -353,3 +357,31 @@ def json_response(document: Json) -> Response:
 def text_response(text: str | bytes) -> Response:
     """Return JSON text; no cache may keep it, its age counts from now."""
     return Response(text, headers={"Cache-Control": "no-store"}, media_type=JSON_TYPE)
+
+
+def date_header() -> tuple[bytes, bytes]:
+    """Return the header that says when an answer was made: now."""
+    return b"date", formatdate(usegmt=True).encode()
+
+
+class WithDate:
+    """Dates each answer with the moment at which it is made (RFC 9110, 6.6.1).
+
+    An answer is made when the outcome is known, which may be seconds after its request came.
+
+    Args:
+        app: The application behind.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, and date its answer."""
+
+        async def send_dated(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                message["headers"] = [date_header(), *message.get("headers", ())]
+            await send(message)
+
+        await self._app(scope, receive, send_dated)

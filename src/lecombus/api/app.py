@@ -23,11 +23,12 @@ from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Match, Route
+from starlette.types import ASGIApp, Receive, Scope, Send
 
-from lecombus.api.access import StopPaths
 from lecombus.api.answers import JSON_TYPE, ProblemDocument, problem_of, status_response
 from lecombus.api.decimal_json import short
 from lecombus.api.idempotency import Idempotency
+from lecombus.api.limits import is_stop
 from lecombus.api.read_routes import ReadRoutes
 from lecombus.api.stop_routes import StopRoutes
 from lecombus.api.write_routes import WriteRoutes
@@ -89,6 +90,24 @@ def create_app(
     )
     app.router.redirect_slashes = False
     return app
+
+
+class StopPaths:
+    """Removes extra slashes around the path of a stop; the router would not find it.
+
+    Args:
+        app: The application behind.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on."""
+        path = scope["path"] if scope["type"] == "http" else ""
+        if is_stop(path) and path != (plain := f"/{path.strip('/')}"):
+            scope = {**scope, "path": plain}
+        await self._app(scope, receive, send)
 
 
 class ServiceRoutes:

@@ -31,6 +31,7 @@ import socket
 import struct
 from collections import deque
 from collections.abc import Callable
+from contextvars import copy_context
 from functools import partial
 from typing import Any, Final, NoReturn
 
@@ -38,8 +39,7 @@ import httptools
 from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
-from lecombus.api.access import ACTOR_KEY, date_header
-from lecombus.api.answers import ProblemDocument
+from lecombus.api.answers import ProblemDocument, date_header
 from lecombus.api.limits import (
     BODY_LIMIT,
     BODY_TOO_BIG,
@@ -57,7 +57,7 @@ from lecombus.api.limits import (
     is_stop,
     is_stop_verb,
 )
-from lecombus.operations.actions import Actor
+from lecombus.operations.actions import ACTOR, Actor
 from lecombus.operations.requests import CAME_S, IS_GONE
 
 __all__ = ["PENDING_LIMIT", "SLICE", "Connection", "StartQueue"]
@@ -131,7 +131,7 @@ class Connection(HttpToolsProtocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Take the connection; called by the loop."""
         super().connection_made(transport)
-        self.app_state = {ACTOR_KEY: self._actor()}
+        self._actor = self._client()
         self.flow = PatientFlow(transport)
         self._unread = bytearray()
         self._size = 0  # bytes of the head, or of the body, that is being parsed
@@ -145,7 +145,7 @@ class Connection(HttpToolsProtocol):
         self._running: Any = None  # the request that is being answered
         self.places.take(self)
 
-    def _actor(self) -> Actor:
+    def _client(self) -> Actor:
         """Return the client as the kernel knows it, not as it describes itself."""
         peer = self.transport.get_extra_info("socket")
         try:
@@ -362,14 +362,16 @@ class Connection(HttpToolsProtocol):
         is_gone = partial(is_closed, self.transport.get_extra_info("socket"))
 
         def start() -> None:
-            came, gone = CAME_S.set(came_s), IS_GONE.set(is_gone)
-            try:
-                super(Connection, self)._start_asgi_task(cycle, app)
-            finally:
-                CAME_S.reset(came)
-                IS_GONE.reset(gone)
+            if self._actor.pid and cycle.scope["method"] not in ("GET", "HEAD") and not stops:
+                self._actor.find_process()  # it may be gone afterwards; a stop does not wait for it
+            context = copy_context()  # the task that answers has it: the log of a write names who
+            context.run(ACTOR.set, self._actor)
+            context.run(CAME_S.set, came_s)
+            context.run(IS_GONE.set, is_gone)
+            context.run(super(Connection, self)._start_asgi_task, cycle, app)
 
-        if is_stop(cycle.scope["path"]):
+        stops = is_stop(cycle.scope["path"])
+        if stops:
             start()
         else:
             self.starts.take(start)

@@ -26,7 +26,8 @@ import uvicorn
 from anyio.abc import TaskStatus
 from starlette.types import ASGIApp
 
-from lecombus.api.access import ReadOnlyAccess, WithActor, WithDate
+from lecombus.api.access import ReadOnlyAccess
+from lecombus.api.answers import WithDate
 from lecombus.api.connection import Connection, StartQueue
 from lecombus.api.limits import (
     ACCEPT_AT_ONCE,
@@ -138,14 +139,14 @@ async def close_when_cancelled(listeners: list[DaemonServer]) -> None:
 def unix_configuration(app: ASGIApp, places: ConnectionPlaces) -> uvicorn.Config:
     """Return how the Unix socket is served."""
     kind = type("PlacedConnection", (Connection,), {"places": places, "starts": StartQueue()})
-    return configuration(WithActor(RequestLimiter(app)), kind, ACCEPT_AT_ONCE)
+    return configuration(RequestLimiter(app), kind, ACCEPT_AT_ONCE)
 
 
 def tcp_configuration(app: ASGIApp, host: str, places: ConnectionPlaces) -> uvicorn.Config:
     """Return how TCP is served: all of it in one share of the loop's time."""
     share = CpuShare()
     kind = type("PlacedTcpConnection", (TcpConnection,), {"places": places, "share": share})
-    limited = RequestLimiter(PacedLineRequests(WithActor(app)), TCP_LIMIT, TCP_WAITING_LIMIT)
+    limited = RequestLimiter(PacedLineRequests(app), TCP_LIMIT, TCP_WAITING_LIMIT)
     access = ReadOnlyAccess(limited, host)
     return configuration(TimedApp(access, share), kind, 1)
 

@@ -25,12 +25,13 @@ import contextlib
 import time
 from collections import deque
 from collections.abc import Callable, Coroutine, Generator
+from contextvars import copy_context
 from typing import Any, Final, Self
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from lecombus.api.connection import Connection
-from lecombus.operations.actions import Actor
+from lecombus.operations.actions import ACTOR, Actor
 
 __all__ = [
     "PART",
@@ -148,7 +149,7 @@ class TcpConnection(Connection, asyncio.BufferedProtocol):
         super().connection_made(LingeringTransport(transport))
         self._looking = self.loop.call_later(PATIENCE_S, self._look)
 
-    def _actor(self) -> Actor:
+    def _client(self) -> Actor:
         """Return the client."""
         return Actor("tcp", client="" if self.client is None else ":".join(map(str, self.client)))
 
@@ -205,7 +206,9 @@ class TcpConnection(Connection, asyncio.BufferedProtocol):
 
         def start() -> None:
             if not self.transport.is_closing():
-                super(Connection, self)._start_asgi_task(cycle, app)
+                context = copy_context()
+                context.run(ACTOR.set, self._actor)
+                context.run(super(Connection, self)._start_asgi_task, cycle, app)
 
         self.share.take(self, start)
 
