@@ -180,7 +180,7 @@ def test_from_daemon_says_what_cannot_be_held_with_what_was_measured(
     daemon.answers["GET /v1/plan"] = (200, json.dumps(too_slow(roster)))
     ran = run("plan", "--from-daemon")
     assert ran.status == 0
-    assert "b: a watchdog of 400ms cannot be held at 9600 baud: within 360ms" in ran.out
+    assert "b: a watchdog of 450ms cannot be held at 9600 baud: within 405ms" in ran.out
     told = json.loads(run("plan", "--from-daemon", "--json").out)
     assert [one["drive"] for one in told["unheld"]] == ["a", "b"]
     assert "a time of" in told["unheld"][0]["right"]
@@ -226,7 +226,7 @@ def read_s(plan: dict[str, Any], drive: str) -> float:
 
 def too_slow(roster: Path) -> dict[str, Any]:
     """What a daemon gives whose drives take eight times as long as their manual says."""
-    roster.write_text(ROSTER.replace("TIME", "400ms"))
+    roster.write_text(ROSTER.replace("TIME", "450ms"))
     found = document(roster)
     for one in found["roster"]["drives"]:
         one["slow"]["ratio"] = 8.0

@@ -89,11 +89,11 @@ def test_what_cannot_be_done_is_refused_with_what_can(
 def test_a_rate_at_which_the_watchdogs_cannot_be_fed_is_refused_beforehand(
     run: Run, roster: Path, line: RebaudLine
 ) -> None:
-    watchdog = "smvector, watchdog: {time: 400ms, action: inhibit}"
+    watchdog = "smvector, watchdog: {time: 450ms, action: inhibit}"
     roster.write_text(roster.read_text().replace("smvector", watchdog))
     ran = run("rebaud", "1200", "-c", str(roster), "--yes")
     assert ran.status == 2
-    assert "belt: a watchdog of 400ms cannot be held at 1200 baud" in ran.err
+    assert "belt: a watchdog of 450ms cannot be held at 1200 baud" in ran.err
     assert line.steps == []
     assert run("rebaud", "19200", "-c", str(roster), "--yes").status == 0
 
