@@ -283,11 +283,13 @@ def test_a_control_word_whose_write_was_not_answered_is_read_before_it_is_change
     with_plant(test, roster_text(AB, drive="cyclic: []"))
 
 
-def test_what_a_site_is_asked_at_its_end_is_what_the_roster_says() -> None:
+def test_what_is_done_at_the_end_is_what_the_last_roster_says() -> None:
     async def test(plant: Plant) -> None:
-        assert plant.site.stop_action() is StopAction.INHIBIT
+        found = [plant.site.roster.on_shutdown]
+        plant.apply(roster_text(AB, sections="on_shutdown: inhibit"))
+        assert [*found, plant.site.roster.on_shutdown] == ["nothing", "inhibit"]
 
-    with_plant(test, roster_text(AB, sections="on_shutdown: inhibit"))
+    with_plant(test, roster_text(AB))
 
 
 GUARD = "{time: 2s, action: quick-stop, configure: true}"

@@ -45,7 +45,7 @@ class ControlWord:
         code: The control word's code; None: the family has none that a stop needs.
         mask: The bit of it that inhibits, 0 where there is none.
         moved_by: Other codes whose writes change bits of it, as C0040 does bit 9.
-        inhibited_by: Codes and what of them shows an inhibit, the most telling first.
+        inhibited_by: Codes and what of them shows an inhibit, the most reliable first.
         watchdog_s: After so much silence the drive's watchdog acts, seconds; None: it has none.
         watchdog_inhibits: The watchdog's action is an inhibit.
     """

@@ -33,11 +33,10 @@ from lecombus.api import create_app, serve
 from lecombus.config import Roster, RosterError, load_roster
 from lecombus.drives import StopAction
 from lecombus.errors import LecombusError
+from lecombus.line.devices import others_at
 from lecombus.line.loop import run as run_loop
-from lecombus.line.no_answers import others_at
 from lecombus.line_runtime import LineRuntime
 from lecombus.operations.reports import GroupReport
-from lecombus.schedule import Outcome
 from lecombus.simulated import opener_for
 from lecombus.state import Keeping
 from lecombus.systemd import Notifier
@@ -108,8 +107,7 @@ def place(http: tuple[str, int] | None) -> str:
 
 def tell_goodbye(action: StopAction, report: GroupReport) -> None:
     """Log the result of `on_shutdown`; a drive that may still run must be checked by a person."""
-    good = (Outcome.DONE, Outcome.VERIFIED)
-    doubtful = ",".join(one.drive for one in report.members if one.outcome not in good)
+    doubtful = ",".join(one.drive for one in report.members if not one.outcome.is_good)
     if not doubtful:
         logger.info("event=shutdown-stop action=%s outcome=%s", action, report.outcome)
         return
@@ -293,9 +291,10 @@ class Daemon:
 
     async def _say_goodbye(self, runtime: LineRuntime) -> None:
         """Do to the drives what the roster wants done at the end."""
-        action = runtime.stop_action()
-        if action is None or not runtime.worker.is_open:
+        wanted = runtime.roster.on_shutdown
+        if wanted == "nothing" or not runtime.worker.is_open:
             return
+        action = StopAction(wanted)
         with anyio.move_on_after(SHUTDOWN_STOP_S) as scope:
             try:
                 report = await runtime.operations.stop(action, "all")

@@ -20,7 +20,7 @@ __all__ = [
 
 LEAST_EXPIRY_S: Final = 0.001
 LONGEST_EXPIRY_S: Final = 3600.0
-"""How long a request may wait for its turn, for whoever says `expires`."""
+"""How long a request may wait for its turn, for clients that give `expires`."""
 
 _UNITS: Final = {
     "ms": Decimal("0.001"), "s": Decimal(1), "min": Decimal(60), "h": Decimal(3600),

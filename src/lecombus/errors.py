@@ -82,7 +82,7 @@ def meant(word: str, known: Iterable[str], what: str) -> str:
 
 
 class LecombusError(Exception):
-    """The root: whoever catches this catches everything lecombus raises on purpose."""
+    """The root: catching this catches everything lecombus raises on purpose."""
 
     retryable = False
 
@@ -207,7 +207,7 @@ class ExchangeError(LecombusError):
         super().__init__(message)
         self.record = record or ExchangeRecord()
         self.cause = ""
-        """The likely cause, filled in by whoever knows the family."""
+        """The likely cause, filled in where the family is known."""
         self.remedy = ""
 
 

@@ -14,7 +14,6 @@ from collections.abc import Callable
 
 from lecombus.config import Roster, line_timing, with_address
 from lecombus.drive_runtime import LineDrives
-from lecombus.drives import StopAction
 from lecombus.errors import ConfigError
 from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.request_maker import RequestMaker
@@ -127,11 +126,6 @@ class LineRuntime:
     def longest_exchange_s(self) -> float:
         """A line task without progress for this long is stuck, seconds."""
         return STUCK_S
-
-    def stop_action(self) -> StopAction | None:
-        """What the roster wants done to all drives at the end."""
-        wanted = self.roster.on_shutdown
-        return None if wanted == "nothing" else StopAction(wanted)
 
     def _follow(self, drive: str, address: int) -> None:
         """Speak to a drive at another address, until a roster says otherwise."""

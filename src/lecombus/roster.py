@@ -277,7 +277,7 @@ class Roster(_Model):
 
 
 def is_network_port(port: str) -> bool:
-    """Tell whether a roster's port is reached over TCP."""
+    """Return whether a roster's port is reached over TCP."""
     return port.startswith("socket://")
 
 

@@ -1,4 +1,4 @@
-"""Telling systemd how we are: ready, reloading, stopping, alive.
+"""Notifies systemd of the daemon's state: ready, reloading, stopping, alive.
 
 The protocol is one datagram to the socket named in NOTIFY_SOCKET (sd_notify(3)). It is twenty
 lines here because the Python bindings for it are either unmaintained or need a compiler and

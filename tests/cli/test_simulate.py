@@ -67,7 +67,7 @@ def test_another_program_that_takes_the_bytes_is_named(
     run: Run, roster: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Who else has a port open is found out in tests/line/test_devices.py."""
-    monkeypatch.setattr("lecombus.line.devices.others", lambda path: ("cat (pid 12)",))
+    monkeypatch.setattr("lecombus.line.devices.holders", lambda path: {12: "cat (pid 12)"})
     with simulated("-c", str(roster), "--pty", str(tmp_path / "line")) as (_, port):
         ran = run("read", "--port", port, "--baud", "19200", "--address", "12", "C0050")
         assert ran.status == 1

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import pytest
 
 from lecombus.line import devices
-from lecombus.line.no_answers import others_at
+from lecombus.line.devices import others_at
 
 pytestmark = pytest.mark.clock
 

@@ -59,8 +59,7 @@ def inhibits(plant: Plant, name: str) -> list[str]:
 
 def shutdown(plant: Plant) -> Awaitable[GroupReport]:
     """Do what the daemon does at its end."""
-    action = plant.site.stop_action()
-    assert action is not None
+    action = StopAction(plant.site.roster.on_shutdown)
     plant.site.operations.close()
     return plant.site.operations.stop(action, "all")
 

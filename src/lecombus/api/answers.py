@@ -290,7 +290,7 @@ def report_response(
 
 def report_problem(report: WriteReport | VerbReport) -> ProblemDocument | None:
     """Return the problem of a write or a verb that was not done, or None."""
-    if report.outcome in (Outcome.DONE, Outcome.VERIFIED):
+    if report.outcome.is_good:
         return None
     kind = report.kind or KIND_BY_OUTCOME[report.outcome]
     if report.outcome is not Outcome.REFUSED:
@@ -321,7 +321,7 @@ def group_problem(report: GroupReport) -> ProblemDocument | None:
     Its kind is that of the member with the highest status, so a lost answer outweighs a refusal.
     """
     problems = [problem for one in report.members if (problem := report_problem(one)) is not None]
-    if not problems and report.outcome in (Outcome.DONE, Outcome.VERIFIED):
+    if not problems and report.outcome.is_good:
         return None
     sent = len(problems) < len(report.members) or any(one.kind != "client-gone" for one in problems)
     # What was done to a part of a group was done: `client-gone` says that nothing was sent.

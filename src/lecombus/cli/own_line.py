@@ -24,8 +24,8 @@ from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.request_maker import RequestMaker
 from lecombus.fieldbus.reports import ExchangeReport
 from lecombus.fieldbus.station import Station
+from lecombus.line.devices import END_IT, others_at, shared, unheard_remedy
 from lecombus.line.loop import run
-from lecombus.line.no_answers import END_IT, others_at, shared, unheard_remedy
 from lecombus.line.opening import open_port
 from lecombus.line.port import Port, PortSettings, Receiver
 from lecombus.line.worker import LineWorker, WorkerOptions

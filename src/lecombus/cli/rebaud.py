@@ -46,7 +46,7 @@ from lecombus.fieldbus.station import Station
 from lecombus.line.loop import run
 from lecombus.line_runtime import options_of
 from lecombus.parameters import AddressForm, Code, Value
-from lecombus.schedule import Outcome, Priority
+from lecombus.schedule import Priority
 from lecombus.state import State
 
 __all__ = ["carry_out", "rebaud_command"]
@@ -541,4 +541,4 @@ class _Drive:
         self.line.watch()
         requests = (await self.line.port.at(self.baud)).requests
         outcome, reason = await requests.write(self.station, code, value, verify=verify)
-        return WriteResult(outcome in (Outcome.DONE, Outcome.VERIFIED), outcome.value, reason)
+        return WriteResult(outcome.is_good, outcome.value, reason)

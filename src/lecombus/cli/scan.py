@@ -40,8 +40,8 @@ from lecombus.fieldbus.lecom.scanning import (
     propose,
     why_nothing,
 )
+from lecombus.line.devices import END_IT, others_at, shared
 from lecombus.line.loop import run
-from lecombus.line.no_answers import END_IT, others_at, shared
 from lecombus.operations.address_reads import read_address
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Priority

@@ -1,5 +1,8 @@
 """What can be found out about serial devices on this machine, for messages that say what to do.
 
+Where no drive is heard, another program may read the port and take the bytes of the drives: it is
+named where it can be found. Else it is what a person can check: baud rate, A and B, supply.
+
 Here live the names a device has under `/dev`, which of them is stable, what kind of device it is,
 and which process holds it. Everything reads `/dev` and `/proc` and changes nothing; what may
 not be read is left out, because these are hints and never a condition for working.
@@ -10,10 +13,22 @@ from __future__ import annotations
 import contextlib
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-__all__ = ["connected", "holders", "is_pseudo", "others", "real_path", "stable_name"]
+__all__ = [
+    "END_IT",
+    "connected",
+    "holders",
+    "is_pseudo",
+    "others_at",
+    "real_path",
+    "shared",
+    "stable_name",
+    "unheard_remedy",
+]
+
+END_IT = "end it, for only one program can speak on a line"
 
 BY_ID = Path("/dev/serial/by-id")
 """Where udev keeps names made from maker, model and serial number."""
@@ -72,15 +87,17 @@ def holders(path: str) -> dict[int, str]:
     return {pid: f"{_command(pid)} (pid {pid})" for pid in _processes() if _has_open(pid, real)}
 
 
-def others(path: str) -> tuple[str, ...]:
-    """Name the other programs that have a device open and so take bytes from its reader.
+def others_at(path: str) -> tuple[str, ...]:
+    """Name the other programs that have a port open and so take bytes from its reader.
 
-    Takes some tens of milliseconds: not for the event loop. Of a pseudo terminal whoever has the
-    far end is left out: a simulator holds both ends.
+    Takes some tens of milliseconds: not for the event loop. Of a pseudo terminal the process that
+    has the far end is left out: a simulator holds both ends.
 
     Args:
         path: Any name of the device; what is no device is held by none.
     """
+    if not path.startswith("/"):
+        return ()
     found = holders(path)
     found.pop(os.getpid(), None)
     if found and is_pseudo(path):
@@ -125,3 +142,23 @@ def _command(pid: int) -> str:
         return Path(f"/proc/{pid}/comm").read_text(encoding="utf-8", errors="replace").strip()
     except OSError:
         return "a process"
+
+
+def shared(port: str, others: Sequence[str]) -> str:
+    """Say that other programs have the port open."""
+    have = "has" if len(others) == 1 else "have"
+    takes = "takes" if len(others) == 1 else "take"
+    return f"{' and '.join(others)} {have} {port} open too and {takes} bytes from the drives"
+
+
+def unheard_remedy(port: str, baud: int) -> str:
+    """Say what to check where nothing is heard and no other program was found."""
+    if port.startswith("socket:"):
+        return (
+            f"check the device server's baud rate and framing ({baud}, 8N1), A and B (swap them "
+            "once), and the drives' supply"
+        )
+    return (
+        f"check the baud rate ({baud} here; C0125 or P411 in the drives), A and B (swap them "
+        "once), and the drives' supply"
+    )

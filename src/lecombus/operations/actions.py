@@ -41,7 +41,6 @@ LONG: Final = ("written", "not_done")
 ODD: Final = re.compile(r"[^\w.:/+%*,@-]", re.ASCII)
 OTHERS: Final = "others"
 STOP: Final = "stop"
-GOOD: Final = (Outcome.DONE, Outcome.VERIFIED)
 
 SECRET: Final = "***"
 """What is logged in place of a password."""
@@ -233,8 +232,8 @@ def details(report: WriteReport | VerbReport | GroupReport) -> dict[str, str]:
         found["written"] = ",".join(f"{code}:{raw}" for code, raw in report.written)
     if isinstance(report, GroupReport):
         found["how"] = report.how
-        missing = [one for one in report.members if one.outcome not in GOOD]
+        missing = [one for one in report.members if not one.outcome.is_good]
         found["not_done"] = ",".join(f"{one.drive}:{one.outcome.value}" for one in missing)
-    if report.outcome not in GOOD:
+    if not report.outcome.is_good:
         found["reason"] = report.reason
     return found

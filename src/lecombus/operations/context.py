@@ -88,7 +88,7 @@ class OperationContext:
         """Look a drive up.
 
         Raises:
-            OperationError: `no-such-drive`; where the name is a group's, it says so.
+            OperationError: `no-such-drive`; the text says it where the name is a group's.
         """
         group = self.groups.get(drive)
         if group is not None and drive not in self.entries:
@@ -148,7 +148,7 @@ class OperationContext:
         return ControlWord(self.clock) if found is None else found.control_word
 
     def lasting(self, drive: str) -> LastingRecord:
-        """Return what counts for a drive whatever its entry, also after it left the roster."""
+        """Return what counts for a drive with any entry, also after it left the roster."""
         return self.requests.drives.lasting(drive)
 
     def silence_of(self, station: Station) -> int:

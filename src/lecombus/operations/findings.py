@@ -287,7 +287,7 @@ def enable_finding(last: LastEnable, *, stopped_since: bool) -> Finding:
         f"the last enable, at {time}, was {en}: {why}",
         f"die letzte Freigabe, um {time}, wurde {de}: {why}",
     )
-    # A setting that is still in the way is a reason of its own.
+    # A setting that is still in the way is a separate reason.
     weight = Weight.REASON if last.by_drive and not stopped_since else Weight.HINT
     name = "enable-taken-back" if last.taken_back else "enable-refused"
     return Finding(name, weight, text, Text(last.remedy, last.remedy))

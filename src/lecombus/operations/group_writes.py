@@ -18,7 +18,6 @@ from lecombus.drives.stops import asks_to_stop, stops_every_drive
 from lecombus.errors import (
     CutReplyError,
     ExchangeError,
-    LecombusError,
     LineError,
     OperationError,
     QueueFullError,
@@ -27,13 +26,14 @@ from lecombus.errors import (
 from lecombus.fieldbus.lecom.request_maker import shared_form
 from lecombus.fieldbus.station import Station
 from lecombus.operations.context import OperationContext
-from lecombus.operations.failure_kinds import REMEDIES, kind_of, stopped_first
 from lecombus.operations.reports import (
+    REMEDIES,
     GroupInfo,
     GroupReport,
     Proof,
     WriteReport,
     group_report,
+    stopped_first,
 )
 from lecombus.operations.requests import Ending, client_check, refuse_for_gone_client
 from lecombus.operations.wear import wears
@@ -283,13 +283,9 @@ class GroupWrites:
         )  # fmt: skip
         ending.request = request
         request.is_gone = client_check(stations[0], code, wire)
-        try:
-            self._context.requests.worker.submit(request)
-        except LecombusError as exc:
-            request.end(Outcome.REFUSED, str(exc))
-            raise
+        self._context.requests.submit(request)
         outcome, reason = await ending.wait()
-        kind = "" if outcome is Outcome.DONE else kind_of(ending, outcome, reason)
+        kind = "" if outcome is Outcome.DONE else ending.failure(outcome, reason)
         return outcome, reason, kind
 
     async def _proof(self, station: Station, code: Code, wire: Value) -> WriteReport:

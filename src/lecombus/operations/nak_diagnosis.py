@@ -1,7 +1,7 @@
 """Why a drive refused: the likely cause, after one bounded look at the drive's error codes.
 
 A NAK says nothing but no. The causes that the manuals give are data (`drives.faults.causes`);
-here stands what is asked to choose between them. What the description tells (read only, out of
+here stands what is asked to choose between them. What the description says (read only, out of
 range) costs nothing and is not asked about. Otherwise the drive is asked once: C0068 first,
 because its communication error is gone with the next good telegram, then C1962 where there is
 one, then the one value that would prove a cause (C0001, P420).
@@ -156,7 +156,7 @@ class NakDiagnosis:
         for code in conditions(station, known):
             try:
                 reading = self._store.reading(station.name, code)
-            except LecombusError:  # it left the roster meanwhile
+            except LecombusError:  # it has left the roster
                 break
             if reading is not None and reading.quality is Quality.GOOD and reading.value:
                 values[code] = reading.value

@@ -7,17 +7,20 @@ Frozen snapshots; several put together are called by the worst of them. They sta
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 from lecombus.drives import OperatingState, Verb
 from lecombus.drives.measured import AnswerRow
 from lecombus.parameters import Code
 from lecombus.readings import Json, Reading, seconds
-from lecombus.schedule.request import Outcome
+from lecombus.schedule.request import STOPPED, Outcome
 
 __all__ = [
+    "CUT_REMEDY",
+    "REMEDIES",
+    "STOPPED_REMEDY",
     "GroupInfo",
     "GroupReport",
     "How",
@@ -27,9 +30,23 @@ __all__ = [
     "VerbReport",
     "WriteReport",
     "group_report",
+    "stopped_first",
 ]
 
 How = Literal["multicast", "one-by-one"]
+
+REMEDIES: Final[Mapping[str, str]] = {
+    "nak": "check that the code may be written now: inhibited, in range, the control source set "
+    "to LECOM",
+    "no-answer": "check the drive's supply and the wires, then read the code to see what it holds",
+    "not-in-effect": "the drive took the telegram but not the value: look at what it reads",
+    "line-lost": "the port is being reopened; ask again when the line is open",
+    "expired": "allow more time, or ask less of the line",
+}
+STOPPED_REMEDY: Final = "ask for it again if it is still wanted: a stop ends all that waits"
+OTHER_RUN_REMEDY: Final = "look at the drive, then begin again"
+CUT_REMEDY = "the port is being reopened; read the code then to see what it holds"
+"""The write may have happened, so repeating it without a look is no remedy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,3 +301,11 @@ def group_report(target: str, how: How, reports: Iterable[WriteReport]) -> Group
     members = tuple(reports)
     worst = max(members, key=lambda one: _FROM_BEST.index(one.outcome))
     return GroupReport(target, how, worst.outcome, members, worst.reason)
+
+
+def stopped_first(drive: str, code: Code, why: str = STOPPED) -> WriteReport:
+    """The report of a write that was not sent yet when its drive was stopped."""
+    return WriteReport(
+        drive, code, Outcome.SUPERSEDED, f"{why}: nothing was sent", kind="superseded",
+        remedy=STOPPED_REMEDY if why == STOPPED else OTHER_RUN_REMEDY,
+    )  # fmt: skip

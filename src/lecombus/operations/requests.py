@@ -9,8 +9,10 @@ would have. Only a write whose client has closed its connection before it was se
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterable
 from contextvars import ContextVar
+from typing import Final
 
 from lecombus.drive_runtime import LineDrives
 from lecombus.drives.stops import asks_to_stop
@@ -19,7 +21,9 @@ from lecombus.errors import (
     ExchangeError,
     LecombusError,
     LineError,
+    NakError,
     OperationError,
+    UnknownCodeError,
 )
 from lecombus.fieldbus.lecom.exchanges.jobs import ReadBackJob, ReadJob
 from lecombus.fieldbus.lecom.request_maker import RequestMaker
@@ -27,6 +31,7 @@ from lecombus.fieldbus.station import Station
 from lecombus.line.worker import LineWorker
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Priority, Request
+from lecombus.schedule.request import CLIENT_GONE
 
 __all__ = [
     "CAME_S",
@@ -41,7 +46,10 @@ __all__ = [
 
 CAME_S: ContextVar[float | None] = ContextVar("came_s", default=None)
 """When what is being done was asked for, monotonic seconds; None: just now. A request may wait for
-its turn before anything is done about it, and a stop that comes meanwhile ends it too."""
+its turn before anything is done about it, and a stop that comes before that ends it too."""
+
+WRITE_TRIES: Final = 3
+"""How often `write_to_the_end` writes."""
 
 IS_GONE: ContextVar[Callable[[], bool] | None] = ContextVar("IS_GONE", default=None)
 """Says whether the client that asked for what is being done has closed its connection; None: there
@@ -97,6 +105,21 @@ class Ending:
         job = self.request.work if self.request is not None else None
         return getattr(job, "attempts", 0) > 0
 
+    def failure(self, outcome: Outcome, reason: str) -> str:
+        """Return the stable word of the API for why a write was not done."""
+        if outcome in (Outcome.EXPIRED, Outcome.SUPERSEDED):
+            return outcome.value
+        if reason == CLIENT_GONE:
+            return "client-gone"
+        error = self.error
+        if error is None and is_line_lost(reason):
+            return "line-lost"
+        if error is None:
+            return "not-in-effect" if self.was_sent else "offline"
+        if isinstance(error, NakError):
+            return "nak"
+        return "line-lost" if isinstance(error, CutReplyError) else "no-answer"
+
 
 class Requests:
     """Sends requests to the drives of one line.
@@ -131,7 +154,7 @@ class Requests:
         return self.drives.lasting(name).stops
 
     def stopped_since_asked(self, name: str) -> bool:
-        """Whether a drive was told to stop since what is being done was asked for."""
+        """Whether a stop of the drive came after what is being done was asked for."""
         came_s = CAME_S.get()
         return came_s is not None and self.drives.lasting(name).stopped_at_s > came_s
 
@@ -176,13 +199,23 @@ class Requests:
             retries=retries,
             expires_at_s=self._clock() + timeout_s,
         )
-        self.worker.submit(request)
-        outcome, reason = await ending.wait()
-        job = request.work
-        assert isinstance(job, ReadJob)
-        if job.value is not None:
-            return job.value
-        raise job.error or never_sent(outcome, reason, station, code)
+        return (await self._value(request, ending, station, code))[0]
+
+    async def read_known(
+        self, station: Station, codes: Iterable[Code], *, timeout_s: float = 10.0
+    ) -> dict[Code, Value]:
+        """Read codes one after the other; those that the drive does not have are left out.
+
+        Raises:
+            LecombusError: As for `read`.
+        """
+        found: dict[Code, Value] = {}
+        for code in codes:
+            with contextlib.suppress(UnknownCodeError):
+                found[code] = await self.read(
+                    station, code, Priority.INTERACTIVE, timeout_s=timeout_s
+                )
+        return found
 
     async def write(
         self,
@@ -206,6 +239,29 @@ class Requests:
         )  # fmt: skip
         self.worker.submit(request)
         return await ending.wait()
+
+    async def write_to_the_end(
+        self, station: Station, code: Code, value: Value, *, verify: bool
+    ) -> tuple[Outcome, str]:
+        """Write as `write` does; a write that a stop ended is asked for again behind it."""
+        for _ in range(WRITE_TRIES):
+            ended = await self.write(station, code, value, verify=verify)
+            if ended[0] is not Outcome.SUPERSEDED:
+                break
+        return ended
+
+    def submit(self, request: Request) -> None:
+        """Submit a request; one that is refused ends so that nothing waits for it.
+
+        Raises:
+            LineError: There is no line.
+            QueueFullError: Too many wait.
+        """
+        try:
+            self.worker.submit(request)
+        except LecombusError as exc:
+            request.end(Outcome.REFUSED, str(exc))
+            raise
 
     async def read_back(
         self,
@@ -232,10 +288,16 @@ class Requests:
             station, code, value, priority, settle=ending.settle,
             expires_at_s=self._clock() + timeout_s, duplicates=self.worker.exchange_loop.duplicates,
         )  # fmt: skip
+        return await self._value(request, ending, station, code)
+
+    async def _value(
+        self, request: Request, ending: Ending, station: Station, code: Code
+    ) -> tuple[Value, str]:
+        """Submit a read and return its value and the reason of its end."""
         self.worker.submit(request)
         outcome, reason = await ending.wait()
         job = request.work
-        assert isinstance(job, ReadBackJob)
+        assert isinstance(job, ReadJob | ReadBackJob)
         if job.value is not None:
             return job.value, reason
         raise job.error or never_sent(outcome, reason, station, code)
@@ -261,7 +323,7 @@ class Requests:
 
 
 def never_sent(outcome: Outcome, reason: str, station: Station, code: Code) -> OperationError:
-    """The error for a request that ended without a telegram of its own."""
+    """The error for a request that ended before a telegram was sent."""
     text = reason or f"the request {outcome}"
     kind, remedy = "does-not-fit", "a longer watchdog time, a higher baud rate or fewer drives"
     if outcome is Outcome.EXPIRED:

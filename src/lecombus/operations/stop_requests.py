@@ -18,7 +18,6 @@ from lecombus.fieldbus.lecom.exchanges.stop_job import StopJob
 from lecombus.fieldbus.lecom.request_maker import shared_form
 from lecombus.fieldbus.station import JobStep, Station
 from lecombus.operations.context import OperationContext
-from lecombus.operations.failure_kinds import kind_of
 from lecombus.operations.reports import GroupReport, Proof, WriteReport, group_report
 from lecombus.operations.requests import Ending
 from lecombus.operations.writes import Writes
@@ -106,17 +105,16 @@ class Stops:
         job = ending.request.work if ending.request is not None else None
         assert isinstance(job, StopJob)
         code = station.family.stops[job.action].code
-        good = outcome in (Outcome.DONE, Outcome.VERIFIED)
         try:
             report = self._writes.report(station.name, code, ending, outcome, reason)
         except OperationError:
             # A reload removed the drive from the roster while the stop was under way.
-            kind = "" if good else kind_of(ending, outcome, reason)
+            kind = "" if outcome.is_good else ending.failure(outcome, reason)
             report = WriteReport(station.name, code, outcome, reason, kind=kind)
         if outcome is Outcome.VERIFIED and job.proof is not None and job.proof_code is not None:
             shows = "command held" if job.proof_code == code else SHOWN[job.action]
             return replace(report, proof=Proof(job.proof_code, job.proof.raw, shows))
-        return report if good else replace(report, remedy=STOP_REMEDY)
+        return report if outcome.is_good else replace(report, remedy=STOP_REMEDY)
 
     def _shared_stop(
         self,

@@ -38,7 +38,6 @@ from lecombus.operations.reports import VerbReport, WriteReport
 from lecombus.operations.requests import refuse_for_gone_client
 from lecombus.operations.stop_requests import STOP_REMEDY, Stops
 from lecombus.operations.verb_reports import (
-    GOOD,
     Run,
     cut_off,
     enabled,
@@ -159,7 +158,7 @@ class Verbs:
         known = replace(known, values={**known.values, **further.values})
         step = speed_step(known, value, unit)
         report = await self._steps.take(run, step)
-        shown = await self._steps.states(station) if report.outcome in GOOD else ()
+        shown = await self._steps.states(station) if report.outcome.is_good else ()
         return verb_report(
             run, report, states=shown, reading=report.reading if run.verify else None
         )
@@ -226,7 +225,7 @@ class Verbs:
         if enable_shown(known) and not self._steps.stopped_meanwhile(run):
             # The inhibit was lifted at the keypad or by a plain write.
             again = await self._steps.inhibit(run)
-            if again.outcome not in GOOD:
+            if not again.outcome.is_good:
                 return verb_report(run, again, states=await self._steps.states(run.station))
         reason = (
             f"{name} was reset; the drive is inhibited: `lecombus enable {known.drive}` lets it run"

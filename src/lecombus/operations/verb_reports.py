@@ -18,7 +18,6 @@ from lecombus.readings import Reading
 from lecombus.schedule import Outcome
 
 __all__ = [
-    "GOOD",
     "Run",
     "cut_off",
     "enabled",
@@ -31,8 +30,6 @@ __all__ = [
     "verb_report",
     "without_fault",
 ]
-
-GOOD = (Outcome.DONE, Outcome.VERIFIED)
 
 
 @dataclass(slots=True)
@@ -66,7 +63,7 @@ class Run:
 def may_have_happened(report: WriteReport) -> bool:
     """Whether a step was done or may have been: its acknowledgement may be lost."""
     unheard = report.outcome is Outcome.UNKNOWN and report.kind == "no-answer"
-    return report.outcome in GOOD or unheard
+    return report.outcome.is_good or unheard
 
 
 def cut_off(run: Run, exc: Exception) -> WriteReport:

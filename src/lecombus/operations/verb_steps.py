@@ -32,14 +32,12 @@ from lecombus.errors import (
     LineError,
     OperationError,
     ScheduleError,
-    UnknownCodeError,
 )
 from lecombus.fieldbus.station import Station
 from lecombus.operations.context import OperationContext
 from lecombus.operations.reports import WriteReport
 from lecombus.operations.stop_requests import Stops
 from lecombus.operations.verb_reports import (
-    GOOD,
     Run,
     lifted,
     may_have_happened,
@@ -86,7 +84,7 @@ class VerbSteps:
         """Take steps one after the other; return the report of the one that was not done."""
         for step in steps:
             report = await self.take(run, step)
-            if report.outcome not in GOOD:
+            if not report.outcome.is_good:
                 return report
         return None
 
@@ -179,12 +177,7 @@ class VerbSteps:
 
     async def learn(self, station: Station, codes: Sequence[Code]) -> Known:
         """Read codes now; a code that the drive does not have is left out."""
-        values: dict[Code, Value] = {}
-        for code in codes:
-            with contextlib.suppress(UnknownCodeError):
-                values[code] = await self._context.requests.read(
-                    station, code, Priority.INTERACTIVE
-                )
+        values = await self._context.requests.read_known(station, codes)
         return Known(station.name, station.family, values)
 
     async def watch(

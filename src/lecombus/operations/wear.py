@@ -1,4 +1,4 @@
-"""Wear: writes that a drive's memory takes a limited number of, counted for ever and limited.
+"""Wear: writes that a drive's memory takes a limited number of, counted and limited.
 
 82XX drives store a parameter at every write, SMVectors too; a 93XX wears when it saves. Memory of
 this kind takes some hundred thousand writes. So a stored parameter is written only when it reads
@@ -38,7 +38,7 @@ class CodeWear:
     Args:
         code: The code, as text.
         name: What the family calls it; empty where nothing describes it.
-        writes: Writes that may have reached the memory, for ever.
+        writes: Writes that may have reached the memory, since the first start.
         to_this_device: Those since the present device was accepted in place of another.
         wait_s: How long until it may be written again, seconds; 0: now.
     """

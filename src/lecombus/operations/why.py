@@ -95,7 +95,7 @@ class Why:
 
         One that a stop ended, or whose client left before anything was sent, says nothing.
         """
-        if report.outcome in (Outcome.DONE, Outcome.VERIFIED):
+        if report.outcome.is_good:
             drive = self._drives.find(report.drive)
             if drive is not None:
                 drive.enable.failed = None

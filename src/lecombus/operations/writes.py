@@ -12,21 +12,21 @@ from lecombus.drives import (
 from lecombus.drives.stops import asks_to_stop
 from lecombus.errors import (
     ExchangeError,
-    LecombusError,
     OperationError,
 )
 from lecombus.fieldbus.lecom.exchanges.jobs import WriteJob
 from lecombus.fieldbus.station import Station
 from lecombus.operations.context import OperationContext
-from lecombus.operations.failure_kinds import (
+from lecombus.operations.reads import READ_WITHIN_S
+from lecombus.operations.reports import (
     CUT_REMEDY,
     REMEDIES,
     STOPPED_REMEDY,
-    kind_of,
+    Proof,
+    RestoreRights,
+    WriteReport,
     stopped_first,
 )
-from lecombus.operations.reads import READ_WITHIN_S
-from lecombus.operations.reports import Proof, RestoreRights, WriteReport
 from lecombus.operations.requests import (
     Ending,
     client_check,
@@ -179,11 +179,7 @@ class Writes:
             urgency=urgency, duplicates=self._context.requests.worker.exchange_loop.duplicates,
         )  # fmt: skip
         request.is_gone = None if goes_on else client_check(station, code, wire)
-        try:
-            self._context.requests.worker.submit(request)
-        except LecombusError as exc:
-            request.end(Outcome.REFUSED, str(exc))
-            raise
+        self._context.requests.submit(request)
         return ending
 
     def restore_rights(self, drive: str) -> RestoreRights:
@@ -200,8 +196,7 @@ class Writes:
         self, drive: str, code: Code, ending: Ending, outcome: Outcome, reason: str
     ) -> WriteReport:
         """Make the report of a write or a stop that has ended."""
-        good = outcome in (Outcome.DONE, Outcome.VERIFIED)
-        kind = "" if good else kind_of(ending, outcome, reason)
+        kind = "" if outcome.is_good else ending.failure(outcome, reason)
         remedy = REMEDIES.get(kind, "")
         if outcome is Outcome.UNKNOWN and kind == "line-lost":
             remedy = CUT_REMEDY

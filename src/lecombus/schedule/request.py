@@ -84,6 +84,11 @@ class Outcome(StrEnum):
     SUPERSEDED = "superseded"
     UNKNOWN = "unknown"
 
+    @property
+    def is_good(self) -> bool:
+        """Whether what was asked for was done."""
+        return self is Outcome.DONE or self is Outcome.VERIFIED
+
 
 Settle = Callable[[Outcome, str], None]
 

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
 
 from lecombus.drive_runtime import Drive
-from lecombus.errors import LecombusError, RefusedError, UnknownCodeError
+from lecombus.errors import LecombusError, RefusedError
 from lecombus.fieldbus.station import Station
 from lecombus.motion import learnt_setpoint
 from lecombus.operations.requests import Requests, is_of_the_line
@@ -97,13 +97,13 @@ class Audit:
     async def _learn_words(self, station: Station) -> None:
         """Read the control word, and before it the code that decides what its bits mean.
 
-        A quick stop changes one bit of the control word and must not wait for reading it first.
+        A quick stop changes one bit of the control word and must not wait for reading it first;
+        of a drive without that code it is an inhibit.
         """
         family = station.family
         stops = {rule.code for rule in family.stops.values() if rule.value is None}
-        for code in filter(None, (family.configured_by, *stops)):
-            with contextlib.suppress(UnknownCodeError):  # its quick stop will be an inhibit
-                await self._requests.read(station, code, Priority.INTERACTIVE, timeout_s=PATIENCE_S)
+        codes = filter(None, (family.configured_by, *stops))
+        await self._requests.read_known(station, codes, timeout_s=PATIENCE_S)
 
     async def learn_the_rest(self, drive: Drive, station: Station) -> None:
         """What a drive need not be kept from work for: read when the line has time.

@@ -1,4 +1,4 @@
-"""The supervisor: audits every drive's watchdog, arms it where the roster says so, keeps it fed.
+"""The supervisor: audits every drive's watchdog, sets it where the roster wants that, feeds it.
 
 What its user sees: after the start, and whenever a drive or the line comes back, each drive is
 audited (`audit` says what that is) before it is called online. A 2102 module forgets its

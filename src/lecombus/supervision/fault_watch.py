@@ -1,6 +1,6 @@
 """Which fault each drive has now: shown by its status words, named by its fault memory.
 
-A fault is active only when a status word says so; what stands in the fault memory may be years
+A fault is active only when a status word shows it; what stands in the fault memory may be years
 old. So the words decide whether there is one, and when one rises the memory is read soon, for
 its number: a user need not wait for the memory's own slow turn. The number is taken only
 if it agrees with what the words say (the kind; where the memory holds LECOM numbers, C0068's tens
@@ -140,7 +140,7 @@ class FaultWatch:
     def _look_again(self, drive: Drive, family: Family) -> None:
         """One word shows no fault, others did when they were last read: read these again.
 
-        A few times only: a drive whose words contradict each other costs no line for ever.
+        A few times only: a drive whose words contradict each other must not take the line always.
         """
         fault = drive.fault
         if fault.looks >= TRIES:
@@ -189,7 +189,7 @@ class FaultWatch:
                 self._log(drive, family)
 
     def _ask_memory(self, drive: Drive, family: Family) -> None:
-        """Ask for the number a few times; then the fault has none, and the log says so."""
+        """Ask for the number a few times; then it is logged without one."""
         fault = drive.fault
         table = family.fault_table
         if table is None or fault.asking:
@@ -214,7 +214,7 @@ class FaultWatch:
             return False
         return True
 
-    # -- telling ---------------------------------------------------------------------------------
+    # -- store and log ---------------------------------------------------------------------------
 
     def _tell(self, drive: Drive, family: Family) -> None:
         fault = drive.fault

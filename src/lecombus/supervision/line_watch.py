@@ -40,7 +40,7 @@ SAID_FROM: Final = 1.05
 
 STARTING_MOST_S: Final = 600.0
 """A full line's first start takes minutes; a drive that is starting for longer than this, seconds,
-is in some trouble of its own and hides nothing."""
+has another trouble and hides nothing."""
 
 PAUSED_FROM_S: Final = 1.5
 """The figure comes once a second; where it comes so much later, seconds, the daemon did not run."""

@@ -5,9 +5,9 @@ all drives are silent then, or answers come in pieces. A wrong baud rate looks t
 
 Strategy: failures are counted. When the port was opened, when no drive answers, and now and then
 while exchanges fail, the daemon is asked to look who else has the port open, which takes too long
-for the event loop. What was found is told once in the log and stands as a remark until it is over.
+for the event loop. What was found is logged once and stands as a remark until it is over.
 
-What must not live here: looking at processes (`line.devices`), the words (`line.no_answers`).
+What must not live here: looking at processes, the words (`line.devices`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from lecombus.config import LineEntry
-from lecombus.line.no_answers import END_IT, shared, unheard_remedy
+from lecombus.line.devices import END_IT, shared, unheard_remedy
 from lecombus.store import Store
 
 __all__ = ["SILENCE", "PortWatch"]
@@ -73,7 +73,7 @@ class PortWatch:
             heard: Whether any drive has answered since the line was opened.
 
         Returns:
-            Whether somebody should look who else has the port open, and tell `found`.
+            Whether to look who else has the port open, and to call `found` with it.
         """
         if not is_open:
             self._failures, self._others, self._silent = failures, (), False
@@ -116,7 +116,7 @@ class PortWatch:
             event = "line-silent" if self._silent else "port-shared"
             logger.warning("line=%s event=%s reason=%s", self._line.name, event, text)
             self._told = text
-        elif self._told and not text and self._heard:  # a port opened anew is not heard yet
+        elif self._told and not text and self._heard:  # just opened: not heard yet
             logger.info("line=%s event=line-heard", self._line.name)
             self._told = ""
         self._store.note_line(SILENCE, text or None)

@@ -1,4 +1,4 @@
-"""A drive's own watchdog: looked at, set where the roster says so, or the difference remarked.
+"""A drive's own watchdog: read, set where the roster wants that, or the difference remarked.
 
 What a watchdog does is looked at before any drive's is set, because one that is off needs no
 feeding, and with less to feed setting them goes faster. Only what differs is written, the action
@@ -40,9 +40,6 @@ PATIENCE_S = 120.0
 """An audit's read may wait this long: at the start 31 modules with 500 ms each come before it."""
 
 REMARK = "watchdog"
-
-WRITE_TRIES = 3
-"""How often a setting is written again that a stop ended."""
 
 LEAST_FED_S = 0.05
 """A watchdog shorter than this (the 2102's least, EDB2102EN 6.3.3) cannot be kept on any line of
@@ -91,7 +88,7 @@ class WatchdogAudit:
         return f"from {describe(traits, known)} to {describe(traits, found)}"
 
     async def look(self, drive: Drive, station: Station, traits: WatchdogTraits) -> int | None:
-        """Read what the watchdog does; None: it cannot be seen, and a remark says so."""
+        """Read what the watchdog does; None: it cannot be seen, which is remarked."""
         action: int | None = None
         with self._remarking(drive.name):
             action = int(number(await self._read(station, traits.action_code)))
@@ -120,7 +117,7 @@ class WatchdogAudit:
 
     @contextlib.contextmanager
     def _remarking(self, name: str) -> Iterator[None]:
-        """Make a remark of what can never be read, instead of asking for it for ever."""
+        """Make a remark of what can never be read, instead of asking for it again and again."""
         try:
             yield
         except UnknownCodeError as exc:
@@ -237,15 +234,9 @@ class WatchdogAudit:
         return await self._requests.read(station, code, priority, timeout_s=PATIENCE_S)
 
     async def _write(self, station: Station, code: Code, value: float) -> bool:
-        """Write and read back; what did not take shows when the setting is read again.
-
-        A stop ends every write that waits for its drive; this one is asked for again behind it.
-        """
+        """Write and read back; what did not take shows when the setting is read again."""
         wire = Value.decimal(round(value))
-        for _ in range(WRITE_TRIES):
-            outcome, reason = await self._requests.write(station, code, wire, verify=True)
-            if outcome is not Outcome.SUPERSEDED:
-                break
+        outcome, reason = await self._requests.write_to_the_end(station, code, wire, verify=True)
         if outcome is not Outcome.VERIFIED:
             logger.warning(
                 "drive=%s code=%s event=watchdog-not-set value=%s outcome=%s reason=%s",

@@ -3,7 +3,7 @@
 In this order, each before the first write of the audit itself:
 
 1. *addressing*: C0248 and C0249 move what standard addressing reaches, in every later access. They
-   can be read whatever they are. With one of them not 0 the drive is spoken to in extended
+   can be read with any value. With one of them not 0 the drive is spoken to in extended
    addressing only, which they do not touch; where the roster rules that out, nothing it answers is
    what was asked for: every value is bad and nothing is written.
 2. *identity*: is it the drive that was there (`operations.identities`)? What differs is read twice
@@ -25,7 +25,7 @@ from collections.abc import Iterable
 from lecombus.drive_runtime import Drive
 from lecombus.drives import SoftwareGate
 from lecombus.drives.identity import identity_codes
-from lecombus.errors import OperationError, UnknownCodeError
+from lecombus.errors import OperationError
 from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.fieldbus.lecom.readdress import Readdress
 from lecombus.fieldbus.station import Station
@@ -147,7 +147,7 @@ class WritePrechecks:
         return found
 
     async def _read_identity(self, station: Station, codes: Iterable[Code]) -> dict[Code, Value]:
-        """Read who it is; where the others' watchdogs leave no time for that, say so and go on.
+        """Read who it is; where the others' watchdogs leave no time for that, remark it and go on.
 
         A drive that never came online because of its label would be worse than one whose label is
         not known.
@@ -192,14 +192,7 @@ class WritePrechecks:
         self._store.note(drive.name, SOFTWARE_LOCK, text)
 
     async def _read_all(self, station: Station, codes: Iterable[Code]) -> dict[Code, Value]:
-        """Read codes; those that the drive does not know are left out."""
-        found: dict[Code, Value] = {}
-        for code in codes:
-            try:
-                found[code] = await self._read(station, code)
-            except UnknownCodeError:
-                continue
-        return found
+        return await self._requests.read_known(station, codes, timeout_s=PATIENCE_S)
 
     async def _read(self, station: Station, code: Code) -> Value:
         return await self._requests.read(station, code, Priority.INTERACTIVE, timeout_s=PATIENCE_S)

@@ -38,9 +38,8 @@ from lecombus.errors import ExchangeError, NoReplyError, OperationError
 from lecombus.fieldbus.lecom.address_codes import address_code
 from lecombus.fieldbus.lecom.standstill import ask_standstill
 from lecombus.fieldbus.station import Station
-from lecombus.operations.failure_kinds import stopped_first
 from lecombus.operations.identities import Identities
-from lecombus.operations.reports import WriteReport
+from lecombus.operations.reports import WriteReport, stopped_first
 from lecombus.operations.requests import Requests
 from lecombus.parameters import Code, Value
 from lecombus.readings import DriveState, rfc3339
@@ -54,9 +53,6 @@ logger = logging.getLogger("lecombus.operations.readdress")  # as in the log of 
 
 MOVED = "address"
 """The remark on a drive whose address is not the roster's."""
-
-WRITE_TRIES = 3
-"""How often a write is asked for again that a stop ended."""
 
 PAUSES_S = (0.1, 0.4, 1.0, 2.0)
 """Before each look for the drive at its new address: some take a moment."""
@@ -269,7 +265,7 @@ class Readdress:
         rule = saving_rule(station.family)
         if rule is None or rule.value is None:
             return report
-        outcome, reason = await self._write_to_the_end(
+        outcome, reason = await self._requests.write_to_the_end(
             station, rule.codes[0], Value.decimal(rule.value), verify=False
         )
         if outcome is Outcome.DONE:
@@ -294,7 +290,7 @@ class Readdress:
         if held == station.address:
             text = f"it still answers at address {station.address}: nothing was changed"
             return WriteReport(drive, code, Outcome.REFUSED, text, kind="not-in-effect")
-        outcome, reason = await self._write_to_the_end(
+        outcome, reason = await self._requests.write_to_the_end(
             station, code, Value.decimal(station.address), verify=True
         )
         if outcome is Outcome.VERIFIED:
@@ -328,16 +324,6 @@ class Readdress:
         )
 
     # ---- parts ------------------------------------------------------------------------------
-
-    async def _write_to_the_end(
-        self, station: Station, code: Code, value: Value, *, verify: bool
-    ) -> tuple[Outcome, str]:
-        """Write what keeps a drive where it can be stopped; behind a stop it is asked for again."""
-        for _ in range(WRITE_TRIES):
-            ended = await self._requests.write(station, code, value, verify=verify)
-            if ended[0] is not Outcome.SUPERSEDED:
-                break
-        return ended
 
     def _remember(self, drive: str, moved: Moved) -> None:
         self._state.drive(drive).moved = moved
