@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from lecombus.drives import family
-from lecombus.drives.faults import FaultKind
+from lecombus.drives.faults.fault_tables import FaultKind
 from lecombus.motion import Doing, Motion, learnt_setpoint, motion_of
 from lecombus.parameters import Code, Value
 from lecombus.readings import WRITTEN_SINCE, ActiveFault, Quality, Reading

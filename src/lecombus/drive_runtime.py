@@ -30,7 +30,7 @@ from lecombus.readings import DriveState, Json, rfc3339
 if TYPE_CHECKING:
     from lecombus.config import DriveEntry
     from lecombus.drives import Family, Verb
-    from lecombus.drives.faults import FaultKind
+    from lecombus.drives.faults.fault_tables import FaultKind
     from lecombus.drives.measured import SlowAnswers
     from lecombus.fieldbus.station import Station
     from lecombus.parameters import Code

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from lecombus.backups import Backup, BackupEntry, Head, ReadResult
-from lecombus.drives import Family, family, load_family
+from lecombus.drives import Family, family
+from lecombus.drives.family_files import load_family
 from lecombus.parameters import Code, Value
 
 __all__ = ["DRIVE", "TEXT", "answers", "backup_of"]

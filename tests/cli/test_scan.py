@@ -21,7 +21,7 @@ from cli.daemon_stub import DaemonStub
 from cli.test_simulate import simulated
 from lecombus.cli import scan
 from lecombus.config import load_roster
-from lecombus.fieldbus.lecom.protocol import bcc
+from lecombus.fieldbus.lecom.protocol.controls import bcc
 from support.rosters import roster_text
 
 pytestmark = pytest.mark.clock

@@ -6,7 +6,6 @@ import pytest
 
 from lecombus.drives import (
     FAMILY_NAMES,
-    RestoreWord,
     family,
     is_last,
     must_be_same,
@@ -16,6 +15,7 @@ from lecombus.drives import (
     saving_rule,
 )
 from lecombus.drives.family_files import load_family
+from lecombus.drives.restore_rules import RestoreWord
 from lecombus.errors import DescriptionError
 from lecombus.parameters import Code
 

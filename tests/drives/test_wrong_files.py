@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from lecombus.drives import FAMILY_NAMES, Family
 from lecombus.drives.family_files import load_family
-from lecombus.drives.faults import link_report, load_table
 from lecombus.drives.faults.causes import cause_rules
+from lecombus.drives.faults.fault_tables import link_report, load_table
 from lecombus.drives.faults.reasons import reasons
 from lecombus.errors import DescriptionError
 from lecombus.parameters import Code

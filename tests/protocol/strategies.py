@@ -6,15 +6,14 @@ import itertools
 
 from hypothesis import strategies as st
 
-from lecombus.fieldbus.lecom.protocol import (
+from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
+from lecombus.fieldbus.lecom.protocol.telegrams import (
     AckAnswer,
     Answer,
-    Form,
     NakAnswer,
     TransmissionErrorAnswer,
     UnknownCodeAnswer,
     ValueAnswer,
-    encode_code,
 )
 from lecombus.parameters import Code, Value
 

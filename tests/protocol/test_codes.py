@@ -7,17 +7,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lecombus.errors import CodeValueError
-from lecombus.fieldbus.lecom.protocol import (
+from lecombus.fieldbus.lecom.protocol.addressing import (
     Form,
     decode_code,
     encode_address,
     encode_code,
+    field_length,
+    fits_field,
     group_reach,
     is_code_field,
     is_drive_address,
     is_group_address,
 )
-from lecombus.fieldbus.lecom.protocol.addressing import field_length, fits_field
 from lecombus.parameters import Code
 from protocol.vectors import load
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lecombus.fieldbus.lecom.protocol import (
+from lecombus.fieldbus.lecom.protocol.controls import (
     ACK,
     ENQ,
     EOT,

@@ -4,20 +4,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lecombus.fieldbus.lecom.protocol import (
-    MAX_ANSWER_CHARS,
+from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
+from lecombus.fieldbus.lecom.protocol.controls import with_parity
+from lecombus.fieldbus.lecom.protocol.host_parser import RequestParser
+from lecombus.fieldbus.lecom.protocol.telegrams import (
     BadRequest,
-    Form,
     HostRequest,
     ReadRequest,
-    RequestParser,
     TelegramFault,
     WriteRequest,
-    encode_code,
     read_telegram,
-    with_parity,
     write_telegram,
 )
+from lecombus.fieldbus.lecom.protocol.timing import MAX_ANSWER_CHARS
 from lecombus.parameters import Code, Value
 from protocol.strategies import addressed, cut, sendable
 

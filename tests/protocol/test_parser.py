@@ -6,24 +6,20 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from lecombus.fieldbus.lecom.protocol import (
-    MAX_ANSWER_CHARS,
-    TAIL_LIMIT,
+from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
+from lecombus.fieldbus.lecom.protocol.controls import bcc, with_parity
+from lecombus.fieldbus.lecom.protocol.parser import TAIL_LIMIT, AnswerParser, _whole
+from lecombus.fieldbus.lecom.protocol.telegrams import (
     AckAnswer,
     Answer,
-    AnswerParser,
     BadAnswer,
-    Form,
     NakAnswer,
     TelegramFault,
     ValueAnswer,
-    bcc,
     encode_answer,
-    encode_code,
     value_answer,
-    with_parity,
 )
-from lecombus.fieldbus.lecom.protocol.parser import _whole
+from lecombus.fieldbus.lecom.protocol.timing import MAX_ANSWER_CHARS
 from lecombus.parameters import Code, Value
 from protocol.strategies import answers, cut, fields, values
 from protocol.vectors import feed_all, load, splits, wire

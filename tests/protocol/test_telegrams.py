@@ -3,11 +3,11 @@ from __future__ import annotations
 import pytest
 
 from lecombus.errors import CodeValueError
-from lecombus.fieldbus.lecom.protocol import (
+from lecombus.fieldbus.lecom.protocol.addressing import Form
+from lecombus.fieldbus.lecom.protocol.telegrams import (
     ACK_ANSWER,
     NAK_ANSWER,
     BadAnswer,
-    Form,
     TelegramFault,
     encode_answer,
     read_telegram,

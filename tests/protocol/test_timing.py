@@ -7,24 +7,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lecombus.errors import CodeValueError
-from lecombus.fieldbus.lecom.protocol import (
+from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
+from lecombus.fieldbus.lecom.protocol.telegrams import (
     ACK_ANSWER,
+    read_telegram,
+    transmission_error_answer,
+    unknown_code_answer,
+    value_answer,
+    write_telegram,
+)
+from lecombus.fieldbus.lecom.protocol.timing import (
     ACK_CHARS,
     BAUDS,
     MAX_ANSWER_CHARS,
-    Form,
     answer_chars,
     char_time_s,
-    encode_code,
     read_request_chars,
-    read_telegram,
     read_wire_s,
-    transmission_error_answer,
-    unknown_code_answer,
     unknown_code_chars,
-    value_answer,
     write_request_chars,
-    write_telegram,
     write_wire_s,
 )
 from lecombus.parameters import Code, Value

@@ -6,25 +6,24 @@ from typing import Any
 
 import pytest
 
-from lecombus.fieldbus.lecom.protocol import (
+from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
+from lecombus.fieldbus.lecom.protocol.controls import with_parity
+from lecombus.fieldbus.lecom.protocol.host_parser import RequestParser
+from lecombus.fieldbus.lecom.protocol.parser import AnswerParser
+from lecombus.fieldbus.lecom.protocol.telegrams import (
     AckAnswer,
     Answer,
-    AnswerParser,
     BadAnswer,
-    Form,
     HostRequest,
     NakAnswer,
     ReadRequest,
-    RequestParser,
     TelegramFault,
     TransmissionErrorAnswer,
     UnknownCodeAnswer,
     ValueAnswer,
     WriteRequest,
     encode_answer,
-    encode_code,
     read_telegram,
-    with_parity,
     write_telegram,
 )
 from lecombus.parameters import Code, Format, Value

@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 import yaml
 
-from lecombus.fieldbus.lecom.protocol import Answer, AnswerParser
+from lecombus.fieldbus.lecom.protocol.parser import AnswerParser
+from lecombus.fieldbus.lecom.protocol.telegrams import Answer
 
 FOLDER = Path(__file__).parent.parent / "vectors"
 

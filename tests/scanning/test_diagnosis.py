@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lecombus.fieldbus.lecom.protocol import with_parity
+from lecombus.fieldbus.lecom.protocol.controls import with_parity
 from lecombus.fieldbus.lecom.scanning import Unclear, why_nothing
 
 ANSWER = b"\x0246" + b"35.4" + b"\x03\x1d"

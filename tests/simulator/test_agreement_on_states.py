@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lecombus.drives import FAMILY_NAMES, family
-from lecombus.drives.faults import FaultKind
+from lecombus.drives.faults.fault_tables import FaultKind
 from lecombus.drives.operating import OperatingState
 from lecombus.fieldbus.lecom.simulator import SimDrive
 from lecombus.fieldbus.lecom.simulator.model import INHIBIT, QSP, Model

@@ -8,7 +8,7 @@ import anyio
 import pytest
 
 from lecombus.drives import family
-from lecombus.drives.faults import FaultKind
+from lecombus.drives.faults.fault_tables import FaultKind
 from lecombus.fieldbus.lecom.simulator.families.smvector import SMVector
 from lecombus.parameters import Code, Value
 from lecombus.readings import ActiveFault

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from lecombus.drives import family
 from lecombus.drives.access import ReadResult, WriteResult
 from lecombus.drives.identity import identity_codes
-from lecombus.fieldbus.lecom.protocol import with_parity
 from lecombus.fieldbus.lecom.protocol.addressing import Form
+from lecombus.fieldbus.lecom.protocol.controls import with_parity
 from lecombus.fieldbus.lecom.rebaud import LineAccess, Rebaud, Subject
 from lecombus.fieldbus.lecom.scanning import HeardKind, Question
 from lecombus.fieldbus.lecom.simulator import SimDrive, SimLine

@@ -21,8 +21,8 @@ from lecombus.cli.arguments import (
 from lecombus.cli.client import Answer, connect, path_of
 from lecombus.cli.document_rows import Document, show_outcomes, show_reading, status_of
 from lecombus.cli.exits import CommandError, Exit, Problem
-from lecombus.fieldbus.lecom.protocol import BAUDS as ALL_BAUDS
-from lecombus.fieldbus.lecom.protocol import is_drive_address
+from lecombus.fieldbus.lecom.protocol.addressing import is_drive_address
+from lecombus.fieldbus.lecom.protocol.timing import BAUDS as ALL_BAUDS
 from lecombus.parameters import Code
 from lecombus.readings import Json
 

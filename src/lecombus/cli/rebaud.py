@@ -29,8 +29,8 @@ from lecombus.errors import (
     NakError,
     UnknownCodeError,
 )
-from lecombus.fieldbus.lecom.protocol import BAUDS
 from lecombus.fieldbus.lecom.protocol.addressing import Form
+from lecombus.fieldbus.lecom.protocol.timing import BAUDS
 from lecombus.fieldbus.lecom.rebaud import (
     DrivePlace,
     LineAccess,

@@ -3,8 +3,7 @@
 `family` and `codes` are the models, `families/*.yaml` the data with the sections of the manuals,
 `family_files` reads them (`yaml_models` and `field_types` serve all data files). `words` decodes
 status words, `commands` control words, `faults` explains fault numbers, `stops` and `verbs` make
-the writes that stop, enable, set and reset a drive, `encoding` makes a value of what a user gives,
-`costs` says how long an exchange takes.
+the writes that stop, enable, set and reset a drive, `encoding` makes a value of what a user gives.
 
 What must not live here: input and output but for the packaged data files, clocks, the line, values
 that were read from a drive.
@@ -15,16 +14,11 @@ from __future__ import annotations
 from .codes import CodeInfo, Storage, WriteClass
 from .commands import ControlWordInfo
 from .encoding import check_allowed, encode_for
-from .family import (
-    Family,
-    SoftwareGate,
-    WatchdogTraits,
-)
-from .family_files import FAMILY_NAMES, family, load_family
-from .faults import Fault, FaultKind
+from .family import Family, SoftwareGate, WatchdogTraits
+from .family_files import FAMILY_NAMES, family
+from .faults.fault_tables import Fault, FaultKind
 from .operating import OperatingState, believed_states, join_states
 from .restore_rules import (
-    RestoreWord,
     is_last,
     must_be_same,
     not_restored,
@@ -54,7 +48,6 @@ __all__ = [
     "FaultKind",
     "Language",
     "OperatingState",
-    "RestoreWord",
     "SoftwareGate",
     "StopAction",
     "Storage",
@@ -72,7 +65,6 @@ __all__ = [
     "is_last",
     "join_states",
     "knows_stop",
-    "load_family",
     "must_be_same",
     "needs_control_word",
     "not_restored",

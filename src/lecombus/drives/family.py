@@ -18,7 +18,7 @@ from lecombus.parameters import AddressForm, Code, Value
 
 from .codes import CodeInfo, WriteClass
 from .commands import ControlWordInfo
-from .faults import NO_FAULT, Fault, FaultKind, FaultTable, fault_table
+from .faults.fault_tables import NO_FAULT, Fault, FaultKind, FaultTable, fault_table
 from .field_types import (
     DescribedCode,
     Flag,

@@ -14,7 +14,7 @@ from typing import Final
 
 from lecombus.drive_runtime import LastEnable
 from lecombus.drives import Family, Language, Text
-from lecombus.drives.faults import Fault
+from lecombus.drives.faults.fault_tables import Fault
 from lecombus.drives.faults.reasons import Reason, Weight
 from lecombus.drives.operating import OperatingState
 from lecombus.parameters import Code, Value

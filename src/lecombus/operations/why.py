@@ -18,7 +18,7 @@ from typing import Final
 
 from lecombus.drive_runtime import LastEnable
 from lecombus.drives import Family, StopAction, Verb
-from lecombus.drives.faults import NO_FAULT
+from lecombus.drives.faults.fault_tables import NO_FAULT
 from lecombus.drives.faults.reasons import Weight, asked_codes, holding
 from lecombus.drives.operating import OperatingState, join_states
 from lecombus.drives.verb_facts import Known

@@ -22,7 +22,7 @@ from collections.abc import Callable
 
 from lecombus.drive_runtime import Drive
 from lecombus.drives import Family
-from lecombus.drives.faults import NO_FAULT, FaultKind, FaultTable, fits_digit
+from lecombus.drives.faults.fault_tables import NO_FAULT, FaultKind, FaultTable, fits_digit
 from lecombus.errors import LecombusError
 from lecombus.line_events import ExchangeEvent, LineRequests
 from lecombus.parameters import Code, Value

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lecombus.drives.faults import FaultKind, link_report, load_table
+from lecombus.drives.faults.fault_tables import FaultKind, link_report, load_table
 from lecombus.errors import DescriptionError
 
 HEAD = """\

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from lecombus.drives import FAMILY_NAMES, family
-from lecombus.drives.faults import FaultKind, fits_digit, link_report
+from lecombus.drives.faults.fault_tables import FaultKind, fits_digit, link_report
 from lecombus.parameters import Code
 
 # EDB2102EN 8.2, fault memory (P82XX): number, keypad, and a word the meaning must have in it.

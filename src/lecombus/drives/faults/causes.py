@@ -21,8 +21,7 @@ from lecombus.parameters import Code, Value
 from ..codes import CodeInfo, Storage
 from ..field_types import BothLanguages, CodeNumber, Flag, Words, whole
 from ..yaml_models import FILE_TABLE, ReadFile, open_data_file
-from .fault_files import link_report
-from .fault_tables import LinkReport
+from .fault_tables import LinkReport, link_report
 from .rules import Condition, Families, each_once
 
 __all__ = [

@@ -10,21 +10,17 @@ at another rate cannot be fed.
 
 from __future__ import annotations
 
-from .access import LineAccess
-from .checking import Obstacle, check
-from .drives import DrivePlace, RebaudDrive, Subject
+from .drives import DrivePlace, LineAccess, RebaudDrive, Subject
 from .moving import Rebaud
 from .report import RebaudEnd, ending_of, situation, what_to_do
 
 __all__ = [
     "DrivePlace",
     "LineAccess",
-    "Obstacle",
     "Rebaud",
     "RebaudDrive",
     "RebaudEnd",
     "Subject",
-    "check",
     "ending_of",
     "situation",
     "what_to_do",

@@ -21,8 +21,7 @@ from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.fieldbus.lecom.standstill import Standstill, ask_standstill
 from lecombus.parameters import Code, Value
 
-from .access import RebaudLine
-from .drives import DrivePlace, RebaudDrive
+from .drives import DrivePlace, RebaudDrive, RebaudLine
 
 __all__ = ["Obstacle", "check", "is_same_drive", "standstill"]
 

@@ -1,10 +1,8 @@
-"""What is known of each drive while the baud rate of its line is changed.
+"""The drives of a line while its baud rate is changed: what is known of each, reads and writes.
 
 Strategy: `place` says where a drive is as far as anybody knows, `rate` only what it answered at
 last. What was not seen is never assumed: a drive whose write was not followed by a look is
 `written`, also after an acknowledgement.
-
-Must not live here: what is said to drives.
 """
 
 from __future__ import annotations
@@ -12,12 +10,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Protocol
 
 from lecombus.drives import Family
+from lecombus.drives.access import DriveAccess, ReadResult, WriteResult
 from lecombus.fieldbus.lecom.address_codes import baud_code, baud_numbers
 from lecombus.parameters import AddressForm, Code, Value
 
-__all__ = ["DrivePlace", "RebaudDrive", "Subject"]
+__all__ = [
+    "DrivePlace",
+    "InterruptedRebaudError",
+    "LineAccess",
+    "RebaudDrive",
+    "RebaudLine",
+    "Subject",
+]
 
 
 class DrivePlace(StrEnum):
@@ -114,3 +121,70 @@ class RebaudDrive:
     def be(self, place: DrivePlace, rate: int | None, why: str = "") -> None:
         """Note where it is."""
         self.place, self.rate, self.why = place, rate, why
+
+
+TRIES_MORE = 2
+"""How often a read is repeated of a drive that is known to be there."""
+
+
+class LineAccess(Protocol):
+    """A line without a daemon; a call at another baud rate reopens its port at that rate."""
+
+    def at(self, baud: int, drive: str, *, retries: int) -> DriveAccess:
+        """Return a drive at a baud rate, bit/s; `retries`: how often a failed read is repeated."""
+
+    async def wait(self, baud: int, for_s: float) -> None:
+        """Send nothing for some seconds, with the port open at a baud rate."""
+
+
+class InterruptedRebaudError(Exception):
+    """The user interrupted the change: no further telegram is begun."""
+
+
+class RebaudLine:
+    """Reads and writes at either baud rate.
+
+    An interruption lets the telegram under way end and is raised before the next one, so that the
+    result of a telegram is always known.
+
+    Attributes:
+        access: The line; set by each procedure before its first telegram.
+        interrupted: Whether the user has interrupted; set from outside.
+    """
+
+    access: LineAccess
+
+    def __init__(self) -> None:
+        self.interrupted = False
+
+    async def read(
+        self, drive: RebaudDrive, baud: int, code: Code, *, retries: int = TRIES_MORE
+    ) -> ReadResult:
+        """Read a code of a drive."""
+        self.check_interruption()
+        return await self.access.at(baud, drive.name, retries=retries).read(code)
+
+    async def wait(self, baud: int, for_s: float) -> None:
+        """Send nothing for some seconds."""
+        self.check_interruption()
+        await self.access.wait(baud, for_s)
+
+    async def write(self, drive: RebaudDrive, baud: int, code: Code, number: int) -> WriteResult:
+        """Write a number to a code of a drive, once."""
+        self.check_interruption()
+        access = self.access.at(baud, drive.name, retries=0)
+        return await access.write(code, Value.decimal(number), verify=False)
+
+    async def read_rate(self, drive: RebaudDrive, baud: int, *, retries: int = 0) -> int | None:
+        """Read the number of a drive's baud rate; None: it does not answer with one."""
+        answer = await self.read(drive, baud, drive.subject.code, retries=retries)
+        return answer.value.whole if answer.value is not None else None
+
+    def check_interruption(self) -> None:
+        """Raise if the user has interrupted.
+
+        Raises:
+            InterruptedRebaudError: The user has.
+        """
+        if self.interrupted:
+            raise InterruptedRebaudError

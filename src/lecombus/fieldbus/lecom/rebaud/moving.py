@@ -25,9 +25,8 @@ from collections.abc import Sequence
 
 from lecombus.drives import saving_rule
 
-from .access import InterruptedRebaudError, LineAccess, RebaudLine
 from .checking import Obstacle, check, is_same_drive, standstill
-from .drives import DrivePlace, RebaudDrive, Subject
+from .drives import DrivePlace, InterruptedRebaudError, LineAccess, RebaudDrive, RebaudLine, Subject
 
 __all__ = ["Rebaud"]
 

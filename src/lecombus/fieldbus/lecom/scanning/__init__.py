@@ -11,14 +11,13 @@ drive.
 
 from __future__ import annotations
 
-from .asking import AddressAccess, Heard, HeardKind, Question
+from .asking import Heard, HeardKind, Question
 from .diagnosis import why_nothing
-from .finding import Finding, FoundWatchdog, Unclear
+from .identifying import Finding, FoundWatchdog, Unclear
 from .proposal import ProposedLine, check_place, entries, propose
 from .search import ForeignTalkError, Scan, ScanPlan
 
 __all__ = [
-    "AddressAccess",
     "Finding",
     "ForeignTalkError",
     "FoundWatchdog",

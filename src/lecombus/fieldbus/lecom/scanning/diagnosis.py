@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 
 from lecombus.fieldbus.lecom.protocol.controls import STX
 
-from .finding import Unclear
+from .identifying import Unclear
 
 __all__ = ["why_nothing"]
 

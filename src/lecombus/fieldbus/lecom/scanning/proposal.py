@@ -17,7 +17,7 @@ from lecombus.config import Roster, WatchdogEntry, parse_roster
 from lecombus.drives import family
 from lecombus.durations import format_duration
 
-from .finding import Finding, Unclear
+from .identifying import Finding, Unclear
 
 __all__ = ["ProposedLine", "check_place", "entries", "propose"]
 

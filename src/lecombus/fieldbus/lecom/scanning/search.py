@@ -32,8 +32,7 @@ from lecombus.fieldbus.lecom.protocol.telegrams import ReadRequest, WriteRequest
 from lecombus.parameters import Code
 
 from .asking import AddressAccess, Heard, HeardKind, Question
-from .finding import Finding, Unclear
-from .identifying import identify
+from .identifying import Finding, Unclear, identify
 
 __all__ = ["ForeignTalkError", "Scan", "ScanPlan"]
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from .control import Control, ControlError
 from .control_socket import LONGEST_PATH, ControlSocket, send_to_simulator
-from .drive import LogEntry, SimDrive
+from .drive import SimDrive
 from .faults import Faults, LateKind, parse_faults
 from .line import SimLine, build
 from .memory import MemoryEnd, MemoryPort
@@ -27,7 +27,6 @@ __all__ = [
     "ControlSocket",
     "Faults",
     "LateKind",
-    "LogEntry",
     "MemoryEnd",
     "MemoryPort",
     "PtyEnd",
