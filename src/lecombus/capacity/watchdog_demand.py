@@ -214,16 +214,6 @@ class WatchdogDemand:
         faults, tenth_s = self._losing(self.tolerate)
         return faults.behind_s(self.lost_s, tenth_s)
 
-    def least_room_s(self, cost_s: float, worst_s: float) -> float:
-        """Give the room that an exchange must find, or the schedule never begins it, seconds.
-
-        Args:
-            cost_s: It is answered.
-            worst_s: It is not answered.
-        """
-        faults, tenth_s = self._losing(self.tolerate)
-        return faults.least_room_s(cost_s, worst_s, self.lost_s, tenth_s)
-
     def _losing(self, lost: int) -> tuple[FaultHypothesis, float]:
         """Give what is kept room for with so many lost answers, and the shortest's last tenth."""
         shortest_s = min(one.every_s for one in self.streams)

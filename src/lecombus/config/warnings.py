@@ -11,29 +11,33 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from operator import itemgetter
 from typing import Final
 
 from lecombus.capacity.exchange_costs import (
-    feed_times,
+    Times,
     line_timing,
     read_times,
     stop_attempt_s,
     watched_s,
     with_slow_adapter,
 )
-from lecombus.capacity.watchdog_demand import demand_of, least_time_s
+from lecombus.capacity.watchdog_demand import LONGEST_S, demand_of, least_time_s, smallest
 from lecombus.capacity.watchdog_feasibility import rounded_up
+from lecombus.capacity.work_ahead import feeds_of
 from lecombus.drives import Verb, WriteClass, family
 from lecombus.durations import format_duration
 from lecombus.fieldbus.costs import LineTiming
 from lecombus.parameters import Code
 from lecombus.roster import DriveEntry, LineEntry, Roster, is_network_port
 from lecombus.schedule.watchdog_deadline import HARD_PART
+from lecombus.schedule.watchdog_set import WatchdogSet
 
 __all__ = ["counted", "cyclic_load", "find_warnings"]
 
 _LATE_ANSWER_SAFE_S: Final = 0.5
 """Longest processing time of the 2102 module. Source: EDB2102EN 3.5 (C1920..C1923, 500 ms)."""
+_first = itemgetter(0)
 _UNSTABLE: Final = ("/dev/ttyUSB", "/dev/ttyACM")
 
 
@@ -177,65 +181,51 @@ def _slow_codes(roster: Roster, timing: LineTiming) -> Iterator[str]:
     The schedule begins nothing that could make a feed late, so it never begins such a read: the
     watchdog would stay as it is in the drive, and only a remark on the drive would show it.
     """
-    feeds = [
-        (time_s, feed_times(drive, timing).usual_s)
-        for drive in roster.drives
-        if (time_s := watched_s(drive))
-    ]
-    if not feeds:
+    feeds = feeds_of(roster, timing)
+    if not feeds.by_drive:
         return
-    room_s, demand = _room_s(feeds), demand_of(roster, timing)
-    slow: list[tuple[DriveEntry, Code, float]] = []
+    room_s = feeds.most_s("")[0]
+    slow: list[tuple[float, DriveEntry, Code]] = []
     for drive in roster.drives:
         traits = family(drive.family).watchdog
         if drive.watchdog is not None and traits is not None:
             times = read_times(drive, traits.action_code, timing)
-            needs_s = demand.least_room_s(times.usual_s, times.worst_s)
+            needs_s = feeds.least_room_s(times.usual_s, times.worst_s)
             if needs_s > room_s:
-                slow.append((drive, traits.action_code, needs_s))
+                slow.append((needs_s, drive, traits.action_code))
     if slow:
-        drive, code, needs_s = max(slow, key=lambda one: one[2])
+        needs_s, drive, code = max(slow, key=_first)
+        times = read_times(drive, code, timing)
         held = f"may hold the line for {needs_s:.2f} s"
-        if needs_s > read_times(drive, code, timing).worst_s:
+        if needs_s > times.worst_s:
             held = f"takes {needs_s:.2f} s with a stop behind it and a lost answer"
         left = f"{room_s:.2f} s is left" if room_s > 0 else "no time is left"
         which = "watchdog" if len(slow) == 1 else "watchdogs"
-        fed = "the others are" if len(feeds) > 1 else "it is"
+        fed = "the others are" if len(feeds.by_drive) > 1 else "it is"
+        least_s = _least_beside_s(feeds, times)
+        longer = f"a watchdog time of at least {_up(least_s)} s, " if least_s is not None else ""
         yield (
-            f"the {which} of {counted([drive for drive, _, _ in slow])} "
-            f"({', '.join(drive.name for drive, _, _ in slow)}) can be neither checked nor set "
-            f"while {fed} fed: reading {code} {held} and {left}; "
-            f"a watchdog time of at least {_up(_least_time_s(feeds, needs_s))} s, a higher baud "
-            "rate or fewer drives on the line would do"
+            f"the {which} of {counted([drive for _, drive, _ in slow])} "
+            f"({', '.join(drive.name for _, drive, _ in slow)}) can be neither checked nor set "
+            f"while {fed} fed: reading {code} {held} and {left}; {longer}a higher baud rate or "
+            "fewer drives on the line would do"
         )
 
 
-def _room_s(feeds: Sequence[tuple[float, float]]) -> float:
-    """Return the longest exchange that fits beside the feeds when all have just been fed.
+def _least_beside_s(feeds: WatchdogSet, times: Times) -> float | None:
+    """Return the least watchdog time beside which an exchange is begun, seconds; None: none.
 
-    Args:
-        feeds: Watchdog times and costs of a feed, seconds.
+    Times below are taken to be raised to it.
     """
-    return min(HARD_PART * time_s - _before(feeds, time_s) for time_s, _ in feeds)
+    before_s = {name: feed.time_s for name, feed in feeds.by_drive.items()}
 
+    def begins(time_s: float) -> bool:
+        for name, feed in feeds.by_drive.items():
+            feed.time_s = max(before_s[name], time_s)
+        feeds.changed()
+        return feeds.least_room_s(times.usual_s, times.worst_s) <= feeds.most_s("")[0]
 
-def _before(feeds: Sequence[tuple[float, float]], time_s: float) -> float:
-    """Return the cost of the feeds that come before a watchdog of `time_s`, its own included."""
-    return sum(cost_s for other_s, cost_s in feeds if other_s <= time_s)
-
-
-def _least_time_s(feeds: Sequence[tuple[float, float]], worst_s: float) -> float:
-    """Return the least watchdog time beside which an exchange of `worst_s` fits, seconds.
-
-    Times below are taken to be raised to it; each step takes in those that it has reached.
-    """
-    least_s = max(
-        time_s for time_s, _ in feeds
-        if HARD_PART * time_s - _before(feeds, time_s) < worst_s
-    )  # fmt: skip
-    while (need_s := (worst_s + _before(feeds, least_s)) / HARD_PART) > least_s:
-        least_s = need_s
-    return least_s
+    return smallest(begins, min(before_s.values()), LONGEST_S)
 
 
 def _up(seconds: float) -> str:
