@@ -26,7 +26,6 @@ from lecombus.schedule.polling import Polling, PollingEntry
 from lecombus.schedule.request import Priority, Request
 from lecombus.schedule.shares import CLASS_SHARES, Probe, Probes, Shares
 from lecombus.schedule.waiting import QueuedDrive, Waiting
-from lecombus.schedule.watchdog_arbiter import SOON
 from lecombus.schedule.watchdog_set import WatchdogSet
 
 __all__ = ["Lookahead", "PlannedChoice"]
@@ -188,8 +187,6 @@ class Lookahead:
         own = feeds.by_drive.get(chosen.drive)
         if own is not None and chosen.unfed_s > own.worst_s:
             return -math.inf
-        spare_s = feeds.spare_s()
-        if type(chosen.source) is PollingEntry:
-            spare_s *= SOON
+        spare_s = feeds.soon_s() if type(chosen.source) is PollingEntry else feeds.spare_s()
         need_s = feeds.need_s(chosen)
         return feeds.latest_end_s - max(need_s, spare_s)

@@ -15,10 +15,9 @@ from lecombus.schedule.waiting import Waiting, has_expired
 from lecombus.schedule.watchdog_deadline import SPARE_ATTEMPTS, WatchdogDeadline
 from lecombus.schedule.watchdog_set import WatchdogSet
 
-__all__ = ["SOON", "WatchdogArbiter"]
+__all__ = ["WatchdogArbiter"]
 
 TURNS_PART: Final = 2 / 3  # of the spare: with less slack, urgent feeds no longer take turns
-SOON: Final = 2.0  # times the spare: with less slack, cyclic slots are chosen to feed
 
 
 class WatchdogArbiter:
@@ -47,7 +46,7 @@ class WatchdogArbiter:
         polling, entry = self._polling, slot.source
         if type(entry) is not PollingEntry or not polling.may_wait(entry, now_s):
             return None
-        feed = self._watchdogs.pressing(now_s, SOON * self._watchdogs.spare_s())
+        feed = self._watchdogs.pressing(now_s, self._watchdogs.soon_s())
         early = polling.early(feed.drive, now_s) if feed and feed.drive != slot.drive else None
         fits = early is not None and feed and self._serves(early.made(), feed, now_s)
         return early.made() if early is not None and fits else None

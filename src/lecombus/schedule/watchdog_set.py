@@ -44,6 +44,7 @@ ROUNDING_S: Final = 1e-9  # a feed that is just in time must not be late by a ro
 WAKE_S: Final = 1e-6
 _hard, _held_until, _time = map(attrgetter, ("hard_s", "held_until_s", "time_s"))
 _first = itemgetter(0)
+SOON: Final = 2.0  # times the slack kept for attempts: with less, cyclic slots are chosen to feed
 SPARE_PART: Final = 0.5  # of the best slack: more is not kept for failed attempts
 
 
@@ -64,7 +65,7 @@ class WatchdogSet:
         self._latest_end_s = math.inf  # a lower bound of L, see above
         self._due_from_s = math.inf  # a lower bound: no feed is due before
         self._left_out = False  # some feeds were left out of the last sums
-        self._spare_s: float | None = None  # see `spare_s`; None: to be computed
+        self._spare_s: tuple[float, float] | None = None  # see `_spares`; None: to be computed
         self.by_manual = False  # what was measured does not count: nothing would fit
 
     def changed(self) -> None:
@@ -264,15 +265,24 @@ class WatchdogSet:
         )
 
     def spare_s(self) -> float:
-        """Return how much slack is kept for attempts that fail, seconds."""
+        """Return how much slack is kept for attempts that fail, and for stops, seconds."""
+        return self._spares()[0]
+
+    def soon_s(self) -> float:
+        """Return with how much slack cyclic slots are chosen to feed, seconds."""
+        return self._spares()[1]
+
+    def _spares(self) -> tuple[float, float]:
+        """Give both; a stop goes at any time, so feeds leave room for a lost one."""
         if self._spare_s is None:
-            best_s = max(self.most_s("")[0], 0.0)
-            tolerated_s = self.faults.tolerate * self.lost_s() / SPARE_ATTEMPTS
-            spare_s = min(self.lost_s(), max(SPARE_PART * best_s, min(tolerated_s, best_s)))
-            # A stop goes at any time: a feed must leave room for a lost one, on an idle line too.
+            best_s, lost_s = max(self.most_s("")[0], 0.0), self.lost_s()
+            tolerated_s = self.faults.tolerate * lost_s / SPARE_ATTEMPTS
+            attempts_s = min(lost_s, max(SPARE_PART * best_s, min(tolerated_s, best_s)))
             cost_s = max((feed.cost_s for feed in self.by_drive.values() if feed.active), default=0)
-            more_s = max(self.faults.tolerate - 1, 0) * self.lost_s() / SPARE_ATTEMPTS
-            self._spare_s = max(spare_s, min(more_s + self.least_room_s(cost_s, 0.0), best_s))
+            more_s = max(self.faults.tolerate - 1, 0) * lost_s / SPARE_ATTEMPTS
+            stop_s = min(more_s + self.least_room_s(cost_s, 0.0), best_s)
+            spare_s = max(attempts_s, stop_s)
+            self._spare_s = spare_s, max(spare_s, SOON * attempts_s)
         return self._spare_s
 
     def lost_s(self) -> float:
