@@ -6,12 +6,13 @@
 # make compare  proves that nothing differs from a commit: make compare BASE=fab6b02
 # make bench   the figures of docs, ours and the peers' in one run
 # make wheel   dist/lecombus-*.whl, built offline from the lock
+# make golden  what the program says in tests, written again: tests/*/golden.txt (ARGS="tests/cli")
 # make openapi the description of the HTTP interface, from the routes and the answer models
 # make lock    requirements/*.txt anew from *.in (make lock ARGS=--upgrade for newer versions)
 
 ARGS ?=
 
-.PHONY: demo test test-long proof compare check bench openapi wheel lock format clean
+.PHONY: demo test test-long proof compare check bench golden openapi wheel lock format clean
 
 demo:
 	@scripts/venv runtime
@@ -43,6 +44,11 @@ compare:
 bench:
 	@scripts/venv bench
 	@PYTHONPATH=src:tests .venv/bin/python -m benchmarks.run $(ARGS)
+
+golden:
+	@scripts/venv dev
+	@.venv/bin/python -m pytest -q --write-golden $(ARGS)
+	@git --no-pager diff --stat -- '*golden.txt'
 
 openapi:
 	@scripts/venv dev

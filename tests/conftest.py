@@ -19,6 +19,8 @@ from pathlib import Path
 import hypothesis
 import pytest
 
+from support.golden import NAME, Golden, GoldenFiles
+
 # How long an example takes says more of the machine than of us: nothing is judged by the clock.
 hypothesis.settings.register_profile("lecombus", deadline=None)
 hypothesis.settings.load_profile("lecombus")
@@ -57,7 +59,31 @@ used: set[str] = set()
 """What the test that runs now has used of `USES`."""
 
 
-def pytest_configure() -> None:
+FILES = pytest.StashKey[GoldenFiles]()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--write-golden", action="store_true", help="write golden.txt again")
+
+
+@pytest.fixture
+def golden(request: pytest.FixtureRequest) -> Golden:
+    """Compares what is said with the golden file of the test's folder (`support.golden`)."""
+    files, path = request.config.stash[FILES], Path(request.node.path)
+    return Golden(files, path.with_name(NAME), f"{path.stem}::{request.node.name}")
+
+
+def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
+    files = session.config.stash[FILES]
+    if files.writes and exitstatus == 0:
+        whole = not session.config.getoption("keyword") and all(
+            "::" not in word for word in session.config.args
+        )
+        files.write({Path(item.path).stem for item in session.items} if whole else set())
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.stash[FILES] = GoldenFiles(writes=config.getoption("write_golden"))
     for owner, name, waits in USES:
         setattr(owner, name, _noted(getattr(owner, name), name, waits))
 

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lecombus.durations import DurationError, format_duration, parse_duration
+from support.golden import Golden
 
 
 @pytest.mark.parametrize(
@@ -23,27 +24,27 @@ def test_a_duration_is_read_in_seconds(text: str, seconds: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "what", "right"),
+    "text",
     [
-        ("2", "has no unit", "write 2ms, 2s, 2min or 2h"),
-        ("-2s", "is negative", "write 2s"),
-        ("1,5s", "has a decimal comma", "write 1.5s"),
-        ("2m", "has the unknown unit `m`", "write min for minutes or ms for milliseconds"),
-        ("2sec", "has the unknown unit `sec`", "write s for seconds"),
-        ("2S", "has the unknown unit `S`", "write 2s"),
-        ("2days", "has the unknown unit `days`", "the units are ms, s, min and h"),
-        ("soon", "is no duration", "write a number with ms, s, min or h, such as 500ms"),
-        ("11:30", "is no duration", "write a number with ms, s, min or h, such as 500ms"),
-        ("1e3s", "is no duration", "write a number with ms, s, min or h, such as 500ms"),
-        ("nans", "is no duration", "write a number with ms, s, min or h, such as 500ms"),
-        ("9" * 30 + "s", "is no duration", "write a number with ms, s, min or h, such as 500ms"),
-        ("٢s", "is no duration", "write a number with ms, s, min or h, such as 500ms"),
+        "2",
+        "-2s",
+        "1,5s",
+        "2m",
+        "2sec",
+        "2S",
+        "2days",
+        "soon",
+        "11:30",
+        "1e3s",
+        "nans",
+        "9" * 30 + "s",
+        "٢s",
     ],
 )
-def test_what_is_no_duration_is_refused_with_the_remedy(text: str, what: str, right: str) -> None:
+def test_what_is_no_duration_is_refused_with_the_remedy(text: str, golden: Golden) -> None:
     with pytest.raises(DurationError) as caught:
         parse_duration(text)
-    assert (caught.value.what, caught.value.right) == (what, right)
+    golden(caught.value.what, caught.value.right)
 
 
 @given(st.text(max_size=20))

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from support.golden import NAME, read_golden
+
 ROOT = Path(__file__).parents[1]
 REQUIREMENTS = ROOT / "requirements"
 LOCKS = sorted(path for path in REQUIREMENTS.glob("*.txt") if path.name != "debian.txt")
@@ -158,6 +160,15 @@ def test_no_test_reaches_into_what_is_private_to_the_exchange_loop() -> None:
         if isinstance(node, ast.Attribute) and PRIVATE.search(ast.unparse(node))
     ]
     assert reached == []
+
+
+def test_golden_files_hold_nothing_that_no_test_asks_for() -> None:
+    for path in (ROOT / "tests").rglob(NAME):
+        for key in read_golden(path):
+            module, _, test = re.split(r"[\[ ]", key)[0].partition("::")
+            source = path.with_name(f"{module}.py").read_text()
+            assert f"def {test}(" in source, key
+            assert "golden" in source, key
 
 
 def test_every_test_runs_in_just_one_lane() -> None:
