@@ -91,6 +91,7 @@ class Promises:
             if (time_s := watched_s(drive))
         }
         self._fed: dict[int, float] = {}
+        self._stopped: dict[str, float] = {}
         self.most: dict[str, float] = {}
 
     def _promise_gaps(self, line: RandomLine, plan: LinePromises, late_s: float) -> None:
@@ -114,6 +115,8 @@ class Promises:
         """Judge how long an exchange had waited, and what it brought."""
         if not self._judged or report.result.kind is ResultKind.LOST:
             return
+        if report.priority is Priority.STOP:
+            self._stopped[report.drive] = report.result.ended_s
         name, promised_s = self._waits.get(report.priority, ("", 0.0))
         is_promised = report.priority in self._promised_for
         if report.priority is Priority.CYCLIC and not self._is_slot(report):
@@ -123,7 +126,12 @@ class Promises:
         if name:
             if name == "cyclic" and report.waited_s > promised_s:
                 promised_s += self._asked_s(report.result.started_s - report.waited_s)
-            if report.attempt == 1:  # what a proof waits is no wait of the request
+            # What a proof waits is no wait of the request; nor is a stop of the drive that is under
+            # way, behind which its status words are read.
+            behind_stop = self._stopped.get(report.drive, -math.inf) > (
+                report.result.started_s - report.waited_s
+            )
+            if report.attempt == 1 and not (behind_stop and name == "interactive"):
                 self._judge(name, report.drive, report.waited_s, promised_s)
             took_s, own_s = report.result.ended_s - report.result.started_s, self._own_s[name]
             self._judge(OWN[name], report.drive, took_s, own_s)
