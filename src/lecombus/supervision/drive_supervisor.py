@@ -1,8 +1,11 @@
 """The supervisor: audits every drive's watchdog, sets it where the roster wants that, feeds it.
 
 What its user sees: after the start, and whenever a drive or the line comes back, each drive is
-audited (`audit` says what that is) before it is called online. A 2102 module forgets its
-watchdog's settings with its supply (EDB2102EN 6.3), so this is not a formality.
+audited before it is called online. A 2102 module forgets its watchdog's settings with its supply
+(EDB2102EN 6.3), so this is not a formality. Asked before it is online: is it there at all; what is
+its control word, which a quick stop needs; may it be written to (`write_prechecks`); what is its
+watchdog set to, and does the roster want something else (`watchdogs`). Asked afterwards, when the
+line has time: what need not be waited for.
 
 Feeding itself is the schedule's: the supervisor says which drive must be spoken to how often
 (`Schedule.set_feeding`), and the schedule finds the telegram, mostly one that was due anyhow. It
@@ -20,20 +23,21 @@ from __future__ import annotations
 import contextlib
 import logging
 from collections.abc import Callable
+from contextlib import AbstractAsyncContextManager
 
 import anyio
 
 from lecombus.drive_runtime import Drive, RunningAudit
-from lecombus.errors import LecombusError
+from lecombus.errors import LecombusError, RefusedError
 from lecombus.fieldbus.station import Station
+from lecombus.motion import learnt_setpoint
 from lecombus.operations.facade import Operations
 from lecombus.operations.requests import Requests, is_of_the_line
 from lecombus.readings import DriveState
-from lecombus.schedule import WatchdogFeeding
+from lecombus.schedule import Priority, WatchdogFeeding
 from lecombus.store import Store
-from lecombus.supervision.audit import Audit
 from lecombus.supervision.health import Health
-from lecombus.supervision.watchdogs import Rechecks, WatchdogAudit
+from lecombus.supervision.watchdogs import PATIENCE_S, Rechecks, WatchdogAudit
 from lecombus.supervision.write_prechecks import WritePrechecks
 
 __all__ = ["DriveSupervisor"]
@@ -70,12 +74,11 @@ class DriveSupervisor:
         self._drives = requests.drives
         self._clock = clock
         self._health = health
-        watchdogs = WatchdogAudit(requests, store, self._feed)
+        self._watchdogs = WatchdogAudit(requests, store, self._feed)
         self._prechecks = WritePrechecks(
             requests, store, operations.identities, operations.readdressing
         )
-        self._audits = Audit(requests, self._prechecks, watchdogs)
-        self._rechecks = Rechecks(requests, watchdogs, health)
+        self._rechecks = Rechecks(requests, self._watchdogs, health)
         self._one_at_a_time = anyio.Lock()
 
     async def run(self) -> None:
@@ -141,15 +144,86 @@ class DriveSupervisor:
             drive.audit.watchdog = None  # it may be another device: look at everything again
         station = drive.station
         try:
-            await self._audits.contact(station)
+            await self._contact(station)
         finally:
             drive.audit.tried = True
-        slow = is_slow(station)
-        turn = (lambda: self._one_at_a_time) if slow else contextlib.nullcontext
-        await self._audits.examine(drive, turn)
+        await self._examine(
+            drive, self._one_at_a_time if is_slow(station) else contextlib.nullcontext()
+        )
+
+    async def _contact(self, station: Station) -> None:
+        """Any answer shows that the drive is there, also that it has no such code.
+
+        One attempt only: at the start others' watchdogs are waiting behind an absent drive.
+
+        Raises:
+            LecombusError: It is not there, or the line is not.
+        """
+        with contextlib.suppress(RefusedError):
+            await self._requests.read(
+                station,
+                station.family.feed_code,
+                Priority.INTERACTIVE,
+                timeout_s=PATIENCE_S,
+                retries=0,
+            )
+
+    async def _examine(self, drive: Drive, turn: AbstractAsyncContextManager[object]) -> None:
+        """Find out what is at the other end and put its watchdog in order.
+
+        In two turns: what a drive's watchdog does is looked at before any drive's is set, because
+        one that is off needs no feeding, and with less to feed setting them goes faster.
+
+        Args:
+            drive: The drive.
+            turn: Entered for each of the two.
+
+        Raises:
+            LecombusError: It could not be finished.
+        """
+        station = self._requests.station(drive.name)
+        traits = station.family.watchdog if drive.entry.watchdog is not None else None
+        action = None
+        async with turn:
+            station = await self._prechecks.check_addressing(drive, station)
+            await self._learn_words(station)
+            known = await self._prechecks.check_identity(drive, station)
+            gate = station.family.software
+            if gate is not None:
+                await self._prechecks.check_software(drive, station, gate, known.get(gate.code))
+            if traits is not None:
+                action = await self._watchdogs.look(drive, station, traits)
+        if action is not None and traits is not None:
+            async with turn:
+                await self._watchdogs.settle(drive, station, traits, action)
+
+    async def _learn_words(self, station: Station) -> None:
+        """Read the control word, and before it the code that decides what its bits mean.
+
+        A quick stop changes one bit of the control word and must not wait for reading it first;
+        of a drive without that code it is an inhibit.
+        """
+        family = station.family
+        stops = {rule.code for rule in family.stops.values() if rule.value is None}
+        codes = filter(None, (family.configured_by, *stops))
+        await self._requests.read_known(station, codes, timeout_s=PATIENCE_S)
 
     async def _learn_the_rest(self, drive: Drive) -> None:
-        await self._audits.learn_the_rest(drive, drive.station)
+        """Read when the line has time what a drive need not be kept from work for.
+
+        A watchdog that the roster does not name is looked at, so that its user learns of it; and
+        whether the module answers writes early (C1921), until when it is taken to do so.
+        """
+        station, family = drive.station, drive.family
+        try:
+            if drive.entry.watchdog is None and family.watchdog is not None:
+                await self._watchdogs.learn(drive.name, station, family.watchdog)
+            # The setpoint is shown beside the speed; `configurations` takes what C1921 brings.
+            for code in filter(None, (learnt_setpoint(family), family.shortened_code)):
+                await self._requests.read(station, code, Priority.BACKGROUND, timeout_s=PATIENCE_S)
+        except LecombusError as exc:
+            if not is_of_the_line(exc):
+                logger.info("drive=%s event=not-learnt reason=%s", drive.name, exc)
 
     def _audit_failed(self, drive: Drive, exc: LecombusError) -> None:
         self._health.audit_failed(drive, str(exc))
