@@ -93,7 +93,7 @@ def test_what_users_may_do_counts_at_once_after_a_reload() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()
         plant.apply(roster(EVERY_2_S, more=", restore: true"))
-        assert plant.site.operations.context.permissions.entries["a"].restore
+        assert plant.site.drives.get("a").entry.restore
         plant.apply(roster(EVERY_2_S, more=", identity: {C0200: x}"))
         assert plant.state("a") is DriveState.STARTING
 

@@ -210,16 +210,18 @@ def _usable(reading: Reading | None, *, stale: bool) -> Reading | None:
 
 def _states(family: Family, words: list[Reading]) -> dict[OperatingState, list[str]]:
     """Give each state that the words show, with the words that show it."""
-    told = [(one.age_s or 0.0, *_told(family, one.code, one.value)) for one in words if one.value]
+    seen = [
+        (one.age_s or 0.0, *_shown_by(family, one.code, one.value)) for one in words if one.value
+    ]
     found: dict[OperatingState, list[str]] = {}
-    for reading, shown in zip(words, believed_states(told), strict=True):
+    for reading, shown in zip(words, believed_states(seen), strict=True):
         assert reading.value is not None
         for state in dict.fromkeys(shown):
             found.setdefault(state, []).append(f"{reading.code} reads {reading.value.raw}")
     return found
 
 
-def _told(
+def _shown_by(
     family: Family, code: Code, value: Value
 ) -> tuple[list[OperatingState], set[OperatingState]]:
     """Give the states that a word shows, and those that it can report: only a status word can.
@@ -228,18 +230,18 @@ def _told(
     """
     word = family.words.get(code)
     shown: list[OperatingState] = []
-    told: set[OperatingState] = set()
+    possible: set[OperatingState] = set()
     if word is not None and type(value.number) is int:
         shown += word.shown_states(value.number)
-        told |= word.possible_states
+        possible |= word.possible_states
     for action, rule in family.stops.items():
         proof = rule.proofs.get(code)
-        tells = None if proof is None else proof.shown_by(value)
-        if tells:
+        shows = None if proof is None else proof.shown_by(value)
+        if shows:
             shown.append(OF_ACTION[action])
-        if tells is not None and word is not None:
-            told.add(OF_ACTION[action])
-    return shown, told
+        if shows is not None and word is not None:
+            possible.add(OF_ACTION[action])
+    return shown, possible
 
 
 def _stops(states: dict[OperatingState, list[str]], fault: ActiveFault | None) -> tuple[Stop, ...]:

@@ -82,7 +82,6 @@ class OperationContext:
         """Take the roster's drives and groups, at the start and at every reload."""
         self.entries = {entry.name: entry for entry in entries}
         self.groups = dict(groups)
-        self.permissions.entries = self.entries
 
     def station(self, drive: str) -> Station:
         """Look a drive up.

@@ -206,10 +206,10 @@ class GroupWrites:
             return await self._context.diagnosis.explain_all(
                 proofs, stations, [wire] * len(stations)
             )
-        told = Outcome.UNKNOWN if outcome is Outcome.DONE else outcome
+        shown = Outcome.UNKNOWN if outcome is Outcome.DONE else outcome
         remedy = REMEDIES.get(kind, "")
         return [
-            WriteReport(one.name, code, told, reason, kind=kind, remedy=remedy) for one in stations
+            WriteReport(one.name, code, shown, reason, kind=kind, remedy=remedy) for one in stations
         ]
 
     def _submit_each(

@@ -105,12 +105,12 @@ class Identities:
             found: What could be read, by code.
         """
         drive.identity.found = {code: text_of(value) for code, value in found.items()}
-        told = drive.identity.as_text()
-        self._store.identify(drive.name, told)
+        texts = drive.identity.as_text()
+        self._store.identify(drive.name, texts)
         differing = self.differing(drive, found)
         if not differing:
-            self._record(drive.name, told)
-        self._remark(drive.name, self._difference(drive, differing, told))
+            self._record(drive.name, texts)
+        self._remark(drive.name, self._difference(drive, differing, texts))
 
     def exchange_ended(self, event: ExchangeEvent) -> None:
         """Take an exchange: only values that were read say something."""
@@ -200,26 +200,26 @@ class Identities:
         self._store.note(name, IDENTITY_LOCK, None)
         self._line.audit_soon(self._drives.get(name))
 
-    def _record(self, name: str, told: Mapping[str, str]) -> None:
+    def _record(self, name: str, texts: Mapping[str, str]) -> None:
         """Keep what is new; a code that could not be read this time stays as it was."""
         facts = self._state.drive(name)
-        new = {code: text for code, text in told.items() if facts.identity.get(code) != text}
+        new = {code: text for code, text in texts.items() if facts.identity.get(code) != text}
         if not new:
             return
-        logger.info("drive=%s event=identity-recorded identity=%s", name, _listed(told))
-        facts.identity = {**facts.identity, **told}
+        logger.info("drive=%s event=identity-recorded identity=%s", name, _listed(texts))
+        facts.identity = {**facts.identity, **texts}
         facts.accepted_at = rfc3339(self._wall())
         self._state.touch()
 
     def _difference(
-        self, drive: Drive, differing: list[Code], told: Mapping[str, str]
+        self, drive: Drive, differing: list[Code], texts: Mapping[str, str]
     ) -> str | None:
         """Say what differs and what to do about it; None where nothing does."""
         if not differing:
             return None
         roster, record = drive.entry.identity, self._state.drive(drive.name).identity
         parts = [
-            f"{code} reads {told[str(code)]}, "
+            f"{code} reads {texts[str(code)]}, "
             + (f"the roster says {roster[code]}" if code in roster else f"not {record[str(code)]}")
             for code in differing
         ]

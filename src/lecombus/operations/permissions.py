@@ -12,7 +12,7 @@ and nothing that lecombus itself sets from the roster.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from decimal import Decimal
 
 from lecombus.config import DriveEntry
@@ -33,18 +33,14 @@ class Permissions:
     """Says what may be written to the drives of one line.
 
     Args:
-        requests: Knows the stations.
+        requests: Knows the drives.
         store: How the drives are doing.
-
-    Attributes:
-        entries: The roster's drives by their names.
     """
 
     def __init__(self, requests: Requests, store: Store) -> None:
         self._requests = requests
         self._store = store
         self._closing = False
-        self.entries: Mapping[str, DriveEntry] = {}
 
     def close(self) -> None:
         """Permit nothing more."""
@@ -69,20 +65,20 @@ class Permissions:
             self.check_writable(drive, code)
         self.check_ready(drive, code)
         remedy = "nothing was sent"
-        told = station.family.spoken(code)
+        named = station.family.spoken(code)
         known = self._store.reading(drive, code)
         last_read = known.value if known is not None else None
         try:
             wire = encode_for(station.family, code, value, last_read=last_read)
-            if not restoring and code not in self.entries[drive].unchecked:
+            if not restoring and code not in self._entry(drive).unchecked:
                 remedy = (
-                    f"give such a value; if this drive takes more, list {told} under `unchecked` "
+                    f"give such a value; if this drive takes more, list {named} under `unchecked` "
                     "of the drive in the roster"
                 )
                 check_allowed(station.family, code, wire)
         except CodeValueError as exc:
             raise OperationError(
-                f"{told} of {drive} cannot take {value!s}: {exc}",
+                f"{named} of {drive} cannot take {value!s}: {exc}",
                 kind="bad-value",
                 drive=drive,
                 code=str(code),
@@ -98,7 +94,7 @@ class Permissions:
         """
         station = self._requests.station(drive)
         locked = self._store.drive(drive).write_lock
-        return rights_of(self.entries[drive], station.family, locked)
+        return rights_of(self._entry(drive), station.family, locked)
 
     def check_ready(self, drive: str, code: Code | None = None) -> None:
         """Refuse to write to a drive that is away, not audited yet, or locked.
@@ -106,7 +102,7 @@ class Permissions:
         Raises:
             OperationError: `offline`, `starting` or `locked`.
         """
-        told = "" if code is None else str(code)
+        named = "" if code is None else str(code)
         state = self._store.drive(drive)
         # Without a line no drive answers: the worker says so when it is asked, and why.
         is_open = self._store.line().state is LineState.OPEN
@@ -115,7 +111,7 @@ class Permissions:
                 f"{drive} is {state.state.value}: {state.reason}",
                 kind="offline" if state.state is DriveState.OFFLINE else "starting",
                 drive=drive,
-                code=told,
+                code=named,
                 remedy="nothing was sent; a drive is written to once it answers and was audited",
             )
         if state.write_lock is not None:
@@ -123,8 +119,11 @@ class Permissions:
                 f"nothing is written to {drive}: {state.write_lock}",
                 kind="locked",
                 drive=drive,
-                code=told,
+                code=named,
             )
+
+    def _entry(self, drive: str) -> DriveEntry:
+        return self._requests.drives.get(drive).entry
 
     def check_writable(self, drive: str, code: Code) -> None:
         """Refuse a code that the roster does not let be written.
@@ -132,19 +131,19 @@ class Permissions:
         Raises:
             OperationError: `not-writable`.
         """
-        writable = self.entries[drive].writable
+        writable = self._entry(drive).writable
         if code in writable:
             return
         family = self._requests.station(drive).family
         info = family.info(code)
-        told = family.spoken(code)
-        text = f"{told} of {drive} is not writable"
+        named = family.spoken(code)
+        text = f"{named} of {drive} is not writable"
         remedy = (
-            f"write `also_writable: [{told}]` for this drive into the roster and reload it; now "
+            f"write `also_writable: [{named}]` for this drive into the roster and reload it; now "
             f"{listed(writable, family)}"
         )
         if info is not None and not info.writable:
-            text = f"{told} of {drive} is read only: {info.name}"
+            text = f"{named} of {drive} is read only: {info.name}"
             remedy = f"`lecombus describe {family.name}` lists what can be written"
         raise OperationError(text, kind="not-writable", drive=drive, code=str(code), remedy=remedy)
 

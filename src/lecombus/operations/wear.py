@@ -117,9 +117,9 @@ class Wear:
         if wait_s <= 0.0:
             return
         found = self._drives.get(drive)
-        limit, told = found.entry.stored_writes, found.family.spoken(code)
+        limit, named = found.entry.stored_writes, found.family.spoken(code)
         raise OperationError(
-            f"{told} of {drive} is stored in the drive at every write, and was written "
+            f"{named} of {drive} is stored in the drive at every write, and was written "
             f"{'once' if limit.burst == 1 else f'{limit.burst} times'} in a short time",
             kind="too-many-writes",
             drive=drive,

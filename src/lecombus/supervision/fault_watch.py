@@ -120,7 +120,7 @@ class FaultWatch:
         fault.tries = fault.looks = 0
         if shown_by != OPERATING_STATUS:
             fault.digit = 0  # what was read before the rise says nothing of this fault
-        self._tell(drive, family)
+        self._show(drive, family)
         self._ask_memory(drive, family)
         missing = shown_by != OPERATING_STATUS and OPERATING_STATUS in family.words
         if kind is FaultKind.TRIP and missing:
@@ -135,7 +135,7 @@ class FaultWatch:
         )
         fault.kind = fault.number = fault.candidate = None
         fault.logged = False
-        self._tell(drive, family)
+        self._show(drive, family)
 
     def _look_again(self, drive: Drive, family: Family) -> None:
         """One word shows no fault, others did when they were last read: read these again.
@@ -173,7 +173,7 @@ class FaultWatch:
             return
         fault.number = fault.candidate = None
         fault.tries = 0
-        self._tell(drive, family)
+        self._show(drive, family)
         self._ask_memory(drive, family)
 
     def _name(self, drive: Drive, family: Family, table: FaultTable) -> None:
@@ -184,7 +184,7 @@ class FaultWatch:
             number = None
         if number != fault.number:
             fault.number = number
-            self._tell(drive, family)
+            self._show(drive, family)
             if number is not None:
                 self._log(drive, family)
 
@@ -216,7 +216,7 @@ class FaultWatch:
 
     # -- store and log ---------------------------------------------------------------------------
 
-    def _tell(self, drive: Drive, family: Family) -> None:
+    def _show(self, drive: Drive, family: Family) -> None:
         fault = drive.fault
         active = None
         if fault.kind is not None:

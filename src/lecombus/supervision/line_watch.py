@@ -50,7 +50,7 @@ LEAST: Final = 3
 """Fewer second answers than this within a minute are not worth a remark."""
 
 PART: Final = 2 / 3
-"""Of those that can be told, so many came behind the same drive's own answer."""
+"""Of those whose drive is known, so many came behind the same drive's own answer."""
 
 
 class LineWatch:

@@ -54,7 +54,7 @@ class PortWatch:
         self._silent = False
         self._heard = False
         self._is_new = True  # opened since the last look
-        self._told = ""
+        self._logged = ""
         self._looked_at_s = -math.inf
         self._pause_s = FIRST_PAUSE_S
         self._failures = 0  # at the last look
@@ -85,7 +85,7 @@ class PortWatch:
         is_news = self._is_new or (silent and not self._silent)
         if self._silent and not silent:
             self._silent, self._others = False, ()
-            self._tell()
+            self._show()
         if is_news or failures - self._last_failures >= BURST:
             self._pause_s = FIRST_PAUSE_S / 2.0
         self._last_failures = failures
@@ -101,9 +101,9 @@ class PortWatch:
         """Take what a look brought: the other programs that have the port open."""
         self._others = tuple(others)
         self._pause_s = FIRST_PAUSE_S if others else min(2.0 * self._pause_s, LONGEST_PAUSE_S)
-        self._tell()
+        self._show()
 
-    def _tell(self) -> None:
+    def _show(self) -> None:
         """Set the remark, and log what is new."""
         text = ""
         if self._others:
@@ -112,11 +112,11 @@ class PortWatch:
             text = unheard_remedy(self._line.port, self._line.baud)
         if self._silent:
             text = f"no drive answers: {text}"
-        if text and text != self._told:
+        if text and text != self._logged:
             event = "line-silent" if self._silent else "port-shared"
             logger.warning("line=%s event=%s reason=%s", self._line.name, event, text)
-            self._told = text
-        elif self._told and not text and self._heard:  # just opened: not heard yet
+            self._logged = text
+        elif self._logged and not text and self._heard:  # just opened: not heard yet
             logger.info("line=%s event=line-heard", self._line.name)
-            self._told = ""
+            self._logged = ""
         self._store.note_line(SILENCE, text or None)

@@ -104,10 +104,10 @@ class WritePrechecks:
         return changed
 
     def _remark_addressing(self, name: str, moved: dict[Code, Value], *, reachable: bool) -> None:
-        told = " and ".join(f"{code} is {value.raw}" for code, value in moved.items())
+        reads = " and ".join(f"{code} is {value.raw}" for code, value in moved.items())
         before = self._store.drive(name).remarks
         text = (
-            f"{told}: standard addressing reaches other codes or subcodes of this drive than it "
+            f"{reads}: standard addressing reaches other codes or subcodes of this drive than it "
             "should; "
         )
         lock = note = None
@@ -127,7 +127,7 @@ class WritePrechecks:
         self._store.note(name, MOVED, note)
         if note is not None:
             for code in self._store.codes(name):
-                self._store.value_failed(name, code, f"{told} when it was read")
+                self._store.value_failed(name, code, f"{reads} when it was read")
 
     async def check_identity(self, drive: Drive, station: Station) -> dict[Code, Value]:
         """Find out who it is.
