@@ -1,24 +1,28 @@
-"""Line time that is set aside: for lower classes behind higher ones, and for absent drives.
+"""Line time reserved for lower classes behind higher ones, and for absent drives.
 
-Classes are served strictly by priority, but three of them are promised a small share of the line
-when they wait behind others. While such a class has something that could go, it earns its share of
-all line time as credit and pays for the line time it uses; once the credit covers its next
-exchange, that one goes first. Credit is capped at a few exchanges and lost when nothing waits; it
-is kept while what waits may not go. An exchange that feeds a watchdog is not paid for: else feeds
-that are cyclic reads would use up what other reads wait for. A lost answer causes no
-debt: else the next request of its class would wait for twenty such times.
+Classes are served in strict priority, but three of them have a small share of the line when they
+wait behind others (`CLASS_SHARES`). While such a class has something that could go, it earns its
+share of all line time as credit, and pays for the line time that it uses. When the credit covers
+its next exchange, that one goes first.
 
-No class goes first twice. An exchange goes by credit only directly after one that went by right and
-was of the class it goes ahead of, or of a higher one; feeds between them do not count. So a lone
-request of a higher class lets nothing go first, and many of them let others have every second
-exchange at most, however much those have saved up. Of several classes that have earned theirs, the
-one goes that has gone by credit least recently: where exchanges of higher classes are far longer
-the shares become smaller, but each class gets its turn.
+* Credit is limited to a few exchanges. It is lost when nothing waits, and kept while what waits may
+  not go.
+* An exchange that feeds a watchdog costs no credit. Otherwise feeds that are cyclic reads would use
+  up what other reads wait for.
+* A lost answer causes no debt. Otherwise the next request of its class would wait for twenty such
+  times.
 
-Absent drives share one token bucket: it fills with their share of elapsed time and holds one
-probe. A probe starts only when the bucket covers the longest it can take, and pays what it took.
-A full bucket is one probe above the share in any window; so the bucket fills a little slower,
-by one probe per `WINDOW_S`, and the share holds in any window of that length.
+No class goes first twice in a row. An exchange goes by credit only directly after one that went by
+priority and was of the class that it overtakes, or of a higher one; feeds between them do not
+count. So a lone request of a higher class is never overtaken, and many of them lose at most every
+second exchange, however large the credit is. Of several classes with enough credit, the one goes
+that went by credit least recently. Where exchanges of higher classes are far longer the shares
+become smaller, but each class gets its turn.
+
+Absent drives share one token bucket. It fills with their share of elapsed time and holds one probe.
+A probe starts only when the bucket covers the longest that it can take, and pays what it took. A
+full bucket is one probe above the share in any window; so the bucket fills slower, by one probe per
+`WINDOW_S`, and the share holds in any window of that length.
 """
 
 from __future__ import annotations

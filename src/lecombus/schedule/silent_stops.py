@@ -1,27 +1,27 @@
-"""When a stop of a drive that does not answer goes out, so that it costs no other its watchdog.
+"""When a stop is sent to a drive that does not answer, so that it costs no other its watchdog.
 
-A stop goes before everything, and an exchange without answer feeds no watchdog: a few of them in a
-row, and other drives act by their own watchdogs. So the first telegram of a stop waits for nothing,
-for the drive is supposed to hear it; but once a drive has not answered a stop, and from the
-beginning where it is offline, every telegram of its stops must pass the slack check, with the spare
-kept for lost answers left over (watchdog_set.py). While it does not, the feed that stands in the
-way goes first: that read alone, nothing else. So does that of a drive which is late already, its
-watchdog run out or not: it is left out of the check, and may be the one that still moves.
+A stop goes before everything else. But an exchange without answer feeds no watchdog, and after a
+few of them in a row other drives act by their own watchdogs. So:
 
-That cannot last. After as long as one feed of every watched drive takes, a round of the line, and
-the attempts that another drive costs which goes away just then, the stop goes, even if watchdogs
-expire, because it may be the one telegram that is received. A drive that is left alone for a moment
-(a hold) is waited for if its feed stands in the way, and fed.
-
-Nor does it wait for so long that its own drive's watchdog acts: that drive may be there, and may
-have missed no more than the lost answers that are tolerated (fault_hypothesis.py). Its own feed
-does not go before its stop; if the next feed is due after its own and would make it late, the stop
-goes first. But where the stop, although answered, would take so long that others act (an 820X: 0.2
-s), the drive's feed goes in its place, and the stop when there is room, or after that time.
+* The first telegram of a stop never waits: the drive probably receives it.
+* Once a drive has not answered a stop, and from the beginning where it is offline, every telegram
+  of its stops must pass the slack check, with the spare for lost answers left over
+  (watchdog_set.py). Until it does, the feed that is in the way goes first: that read alone, nothing
+  else. So does the feed of a drive that is late already, whether its watchdog has run out or not:
+  the check leaves it out, and it may be the drive that still moves.
+* That wait is bounded: by one feed of every watched drive (a round of the line), and the attempts
+  that another drive costs which goes offline just then. After that the stop goes even if watchdogs
+  expire, because it may be the one telegram that is received. A drive that is left alone for a
+  moment (a hold) is waited for if its feed is in the way, and fed.
+* The wait must not make the stopped drive's own watchdog act: that drive may be there, and may have
+  missed no more than the lost answers that are tolerated (fault_hypothesis.py). Its own feed does
+  not go before its stop; if the next feed is due after its own and would make it late, the stop
+  goes first. But where the stop, although answered, would take so long that others act (an 820X:
+  0.2 s), the drive's feed goes in its place, and the stop when there is room or after that time.
 
 A drive that answers anything else is no longer silent, and its stop goes first again. Only what is
-read when it has acknowledged the stop and shown it, for more proof, waits in the same way: the plan
-counts no more than one reading. Which stops come before which stands in waiting.py.
+read for more proof, when it has acknowledged the stop and shown it, waits in the same way: the plan
+counts one reading. Which stops come before which stands in waiting.py.
 
 Pure: the times are arguments.
 """
@@ -40,7 +40,7 @@ __all__ = ["SilentStops"]
 
 
 class SilentStops:
-    """Holds the stops of silent drives to the slack check.
+    """Delays stops of drives that do not answer until other watchdogs are safe.
 
     Args:
         waiting: Knows who is silent.

@@ -1,13 +1,12 @@
 """When a stop, or a write, counts as shown: which codes are read, and how many answers it takes.
 
 The usual proof is one reading that shows it. Consecutive proofs of several drives alternate
-the addressing form, which the answer repeats, so that a second copy of a neighbour's answer does
-not pass for the next drive's.
+the addressing form, which the answer repeats, so that a second copy of a neighbour's answer is not
+taken for the next drive's.
 
 Where that is not enough (the drive did not answer before, or second answers came lately) it takes
-three things: an acknowledgement of the drive's own, two readings in two forms or of two codes, and
-its own address, read from the drive itself: that is the one answer that no other drive of the line
-gives.
+three things: an acknowledgement by the drive itself, two readings in two forms or of two codes, and
+its address, read from the drive: no other drive of the line gives that answer.
 
 A write is proven with less: an answer that no other drive was asked for lately is this drive's, and
 an acknowledgement that was lost is not asked for again.

@@ -7,13 +7,13 @@ A quick stop never lifts an inhibit: the word that is sent has the inhibit's bit
 is inhibited, which is read first where it is not known. The value of C0135 does not show it: no
 manual says that it shows more than was last written to it.
 
-Strategy: send it, read it back, and do both again for as long as the proof is missing, whether the
-drive reads as not stopped or does not answer. What bounds this is time and not a number of
-attempts: a line that was deaf for a second is no reason to leave a living drive running. After
-the first few attempts there are pauses, in which the watchdogs of the others are fed.
+Strategy: send it, read it back, and repeat both while the proof is missing, whether the drive reads
+as not stopped or does not answer. Time is the limit, not a number of attempts: a line that received
+nothing for a second is no reason to leave a running drive running. After the first few attempts
+there are pauses, in which the watchdogs of the others are fed.
 
-A quick stop that cannot be had becomes an inhibit, and says why: when the control word cannot be
-read, when the drive refuses the telegram again and again, when it takes it and does not show it.
+A quick stop that is not possible becomes an inhibit, with the reason: when the control word cannot
+be read, when the drive refuses the telegram again and again, when it takes it and does not show it.
 Only inhibit is possible in every operating mode (EDB2102EN 6.2.1).
 
 What a drive refuses, does not know or does not show is sent in the other addressing form next,
