@@ -30,7 +30,6 @@ from typing import Final
 
 from lecombus.schedule.arbiter import Arbiter, to_feed
 from lecombus.schedule.drive_table import DriveTable
-from lecombus.schedule.idle_time import wanted_at_s
 from lecombus.schedule.lookahead import Lookahead, PlannedChoice
 from lecombus.schedule.polling import Polling, PollingEntry
 from lecombus.schedule.request import (
@@ -59,6 +58,9 @@ ROOMS_PER_FEED: Final = 4
 FEEDS_FIRST: Final = 2
 # Of the longest that ever fits: so long an exchange with a drive that was measured may be.
 MEASURED_PART: Final = 0.5
+# An idle line looks no sooner again for a feed that could not go, seconds.
+LOOK_AGAIN_S: Final = 0.01
+PRESSING: Final = (Priority.CONTROL, Priority.WATCHDOG, Priority.INTERACTIVE)
 BY_MANUAL_PART: Final = 0.5  # of the shortest watchdog time: see `_admit_by_manual`
 
 
@@ -382,11 +384,25 @@ class Schedule(DriveTable):
         return self._watchdogs.fits(now_s, for_s, "") and self.wanted_at_s(now_s) > now_s
 
     def wanted_at_s(self, now_s: float) -> float:
-        """Return when anything but cyclic and background work may want the line (`idle_time`)."""
+        """Return when to look again whether anything but cyclic and background work wants the line.
+
+        These may wait while the line is left idle on purpose. All else ends that, also a stop that
+        must itself wait for a feed.
+
+        Returns:
+            `now_s`: something wants the line. Submitting may make it so at any time.
+        """
+        waiting = self._waiting
         self._lookahead.invalidate()
-        if self._waiting.timers and self._waiting.timers[0][0] <= now_s:
+        if waiting.timers and waiting.timers[0][0] <= now_s:
             self._run_timers(now_s)
-        return wanted_at_s(self._waiting, self._watchdogs, self._watchdog_arbiter, now_s)
+        if waiting.stop() is not None or self._watchdog_arbiter.urgent(now_s) is not None:
+            return now_s
+        if any(waiting.head(one, now_s) is not None for one in PRESSING):
+            return now_s
+        timer_s = waiting.timers[0][0] if waiting.timers else math.inf
+        feed_s = self._watchdogs.next_s(now_s)
+        return min(timer_s, math.inf if feed_s is None else max(feed_s, now_s + LOOK_AGAIN_S))
 
     # -- what the line reports --------------------------------------------------------------------
 
