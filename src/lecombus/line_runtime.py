@@ -17,7 +17,7 @@ from lecombus.drive_runtime import LineDrives
 from lecombus.errors import ConfigError
 from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.request_maker import RequestMaker
-from lecombus.line.port import PortOpener, PortSettings
+from lecombus.fieldbus.port import PortOpener, PortSettings
 from lecombus.line.worker import LineWorker, WorkerOptions
 from lecombus.metrics import Metrics
 from lecombus.operations.facade import Operations

@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from lecombus.config import Roster
+from lecombus.fieldbus.port import PortOpener
 from lecombus.line.opening import open_port
-from lecombus.line.port import PortOpener
 
 if TYPE_CHECKING:
     from lecombus.fieldbus.lecom.simulator.line import SimLine

@@ -28,11 +28,11 @@ from lecombus.fieldbus.lecom.exchanges.jobs import ReadJob
 from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.fieldbus.lecom.protocol.controls import with_parity
 from lecombus.fieldbus.lecom.protocol.telegrams import read_telegram
+from lecombus.fieldbus.port import PortSettings
 from lecombus.fieldbus.reports import ExchangeReport
 from lecombus.fieldbus.station import Station
 from lecombus.line.loop import new_event_loop
 from lecombus.line.opening import open_port
-from lecombus.line.port import PortSettings
 from lecombus.line.worker import LineWorker, WorkerOptions
 from lecombus.parameters import Code
 from lecombus.schedule import Cyclic, Outcome, Priority, Request, Schedule

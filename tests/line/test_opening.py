@@ -8,9 +8,9 @@ import socket
 import pytest
 
 from lecombus.errors import LineLostError
+from lecombus.fieldbus.port import PortSettings
 from lecombus.line.loop import run
 from lecombus.line.opening import open_port, url_mistake
-from lecombus.line.port import PortSettings
 from lecombus.line.serial_port import SerialPort
 from lecombus.line.tcp_port import TcpPort
 

@@ -9,7 +9,7 @@ import pytest
 
 from lecombus.errors import LineClosedError, LineLostError
 from lecombus.fieldbus.lecom.simulator.faults import Faults
-from lecombus.line.port import Port, PortSettings, Receiver
+from lecombus.fieldbus.port import Port, PortSettings, Receiver
 from lecombus.line.worker import WorkerOptions
 from lecombus.schedule import Cyclic, Outcome, Priority, WatchdogFeeding
 from support.site_host import Rig, reader, stop, until, with_rig

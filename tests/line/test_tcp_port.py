@@ -15,9 +15,9 @@ import anyio
 import pytest
 
 from lecombus.errors import LineLostError
+from lecombus.fieldbus.port import Parity, PortSettings
 from lecombus.line import tcp_port
 from lecombus.line.loop import run
-from lecombus.line.port import Parity, PortSettings
 from lecombus.line.tcp_port import TcpPort, host_and_port, open_tcp
 from support.heard import Heard
 

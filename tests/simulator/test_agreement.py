@@ -15,7 +15,7 @@ from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
 from lecombus.fieldbus.lecom.simulator import MemoryEnd, SimDrive, SimLine, build
 from lecombus.fieldbus.lecom.simulator.families import MODELS
 from lecombus.fieldbus.lecom.simulator.parameters import Kept
-from lecombus.line.port import PortOpener
+from lecombus.fieldbus.port import PortOpener
 from lecombus.parameters import Code, Value
 from support.sim_host import Host, code_field, read_telegram, write_telegram
 

@@ -23,9 +23,9 @@ from lecombus.fieldbus.lecom.request_maker import RequestMaker
 from lecombus.fieldbus.lecom.simulator.drive import SimDrive
 from lecombus.fieldbus.lecom.simulator.line import SimLine, build
 from lecombus.fieldbus.lecom.simulator.memory import MemoryEnd
+from lecombus.fieldbus.port import Port, PortSettings, Receiver
 from lecombus.fieldbus.reports import ExchangeReport
 from lecombus.fieldbus.station import Station
-from lecombus.line.port import Port, PortSettings, Receiver
 from lecombus.line.worker import LineWorker, WorkerOptions
 from lecombus.line_runtime import LineRuntime
 from lecombus.parameters import Code, Value

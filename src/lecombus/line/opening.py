@@ -13,8 +13,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from lecombus.fieldbus.port import Port, PortOpener, PortSettings, Receiver
+
 from ..errors import LineLostError
-from .port import Port, PortOpener, PortSettings, Receiver
 from .serial_port import open_serial
 from .tcp_port import host_and_port, open_tcp
 

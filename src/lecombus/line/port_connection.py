@@ -10,9 +10,10 @@ from __future__ import annotations
 import asyncio
 import logging
 
+from lecombus.fieldbus.port import Port, PortOpener, PortSettings, Receiver
+
 from ..errors import LineLostError
 from .link_flap_limiter import FlapMessage, LinkFlapLimiter
-from .port import Port, PortOpener, PortSettings, Receiver
 
 __all__ = ["PortConnection"]
 

@@ -28,9 +28,10 @@ from pathlib import Path
 import serial
 from serial.rs485 import RS485Settings
 
+from lecombus.fieldbus.port import PortSettings
+
 from ..errors import LineLostError
 from . import devices
-from .port import PortSettings
 
 __all__ = ["Device", "open_device", "reason"]
 

@@ -21,9 +21,10 @@ import anyio.to_thread
 import serial
 from serial_asyncio import SerialTransport
 
+from lecombus.fieldbus.port import PortSettings, Receiver
+
 from ..errors import LineLostError
 from . import devices
-from .port import PortSettings, Receiver
 from .serial_device import open_device, reason
 
 __all__ = ["PseudoPort", "RtsSerialPort", "SerialPort", "open_serial"]

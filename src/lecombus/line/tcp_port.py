@@ -17,8 +17,9 @@ from urllib.parse import urlsplit
 
 import anyio
 
+from lecombus.fieldbus.port import PortSettings, Receiver
+
 from ..errors import LineLostError
-from .port import PortSettings, Receiver
 
 __all__ = ["CONNECT_TIMEOUT_S", "TcpPort", "host_and_port", "open_tcp"]
 

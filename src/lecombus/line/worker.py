@@ -16,12 +16,12 @@ import anyio
 
 from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.exchanges.exchange_loop import ExchangeLoop
+from lecombus.fieldbus.options import WorkerOptions
+from lecombus.fieldbus.port import PortOpener, PortSettings
 from lecombus.fieldbus.reports import ExchangeReport, Observer
 
 from ..errors import LineClosedError, LineLostError
 from ..schedule import Priority, Request, Schedule
-from .options import WorkerOptions
-from .port import PortOpener, PortSettings
 from .port_connection import PortConnection
 from .timers import Lateness, WakeableSleep
 

@@ -32,11 +32,11 @@ from typing import Final
 
 from lecombus.errors import LineLostError
 from lecombus.fieldbus.costs import LineTiming
+from lecombus.fieldbus.options import WorkerOptions
+from lecombus.fieldbus.port import Port
 from lecombus.fieldbus.reports import Observer
 from lecombus.fieldbus.station import Job
 from lecombus.line.bus_idle import BusIdleTimer
-from lecombus.line.options import WorkerOptions
-from lecombus.line.port import Port
 from lecombus.line.port_connection import PortConnection
 from lecombus.line.stall import StallWatch
 from lecombus.line.timers import Deadline, Lateness, WakeableTimer
