@@ -9,9 +9,9 @@ from itertools import pairwise
 import anyio
 import pytest
 
-from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
 from lecombus.fieldbus.lecom.protocol.timing import MAX_ANSWER_CHARS
 from lecombus.fieldbus.lecom.simulator.faults import Faults
+from lecombus.fieldbus.reports import ResultKind
 from lecombus.parameters import Code
 from lecombus.readings import DriveState
 from support.disturbances import AFTER_S, LINES, PATTERNS, Picture, look, mixed_roster

@@ -6,7 +6,7 @@ import anyio
 import pytest
 
 from lecombus.drives import StopAction
-from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
+from lecombus.fieldbus.reports import ResultKind
 from lecombus.parameters import Code
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome

@@ -12,7 +12,7 @@ from lecombus.api.decimal_json import encode
 from lecombus.capacity.facts import roster_of as running
 from lecombus.capacity.plan import make_plan
 from lecombus.errors import OperationError
-from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
+from lecombus.fieldbus.reports import ResultKind
 from lecombus.parameters import Code
 from lecombus.readings import DriveState
 from support.rosters import roster_text

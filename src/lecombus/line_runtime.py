@@ -16,8 +16,8 @@ from lecombus.config import Roster, line_timing, with_address
 from lecombus.drive_runtime import LineDrives
 from lecombus.errors import ConfigError
 from lecombus.fieldbus.costs import LineTiming
-from lecombus.fieldbus.lecom.request_maker import RequestMaker
 from lecombus.fieldbus.port import PortOpener, PortSettings
+from lecombus.fieldbus.protocols import find
 from lecombus.line.worker import LineWorker, WorkerOptions
 from lecombus.metrics import Metrics
 from lecombus.operations.facade import Operations
@@ -75,11 +75,15 @@ class LineRuntime:
         # The line, and requests to it.
         self.schedule = Schedule(absent_share=line.absent_share)
         recorder = ExchangeRecorder(self.drives, metrics)
+        fieldbus = find(line.protocol)
+        framing = fieldbus.framing(line.parity)
         self.worker = LineWorker(
-            PortSettings(line.port, line.baud, line.direction, line.parity, line.name), opener,
-            self.schedule, timing, options or options_of(roster), recorder,
+            fieldbus, PortSettings(line.port, line.baud, line.direction, framing, line.name),
+            opener, self.schedule, timing, options or options_of(roster), recorder,
         )  # fmt: skip
-        maker = RequestMaker(timing, line.retries, metrics.counters.request_ended)
+        maker = fieldbus.request_maker(
+            timing, line.retries, metrics.counters.request_ended, self.worker.exchange_loop
+        )
         self.requests = requests = Requests(self.worker, maker, self.drives, clock)
         # What users ask, and what looks after the drives.
         asked = RequestsToLine(requests, store, clock)
@@ -129,7 +133,8 @@ class LineRuntime:
 
     def _follow(self, drive: str, address: int) -> None:
         """Speak to a drive at another address, until a roster says otherwise."""
-        self.apply(with_address(self.roster, drive, address))
+        address_of = self.worker.fieldbus.multicast_address
+        self.apply(with_address(self.roster, drive, address, address_of))
 
 
 def options_of(roster: Roster) -> WorkerOptions:

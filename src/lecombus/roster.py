@@ -8,7 +8,7 @@ values that were read and checked; pydantic checks the types.
 from __future__ import annotations
 
 import ipaddress
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final, Literal
 
 from pydantic import BaseModel, ConfigDict
@@ -39,7 +39,6 @@ __all__ = [
     "group_entry",
     "is_loopback",
     "is_network_port",
-    "multicast_address",
     "with_address",
 ]
 
@@ -53,6 +52,10 @@ StopFallback = Literal["inhibit", "none"]
 OnShutdown = Literal["nothing", "quick-stop", "inhibit"]
 
 
+MulticastAddress = Callable[[frozenset[int], frozenset[int]], int | None]
+"""Gives the address that reaches exactly some of a line's drives, by their addresses and all."""
+
+
 class _Model(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -63,7 +66,7 @@ class LineEntry(_Model):
     Args:
         name: Its name: metrics label, socket and file names.
         port: Device path, `socket://HOST:PORT` or `sim:`.
-        baud: 1200, 2400, 4800, 9600 or 19200 bit/s.
+        baud: Bits a second, one of those that the protocol knows.
         medium: What the drives hang on; bounds their number.
         repeaters: An RS-485 line with repeaters: 90 drives instead of 31.
         direction: Who switches the RS-485 transceiver.
@@ -76,6 +79,7 @@ class LineEntry(_Model):
         late_answer_s: How late an answer may still come after a time-out.
         absent_share: Largest share of line time for probing absent drives, 0.01 to 0.5.
         stall_s: Silence of all drives after which the port is reopened; 0: never.
+        protocol: What the drives speak.
     """
 
     name: str
@@ -93,6 +97,7 @@ class LineEntry(_Model):
     late_answer_s: float = 0.5
     absent_share: float = 0.10
     stall_s: float = 30.0
+    protocol: str = "lecom"
 
 
 class WatchdogEntry(_Model):
@@ -289,34 +294,12 @@ def is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
-def multicast_address(members: Iterable[int], drives: Iterable[int]) -> int | None:
-    """Return the address that reaches exactly these members among the roster's drives.
-
-    Where all drives stand in one decade, that decade goes before 0: a broadcast would also reach
-    drives on the cable that the roster does not know.
-
-    Args:
-        members: The members' addresses.
-        drives: The addresses of all drives of the roster.
-
-    Returns:
-        10, 20 .. 90 for a decade, 0 for all drives, None if no telegram reaches exactly them.
-
-    Source: EDB2102EN 8.3.4.
-    """
-    wanted = set(members)
-    present = set(drives)
-    decades = {address // 10 * 10 for address in wanted}
-    if len(decades) == 1:
-        decade = decades.pop()
-        # Addresses 1..9 have no multicast of their own: 0 reaches everybody.
-        if decade and wanted == {address for address in present if address // 10 * 10 == decade}:
-            return decade
-    return 0 if wanted and wanted == present else None
-
-
 def group_entry(
-    members: Sequence[str], addresses: Mapping[str, int], *, multicast: bool
+    members: Sequence[str],
+    addresses: Mapping[str, int],
+    *,
+    multicast: bool,
+    address_of: MulticastAddress,
 ) -> GroupEntry:
     """Return a group with the address that reaches exactly its members.
 
@@ -324,13 +307,14 @@ def group_entry(
         members: The members' names.
         addresses: The addresses of all drives of the roster, by name.
         multicast: See `GroupEntry`.
+        address_of: Gives the address that reaches exactly some of a line's drives.
     """
-    wanted = [addresses[member] for member in members]
-    address = multicast_address(wanted, addresses.values())
+    wanted = frozenset(addresses[member] for member in members)
+    address = address_of(wanted, frozenset(addresses.values()))
     return GroupEntry(members=tuple(members), multicast_address=address, multicast=multicast)
 
 
-def with_address(roster: Roster, name: str, address: int) -> Roster:
+def with_address(roster: Roster, name: str, address: int, address_of: MulticastAddress) -> Roster:
     """Return a roster in which one drive has another address, as after a readdressing.
 
     The groups follow: a drive that has left its decade is no longer reached by the multicast of
@@ -340,6 +324,7 @@ def with_address(roster: Roster, name: str, address: int) -> Roster:
         roster: The roster.
         name: The drive.
         address: Its new address, free and valid.
+        address_of: See `group_entry`.
     """
     drives = tuple(
         entry.model_copy(update={"address": address}) if entry.name == name else entry
@@ -347,7 +332,9 @@ def with_address(roster: Roster, name: str, address: int) -> Roster:
     )
     addresses = {entry.name: entry.address for entry in drives}
     groups = {
-        title: group_entry(group.members, addresses, multicast=group.multicast)
+        title: group_entry(
+            group.members, addresses, multicast=group.multicast, address_of=address_of
+        )
         for title, group in roster.groups.items()
     }
     return roster.model_copy(update={"drives": drives, "groups": groups})

@@ -22,12 +22,12 @@ from agreement.hostile import Drip, HostileLine
 from lecombus.capacity.work_ahead import Longest, work_ahead_on
 from lecombus.config import line_timing
 from lecombus.drives import StopAction
-from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
-from lecombus.fieldbus.reports import ExchangeReport, Observer
+from lecombus.fieldbus.reports import ExchangeReport, Observer, ResultKind
 from lecombus.line_runtime import LineRuntime
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Priority, Request
 from lecombus.schedule.polling import PollingEntry
+from support.lecom_loop import lecom_loop
 
 __all__ = ["Adversary", "Measured"]
 
@@ -123,11 +123,11 @@ class Adversary:
 
     def telegram(self) -> None:
         """A telegram has gone out."""
-        under_way = self._worker.exchange_loop.under_way
+        under_way = lecom_loop(self._worker).under_way
         if under_way is None:
             return
         request, _, prepared = under_way
-        ask, started_s = prepared.ask, self._worker.exchange_loop.exchange.started_s
+        ask, started_s = prepared.ask, lecom_loop(self._worker).exchange.started_s
         found = self._asked.pop(request, None)
         if found is not None:
             what, since_s, late_s = found

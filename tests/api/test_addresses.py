@@ -9,7 +9,6 @@ import pytest
 
 from api.test_server import over_tcp, over_unix, serving
 from lecombus.errors import OperationError
-from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.operations.address_reads import Heard, HeardKind
 from lecombus.parameters import Code, Value
 from openapi.answer_models import HeardDocument
@@ -26,7 +25,7 @@ async def test_an_address_is_asked_as_the_query_says(
     line.ops.heard = Heard(HeardKind.VALUE, Value.parse("35.40"), disturbances=3)
     query = {"addressing": "extended", "family": "820x", "patient": "true"}
     answer = await client.get(f"{PATH}/C0039/2", params=query)
-    assert line.ops.asked == [("read_address", 23, Code(39, 2), Form.EXTENDED, "820x", True)]
+    assert line.ops.asked == [("read_address", 23, Code(39, 2), "extended", "820x", True)]
     found = HeardDocument.model_validate(answer.json())
     assert (found.address, found.code, found.subcode) == (23, "C0039", 2)
     assert (found.heard, found.raw, found.format, found.disturbances) == ("value", "35.40", "VD", 3)
@@ -35,7 +34,7 @@ async def test_an_address_is_asked_as_the_query_says(
 
 async def test_silence_is_an_answer_and_no_error(client: httpx2.AsyncClient, line: Line) -> None:
     answer = await client.get(f"{PATH}/C0248")
-    assert line.ops.asked == [("read_address", 23, Code(248), Form.STANDARD, "generic", False)]
+    assert line.ops.asked == [("read_address", 23, Code(248), "standard", "generic", False)]
     assert (answer.status_code, answer.json()["heard"]) == (200, "silence")
     assert answer.json()["value"] is None
 
@@ -53,7 +52,6 @@ async def test_bytes_that_were_no_answer_are_given_as_hex(
         ("/v1/line/addresses/x/codes/C0009", 404, "no-such-address"),
         ("/v1/line/addresses/123/codes/C0009", 404, "no-such-address"),
         ("/v1/line/addresses/23/codes/nine", 404, "no-such-code"),
-        ("/v1/line/addresses/23/codes/C0009?addressing=both", 422, "bad-request"),
         ("/v1/line/addresses/23/codes/C0009?fresh=true", 422, "bad-request"),
     ],
 )

@@ -25,6 +25,7 @@ import serial_asyncio
 from lecombus.drives import family
 from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.exchanges.jobs import ReadJob
+from lecombus.fieldbus.lecom.fieldbus import FIELDBUS
 from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.fieldbus.lecom.protocol.controls import with_parity
 from lecombus.fieldbus.lecom.protocol.telegrams import read_telegram
@@ -167,11 +168,11 @@ async def worker(port: str, schedule: Any) -> Exchanges:
     """Open the port as the daemon does it; the worker rests by being cancelled between turns."""
     timing = LineTiming(BAUD, turnaround_s=0.0, adapter_latency_s=0.005, paced=False)
     options = WorkerOptions(turnaround_s=0.0, echo=False)
-    settings = PortSettings(port, BAUD, "adapter", "line", "bench")
+    settings = PortSettings(port, BAUD, "adapter", line="bench")
 
     async def run(count: int) -> None:
         counter = Counter(count, lambda: ours.close())
-        ours = LineWorker(settings, open_port, schedule, timing, options, counter)
+        ours = LineWorker(FIELDBUS, settings, open_port, schedule, timing, options, counter)
         await ours.run()
 
     return run

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from config.rosters import CONFIG, GOOD, drive_with, line_with, parsed, roster_with
 from lecombus.config import LeaseEntry, load_roster
 from lecombus.drives import FAMILY_NAMES, family
-from lecombus.fieldbus.lecom.protocol.addressing import Form, group_reach
+from lecombus.fieldbus.lecom.protocol.addressing import Form, group_reach, multicast_address
 from lecombus.parameters import Code
-from lecombus.roster import multicast_address
 
 ADDRESSES = [number for number in range(1, 100) if number % 10]
 

@@ -11,6 +11,7 @@ from lecombus.fieldbus.reports import ExchangeReport
 from lecombus.line.worker import WorkerOptions
 from lecombus.parameters import Code
 from lecombus.schedule import Cyclic, Outcome, Priority
+from support.lecom_loop import lecom_loop
 from support.site_host import Ended, Recorder, Rig, reader, stop, until, with_rig
 
 AT_ONCE = WorkerOptions(turnaround_s=0.0, echo=False)
@@ -85,7 +86,7 @@ def test_a_stop_goes_out_at_the_very_moment_at_which_the_answer_is_complete() ->
         await anyio.sleep(0.010)
         said = len(rig.sent)
         ended = stop(rig, "a")
-        assert rig.worker.exchange_loop.ready is not None, "while the exchange lasts"
+        assert lecom_loop(rig.worker).ready is not None, "while the exchange lasts"
         await until(lambda: len(rig.sent) > said)
         assert rig.sent[said].data.startswith(b"\x0401\x02400\x03")
         assert rig.sent[said].at_s == rig.end.heard[-1].at_s
@@ -131,7 +132,7 @@ def test_a_line_lost_at_that_moment_loses_neither_the_answer_nor_the_next_reques
         await until(lambda: len(rig.sent) == 1)
         port = rig.end.port
         assert port is not None
-        assert rig.worker.exchange_loop.ready is not None
+        assert lecom_loop(rig.worker).ready is not None
 
         def write(data: bytes) -> None:
             raise LineLostError("pulled")

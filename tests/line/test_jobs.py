@@ -15,7 +15,7 @@ from lecombus.fieldbus.lecom.exchanges.jobs import MulticastJob, ReadBackJob, Re
 from lecombus.fieldbus.lecom.exchanges.read_back_proof import WrittenValue
 from lecombus.fieldbus.lecom.exchanges.stop_job import StopJob
 from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
-from lecombus.fieldbus.lecom.protocol.exchange import Result, ResultKind
+from lecombus.fieldbus.lecom.protocol.exchange import Result
 from lecombus.fieldbus.lecom.protocol.telegrams import (
     AckAnswer,
     Answer,
@@ -23,6 +23,7 @@ from lecombus.fieldbus.lecom.protocol.telegrams import (
     UnknownCodeAnswer,
     ValueAnswer,
 )
+from lecombus.fieldbus.reports import ResultKind
 from lecombus.fieldbus.station import Job, JobStep, Station, StepKind
 from lecombus.parameters import Code, Value
 from lecombus.schedule.request import Outcome

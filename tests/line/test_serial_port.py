@@ -80,7 +80,12 @@ def nothing_reaches_the_loop_handler(caplog: pytest.LogCaptureFixture) -> Iterat
 def settings(
     pty: Pty, *, parity: Parity = "line", direction: Direction = "adapter"
 ) -> PortSettings:
-    return PortSettings(url=pty.path, parity=parity, direction=direction, line="hall-3")
+    return PortSettings(
+        url=pty.path,
+        framing="8N1" if parity == "line" else "7E1",
+        direction=direction,
+        line="hall-3",
+    )
 
 
 def with_port(pty: Pty, body: Callable[[SerialPort, Heard], Awaitable[None]], **how: Any) -> Heard:

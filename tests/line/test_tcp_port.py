@@ -83,7 +83,10 @@ def with_port(
 
     async def main() -> Heard:
         recorder = Heard()
-        port = await open_tcp(PortSettings(server.url, parity=parity, line="hall-3"), recorder)
+        port = await open_tcp(
+            PortSettings(server.url, framing="8N1" if parity == "line" else "7E1", line="hall-3"),
+            recorder,
+        )
         server.accept()
         try:
             await body(port, recorder)

@@ -13,7 +13,6 @@ import pytest
 
 from lecombus.drives import StopAction, Verb
 from lecombus.errors import OperationError
-from lecombus.fieldbus.lecom.readdress import Readdress
 from lecombus.operations.actions import (
     ACTOR,
     EACH,
@@ -27,6 +26,7 @@ from lecombus.operations.context import OperationContext
 from lecombus.operations.facade import Operations
 from lecombus.operations.group_writes import GroupWrites
 from lecombus.operations.identities import Identities
+from lecombus.operations.readdress import Readdress
 from lecombus.operations.reports import GroupReport, VerbReport, WriteReport
 from lecombus.operations.stop_requests import Stops
 from lecombus.operations.verb_operations import Verbs

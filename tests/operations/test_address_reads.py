@@ -24,7 +24,11 @@ EVERY = tuple(filter(is_drive_address, range(1, 100)))
 
 async def ask(plant: Plant, step: Question) -> Heard:
     return await plant.site.operations.read_address(
-        step.address, step.code, form=step.form, family_name=step.family, patient=step.patient
+        step.address,
+        step.code,
+        addressing=step.form.value,
+        family_name=step.family,
+        patient=step.patient,
     )
 
 
@@ -39,6 +43,17 @@ class ByOperations:
 
     async def listen(self, baud: int, for_s: float) -> Heard:
         raise AssertionError("the line is the daemon's")
+
+
+def test_a_form_that_the_protocol_does_not_know_is_refused() -> None:
+    async def test(plant: Plant) -> None:
+        with pytest.raises(OperationError, match="addressing takes standard or extended") as found:
+            await plant.site.operations.read_address(
+                23, Code(9), addressing="both", family_name="generic", patient=False
+            )
+        assert found.value.kind == "bad-request"
+
+    with_plant(test, 79:    with_plant(test, roster_text(FED, watchdog=WATCHED), also=NEW))
 
 
 def test_a_scan_beside_fed_drives_finds_the_others_and_no_feed_is_late() -> None:

@@ -21,6 +21,7 @@ from lecombus.fieldbus.lecom.simulator.line import SimLine
 from lecombus.line_runtime import LineRuntime
 from lecombus.schedule import Priority
 from proof.lines import ADDRESSES, FAMILIES, RandomLine
+from support.lecom_loop import lecom_loop
 from support.rosters import make_roster
 
 __all__ = ["MOST_TOLERATED", "Losses", "TolerantLine", "tolerant_line"]
@@ -135,7 +136,7 @@ class Losses:
     def _leaves_no_room(self) -> bool:
         """Whether what is sent leaves no room for what is tolerated, whenever it begins."""
         tolerate = self._site.schedule.watchdogs.faults.tolerate
-        under_way = self._site.worker.exchange_loop.under_way
+        under_way = lecom_loop(self._site.worker).under_way
         feeds = self._site.schedule.watchdogs
         if under_way is None or under_way[0].priority is Priority.STOP or tolerate < 2:
             return False
@@ -145,7 +146,7 @@ class Losses:
         return needed_s > feeds.most_s(under_way[0].drive)[0] + LAST_PART * feeds.shortest_s()
 
     def _is_worst(self, now_s: float) -> bool:
-        under_way = self._site.worker.exchange_loop.under_way
+        under_way = lecom_loop(self._site.worker).under_way
         if under_way is None or not self._count:
             return False
         request = under_way[0]

@@ -21,10 +21,9 @@ from collections.abc import Callable
 from lecombus.capacity.exchange_costs import read_times, watched_s
 from lecombus.capacity.plan import Promises as LinePromises
 from lecombus.config import line_timing
-from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
 from lecombus.fieldbus.lecom.protocol.telegrams import ValueAnswer
 from lecombus.fieldbus.lecom.simulator.line import SimLine
-from lecombus.fieldbus.reports import ExchangeReport
+from lecombus.fieldbus.reports import ExchangeReport, ResultKind
 from lecombus.parameters import Code
 from lecombus.schedule import Priority
 from lecombus.schedule.watchdog_deadline import HARD_PART

@@ -12,12 +12,11 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
 from lecombus.fieldbus.lecom.simulator.drive import SimDrive
 from lecombus.fieldbus.lecom.simulator.line import SimLine
 from lecombus.fieldbus.lecom.simulator.receiver import RequestReceiver
 from lecombus.fieldbus.lecom.simulator.wire import read_code_field
-from lecombus.fieldbus.reports import ExchangeReport
+from lecombus.fieldbus.reports import ExchangeReport, ResultKind
 from lecombus.schedule import Priority
 
 __all__ = ["Telegram", "Telegrams"]

@@ -13,8 +13,7 @@ from collections import Counter
 from collections.abc import Callable
 
 from lecombus.capacity.plan import Promises
-from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
-from lecombus.fieldbus.reports import ExchangeReport
+from lecombus.fieldbus.reports import ExchangeReport, ResultKind
 from lecombus.schedule import Priority
 from proof.lines import RandomLine
 

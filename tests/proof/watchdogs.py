@@ -13,9 +13,8 @@ from collections.abc import Callable
 
 from lecombus.capacity.exchange_costs import watched_s
 from lecombus.capacity.plan import Promises
-from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
 from lecombus.fieldbus.lecom.simulator.line import SimLine
-from lecombus.fieldbus.reports import ExchangeReport
+from lecombus.fieldbus.reports import ExchangeReport, ResultKind
 from lecombus.schedule import Priority
 from proof.lines import RandomLine
 

@@ -22,7 +22,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from lecombus.fieldbus.lecom.protocol.exchange import EARLIEST_SHARE, ResultKind
+from lecombus.fieldbus.lecom.protocol.exchange import EARLIEST_SHARE
 from lecombus.fieldbus.lecom.protocol.telegrams import (
     AckAnswer,
     NakAnswer,
@@ -33,7 +33,7 @@ from lecombus.fieldbus.lecom.protocol.telegrams import (
 from lecombus.fieldbus.lecom.simulator.drive import SimDrive
 from lecombus.fieldbus.lecom.simulator.families.f82xx import Drive82XX
 from lecombus.fieldbus.lecom.simulator.line import SimLine
-from lecombus.fieldbus.reports import ExchangeReport
+from lecombus.fieldbus.reports import ExchangeReport, ResultKind
 from lecombus.fieldbus.station import StepKind
 from lecombus.schedule import Priority
 from support.taps import STRIPPED

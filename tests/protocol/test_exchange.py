@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
-from lecombus.fieldbus.lecom.protocol.exchange import ACK_FIELD, Ask, Exchange, Result, ResultKind
+from lecombus.fieldbus.lecom.protocol.exchange import ACK_FIELD, Ask, Exchange, Result
 from lecombus.fieldbus.lecom.protocol.telegrams import (
     ACK_ANSWER,
     NAK_ANSWER,
@@ -21,6 +21,7 @@ from lecombus.fieldbus.lecom.protocol.telegrams import (
     unknown_code_answer,
     value_answer,
 )
+from lecombus.fieldbus.reports import ResultKind
 from lecombus.parameters import Code, Value
 
 CODE, OTHER = Code(46), Code(50)

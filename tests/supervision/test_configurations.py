@@ -6,7 +6,7 @@ from decimal import Decimal
 
 import pytest
 
-from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
+from lecombus.fieldbus.reports import ResultKind
 from lecombus.parameters import Code
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from lecombus.drive_runtime import LineDrives
-from lecombus.fieldbus.lecom.protocol.exchange import Result, ResultKind
+from lecombus.fieldbus.lecom.protocol.exchange import Result
 from lecombus.fieldbus.lecom.protocol.telegrams import (
     AckAnswer,
     Answer,
@@ -13,7 +13,7 @@ from lecombus.fieldbus.lecom.protocol.telegrams import (
     UnknownCodeAnswer,
     ValueAnswer,
 )
-from lecombus.fieldbus.reports import ExchangeReport
+from lecombus.fieldbus.reports import ExchangeReport, ResultKind
 from lecombus.fieldbus.station import JobStep, StepKind
 from lecombus.line_events import ExchangeEvent, LineChange
 from lecombus.metrics import Metrics

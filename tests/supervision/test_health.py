@@ -8,7 +8,7 @@ import pytest
 
 from lecombus.drive_runtime import Drive, LineDrives
 from lecombus.drives import family
-from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
+from lecombus.fieldbus.reports import ResultKind
 from lecombus.line_events import LineChange
 from lecombus.readings import DriveState, LineState
 from lecombus.schedule import Outcome, Priority, Request, Schedule

@@ -16,7 +16,6 @@ from lecombus.drives import OperatingState, StopAction, Text, Verb, family
 from lecombus.drives.faults.reasons import Weight
 from lecombus.drives.measured import AnswerRow
 from lecombus.errors import LecombusError
-from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.metrics import Metrics
 from lecombus.operations.address_reads import Heard, HeardKind
 from lecombus.operations.facade import Operations
@@ -100,9 +99,9 @@ class FakeOperations:
         return self.report(drive, code)
 
     async def read_address(
-        self, address: int, code: Code, *, form: Form, family_name: str, patient: bool
+        self, address: int, code: Code, *, addressing: str, family_name: str, patient: bool
     ) -> Heard:
-        await self._ask("read_address", address, code, form, family_name, patient)
+        await self._ask("read_address", address, code, addressing, family_name, patient)
         return self.heard
 
     async def write_group(

@@ -17,8 +17,8 @@ from dataclasses import dataclass, field
 import anyio
 
 from lecombus.errors import LecombusError
-from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
 from lecombus.fieldbus.lecom.simulator.faults import Faults, parse_faults
+from lecombus.fieldbus.reports import ResultKind
 from lecombus.parameters import Code
 from lecombus.readings import DriveState
 from support.rosters import roster_text

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from lecombus.drive_runtime import Drive
 from lecombus.drives import Family, family
 from lecombus.errors import LineLostError
-from lecombus.fieldbus.lecom.protocol.exchange import Result, ResultKind
+from lecombus.fieldbus.lecom.protocol.exchange import Result
 from lecombus.fieldbus.lecom.protocol.telegrams import ValueAnswer
-from lecombus.fieldbus.reports import ExchangeReport
+from lecombus.fieldbus.reports import ExchangeReport, ResultKind
 from lecombus.fieldbus.station import JobStep, Station, StepKind
 from lecombus.line_events import ExchangeEvent
 from lecombus.parameters import Code, Value

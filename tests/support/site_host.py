@@ -19,6 +19,7 @@ import anyio
 from lecombus.config import Roster, parse_roster
 from lecombus.drives import StopAction, family
 from lecombus.fieldbus.costs import LineTiming
+from lecombus.fieldbus.lecom.fieldbus import FIELDBUS
 from lecombus.fieldbus.lecom.request_maker import RequestMaker
 from lecombus.fieldbus.lecom.simulator.drive import SimDrive
 from lecombus.fieldbus.lecom.simulator.line import SimLine, build
@@ -47,7 +48,7 @@ __all__ = [
     "until",
 ]
 
-PORT = PortSettings("sim:", 19200, "adapter", "line", "test")
+PORT = PortSettings("sim:", 19200, "adapter", line="test")
 
 
 class Ended:
@@ -204,6 +205,7 @@ class Rig:
         self.seen = Recorder()
         self._opens = opener is None
         self.worker = LineWorker(
+            FIELDBUS,
             replace(PORT, baud=baud), opener or self.end.open,  # type: ignore[arg-type]
             self.schedule, self.timing, self.options, self.seen,
         )  # fmt: skip

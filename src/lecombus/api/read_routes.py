@@ -31,7 +31,6 @@ from lecombus.api.request_checks import (
     refuse_query,
 )
 from lecombus.descriptions import code_document, family_document
-from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.operations.facade import Operations
 from lecombus.readings import DriveInfo, Json, json_value
 from lecombus.store import Store
@@ -160,7 +159,7 @@ class ReadRoutes:
         heard = await self._ops.read_address(
             number,
             code,
-            form=form_of(query.addressing),
+            addressing=query.addressing,
             family_name=query.family,
             patient=query.patient,
         )
@@ -230,21 +229,6 @@ def number_of(address: str) -> int:
             ProblemDocument("no-such-address", f"{address!r} is no address", remedy="it is 1 to 99")
         )
     return int(address)
-
-
-def form_of(addressing: str) -> Form:
-    """Return the addressing form that a query names.
-
-    Raises:
-        ProblemError: It names none.
-    """
-    try:
-        return Form(addressing)
-    except ValueError as exc:
-        known = "standard or extended"
-        raise ProblemError(
-            ProblemDocument("bad-request", f"addressing takes {known}", remedy=f"give {known}")
-        ) from exc
 
 
 class PageCache:

@@ -163,6 +163,7 @@ def line_timing(line: LineEntry) -> LineTiming:
         turnaround_s=line.turnaround_s,
         adapter_latency_s=latency_s,
         quarantine_s=min(line.late_answer_s, LEAST_QUARANTINE_S + 2.0 * latency_s),
+        bits_per_char=find(line.protocol).bits_per_char,
     )
 
 

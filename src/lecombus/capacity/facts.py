@@ -11,9 +11,9 @@ from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from typing import Any
 
+from lecombus.drives import family
 from lecombus.drives.measured import AnswerRow, SlowAnswers
-from lecombus.fieldbus.lecom.protocol.addressing import Form
-from lecombus.parameters import Code
+from lecombus.parameters import Code, rules_of
 from lecombus.roster import ApiEntry, CyclicEntry, DriveEntry, LineEntry, Roster, WatchdogEntry
 
 __all__ = ["answers_of", "facts_of", "roster_of", "slow_of"]
@@ -105,11 +105,12 @@ def _facts_of_drive(drive: DriveEntry) -> dict[str, Any]:
 
 def _drive_of(facts: Mapping[str, Any]) -> DriveEntry:
     guard, own_s = facts["watchdog"], facts["answer_time_s"]
+    known = rules_of(family(facts["family"]).protocol).forms
     return DriveEntry(
         name=facts["name"],
         address=facts["address"],
         family=facts["family"],
-        forms=tuple(Form(form) for form in facts["forms"]),
+        forms=tuple(known[form] for form in facts["forms"]),
         watchdog=None if guard is None else WatchdogEntry.model_validate(guard),
         cyclic=tuple(
             CyclicEntry(code=Code.parse(one["code"]), every_s=float(one["every_s"]))

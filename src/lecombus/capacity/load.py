@@ -22,7 +22,7 @@ from lecombus.capacity.exchange_costs import (
 )
 from lecombus.capacity.watchdog_demand import demand_of, least_time_s
 from lecombus.fieldbus.costs import LineTiming
-from lecombus.fieldbus.lecom.protocol.timing import BAUDS
+from lecombus.fieldbus.protocols import find
 from lecombus.roster import DriveEntry, Roster
 from lecombus.schedule.shares import BACKOFF_MOST_S, LISTEN_EVERY_S, LISTEN_S
 from lecombus.schedule.watchdog_deadline import HARD_PART, SOFT_PART, SPARE_ATTEMPTS
@@ -204,7 +204,7 @@ def _needed(parts: Sequence[_Part], stretch: float) -> float:
 def baud_effects(roster: Roster) -> list[BaudEffect]:
     """Calculate the load and the watchdogs at every baud rate."""
     effects = []
-    for baud in BAUDS:
+    for baud in find(roster.line.protocol).bauds:
         timing = line_timing(roster.line.model_copy(update={"baud": baud}))
         feeding = demand_of(roster, timing)
         least_s = least_time_s(feeding, all_alike=True)

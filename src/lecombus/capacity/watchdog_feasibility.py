@@ -34,7 +34,7 @@ from lecombus.capacity.watchdog_demand import (
 )
 from lecombus.durations import format_duration
 from lecombus.fieldbus.costs import LineTiming
-from lecombus.fieldbus.lecom.protocol.timing import BAUDS
+from lecombus.fieldbus.protocols import find
 from lecombus.roster import DriveEntry, Roster
 from lecombus.schedule.watchdog_deadline import HARD_PART
 
@@ -131,7 +131,8 @@ def _remedy(roster: Roster, demand: WatchdogDemand, least_s: float | None) -> st
     ways: list[str] = []
     if least_s is not None:
         ways.append(f"a time of {rounded_up(least_s)} or more")
-    baud = next((baud for baud in BAUDS if baud > roster.line.baud and _holds(roster, baud)), None)
+    bauds = find(roster.line.protocol).bauds
+    baud = next((baud for baud in bauds if baud > roster.line.baud and _holds(roster, baud)), None)
     if baud is not None:
         ways.append(f"baud: {baud}")
     ways.extend(_fewer_reads(demand))

@@ -21,7 +21,7 @@ from lecombus.drive_runtime import LineDrives
 from lecombus.drives import family
 from lecombus.errors import ExchangeError, LecombusError, LineLostError, NoReplyError
 from lecombus.fieldbus.costs import LineTiming
-from lecombus.fieldbus.lecom.request_maker import RequestMaker
+from lecombus.fieldbus.lecom.fieldbus import FIELDBUS as LECOM
 from lecombus.fieldbus.port import Port, PortSettings, Receiver
 from lecombus.fieldbus.reports import ExchangeReport
 from lecombus.fieldbus.station import Station
@@ -70,10 +70,9 @@ class OwnLine:
         self.known = anyio.Event()
         self.error: LineLostError | None = None
         self.schedule = Schedule()
-        self.worker = LineWorker(settings, self._open, self.schedule, timing, options, self)
-        self.requests = Requests(
-            self.worker, RequestMaker(timing, retries, _count), LineDrives(), time.monotonic
-        )
+        self.worker = LineWorker(LECOM, settings, self._open, self.schedule, timing, options, self)
+        maker = LECOM.request_maker(timing, retries, _count, self.worker.exchange_loop)
+        self.requests = Requests(self.worker, maker, LineDrives(), time.monotonic)
         self.bytes_heard = 0
         self.disturbances = 0
         self._strays = bytearray()
@@ -210,7 +209,9 @@ class OwnPort:
             self._heard_before, self._line = self.bytes_heard, None
             await self._stack.aclose()
             entry = self._entry.model_copy(update={"baud": baud})
-            settings = PortSettings(entry.port, baud, entry.direction, entry.parity, entry.name)
+            settings = PortSettings(
+                entry.port, baud, entry.direction, LECOM.framing(entry.parity), entry.name
+            )
             opening = own_line(
                 settings, line_timing(entry), retries=self._retries, options=self._options
             )

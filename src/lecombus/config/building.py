@@ -13,6 +13,7 @@ from lecombus.config.checks import default_socket, drives_of
 from lecombus.config.container_types import Fields, Items
 from lecombus.config.keys import ALL
 from lecombus.drives import Family, family
+from lecombus.fieldbus.protocols import find
 from lecombus.parameters import AddressForm, Code, rules_of
 from lecombus.roster import (
     ApiEntry,
@@ -49,7 +50,8 @@ def build_roster(roster: Fields, file: str) -> Roster:
     drives = tuple(_drive(entry, lease) for entry in drives_of(roster))
     others = {key: roster.get(key) for key in ("on_shutdown", "journal") if key in roster.values}
     return Roster(
-        file=file, line=line, drives=drives, groups=_groups(roster, drives), lease=lease,
+        file=file, line=line, drives=drives, lease=lease,
+        groups=_groups(roster, drives, line.protocol),
         api=_api(roster.get("api"), line.name), mqtt=_mqtt(roster.get("mqtt")),
         state=_state(roster.get("state"), line),
         not_yet_used=_not_yet_used(roster), **others,
@@ -117,7 +119,8 @@ def _forms(addressing: str | None, of: Family) -> tuple[AddressForm, ...]:
     return tuple(known.values()) if addressing == "both" else (known[addressing],)
 
 
-def _groups(roster: Fields, drives: Sequence[DriveEntry]) -> dict[str, GroupEntry]:
+def _groups(roster: Fields, drives: Sequence[DriveEntry], protocol: str) -> dict[str, GroupEntry]:
+    address_of = find(protocol).multicast_address
     addresses = {drive.name: drive.address for drive in drives}
     members = {ALL: tuple(addresses)}
     multicast: set[str] = set()
@@ -127,7 +130,7 @@ def _groups(roster: Fields, drives: Sequence[DriveEntry]) -> dict[str, GroupEntr
         if group.get("multicast", False):
             multicast.add(at.text)
     return {
-        name: group_entry(names, addresses, multicast=name in multicast)
+        name: group_entry(names, addresses, multicast=name in multicast, address_of=address_of)
         for name, names in members.items()
     }
 

@@ -12,8 +12,8 @@ from lecombus.config.mistakes import Mistakes, Position, did_you_mean, one_of, s
 from lecombus.drives import FAMILY_NAMES, Family, StopAction, WatchdogTraits, family, knows_stop
 from lecombus.durations import format_duration
 from lecombus.errors import CodeValueError
-from lecombus.fieldbus.lecom.address_codes import moves_drive
 from lecombus.fieldbus.lecom.protocol.addressing import Form
+from lecombus.fieldbus.protocols import find
 from lecombus.parameters import Code
 
 __all__ = ["check_drive", "check_lapse"]
@@ -171,7 +171,7 @@ def _check_writable(drive: Fields, of: Family, mistakes: Mistakes) -> None:
     if drive.get("allow_address_change", "allow_address_change" in drive.nodes):
         return
     for item in (item for key in WRITABLE for item in _codes(drive, key)):
-        moved = moves_drive(of, item.value)
+        moved = find(of.protocol).moves_drive(of, item.value)
         if moved is not None:
             what = f"{of.spoken(item.value)} {moved} and is never written like other codes"
             right = "remove it: `lecombus readdress` changes an address, with allow_address_change"

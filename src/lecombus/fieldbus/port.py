@@ -15,13 +15,17 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-__all__ = ["Direction", "Parity", "Port", "PortOpener", "PortSettings", "Receiver"]
+__all__ = ["Direction", "Framing", "Parity", "Port", "PortOpener", "PortSettings", "Receiver"]
 
 Direction = Literal["adapter", "kernel", "rts"]
 """Who switches the RS-485 transceiver: the adapter itself, the kernel's driver, or we by RTS."""
 
 Parity = Literal["line", "port"]
 """Who makes even parity: `line` the daemon, in bit 7 of an 8N1 port; `port` the device (7E1)."""
+
+
+Framing = Literal["8N1", "7E1", "8E1"]
+"""How the port frames characters: data bits, parity, stop bits."""
 
 
 class Receiver(Protocol):
@@ -49,7 +53,7 @@ class Port(Protocol):
     def carries_parity(self) -> bool:
         """Whether bit 7 of every byte, in and out, is even parity (8N1 port).
 
-        False: the device frames 7E1 itself, bytes here have bit 7 clear.
+        False: the device frames parity itself.
         """
 
     def write(self, data: bytes) -> None:
@@ -86,16 +90,16 @@ class PortSettings:
 
     Args:
         url: A device path, `socket://HOST:PORT`, or another scheme an opener knows.
-        baud: Bits a second: 1200, 2400, 4800, 9600 or 19200.
+        baud: Bits a second.
         direction: Who switches the RS-485 transceiver.
-        parity: Who makes even parity.
+        framing: How the device frames characters.
         line: The line's name, for errors and logs.
     """
 
     url: str
     baud: int = 9600
     direction: Direction = "adapter"
-    parity: Parity = "line"
+    framing: Framing = "8N1"
     line: str = ""
 
 

@@ -7,11 +7,21 @@ loaded when it is asked for. Others call `register`.
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable
 from typing import Protocol
 
+from lecombus.drives import Family
 from lecombus.errors import ConfigError
-from lecombus.fieldbus.costs import ExchangeCosts
+from lecombus.fieldbus.costs import ExchangeCosts, LineTiming
+from lecombus.fieldbus.loop import ExchangeLoop, LateWakes, OpenConnection
+from lecombus.fieldbus.options import WorkerOptions
+from lecombus.fieldbus.port import Framing, Parity, PortOpener
+from lecombus.fieldbus.reports import Observer
+from lecombus.fieldbus.requests import RequestMaker
+from lecombus.parameters import AddressForm, Code
 from lecombus.parameters.rules import ParameterRules, register_rules
+from lecombus.roster import Roster
+from lecombus.schedule import Outcome, Priority, Schedule
 
 __all__ = ["Fieldbus", "find", "register"]
 
@@ -23,6 +33,7 @@ class Fieldbus(Protocol):
         name: The roster's word for it, `line.protocol`.
         rules: What it can carry of codes and values.
         bauds: The baud rates that it knows, bit/s, from the lowest.
+        addresses: The addresses that a single drive can have, in words.
         bits_per_char: Bits of a character, start, parity and stop bits included.
         costs: What its exchanges cost.
     """
@@ -30,8 +41,79 @@ class Fieldbus(Protocol):
     name: str
     rules: ParameterRules
     bauds: tuple[int, ...]
+    addresses: str
     bits_per_char: int
     costs: ExchangeCosts
+
+    def is_address(self, address: int) -> bool:
+        """Return whether a single drive can have an address."""
+
+    def multicast_address(self, members: frozenset[int], drives: frozenset[int]) -> int | None:
+        """Return the address that reaches exactly these members of a line's drives; None: none."""
+
+    def address_code(self, family: Family) -> Code | None:
+        """Return the code that holds a drive's own address; None: no code does."""
+
+    def moves_drive(self, family: Family, code: Code) -> str | None:
+        """Return how a drive goes away when a code is written; None: it stays.
+
+        Returns:
+            Words to stand behind "C0009 of feeder", such as `is its address`.
+        """
+
+    def shifting_codes(self, family: Family) -> tuple[Code, ...]:
+        """Return the codes that, if not 0, move what later telegrams of some forms reach."""
+
+    def unshifted(self, forms: tuple[AddressForm, ...]) -> tuple[AddressForm, ...]:
+        """Return those of some forms that `shifting_codes` do not touch."""
+
+    def framing(self, parity: Parity) -> Framing:
+        """Return how the port frames characters.
+
+        Args:
+            parity: The roster's word on who makes parity.
+        """
+
+    def exchange_loop(
+        self,
+        schedule: Schedule,
+        timing: LineTiming,
+        options: WorkerOptions,
+        connection: OpenConnection,
+        line: str,
+        observer: Observer,
+        lateness: LateWakes,
+    ) -> ExchangeLoop:
+        """Make the loop that runs exchanges on the line's port.
+
+        Args:
+            schedule: Gives the next request, and takes how it ended.
+            timing: The times of the line.
+            options: Turnaround, echo, time-outs of the line.
+            connection: The port.
+            line: The line's name, for logs.
+            observer: Is called for each event on the line.
+            lateness: Records how late timers fired.
+        """
+
+    def request_maker(
+        self,
+        timing: LineTiming,
+        retries: int,
+        count: Callable[[Priority, Outcome], None],
+        loop: ExchangeLoop,
+    ) -> RequestMaker:
+        """Make what makes requests.
+
+        Args:
+            timing: The times of the line.
+            retries: How often a failed attempt is repeated.
+            count: Called at the end of every request.
+            loop: The line's loop, which `exchange_loop` made.
+        """
+
+    def simulator(self, roster: Roster) -> PortOpener:
+        """Give what opens the port `sim:`: the roster's drives, simulated in this process."""
 
 
 _KNOWN: dict[str, Fieldbus] = {}

@@ -1,4 +1,4 @@
-"""Reports of the worker: each exchange, each change of the line.
+"""Reports of the worker: each exchange, each change of the line, in words of any protocol.
 
 The interface between the line and its recorder. Nothing here decides anything.
 """
@@ -6,14 +6,94 @@ The interface between the line and its recorder. Nothing here decides anything.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum, StrEnum
 from typing import Protocol
 
-from lecombus.fieldbus.lecom.protocol.exchange import Result
+from lecombus.fieldbus.station import JobStep
+from lecombus.parameters import Value
+from lecombus.schedule import Priority
 
-from ..schedule import Priority
-from .station import JobStep
+__all__ = [
+    "AnswerKind",
+    "DriveAnswer",
+    "ExchangeReport",
+    "ExchangeResult",
+    "Observer",
+    "ResultKind",
+]
 
-__all__ = ["ExchangeReport", "Observer"]
+
+class ResultKind(StrEnum):
+    """How an exchange ended on the wire."""
+
+    ANSWERED = "answered"
+    SENT = "sent"
+    NO_REPLY = "no reply"
+    GARBLED = "garbled"
+    ECHO = "echo"
+    LOST = "line lost"
+
+
+class AnswerKind(Enum):
+    """What a drive answered."""
+
+    VALUE = "value"
+    ACKNOWLEDGED = "acknowledged"
+    REFUSED = "refused"
+    NO_SUCH_CODE = "no such code"
+    OTHER = "other"
+
+
+class DriveAnswer(Protocol):
+    """What a drive answered; a protocol's own classes of answers have these attributes."""
+
+    @property
+    def kind(self) -> AnswerKind:
+        """What it is."""
+
+    @property
+    def value(self) -> Value | None:
+        """The value that was read, if it is one."""
+
+    @property
+    def text(self) -> str:
+        """Why a read brought no value, for people; empty where `kind` says it."""
+
+
+class ExchangeResult(Protocol):
+    """How one exchange ended; times are monotonic seconds."""
+
+    @property
+    def kind(self) -> ResultKind:
+        """How it ended on the wire."""
+
+    @property
+    def answer(self) -> DriveAnswer | None:
+        """The drive's answer, when `kind` is ANSWERED."""
+
+    @property
+    def started_s(self) -> float:
+        """When the telegram was handed to the port."""
+
+    @property
+    def ended_s(self) -> float:
+        """When the answer was complete, or when it was given up."""
+
+    @property
+    def overdue_s(self) -> float:
+        """How much older than `ended_s` the answer may be, because the process did not run."""
+
+    @property
+    def fault(self) -> str:
+        """Why it failed, in words; empty when it did not."""
+
+    @property
+    def late(self) -> int:
+        """How many answers to something else came during the exchange."""
+
+    @property
+    def clean(self) -> bool:
+        """False when anything but the answer was heard."""
 
 
 @dataclass(slots=True)
@@ -34,7 +114,7 @@ class ExchangeReport:
 
     drive: str
     step: JobStep
-    result: Result
+    result: ExchangeResult
     priority: Priority
     waited_s: float
     quarantined_s: float

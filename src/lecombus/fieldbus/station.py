@@ -9,9 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import NamedTuple, Protocol
-
-from lecombus.fieldbus.lecom.protocol.exchange import Result
+from typing import Any, NamedTuple, Protocol
 
 from ..drives import Family
 from ..drives.measured import MeasuredTimes, manual_s
@@ -97,5 +95,5 @@ class Job(Protocol):
     def cut_outcome(self) -> Outcome | None:
         """How it ends if it is cut off between two steps; None: nothing was changed."""
 
-    def advance(self, result: Result) -> Verdict:
-        """Take the result of the step that was run."""
+    def advance(self, result: Any) -> Verdict:
+        """Take the result of the step that was run, of the protocol's own class."""

@@ -5,8 +5,8 @@ Here live the settings of the device and everything pyserial is used for.
 Strategy:
 
 * The device runs 8N1 and bit 7 carries even parity, made and checked elsewhere. With
-  `parity: port` it is set to 7E1, and a character with wrong parity arrives as NUL. A pseudo
-  terminal frames nothing and is always set to 8N1.
+  7E1 or 8E1 a character with wrong parity arrives as NUL. A pseudo terminal frames nothing and is
+  always set to 8N1.
 * Raw: no flow control, no translation, no stripping, because a BCC may be any control character.
 * The settings are applied exactly once (see `Device`). VMIN is 1, so that a read of nothing can
   only mean that the device hung up.
@@ -28,7 +28,7 @@ from pathlib import Path
 import serial
 from serial.rs485 import RS485Settings
 
-from lecombus.fieldbus.port import PortSettings
+from lecombus.fieldbus.port import Framing, PortSettings
 
 from ..errors import LineLostError
 from . import devices
@@ -62,15 +62,16 @@ class Device(serial.Serial):
         """Set what pyserial leaves as it was, and see that the framing was taken.
 
         Raises:
-            termios.error: The device does not frame 7E1, which some drivers do not say.
+            termios.error: The device does not frame parity, which some drivers do not say.
         """
         assert self.fd is not None
         iflag, oflag, cflag, lflag, ispeed, ospeed, cc = termios.tcgetattr(self.fd)
-        seven = self.bytesize == serial.SEVENBITS
-        if seven and (cflag & termios.CSIZE != termios.CS7 or not cflag & termios.PARENB):
-            raise termios.error(errno.EINVAL, "7E1 was not taken")
+        even = self.parity == serial.PARITY_EVEN
+        size = termios.CS7 if self.bytesize == serial.SEVENBITS else termios.CS8
+        if even and (cflag & termios.CSIZE != size or not cflag & termios.PARENB):
+            raise termios.error(errno.EINVAL, "even parity was not taken")
         iflag &= ~(termios.BRKINT | termios.IGNPAR)
-        if seven:
+        if even:
             iflag |= termios.INPCK
         cflag &= ~termios.HUPCL  # closing must not switch off an adapter fed from DTR or RTS
         cc[termios.VMIN] = 1
@@ -88,7 +89,7 @@ def open_device(settings: PortSettings) -> Device:
         LineLostError: It cannot be opened or used as asked; the message says what to do.
     """
     pseudo = devices.is_pseudo(settings.url)
-    device = _configured(settings, seven=settings.parity == "port" and not pseudo)
+    device = _configured(settings, "8N1" if pseudo else settings.framing)
     try:
         device.open()
         if settings.direction == "rts":
@@ -102,11 +103,11 @@ def open_device(settings: PortSettings) -> Device:
     return device
 
 
-def _configured(settings: PortSettings, *, seven: bool) -> Device:
+def _configured(settings: PortSettings, framing: Framing) -> Device:
     device = Device(
         baudrate=settings.baud,
-        bytesize=serial.SEVENBITS if seven else serial.EIGHTBITS,
-        parity=serial.PARITY_EVEN if seven else serial.PARITY_NONE,
+        bytesize=serial.SEVENBITS if framing == "7E1" else serial.EIGHTBITS,
+        parity=serial.PARITY_NONE if framing == "8N1" else serial.PARITY_EVEN,
         timeout=0,
         write_timeout=0,
         exclusive=True,
@@ -159,8 +160,9 @@ def _why_not_open(settings: PortSettings, exc: Exception) -> str:
         return f"{path}: permission denied; {_who_may(path)}"
     if code in (errno.EBUSY, errno.EAGAIN):
         return _in_use(path, devices.holders(path))
-    if settings.parity == "port" and code == errno.EINVAL and isinstance(exc, termios.error):
-        return f"{path}: the device does not frame 7E1; parity `line` needs no such device"
+    if settings.framing != "8N1" and code == errno.EINVAL and isinstance(exc, termios.error):
+        remedy = "; parity `line` needs no such device" if settings.framing == "7E1" else ""
+        return f"{path}: the device does not frame {settings.framing}{remedy}"
     if settings.direction == "rts" and code in (errno.ENOTTY, errno.EINVAL):
         return f"{path}: the device has no RTS line; direction `adapter` needs none"
     if "RS485" in str(exc):

@@ -35,8 +35,8 @@ _READ_SIZE = 4096
 _STUCK_S = 2.0
 """How much longer than its wire time a telegram may take to leave, seconds."""
 
-_CHARACTER_BITS = 10
-"""Start bit, 8 bits (7 and parity), stop bit. Source: EDB2102EN 8.3.5."""
+_CHARACTER_BITS = {"8N1": 10, "7E1": 10, "8E1": 11}
+"""With start bit, parity and stop bit."""
 
 _RTS_POLL_S = 0.0005
 """How often to look whether the last character left, once it should have, seconds."""
@@ -65,7 +65,7 @@ class SerialPort(SerialTransport):
         self._silent = False
         self._stuck: asyncio.TimerHandle | None = None
         self._real = devices.real_path(settings.url)
-        self.carries_parity = settings.parity == "line"
+        self.carries_parity = settings.framing == "8N1"
         super().__init__(loop, asyncio.BaseProtocol(), device)
 
     def write(self, data: bytes) -> None:  # type: ignore[override]
@@ -116,8 +116,7 @@ class SerialPort(SerialTransport):
         """Say which device this is, such as `/dev/serial/by-id/x -> /dev/ttyUSB0, 9600 8N1`."""
         url = self._settings.url
         where = url if self._real == url else f"{url} -> {self._real}"
-        framing = "8N1" if self.carries_parity else "7E1"
-        return f"{where}, {self._settings.baud} {framing}"
+        return f"{where}, {self._settings.baud} {self._settings.framing}"
 
     def _read_ready(self) -> None:
         try:
@@ -180,7 +179,7 @@ class SerialPort(SerialTransport):
             self._stuck = None
 
     def _wire_time_s(self, data: bytes) -> float:
-        return len(data) * _CHARACTER_BITS / self._settings.baud
+        return len(data) * _CHARACTER_BITS[self._settings.framing] / self._settings.baud
 
     def _error(self, why: str) -> LineLostError:
         return LineLostError(f"{self._settings.url}: {why}", line=self._settings.line)

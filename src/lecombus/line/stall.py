@@ -7,7 +7,7 @@ reopened less and less often.
 
 from __future__ import annotations
 
-from lecombus.fieldbus.lecom.protocol.exchange import Result, ResultKind
+from lecombus.fieldbus.reports import ExchangeResult, ResultKind
 
 __all__ = ["StallWatch"]
 
@@ -47,7 +47,7 @@ class StallWatch:
         if self._unheard_from_s is not None:
             self._unheard_from_s += for_s
 
-    def failed(self, result: Result) -> float | None:
+    def failed(self, result: ExchangeResult) -> float | None:
         """An exchange had no answer.
 
         Returns:

@@ -52,7 +52,7 @@ class TcpPort(asyncio.Protocol):
         self._silent = True
         self._why = "the device server ended the connection; is another client connected to it?"
         self._peer = ""
-        self.carries_parity = settings.parity == "line"
+        self.carries_parity = settings.framing == "8N1"
 
     def write(self, data: bytes) -> None:
         """Hand all of `data` to the connection."""
@@ -100,7 +100,7 @@ class TcpPort(asyncio.Protocol):
 
     def describe(self) -> str:
         """Say where this leads, such as `socket://server:4001 (192.0.2.7:4001), raw 8N1`."""
-        framing = "8N1" if self.carries_parity else "7E1"
+        framing = self._settings.framing
         return f"{self._settings.url} ({self._peer}), raw, device server frames {framing}"
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:

@@ -12,6 +12,8 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
+from lecombus.fieldbus.loop import LateWakes
+
 __all__ = ["Deadline", "Lateness", "WakeableSleep", "WakeableTimer"]
 
 
@@ -43,7 +45,7 @@ class WakeableSleep:
 
     __slots__ = ("_future", "_lateness")
 
-    def __init__(self, lateness: Lateness) -> None:
+    def __init__(self, lateness: LateWakes) -> None:
         self._lateness = lateness
         self._future: asyncio.Future[None] | None = None
 
@@ -78,7 +80,7 @@ class WakeableTimer:
 
     __slots__ = ("_handle", "_lateness", "_listens", "_over", "_until_s", "late_s")
 
-    def __init__(self, over: Callable[[], None], lateness: Lateness) -> None:
+    def __init__(self, over: Callable[[], None], lateness: LateWakes) -> None:
         self._over = over
         self._lateness = lateness
         self._handle: asyncio.Handle | None = None

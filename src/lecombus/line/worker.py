@@ -1,6 +1,6 @@
 """The worker: it owns the port of one line for as long as the daemon lives.
 
-Theory of operation. One task opens the port, runs exchanges on it (exchange_loop.py), and
+Theory of operation. One task opens the port, runs the exchange loop of the protocol on it, and
 opens it again, with backoff, whenever it was lost.
 
 * Cancelling a caller never reaches the wire: callers wait on futures, the worker runs in a shield
@@ -15,9 +15,10 @@ import asyncio
 import anyio
 
 from lecombus.fieldbus.costs import LineTiming
-from lecombus.fieldbus.lecom.exchanges.exchange_loop import ExchangeLoop
+from lecombus.fieldbus.loop import ExchangeLoop
 from lecombus.fieldbus.options import WorkerOptions
 from lecombus.fieldbus.port import PortOpener, PortSettings
+from lecombus.fieldbus.protocols import Fieldbus
 from lecombus.fieldbus.reports import ExchangeReport, Observer
 
 from ..errors import LineClosedError, LineLostError
@@ -32,6 +33,7 @@ class LineWorker:
     """Runs the exchanges of one line; create it, then keep `run` running in a task group.
 
     Args:
+        fieldbus: The protocol.
         settings: The port to open.
         opener: Opens it.
         schedule: Gives the next request.
@@ -40,12 +42,14 @@ class LineWorker:
         observer: Is called for each event on the line.
 
     Attributes:
+        fieldbus: As given.
         exchange_loop: Sends telegrams and receives answers.
         lateness: How late the line was woken.
     """
 
     def __init__(
         self,
+        fieldbus: Fieldbus,
         settings: PortSettings,
         opener: PortOpener,
         schedule: Schedule,
@@ -53,11 +57,12 @@ class LineWorker:
         options: WorkerOptions,
         observer: Observer,
     ) -> None:
+        self.fieldbus = fieldbus
         self.schedule = schedule
         self.options = options
         self.lateness = Lateness()
         self._connection = PortConnection(settings, opener)
-        self.exchange_loop = ExchangeLoop(
+        self.exchange_loop: ExchangeLoop = fieldbus.exchange_loop(
             schedule, timing, options, self._connection, settings.line, observer, self.lateness
         )
         self._nap = WakeableSleep(self.lateness)

@@ -25,7 +25,7 @@ from lecombus.errors import (
     OperationError,
     UnknownCodeError,
 )
-from lecombus.fieldbus.lecom.protocol.addressing import is_drive_address
+from lecombus.fieldbus.protocols import Fieldbus
 from lecombus.fieldbus.station import Station
 from lecombus.operations.requests import Requests
 from lecombus.parameters import AddressForm, Code, Value
@@ -105,17 +105,19 @@ class Heard:
         return False if self.kind is HeardKind.NO_SUCH_CODE else None
 
 
-def check_address(address: int, family_name: str, entries: Iterable[DriveEntry]) -> None:
+def check_address(
+    fieldbus: Fieldbus, address: int, family_name: str, entries: Iterable[DriveEntry]
+) -> None:
     """See that an address may be asked: a drive can have it, and none of the roster does.
 
     Raises:
         OperationError: It may not.
     """
-    if not is_drive_address(address):
+    if not fieldbus.is_address(address):
         raise OperationError(
             f"no drive has the address {address}",
             kind="no-such-address",
-            remedy="it is 1 to 99, and not 10, 20 .. 90, which are groups that nobody answers for",
+            remedy=f"it is {fieldbus.addresses}",
         )
     if family_name not in FAMILY_NAMES:
         raise OperationError(

@@ -10,13 +10,13 @@ from decimal import Decimal
 from typing import Final
 
 from lecombus.drives import StopAction, Verb
-from lecombus.fieldbus.lecom.readdress import Readdress
 from lecombus.line_events import LineRequests
 from lecombus.operations.actions import SECRET, Actions
 from lecombus.operations.context import OperationContext
 from lecombus.operations.findings import WhyReport
 from lecombus.operations.group_writes import GroupWrites
 from lecombus.operations.identities import Identities, IdentityReport
+from lecombus.operations.readdress import Readdress
 from lecombus.operations.reads import Reads
 from lecombus.operations.reports import GroupReport, TimesReport, VerbReport, WriteReport
 from lecombus.operations.requests import Requests

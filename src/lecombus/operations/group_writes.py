@@ -23,7 +23,6 @@ from lecombus.errors import (
     QueueFullError,
     ScheduleError,
 )
-from lecombus.fieldbus.lecom.request_maker import shared_form
 from lecombus.fieldbus.station import Station
 from lecombus.operations.context import OperationContext
 from lecombus.operations.reports import (
@@ -51,6 +50,7 @@ class GroupWrites:
     def __init__(self, context: OperationContext, writes: Writes) -> None:
         self._context = context
         self._writes = writes
+        self._maker = context.requests.maker
 
     def groups(self) -> Sequence[GroupInfo]:
         """Return the groups of the roster and how each is addressed."""
@@ -98,13 +98,13 @@ class GroupWrites:
             known = [one for one in there if one is not None]
             if len(known) == len(stations):
                 return group_report(group, "one-by-one", known)
-            stations, wires = self._permitted_all(
-                group, code, value
-            )  # they may have changed during the read
+            # They may have changed during the read.
+            stations, wires = self._permitted_all(group, code, value)
         there = self._unless_stopped(stations, code, there, marks)
-        address, form = self._address(group, stations, code, wires), shared_form(stations, code)
+        address = self._address(group, stations, code, wires)
         if any(one is not None and one.outcome is Outcome.SUPERSEDED for one in there):
             address = None  # one telegram would reach those that were stopped too
+        form = None if address is None else self._maker.shared_form(stations, code)
         if address is None or form is None or len({wire.raw for wire in wires}) != 1:
             waits = self._submit_each(
                 stations, code, wires, there, expires_at_s, verify=bool(verify)
@@ -257,7 +257,7 @@ class GroupWrites:
         """
         order = list(range(len(stations)))
         if proven:
-            part_of = self._context.requests.maker.part_of_write
+            part_of = self._maker.part_of_write
             order = least_order(
                 [part_of(one, code, wire) for one, wire in zip(stations, wires, strict=True)]
             )
@@ -276,7 +276,7 @@ class GroupWrites:
         motion = any(info is not None and info.motion for info in infos)
         ending = Ending()
         words = [self._context.control_word(one.name) for one in stations]
-        request = self._context.requests.maker.multicast(
+        request = self._maker.multicast(
             group, stations, code, wire, Priority.CONTROL if motion else Priority.INTERACTIVE,
             settle=unknown_until_ended(words, code, ending.settle),
             expires_at_s=expires_at_s,

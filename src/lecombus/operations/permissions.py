@@ -18,7 +18,7 @@ from decimal import Decimal
 from lecombus.config import DriveEntry
 from lecombus.drives import Family, check_allowed, encode_for, not_restored, saving_rule
 from lecombus.errors import CodeValueError, LineClosedError, OperationError
-from lecombus.fieldbus.lecom.address_codes import moves_drive, shifts_addressing
+from lecombus.fieldbus.protocols import find
 from lecombus.fieldbus.station import Station
 from lecombus.operations.reports import RestoreRights
 from lecombus.operations.requests import Requests
@@ -154,12 +154,13 @@ def refuse_moving(drive: str, family: Family, code: Code) -> None:
     Raises:
         OperationError: `not-writable`.
     """
-    moved = moves_drive(family, code)
+    protocol = find(family.protocol)
+    moved = protocol.moves_drive(family, code)
     remedy = (
         f"change an address by `lecombus readdress {drive} NEW`, a baud rate by `lecombus rebaud` "
         "with the daemon stopped"
     )
-    if moved is None and shifts_addressing(family, code):
+    if moved is None and code in protocol.shifting_codes(family):
         moved = "moves what every later telegram in standard addressing reaches"
         remedy = "name a subcode after the code instead, as in C0039/1"
     if moved is not None:

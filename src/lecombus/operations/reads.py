@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from lecombus.config.mistakes import one_of
 from lecombus.errors import OperationError, RefusedError
 from lecombus.operations.address_reads import Heard, check_address, read_address
 from lecombus.operations.context import OperationContext
-from lecombus.parameters import AddressForm, Code
+from lecombus.parameters import AddressForm, Code, ParameterRules
 from lecombus.readings import Reading
 from lecombus.schedule import Priority
 
@@ -61,14 +62,14 @@ class Reads:
         return reading
 
     async def read_address(
-        self, address: int, code: Code, *, form: AddressForm, family_name: str, patient: bool
+        self, address: int, code: Code, *, addressing: str, family_name: str, patient: bool
     ) -> Heard:
         """Read a code at an address that the roster does not have, once, when nothing else is due.
 
         Args:
             address: 1..99, not ending in 0.
             code: What to read.
-            form: In this addressing form and no other.
+            addressing: In this addressing form and no other.
             family_name: Whose answer times to wait by.
             patient: Wait longer than any description says.
 
@@ -77,7 +78,9 @@ class Reads:
             LineError: There is no line.
             QueueFullError: Too many requests wait.
         """
-        check_address(address, family_name, self._context.entries.values())
+        fieldbus = self._context.requests.worker.fieldbus
+        form = form_of(fieldbus.rules, addressing)
+        check_address(fieldbus, address, family_name, self._context.entries.values())
         return await read_address(
             self._context.requests,
             address,
@@ -88,3 +91,17 @@ class Reads:
             priority=Priority.BACKGROUND,
             disturbances=self._context.disturbances,
         )
+
+
+def form_of(rules: ParameterRules, addressing: str) -> AddressForm:
+    """Return the addressing form of a word.
+
+    Raises:
+        OperationError: `bad-request`: the protocol knows no such form.
+    """
+    if addressing not in rules.forms:
+        known = one_of(rules.forms)
+        raise OperationError(
+            f"addressing takes {known}", kind="bad-request", remedy=f"give {known}"
+        )
+    return rules.forms[addressing]

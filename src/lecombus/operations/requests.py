@@ -25,8 +25,7 @@ from lecombus.errors import (
     OperationError,
     UnknownCodeError,
 )
-from lecombus.fieldbus.lecom.exchanges.jobs import ReadBackJob, ReadJob
-from lecombus.fieldbus.lecom.request_maker import RequestMaker
+from lecombus.fieldbus.requests import ReadWork, RequestMaker
 from lecombus.fieldbus.station import Station
 from lecombus.line.worker import LineWorker
 from lecombus.parameters import Code, Value
@@ -235,7 +234,6 @@ class Requests:
         ending = Ending()
         request = self.maker.write(
             station, code, value, settle=ending.settle, verify=verify, expires_at_s=expires_at_s,
-            duplicates=self.worker.exchange_loop.duplicates,
         )  # fmt: skip
         self.worker.submit(request)
         return await ending.wait()
@@ -286,7 +284,7 @@ class Requests:
         ending = Ending()
         request = self.maker.read_back(
             station, code, value, priority, settle=ending.settle,
-            expires_at_s=self._clock() + timeout_s, duplicates=self.worker.exchange_loop.duplicates,
+            expires_at_s=self._clock() + timeout_s,
         )  # fmt: skip
         return await self._value(request, ending, station, code)
 
@@ -297,7 +295,7 @@ class Requests:
         self.worker.submit(request)
         outcome, reason = await ending.wait()
         job = request.work
-        assert isinstance(job, ReadJob | ReadBackJob)
+        assert isinstance(job, ReadWork)
         if job.value is not None:
             return job.value, reason
         raise job.error or never_sent(outcome, reason, station, code)

@@ -13,9 +13,7 @@ from dataclasses import dataclass, replace
 from lecombus.drives import StopAction, knows_stop, needs_control_word, stop_value
 from lecombus.drives.stops import STOP_PATIENCE_S, usable_word
 from lecombus.errors import OperationError
-from lecombus.fieldbus.lecom.exchanges.jobs import MulticastJob
-from lecombus.fieldbus.lecom.exchanges.stop_job import StopJob
-from lecombus.fieldbus.lecom.request_maker import shared_form
+from lecombus.fieldbus.requests import MulticastWork, StopWork
 from lecombus.fieldbus.station import JobStep, Station
 from lecombus.operations.context import OperationContext
 from lecombus.operations.reports import GroupReport, Proof, WriteReport, group_report
@@ -103,7 +101,7 @@ class Stops:
         """Wait for a stop and report it by the code written, which may be that of an inhibit."""
         outcome, reason = await ending.wait()
         job = ending.request.work if ending.request is not None else None
-        assert isinstance(job, StopJob)
+        assert isinstance(job, StopWork)
         code = station.family.stops[job.action].code
         try:
             report = self._writes.report(station.name, code, ending, outcome, reason)
@@ -139,7 +137,7 @@ class Stops:
         if len(telegrams) != 1:
             return None
         code, value = next(iter(telegrams.values()))
-        form = shared_form(able, code)
+        form = self._context.requests.maker.shared_form(able, code)
         if form is None:
             return None
         return self._context.requests.maker.multicast(
@@ -153,7 +151,7 @@ class Stops:
         for action in StopAction:
             waiting = self._stops.get((name, action))
             job = waiting.request.work if waiting is not None else None
-            if isinstance(job, StopJob) and job.action is StopAction.INHIBIT:
+            if isinstance(job, StopWork) and job.action is StopAction.INHIBIT:
                 return True
         return False
 
@@ -206,7 +204,6 @@ class Stops:
             last_word=lambda: self._context.control_word(name).last(), said=said, settle=settle,
             silent=bool(self._context.silence_of(station)),
             may_inhibit=entry is None or entry.stop_fallback == "inhibit",
-            duplicates=self._context.requests.worker.exchange_loop.duplicates,
             patience_s=ABSENT_PATIENCE_S if absent else STOP_PATIENCE_S,
         )  # fmt: skip
         self._context.requests.worker.submit(request)
@@ -216,12 +213,12 @@ class Stops:
 def station_of(request: Request) -> Station:
     """The station of a stop: after a reload the name may be that of another drive."""
     job = request.work
-    assert isinstance(job, StopJob)
+    assert isinstance(job, StopWork)
     return job.station
 
 
 def telegram_of(request: Request) -> JobStep:
     """The telegram of a multicast."""
     job = request.work
-    assert isinstance(job, MulticastJob)
+    assert isinstance(job, MulticastWork)
     return job.step

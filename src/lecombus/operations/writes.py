@@ -14,7 +14,7 @@ from lecombus.errors import (
     ExchangeError,
     OperationError,
 )
-from lecombus.fieldbus.lecom.exchanges.jobs import WriteJob
+from lecombus.fieldbus.requests import WriteWork
 from lecombus.fieldbus.station import Station
 from lecombus.operations.context import OperationContext
 from lecombus.operations.reads import READ_WITHIN_S
@@ -176,7 +176,7 @@ class Writes:
         settle = unknown_until_ended((word,), code, ending.settle)
         ending.request = request = self._context.requests.maker.write(
             station, code, wire, settle=settle, verify=verify, expires_at_s=expires_at_s,
-            urgency=urgency, duplicates=self._context.requests.worker.exchange_loop.duplicates,
+            urgency=urgency,
         )  # fmt: skip
         request.is_gone = None if goes_on else client_check(station, code, wire)
         self._context.requests.submit(request)
@@ -204,7 +204,7 @@ class Writes:
             remedy = STOPPED_REMEDY
         reading = self._context.store.reading(drive, code)
         job, proof = ending.request.work if ending.request is not None else None, None
-        if outcome is Outcome.VERIFIED and isinstance(job, WriteJob) and job.proof is not None:
+        if outcome is Outcome.VERIFIED and isinstance(job, WriteWork) and job.proof is not None:
             proof = Proof(job.code, job.proof.raw, "value")
         return WriteReport(
             drive, code, outcome, reason, kind=kind, remedy=remedy, reading=reading, proof=proof

@@ -11,14 +11,7 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 from lecombus.drive_runtime import LineDrives
-from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
-from lecombus.fieldbus.lecom.protocol.telegrams import (
-    AckAnswer,
-    NakAnswer,
-    UnknownCodeAnswer,
-    ValueAnswer,
-)
-from lecombus.fieldbus.reports import ExchangeReport
+from lecombus.fieldbus.reports import AnswerKind, ExchangeReport, ExchangeResult, ResultKind
 from lecombus.fieldbus.station import StepKind
 from lecombus.line_events import ExchangeEvent, LineChange
 from lecombus.metrics import Metrics
@@ -37,11 +30,6 @@ ExchangeSubscriber = Callable[[ExchangeEvent], None]
 """Takes an exchange; it must return quickly and never raise."""
 LineSubscriber = Callable[[LineChange], None]
 """Takes an opening or a loss of the port."""
-
-_REFUSALS: Final[Mapping[type, str]] = {
-    UnknownCodeAnswer: NO_SUCH_CODE,
-    NakAnswer: "the drive refused the read (NAK)",
-}
 
 _OUTCOMES: Final[Mapping[ResultKind, str]] = {
     ResultKind.SENT: "sent",
@@ -115,21 +103,21 @@ class ExchangeRecorder:
             return None  # it may have come back as another device
         result, step = report.result, report.step
         answer = result.answer
-        kind = type(answer)
-        is_write = step.kind is StepKind.WRITE and kind is not NakAnswer
-        acknowledged = kind is AckAnswer and step.kind is StepKind.WRITE
+        kind = None if answer is None else answer.kind
+        is_write = step.kind is StepKind.WRITE and kind is not AnswerKind.REFUSED
+        acknowledged = kind is AnswerKind.ACKNOWLEDGED and step.kind is StepKind.WRITE
         outcome, failure = "answered", None
-        if kind is not ValueAnswer and not acknowledged:
-            outcome = _failed(report)
+        if kind is not AnswerKind.VALUE and not acknowledged:
+            outcome = _failed(result)
             if step.kind is StepKind.READ:
-                failure = _REFUSALS.get(kind, result.fault or "bad answer")
+                failure = _why_not_read(result)
         return ExchangeEvent(
             report,
             (drive,),
             step.code,
             result.ended_s,
             outcome,
-            read=answer.value if isinstance(answer, ValueAnswer) else None,
+            read=None if answer is None else answer.value,
             read_s=result.ended_s - result.overdue_s,
             read_failure=failure,
             written=step.value if is_write else None,
@@ -149,13 +137,22 @@ class ExchangeRecorder:
         )  # fmt: skip
 
 
-def _failed(report: ExchangeReport) -> str:
+def _failed(result: ExchangeResult) -> str:
     """Name the end of an exchange that brought neither a value nor an acknowledgement."""
-    answer = report.result.answer
+    answer = result.answer
     if answer is None:
-        return _OUTCOMES[report.result.kind]
-    refused = isinstance(answer, NakAnswer | UnknownCodeAnswer)
+        return _OUTCOMES[result.kind]
+    refused = answer.kind in (AnswerKind.REFUSED, AnswerKind.NO_SUCH_CODE)
     return "refused" if refused else "unexpected"
+
+
+def _why_not_read(result: ExchangeResult) -> str:
+    answer = result.answer
+    if answer is None:
+        return result.fault or "bad answer"
+    if answer.kind is AnswerKind.NO_SUCH_CODE:
+        return NO_SUCH_CODE
+    return answer.text or result.fault or "bad answer"
 
 
 class StoreRecord:

@@ -22,7 +22,7 @@ import logging
 from collections.abc import Callable
 
 from lecombus.drive_runtime import Drive, LineDrives, RunningAudit
-from lecombus.fieldbus.lecom.protocol.exchange import ResultKind
+from lecombus.fieldbus.reports import ResultKind
 from lecombus.fieldbus.station import StepKind
 from lecombus.line_events import ExchangeEvent, LineChange
 from lecombus.readings import DriveState

@@ -16,7 +16,7 @@ from typing import Final
 from lecombus.capacity.facts import answers_of, facts_of
 from lecombus.config import LineEntry, Roster
 from lecombus.drive_runtime import LineDrives
-from lecombus.fieldbus.lecom.exchanges.duplicates import Found
+from lecombus.fieldbus.loop import SecondAnswerCount
 from lecombus.metrics import LineSnapshot, Metrics
 from lecombus.metrics.rolling_window import LATELY_S
 from lecombus.operations.facade import Operations
@@ -99,7 +99,7 @@ class LineWatch:
         stats = self._gather(now_s)
         for drive in self._drives:
             self._line.use_answer_times(drive)
-        found = self._worker.exchange_loop.duplicates.found(now_s)
+        found = self._worker.exchange_loop.second_answers(now_s)
         remark_second_answers(found, self._drives, self._store)
         self._line.health.check_overdue()
         self._log_lapses(stats.feeds)
@@ -224,7 +224,7 @@ class PollOverload:
         self._store.note_line(OVERLOAD_REMARK, text)
 
 
-def remark_second_answers(found: Found, drives: LineDrives, store: Store) -> None:
+def remark_second_answers(found: SecondAnswerCount, drives: LineDrives, store: Store) -> None:
     """Remark answers that were not asked for: two drives at one address, or every answer twice.
 
     Args:

@@ -26,10 +26,10 @@ from lecombus.drive_runtime import Drive
 from lecombus.drives import SoftwareGate
 from lecombus.drives.identity import identity_codes
 from lecombus.errors import OperationError
-from lecombus.fieldbus.lecom.protocol.addressing import Form
-from lecombus.fieldbus.lecom.readdress import Readdress
+from lecombus.fieldbus.protocols import find
 from lecombus.fieldbus.station import Station
 from lecombus.operations.identities import Identities
+from lecombus.operations.readdress import Readdress
 from lecombus.operations.requests import Requests
 from lecombus.parameters import Code, Value
 from lecombus.readings import ADDRESSING_LOCK, SOFTWARE_LOCK
@@ -40,9 +40,6 @@ from lecombus.supervision.watchdogs import DOES_NOT_FIT, PATIENCE_S
 __all__ = ["WritePrechecks"]
 
 logger = logging.getLogger(__name__)
-
-INPUT_SELECTION = Code(248)
-CODE_BANK = Code(249)
 
 UNCHECKED = "identity-unchecked"
 """The remark where the line has no time for the question who a drive is."""
@@ -86,13 +83,15 @@ class WritePrechecks:
         Raises:
             LecombusError: It could not be finished.
         """
-        if station.family.info(CODE_BANK) is None:
+        protocol = find(station.family.protocol)
+        codes = protocol.shifting_codes(station.family)
+        if not codes:
             return station
-        found = await self._read_all(station, (CODE_BANK, INPUT_SELECTION))
+        found = await self._read_all(station, codes)
         moved = {code: value for code, value in found.items() if value.number != 0}
         forms = drive.entry.forms
         if moved:
-            forms = tuple(form for form in forms if form is Form.EXTENDED)
+            forms = protocol.unshifted(forms)
         self._remark_addressing(drive.name, moved, reachable=bool(forms))
         if moved:
             drive.control_word.forget()  # it may have been another code's value

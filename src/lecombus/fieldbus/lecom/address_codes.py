@@ -17,7 +17,7 @@ from typing import Final
 from lecombus.drives.family import Family
 from lecombus.parameters import Code
 
-__all__ = ["address_code", "baud_code", "baud_numbers", "moves_drive", "shifts_addressing"]
+__all__ = ["address_code", "baud_code", "baud_numbers", "moves_drive", "shifting_codes"]
 
 LECOM_ADDRESS: Final = Code(9)
 SMV_ADDRESS: Final = Code(1410)
@@ -28,7 +28,8 @@ BAUDS: Final = frozenset({LECOM_BAUD, SMV_BAUD})
 GUESSED_NUMBERS: Final = {9600: 0, 4800: 1, 2400: 2, 1200: 3, 19200: 4}
 """What C0125 means in a 2102 module, and the best guess for a device of which nothing is known."""
 MODULE_RESET: Final = Code(1403)
-SHIFTING: Final = frozenset({Code(248), Code(249)})
+CODE_BANK: Final = Code(249)
+SHIFTING: Final = (CODE_BANK, Code(248))
 
 
 def moves_drive(family: Family, code: Code) -> str | None:
@@ -50,9 +51,12 @@ def moves_drive(family: Family, code: Code) -> str | None:
     return None
 
 
-def shifts_addressing(family: Family, code: Code) -> bool:
-    """Return whether a code moves what later telegrams in standard addressing reach."""
-    return code in SHIFTING and family.info(code) is not None
+def shifting_codes(family: Family) -> tuple[Code, ...]:
+    """Return the codes that move what later telegrams in standard addressing reach.
+
+    Source: EDB2102EN 8.2 (C0248, C0249).
+    """
+    return SHIFTING if family.info(CODE_BANK) is not None else ()
 
 
 def address_code(family: Family) -> Code:

@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
-from lecombus.fieldbus.costs import ExchangeCosts
+from lecombus.drives import Family
+from lecombus.fieldbus.costs import ExchangeCosts, LineTiming
+from lecombus.fieldbus.lecom import address_codes
+from lecombus.fieldbus.lecom.exchanges.exchange_loop import ExchangeLoop
 from lecombus.fieldbus.lecom.parameters import RULES
+from lecombus.fieldbus.lecom.protocol.addressing import Form, is_drive_address, multicast_address
 from lecombus.fieldbus.lecom.protocol.timing import BAUDS, BITS_PER_CHAR
+from lecombus.fieldbus.lecom.request_maker import RequestMaker
 from lecombus.fieldbus.lecom.roster_costs import RosterCosts
+from lecombus.fieldbus.loop import ExchangeLoop as AnyLoop
+from lecombus.fieldbus.loop import LateWakes, OpenConnection
+from lecombus.fieldbus.options import WorkerOptions
+from lecombus.fieldbus.port import Framing, Parity, PortOpener
 from lecombus.fieldbus.protocols import Fieldbus
-from lecombus.parameters import ParameterRules
+from lecombus.fieldbus.reports import Observer
+from lecombus.parameters import AddressForm, Code, ParameterRules
+from lecombus.roster import Roster
+from lecombus.schedule import Outcome, Priority, Schedule
 
 __all__ = ["FIELDBUS", "Lecom"]
 
@@ -20,8 +33,69 @@ class Lecom:
     name = RULES.protocol
     rules: ParameterRules = RULES
     bauds: tuple[int, ...] = BAUDS
+    addresses = "1 to 99, and not 10, 20 .. 90, which are groups that nobody answers for"
     bits_per_char = BITS_PER_CHAR
     costs: ExchangeCosts = RosterCosts()
+
+    def is_address(self, address: int) -> bool:
+        """Return whether it is 1..99 and does not end in 0."""
+        return is_drive_address(address)
+
+    def multicast_address(self, members: frozenset[int], drives: frozenset[int]) -> int | None:
+        """Return 10, 20 .. 90 for a decade, 0 for all drives, None if nothing reaches just them."""
+        return multicast_address(members, drives)
+
+    def address_code(self, family: Family) -> Code:
+        """Return the code that holds a drive's own address."""
+        return address_codes.address_code(family)
+
+    def moves_drive(self, family: Family, code: Code) -> str | None:
+        """Return how a drive goes away when a code is written; None: it stays."""
+        return address_codes.moves_drive(family, code)
+
+    def shifting_codes(self, family: Family) -> tuple[Code, ...]:
+        """Return C0249 and C0248, where the family has them."""
+        return address_codes.shifting_codes(family)
+
+    def unshifted(self, forms: tuple[AddressForm, ...]) -> tuple[AddressForm, ...]:
+        """Return extended addressing, which code bank and input selection do not touch."""
+        return tuple(form for form in forms if form is Form.EXTENDED)
+
+    def framing(self, parity: Parity) -> Framing:
+        """Return 8N1 where parity is made here in bit 7, 7E1 where the port makes it."""
+        return "8N1" if parity == "line" else "7E1"
+
+    def exchange_loop(
+        self,
+        schedule: Schedule,
+        timing: LineTiming,
+        options: WorkerOptions,
+        connection: OpenConnection,
+        line: str,
+        observer: Observer,
+        lateness: LateWakes,
+    ) -> ExchangeLoop:
+        """Make the loop that runs exchanges on the line's port."""
+        return ExchangeLoop(schedule, timing, options, connection, line, observer, lateness)
+
+    def request_maker(
+        self,
+        timing: LineTiming,
+        retries: int,
+        count: Callable[[Priority, Outcome], None],
+        loop: AnyLoop,
+    ) -> RequestMaker:
+        """Make what makes requests; it shares what the loop knows of second answers."""
+        assert isinstance(loop, ExchangeLoop)
+        return RequestMaker(timing, retries, count, loop.duplicates)
+
+    def simulator(self, roster: Roster) -> PortOpener:
+        """Give what opens the port `sim:`; loaded here, for a real line does without."""
+        from lecombus.fieldbus.lecom.simulator.line import build
+        from lecombus.fieldbus.lecom.simulator.memory import MemoryEnd
+
+        drives = [(entry.name, entry.address, entry.family) for entry in roster.drives]
+        return MemoryEnd(build(drives, baud=roster.line.baud)).open
 
 
 FIELDBUS: Final[Fieldbus] = Lecom()

@@ -30,7 +30,7 @@ from lecombus.parameters import AddressForm, Code, Value
 from lecombus.schedule import Outcome, Priority, Request, Settle, ignore_end
 from lecombus.schedule.fan_out import Part
 
-__all__ = ["RequestMaker", "shared_form"]
+__all__ = ["RequestMaker"]
 
 
 MAX_KEPT: Final = 8192
@@ -63,11 +63,13 @@ class RequestMaker:
         timing: Baud rate and latencies of the line.
         retries: How often a failed attempt is repeated.
         count: Called at the end of every request.
+        duplicates: What is known of answers that come twice on this line.
     """
 
     timing: LineTiming
     retries: int
     count: Callable[[Priority, Outcome], None]
+    duplicates: Duplicates | None = None
     _costs: dict[tuple[Station, Code], _ReadCost] = field(default_factory=dict, init=False)
     _feed_costs: dict[Station, _FeedCost] = field(default_factory=dict, init=False)
     _unheeded: dict[Priority, Settle] = field(default_factory=dict, init=False)
@@ -194,7 +196,6 @@ class RequestMaker:
         verify: bool,
         expires_at_s: float | None = None,
         urgency: Priority | None = None,
-        duplicates: Duplicates | None = None,
     ) -> Request:
         """Make a request that writes one code.
 
@@ -208,7 +209,7 @@ class RequestMaker:
         write_class = station.family.write_class(code, value)
         job = WriteJob(
             station, code, value, write_class=write_class, retries=self.retries, verify=verify,
-            duplicates=duplicates,
+            duplicates=self.duplicates,
         )  # fmt: skip
         # Read back in either form: after another drive's proof it is the longer one.
         back_s = self._dearest(station, code, station.answer_s(code))[1] if verify else 0.0
@@ -238,11 +239,10 @@ class RequestMaker:
         *,
         settle: Settle,
         expires_at_s: float,
-        duplicates: Duplicates | None = None,
     ) -> Request:
         """Make a request that reads whether a code holds a value, and whose answer that is."""
         cost = self._read_cost(station, code)
-        job = ReadBackJob(station, WrittenValue(code, value), self.retries, duplicates)
+        job = ReadBackJob(station, WrittenValue(code, value), self.retries, self.duplicates)
         return Request(
             station.name,
             priority,
@@ -266,14 +266,13 @@ class RequestMaker:
         settle: Settle,
         silent: bool = False,
         may_inhibit: bool = True,
-        duplicates: Duplicates | None = None,
         patience_s: float = STOP_PATIENCE_S,
     ) -> Request:
         """Make a request that stops one drive and proves it."""
         job = StopJob(
             station, action, word=word, inhibited=inhibited, retries=self.retries, said=said,
-            silent=silent, may_inhibit=may_inhibit, duplicates=duplicates, patience_s=patience_s,
-            last_word=last_word,
+            silent=silent, may_inhibit=may_inhibit, duplicates=self.duplicates,
+            patience_s=patience_s, last_word=last_word,
         )  # fmt: skip
         usual = self._read_cost(station, station.family.stops[action].code)
         return Request(
@@ -344,6 +343,15 @@ class RequestMaker:
             expires_at_s=expires_at_s,
         )
 
+    def shared_form(self, stations: Sequence[Station], code: Code) -> AddressForm | None:
+        """The form of one telegram to several drives: the first that all of them know.
+
+        A drive whose code bank is set is addressed in extended addressing only: a multicast in the
+        other would write another code of it.
+        """
+        known = (form for form in stations[0].forms if form.carries(code))
+        return next((form for form in known if all(form in one.forms for one in stations)), None)
+
     def probe(self, station: Station) -> Callable[[], Request]:
         """Give the maker of the read that asks an offline drive whether it is back.
 
@@ -378,16 +386,6 @@ def form_of(station: Station, code: Code) -> AddressForm:
         remedy="standard addressing carries C0000 to C6229 without subcodes; write "
         "`addressing: both` for this drive if it knows extended addressing",
     )
-
-
-def shared_form(stations: Sequence[Station], code: Code) -> AddressForm | None:
-    """The form of one telegram to several drives: the first that all of them know.
-
-    A drive whose code bank is set is addressed in extended addressing only: a multicast in the
-    other would write another code of it.
-    """
-    known = (form for form in stations[0].forms if form.carries(code))
-    return next((form for form in known if all(form in one.forms for one in stations)), None)
 
 
 def thinks_s(station: Station, code: Code) -> float:

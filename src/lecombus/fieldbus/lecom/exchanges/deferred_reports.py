@@ -10,11 +10,11 @@ sent next. The observer is called in the order of the exchanges, each time after
 
 from __future__ import annotations
 
-from lecombus.fieldbus.reports import ExchangeReport, Observer
+from lecombus.fieldbus.lecom.protocol.exchange import Result
+from lecombus.fieldbus.reports import ExchangeReport, Observer, ResultKind
 from lecombus.fieldbus.station import Job, StepKind
 from lecombus.schedule import Request
 
-from ..protocol.exchange import Result, ResultKind
 from .prepared_telegrams import PreparedTelegram
 
 __all__ = ["DeferredReports"]

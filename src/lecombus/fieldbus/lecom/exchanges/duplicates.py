@@ -12,7 +12,9 @@ from __future__ import annotations
 from collections import deque
 from typing import Final
 
-__all__ = ["COPY_S", "Duplicates", "Found"]
+from lecombus.fieldbus.loop import SecondAnswerCount
+
+__all__ = ["COPY_S", "Duplicates"]
 
 COPY_S: Final = 3.0
 """A second answer may come so long after the first, seconds."""
@@ -22,9 +24,6 @@ DOUBTED_S: Final = 60.0
 
 LATELY_S: Final = 0.3
 """Two drives at one address answer within this time of each other, seconds."""
-
-Found = tuple[int, dict[str, int]]
-"""How many second answers came within the last minute, and behind whose answers alone."""
 
 
 class Duplicates:
@@ -66,7 +65,7 @@ class Duplicates:
         """Whether a single answer may be another drive's: a second answer came lately."""
         return bool(self._second) and now_s - self._second[-1][0] < DOUBTED_S
 
-    def found(self, now_s: float) -> Found:
+    def found(self, now_s: float) -> SecondAnswerCount:
         """Count the second answers of the last minute."""
         while self._second and now_s - self._second[0][0] >= DOUBTED_S:
             self._second.popleft()

@@ -32,18 +32,18 @@ from typing import Final
 
 from lecombus.errors import LineLostError
 from lecombus.fieldbus.costs import LineTiming
+from lecombus.fieldbus.lecom.protocol.exchange import Exchange, Result
+from lecombus.fieldbus.loop import LateWakes, OpenConnection
 from lecombus.fieldbus.options import WorkerOptions
 from lecombus.fieldbus.port import Port
-from lecombus.fieldbus.reports import Observer
+from lecombus.fieldbus.reports import Observer, ResultKind
 from lecombus.fieldbus.station import Job
 from lecombus.line.bus_idle import BusIdleTimer
-from lecombus.line.port_connection import PortConnection
 from lecombus.line.stall import StallWatch
-from lecombus.line.timers import Deadline, Lateness, WakeableTimer
+from lecombus.line.timers import Deadline, WakeableTimer
 from lecombus.schedule import Outcome, Priority, Request, Schedule
 from lecombus.schedule.request import CLIENT_GONE
 
-from ..protocol.exchange import Exchange, Result, ResultKind
 from ..protocol.telegrams import NakAnswer, ValueAnswer
 from .deferred_reports import DeferredReports
 from .duplicates import Duplicates
@@ -98,19 +98,19 @@ class ExchangeLoop:
         schedule: Schedule,
         timing: LineTiming,
         options: WorkerOptions,
-        connection: PortConnection,
+        connection: OpenConnection,
         line: str,
         observer: Observer,
-        lateness: Lateness,
+        lateness: LateWakes,
     ) -> None:
         self.observer = observer
-        self.exchanges = 0
-        self.rests = 0
+        self.exchanges = self.rests = 0
         self._schedule = schedule
         self._options = options
         self._connection = connection
         self._log = TelegramLog(line) if logger.isEnabledFor(logging.DEBUG) else None
         self.duplicates = Duplicates()
+        self.second_answers = self.duplicates.found
         late_s = options.late_answer_s if options.quarantine else 0.0
         self._late_replies = PendingLateReplies(late_s)
         self._preparer = TelegramPreparer(timing, self._late_replies)

@@ -18,9 +18,10 @@ from lecombus.errors import (
     UnexpectedReplyError,
     UnknownCodeError,
 )
+from lecombus.fieldbus.lecom.protocol.exchange import Result
+from lecombus.fieldbus.reports import ResultKind
 from lecombus.fieldbus.station import JobStep, Station, StepKind
 
-from ..protocol.exchange import Result, ResultKind
 from ..protocol.telegrams import NakAnswer, TransmissionErrorAnswer, UnknownCodeAnswer
 
 __all__ = ["error_of"]

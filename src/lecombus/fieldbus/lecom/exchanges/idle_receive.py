@@ -14,13 +14,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from lecombus.fieldbus.lecom.protocol.exchange import Result
+from lecombus.fieldbus.reports import ResultKind
 from lecombus.fieldbus.station import Station
 from lecombus.line.bus_idle import BusIdleTimer
 from lecombus.parameters import Code
 from lecombus.schedule import Priority, Request, Schedule
 from lecombus.schedule.shares import LISTEN_S
 
-from ..protocol.exchange import Result, ResultKind
 from .duplicates import Duplicates
 from .extended_listen import ExtendedListen
 from .jobs import ReadJob

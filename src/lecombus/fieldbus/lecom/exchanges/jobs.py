@@ -20,11 +20,13 @@ from typing import Final
 from lecombus.drives import WriteClass
 from lecombus.drives.stops import usable_word
 from lecombus.errors import ExchangeError, NakError
+from lecombus.fieldbus.lecom.protocol.exchange import Result
+from lecombus.fieldbus.reports import ResultKind
+from lecombus.fieldbus.requests import MulticastWork, ReadWork, WriteWork
 from lecombus.fieldbus.station import JobStep, Station, StepKind, Verdict
 from lecombus.parameters import AddressForm, Code, Value
 from lecombus.schedule.request import Outcome
 
-from ..protocol.exchange import Result, ResultKind
 from ..protocol.telegrams import AckAnswer, Answer, NakAnswer, UnknownCodeAnswer, ValueAnswer
 from .duplicates import Duplicates
 from .failures import error_of
@@ -36,7 +38,7 @@ MOST_READINGS = 10
 """Reading back ends after so many: two of the value, the others of the drive's own address."""
 
 
-class ReadJob:
+class ReadJob(ReadWork):
     """Read one code; the value stands in `value` afterwards.
 
     Args:
@@ -86,7 +88,7 @@ class ReadJob:
         return (Outcome.REFUSED if refused else Outcome.UNKNOWN), str(self.error)
 
 
-class ReadBackJob:
+class ReadBackJob(ReadWork):
     """Read back what was written, as often as it takes to be sure whose answer it is.
 
     Args:
@@ -169,7 +171,7 @@ class ReadBackJob:
         self.step = self._reading.step
 
 
-class WriteJob:
+class WriteJob(WriteWork):
     """Write one code, and prove it where that is asked for or the acknowledgement is missing.
 
     Args:
@@ -292,7 +294,7 @@ class WriteJob:
         return None
 
 
-class MulticastJob:
+class MulticastJob(MulticastWork):
     """Send one write to a group address; no drive answers it.
 
     Args:

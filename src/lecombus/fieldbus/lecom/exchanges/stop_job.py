@@ -37,11 +37,13 @@ from lecombus.drives.stops import (
     usable_word,
 )
 from lecombus.errors import ExchangeError
+from lecombus.fieldbus.lecom.protocol.exchange import Result
+from lecombus.fieldbus.reports import ResultKind
+from lecombus.fieldbus.requests import StopWork
 from lecombus.fieldbus.station import JobStep, Station, StepKind, Verdict
 from lecombus.parameters import Code, Value
 from lecombus.schedule.request import Outcome
 
-from ..protocol.exchange import Result, ResultKind
 from ..protocol.telegrams import AckAnswer, NakAnswer, UnknownCodeAnswer, ValueAnswer
 from .duplicates import Duplicates
 from .failures import error_of
@@ -63,7 +65,7 @@ seconds: with shortened response time a 820X takes a value up 230 ms later (EDB2
 NO_FALLBACK = "; it was not inhibited instead: the roster says stop_fallback: none"
 
 
-class StopJob:
+class StopJob(StopWork):
     """Stop one drive: send it until it is acknowledged, then read back whether it took effect.
 
     A quick stop changes one bit of the control word. Where the word is not known, or whether the

@@ -9,9 +9,10 @@ from __future__ import annotations
 import logging
 from typing import Final
 
+from lecombus.fieldbus.lecom.protocol.exchange import Result
+from lecombus.fieldbus.reports import ResultKind
 from lecombus.fieldbus.station import Job
 
-from ..protocol.exchange import Result, ResultKind
 from ..protocol.telegrams import (
     AckAnswer,
     NakAnswer,

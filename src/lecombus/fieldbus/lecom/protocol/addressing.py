@@ -14,6 +14,7 @@ Code bank C0249 and input selection C0248 are deliberately absent: lecombus neve
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import lru_cache
 from typing import Final
 
@@ -33,6 +34,7 @@ __all__ = [
     "is_code_field",
     "is_drive_address",
     "is_group_address",
+    "multicast_address",
 ]
 
 HIGHEST_STANDARD_CODE: Final = 6229
@@ -182,3 +184,29 @@ def group_reach(address: int) -> tuple[int, ...]:
     if address == 0:
         return tuple(filter(is_drive_address, range(100)))
     return tuple(range(address + 1, address + 10))
+
+
+def multicast_address(members: Iterable[int], drives: Iterable[int]) -> int | None:
+    """Return the address that reaches exactly these members among the roster's drives.
+
+    Where all drives stand in one decade, that decade goes before 0: a broadcast would also reach
+    drives on the cable that the roster does not know.
+
+    Args:
+        members: The members' addresses.
+        drives: The addresses of all drives of the roster.
+
+    Returns:
+        10, 20 .. 90 for a decade, 0 for all drives, None if no telegram reaches exactly them.
+
+    Source: EDB2102EN 8.3.4.
+    """
+    wanted = set(members)
+    present = set(drives)
+    decades = {address // 10 * 10 for address in wanted}
+    if len(decades) == 1:
+        decade = decades.pop()
+        # Addresses 1..9 have no multicast of their own: 0 reaches everybody.
+        if decade and wanted == {address for address in present if address // 10 * 10 == decade}:
+            return decade
+    return 0 if wanted and wanted == present else None

@@ -40,7 +40,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import Enum, StrEnum
+from enum import Enum
+
+from lecombus.fieldbus.reports import ResultKind
 
 from .parser import AnswerParser
 from .telegrams import (
@@ -53,7 +55,7 @@ from .telegrams import (
     ValueAnswer,
 )
 
-__all__ = ["ACK_FIELD", "Ask", "Exchange", "Result", "ResultKind"]
+__all__ = ["ACK_FIELD", "Ask", "Exchange", "Result"]
 
 ACK_FIELD = b"\x06"
 """Stands for "an acknowledgement" where a code field stands for "an answer to that code"."""
@@ -63,17 +65,6 @@ MAX_KEPT = 64
 
 EARLIEST_SHARE = 0.9
 """An answer may begin after this share of the request's wire time: UART clocks differ by 5 %."""
-
-
-class ResultKind(StrEnum):
-    """How an exchange ended on the wire."""
-
-    ANSWERED = "answered"
-    SENT = "sent"
-    NO_REPLY = "no reply"
-    GARBLED = "garbled"
-    ECHO = "echo"
-    LOST = "line lost"
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,11 +20,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
-from typing import Final
+from typing import ClassVar, Final
 
 from lecombus.errors import CodeValueError
 from lecombus.fieldbus.lecom.protocol.addressing import encode_address, encode_code
 from lecombus.fieldbus.lecom.protocol.controls import ACK, ENQ, EOT, ETX, NAK, STX, bcc
+from lecombus.fieldbus.reports import AnswerKind
 from lecombus.parameters import SENDABLE_STRING_CHARS, AddressForm, Code, Format, Value
 
 __all__ = [
@@ -80,12 +81,19 @@ class ValueAnswer:
     field: bytes
     value: Value
 
+    kind: ClassVar[AnswerKind] = AnswerKind.VALUE
+    text: ClassVar[str] = ""
+
 
 @dataclass(frozen=True, slots=True)
 class UnknownCodeAnswer:
     """The drive has no such code."""
 
     field: bytes
+
+    kind: ClassVar[AnswerKind] = AnswerKind.NO_SUCH_CODE
+    value: ClassVar[None] = None
+    text: ClassVar[str] = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,15 +102,27 @@ class TransmissionErrorAnswer:
 
     field: bytes
 
+    kind: ClassVar[AnswerKind] = AnswerKind.OTHER
+    value: ClassVar[None] = None
+    text: ClassVar[str] = ""
+
 
 @dataclass(frozen=True, slots=True)
 class AckAnswer:
     """A write was done."""
 
+    kind: ClassVar[AnswerKind] = AnswerKind.ACKNOWLEDGED
+    value: ClassVar[None] = None
+    text: ClassVar[str] = ""
+
 
 @dataclass(frozen=True, slots=True)
 class NakAnswer:
     """A write changed nothing."""
+
+    kind: ClassVar[AnswerKind] = AnswerKind.REFUSED
+    value: ClassVar[None] = None
+    text: ClassVar[str] = "the drive refused the read (NAK)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +140,10 @@ class BadAnswer:
     received: bytes
     expected_bcc: int | None = None
     got_bcc: int | None = None
+
+    kind: ClassVar[AnswerKind] = AnswerKind.OTHER
+    value: ClassVar[None] = None
+    text: ClassVar[str] = ""
 
     @property
     def reason(self) -> str:

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from lecombus.drives import Family
 from lecombus.drives.access import is_passing
 from lecombus.drives.identity import is_identity, text_of
+from lecombus.drives.standstill import Standstill, ask_standstill
 from lecombus.durations import format_duration
 from lecombus.fieldbus.lecom.protocol.addressing import Form
-from lecombus.fieldbus.lecom.standstill import Standstill, ask_standstill
 from lecombus.parameters import Code, Value
 
 from .drives import DrivePlace, RebaudDrive, RebaudLine

@@ -32,11 +32,12 @@ from contextlib import asynccontextmanager
 import anyio
 
 from lecombus.drive_runtime import Drive
+from lecombus.drives import Family
 from lecombus.drives.identity import text_of
 from lecombus.drives.restore_rules import saving_rule
+from lecombus.drives.standstill import ask_standstill
 from lecombus.errors import ExchangeError, NoReplyError, OperationError
-from lecombus.fieldbus.lecom.address_codes import address_code
-from lecombus.fieldbus.lecom.standstill import ask_standstill
+from lecombus.fieldbus.protocols import find
 from lecombus.fieldbus.station import Station
 from lecombus.operations.identities import Identities
 from lecombus.operations.reports import WriteReport, stopped_first
@@ -49,7 +50,7 @@ from lecombus.store import Store
 
 __all__ = ["Readdress"]
 
-logger = logging.getLogger("lecombus.operations.readdress")  # as in the log of any protocol
+logger = logging.getLogger(__name__)
 
 MOVED = "address"
 """The remark on a drive whose address is not the roster's."""
@@ -167,7 +168,7 @@ class Readdress:
             code = str(address_code(station.family))
             return OperationError(text, kind=kind, drive=drive, code=code, remedy=remedy)
 
-        if not 1 <= address <= 99 or address % 10 == 0:
+        if not find(station.family.protocol).is_address(address):
             text = f"{address} is no drive's address"
             raise refuse(text, "bad-value", "1 to 99 without 10, 20 .. 90 would be right")
         other = next((one.name for one in self._drives if one.entry.address == address), None)
@@ -356,3 +357,19 @@ class Readdress:
 
     async def _read(self, station: Station, code: Code, *, retries: int | None = None) -> Value:
         return await self._requests.read(station, code, Priority.INTERACTIVE, retries=retries)
+
+
+def address_code(family: Family) -> Code:
+    """Return the code that holds a drive's own address.
+
+    Raises:
+        OperationError: `not-writable`: none does.
+    """
+    code = find(family.protocol).address_code(family)
+    if code is None:
+        raise OperationError(
+            f"no code of family {family.name} holds the address of a drive",
+            kind="not-writable",
+            remedy="set the address at the drive",
+        )
+    return code

@@ -1,0 +1,82 @@
+"""The exchange loop of a protocol, as the worker and its line use it."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Mapping
+from typing import Protocol
+
+from lecombus.errors import LineLostError
+from lecombus.fieldbus.port import Port, Receiver
+from lecombus.fieldbus.reports import Observer
+
+__all__ = ["ExchangeLoop", "LateWakes", "OpenConnection", "SecondAnswerCount"]
+
+SecondAnswerCount = tuple[int, Mapping[str, int]]
+"""How many second answers came within the last minute, and behind whose answers alone."""
+
+
+class LateWakes(Protocol):
+    """Records how late timers fired."""
+
+    def note(self, late_s: float) -> None:
+        """Take one, seconds."""
+
+
+class OpenConnection(Protocol):
+    """The port as an exchange loop uses it; the worker opens and reopens it."""
+
+    @property
+    def port(self) -> Port | None:
+        """The port; None while there is none."""
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether the port is unusable: the loop then ends."""
+
+    def say(self, telegram: bytes) -> LineLostError | None:
+        """Hand a telegram to the port; gives the loss, if that is how it is found out."""
+
+    def settled(self) -> None:
+        """Something was heard over the port."""
+
+    def note_loss(self, exc: Exception | None) -> None:
+        """Record that the port is unusable."""
+
+    def reopen(self, why: str) -> None:
+        """Give up a port of which no error is known, to open it again."""
+
+
+class ExchangeLoop(Receiver, Protocol):
+    """Runs one exchange after the other on an open port: asks the schedule, sends, reports.
+
+    Attributes:
+        observer: Is called for each event on the line.
+        exchanges: Exchanges so far.
+        rests: How often nothing was due: it grows at least once a second on an idle line.
+    """
+
+    observer: Observer
+    exchanges: int
+    rests: int
+
+    def start(self, port: Port) -> Awaitable[None]:
+        """Start on a port that was just opened.
+
+        Returns:
+            Done when the port is lost or `end` was called; raises the error that ended it.
+        """
+
+    def end(self) -> None:
+        """End after the exchange under way; `nudge` is called next."""
+
+    def clear(self) -> None:
+        """Cancel all timers: the port is gone."""
+
+    def nudge(self) -> None:
+        """Check the schedule again: something changed in it."""
+
+    def stop_came(self) -> None:
+        """A stop was submitted: it must go out as soon as it can."""
+
+    def second_answers(self, now_s: float) -> SecondAnswerCount:
+        """Count the answers of the last minute that came without a request."""

@@ -1,0 +1,15 @@
+"""The LECOM exchange loop of a worker, whose state only tests look at."""
+
+from __future__ import annotations
+
+from lecombus.fieldbus.lecom.exchanges.exchange_loop import ExchangeLoop
+from lecombus.line.worker import LineWorker
+
+__all__ = ["lecom_loop"]
+
+
+def lecom_loop(worker: LineWorker) -> ExchangeLoop:
+    """Return it."""
+    loop = worker.exchange_loop
+    assert isinstance(loop, ExchangeLoop)
+    return loop
