@@ -53,7 +53,7 @@ def test_a_form_that_the_protocol_does_not_know_is_refused() -> None:
             )
         assert found.value.kind == "bad-request"
 
-    with_plant(test, 79:    with_plant(test, roster_text(FED, watchdog=WATCHED), also=NEW))
+    with_plant(test, roster_text(FED))
 
 
 def test_a_scan_beside_fed_drives_finds_the_others_and_no_feed_is_late() -> None:
