@@ -288,6 +288,7 @@ class LastingRecord:
         stops_and_writes: How often it was to stop, by a stop or by a plain write.
         lifts: How many plain writes may have lifted its inhibit.
         verb: The enable or the reset that is under way (`operations.verb_steps`).
+        awaited: What verbs wait for and a stop cuts short (`operations.verb_steps`).
         full_at_s: By code that is stored at every write: when its limit of writes is back at a
             whole burst, monotonic seconds (`operations.wear`).
     """
@@ -297,7 +298,14 @@ class LastingRecord:
     stops_and_writes: int = 0
     lifts: int = 0
     verb: Verb | None = None
+    awaited: set[anyio.CancelScope] = field(default_factory=set)
     full_at_s: dict[Code, float] = field(default_factory=dict)
+
+    def count_stop(self) -> None:
+        """Count a stop, or a plain write that means one, and end what verbs wait for."""
+        self.stops_and_writes += 1
+        for scope in self.awaited:
+            scope.cancel()
 
 
 class Drive:

@@ -14,7 +14,7 @@ from lecombus.errors import OperationError
 from lecombus.operations.reports import VerbReport, WriteReport
 from lecombus.operations.requests import CAME_S
 from lecombus.parameters import Code
-from lecombus.schedule import Outcome
+from lecombus.schedule import Outcome, Priority
 from support.rosters import roster_text
 from support.site_host import Plant, until, with_plant
 
@@ -222,6 +222,51 @@ def test_a_stop_ends_the_step_of_a_verb_that_waits(verb: Verb) -> None:
         await acting
         assert reports[0].outcome is Outcome.SUPERSEDED
         assert plant.line["a"].model.inhibited()
+
+    with_plant(test, ROSTER)
+
+
+@pytest.mark.parametrize("after_s", [0.0, 0.05, 0.5, 1.5])
+@pytest.mark.parametrize("by", ["stop", "write"])
+@pytest.mark.parametrize("crowd", ["before", "behind"])
+@pytest.mark.parametrize("verb", [Verb.ENABLE, Verb.SET_SPEED, Verb.RESET_FAULT])
+def test_a_verb_that_waits_to_read_ends_with_the_stop_and_not_when_the_line_comes_to_it(
+    verb: Verb, crowd: str, by: str, after_s: float
+) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        operations = plant.site.operations
+        if verb is Verb.RESET_FAULT:
+            plant.trip("a", 50, stays=True)
+        ended: list[tuple[float, Outcome]] = []
+
+        async def act() -> None:
+            more = {"value": 20, "unit": "Hz"} if verb is Verb.SET_SPEED else {}
+            report = await operations.verb("a", verb, **more)  # type: ignore[arg-type]
+            ended.append((plant.now_s, report.outcome))
+
+        def many() -> list[asyncio.Task[object]]:
+            return [asyncio.ensure_future(operations.read("c", Code(150))) for _ in range(250)]
+
+        reads = many() if crowd == "before" else []
+        acting = asyncio.create_task(act())
+        await anyio.sleep(0.1 if crowd == "behind" else 0.0)
+        reads += many() if crowd == "behind" else []
+        await anyio.sleep(after_s)
+        stopped_s = plant.now_s
+        if by == "stop":
+            stopping = asyncio.ensure_future(operations.stop(INHIBIT, "all"))
+        else:
+            stopping = asyncio.ensure_future(operations.write("a", Code(40), 0))  # type: ignore[arg-type]
+        await acting
+        await stopping
+        assert ended[0][0] - stopped_s < 0.3
+        if ended[0][0] >= stopped_s:
+            assert ended[0][1] in (Outcome.SUPERSEDED, Outcome.DONE, Outcome.UNKNOWN)
+        assert plant.line["a"].model.inhibited()
+        left = plant.site.schedule.stats(plant.now_s).depth
+        await asyncio.gather(*reads)
+        assert left[Priority.INTERACTIVE] > 0, "the crowd waits still"
 
     with_plant(test, ROSTER)
 

@@ -161,13 +161,13 @@ class OperationContext:
         A verb under way must not undo the one, and a reset must not go on behind the other.
         """
         if asks_to_stop(station.family, code, wire):
-            self.lasting(station.name).stops_and_writes += 1
+            self.lasting(station.name).count_stop()
         elif self.control_word(station.name).moves(code):
             self.lasting(station.name).lifts += 1
 
     def note_stop(self, drive: str) -> None:
         """Count a stop of a drive; writes and verbs under way end behind it."""
-        self.lasting(drive).stops_and_writes += 1
+        self.lasting(drive).count_stop()
         self.requests.note_stop(drive)
 
     def stop_mark(self, drive: str) -> str:

@@ -291,9 +291,13 @@ class Requests:
     async def _value(
         self, request: Request, ending: Ending, station: Station, code: Code
     ) -> tuple[Value, str]:
-        """Submit a read and return its value and the reason of its end."""
+        """Submit a read and return its value and the reason of its end; not sent if cancelled."""
         self.worker.submit(request)
-        outcome, reason = await ending.wait()
+        try:
+            outcome, reason = await ending.wait()
+        except asyncio.CancelledError:
+            self.worker.schedule.withdraw(request, Outcome.SUPERSEDED, "it is no longer wanted")
+            raise
         job = request.work
         assert isinstance(job, ReadWork)
         if job.value is not None:

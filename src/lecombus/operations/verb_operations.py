@@ -49,7 +49,7 @@ from lecombus.operations.verb_reports import (
     verb_report,
     without_fault,
 )
-from lecombus.operations.verb_steps import TROUBLE, VerbSteps, words_of
+from lecombus.operations.verb_steps import TROUBLE, StoppedError, VerbSteps, words_of
 from lecombus.operations.writes import Writes
 from lecombus.schedule import Outcome
 
@@ -123,10 +123,12 @@ class Verbs:
             if verb is Verb.SET_SPEED:
                 assert value is not None
                 return await self._set_speed(run, value, unit)
-            known = await self._steps.learn(run.station, questions(name, run.station.family, verb))
+            known = await self._steps.learn(run, questions(name, run.station.family, verb))
             if verb is Verb.ENABLE:
                 return await self._enable(run, known)
             return await self._reset_fault(run, known)
+        except StoppedError:
+            return verb_report(run, superseded(run))
         except TROUBLE as exc:
             if not run.written:
                 raise
@@ -153,12 +155,12 @@ class Verbs:
 
     async def _set_speed(self, run: Run, value: Decimal, unit: str) -> VerbReport:
         station = run.station
-        known = await self._steps.learn(station, questions(station.name, station.family, run.verb))
-        further = await self._steps.learn(station, further_questions(known))
+        known = await self._steps.learn(run, questions(station.name, station.family, run.verb))
+        further = await self._steps.learn(run, further_questions(known))
         known = replace(known, values={**known.values, **further.values})
         step = speed_step(known, value, unit)
         report = await self._steps.take(run, step)
-        shown = await self._steps.states(station) if report.outcome.is_good else ()
+        shown = await self._steps.states(run) if report.outcome.is_good else ()
         return verb_report(
             run, report, states=shown, reading=report.reading if run.verify else None
         )
@@ -179,7 +181,7 @@ class Verbs:
         # Also after a failed step: what was written may have enabled the drive already.
         known = await self._steps.watch(run, known, is_enabled, stop_words(run.station.family))
         if self._steps.stopped_meanwhile(run):
-            return verb_report(run, superseded(run), states=await self._steps.states(run.station))
+            return verb_report(run, superseded(run))
         if is_enabled(known):
             return verb_report(run, enabled(known), states=states(known))
         return await self._take_back(run, failed or not_shown(known))
@@ -195,20 +197,21 @@ class Verbs:
         may_drop = entry is not None and entry.stop_fallback == "none"
         holds = may_drop and not run.was_inhibited
         action = StopAction.QUICK_STOP if holds else StopAction.INHIBIT
+        run.stops += 1
         undone = (await self._stops.stop(action, name)).members[0]
         run.taken_back = undone.outcome is Outcome.VERIFIED
         again = "put into quick stop again" if holds else "inhibited again"
         remedy = f"{report.remedy}; it was {again}, so that it does not start by itself"
         if not run.taken_back:
             remedy = f"the enable could not be taken back ({undone.reason}): {STOP_REMEDY}"
-        shown = await self._steps.states(run.station)
+        shown = await self._steps.states(run)
         return verb_report(run, replace(report, remedy=remedy), states=shown)
 
     async def _reset_fault(self, run: Run, known: Known) -> VerbReport:
         steps = reset_steps(known)
         if not steps:
             report = without_fault(known, "no fault is active: nothing was sent")
-            return verb_report(run, report, states=await self._steps.states(run.station))
+            return verb_report(run, report, states=await self._steps.states(run))
         name = fault_text(known)
         failed = await self._steps.carry_out(run, steps)
         if failed is not None and not may_have_happened(failed):
@@ -220,16 +223,14 @@ class Verbs:
             return verb_report(
                 run,
                 still_there(known, fault_text(known)),
-                states=await self._steps.states(run.station),
+                states=await self._steps.states(run),
             )
         if enable_shown(known) and not self._steps.stopped_meanwhile(run):
             # The inhibit was lifted at the keypad or by a plain write.
             again = await self._steps.inhibit(run)
             if not again.outcome.is_good:
-                return verb_report(run, again, states=await self._steps.states(run.station))
+                return verb_report(run, again, states=await self._steps.states(run))
         reason = (
             f"{name} was reset; the drive is inhibited: `lecombus enable {known.drive}` lets it run"
         )
-        return verb_report(
-            run, without_fault(known, reason), states=await self._steps.states(run.station)
-        )
+        return verb_report(run, without_fault(known, reason), states=await self._steps.states(run))

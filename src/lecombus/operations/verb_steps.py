@@ -2,7 +2,8 @@
 
 * The control word is built just before it is written, from its last value on this line; while a
   write that changes it is under way it is read again. Bits that another client wrote stay.
-* A stop, or a plain write that means one, ends a verb before its next write.
+* A stop, or a plain write that means one, ends a verb before its next write, and what the verb
+  waits to read: its end is known then, however much the line has to do.
 * After its inhibit a verb writes nothing more once another client has written the control word.
 * One enable or reset of a drive at a time; a second one is refused, not queued.
 """
@@ -10,8 +11,10 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
+from typing import TypeVar
 
 import anyio
 
@@ -48,7 +51,7 @@ from lecombus.parameters import Code, Value
 from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority
 
-__all__ = ["TROUBLE", "VerbSteps", "words_of"]
+__all__ = ["TROUBLE", "StoppedError", "VerbSteps", "words_of"]
 
 EFFECT_WITHIN_S = 2.0
 """How long a drive may take to show that it is enabled or that its fault is gone, seconds."""
@@ -62,6 +65,14 @@ each, and other audits may come first (EDB2102EN 6.3). Less than a client waits 
 
 WORD_TRIES = 5
 """How often a control word is read again that other clients keep writing."""
+
+
+Read = TypeVar("Read")
+
+
+class StoppedError(Exception):
+    """The drive was stopped while a verb waited for a reading."""
+
 
 TROUBLE = (ExchangeError, LineError, OperationError, ScheduleError)
 
@@ -121,7 +132,8 @@ class VerbSteps:
             missing = self._context.control_word(name).missing()
             if missing is None:
                 break
-            await self._context.requests.read(run.station, missing, Priority.INTERACTIVE)
+            read = partial(self._context.requests.read, run.station, missing, Priority.INTERACTIVE)
+            await self._until_stopped(run, read)
         word = self._context.control_word(name).get()
         if word is None:
             raise OperationError(
@@ -162,7 +174,9 @@ class VerbSteps:
         if drive is not None:
             self._context.line.doubt(drive, "it was made to restart: to be audited")
         with anyio.move_on_after(BACK_WITHIN_S):
-            while self._context.store.state(name) is not DriveState.ONLINE:  # noqa: ASYNC110
+            while self._context.store.state(name) is not DriveState.ONLINE:
+                if self.stopped_meanwhile(run):
+                    return superseded(run)
                 await anyio.sleep(LOOK_AGAIN_S)
             return WriteReport(name, step.code, Outcome.DONE)
         state = self._context.store.drive(name)
@@ -175,10 +189,28 @@ class VerbSteps:
 
     # ---- reading ----------------------------------------------------------------------------
 
-    async def learn(self, station: Station, codes: Sequence[Code]) -> Known:
-        """Read codes now; a code that the drive does not have is left out."""
-        values = await self._context.requests.read_known(station, codes)
-        return Known(station.name, station.family, values)
+    async def learn(self, run: Run, codes: Sequence[Code]) -> Known:
+        """Read codes now; a code that the drive does not have is left out.
+
+        Raises:
+            StoppedError: The drive was stopped since the verb began.
+        """
+        read = self._context.requests.read_known
+        values = await self._until_stopped(run, lambda: read(run.station, codes))
+        return Known(run.station.name, run.station.family, values)
+
+    async def _until_stopped(self, run: Run, read: Callable[[], Awaitable[Read]]) -> Read:
+        """Read, but wait no longer for it than until the drive is stopped."""
+        if self.stopped_meanwhile(run):
+            raise StoppedError
+        awaited = self._context.lasting(run.station.name).awaited
+        with anyio.CancelScope() as scope:
+            awaited.add(scope)
+            try:
+                return await read()
+            finally:
+                awaited.discard(scope)
+        raise StoppedError
 
     async def watch(
         self, run: Run, before: Known, shown: Callable[[Known], bool], codes: Sequence[Code]
@@ -186,18 +218,18 @@ class VerbSteps:
         """Read codes until they show something, or until its time is over."""
         until_s = self._context.clock() + EFFECT_WITHIN_S
         while True:
-            seen = await self.learn(run.station, codes)
+            seen = await self.learn(run, codes)
             known = Known(before.drive, before.family, {**before.values, **seen.values})
-            if shown(known) or self._context.clock() >= until_s or self.stopped_meanwhile(run):
+            if shown(known) or self._context.clock() >= until_s:
                 return known
             await anyio.sleep(LOOK_AGAIN_S)
 
-    async def states(self, station: Station) -> tuple[OperatingState, ...]:
-        """Return what the drive shows now; nothing where it cannot be read."""
-        family = station.family
-        codes = (*filter(None, (family.configured_by,)), *words_of(station), *family.words)
-        with contextlib.suppress(*TROUBLE):
-            return states(await self.learn(station, tuple(dict.fromkeys(codes))))
+    async def states(self, run: Run) -> tuple[OperatingState, ...]:
+        """Return what the drive shows now; nothing where it cannot be read, or is stopped first."""
+        family = run.station.family
+        codes = (*filter(None, (family.configured_by,)), *words_of(run.station), *family.words)
+        with contextlib.suppress(*TROUBLE, StoppedError):
+            return states(await self.learn(run, tuple(dict.fromkeys(codes))))
         return ()
 
     def stopped_meanwhile(self, run: Run) -> bool:
