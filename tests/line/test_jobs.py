@@ -15,7 +15,7 @@ from lecombus.fieldbus.lecom.exchanges.jobs import MulticastJob, ReadBackJob, Re
 from lecombus.fieldbus.lecom.exchanges.read_back_proof import WrittenValue
 from lecombus.fieldbus.lecom.exchanges.stop_job import StopJob
 from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
-from lecombus.fieldbus.lecom.protocol.exchange import Result
+from lecombus.fieldbus.lecom.protocol.exchange import ACK_FIELD, Result
 from lecombus.fieldbus.lecom.protocol.telegrams import (
     AckAnswer,
     Answer,
@@ -208,9 +208,10 @@ def test_a_refused_write_keeps_the_drive_s_word_as_its_error() -> None:
 
 @pytest.mark.parametrize(
     ("results", "outcome"),
-    [("none", UNKNOWN), ("ack", DONE), ("none other", UNKNOWN), ("ack none", DONE)],
-)
-def test_a_write_cut_off_between_two_steps_ends_by_what_was_said(
+    [("none", UNKNOWN), ("ack", UNKNOWN), ("none other", UNKNOWN), ("ack none", UNKNOWN),
+     ("nak", REFUSED)],
+)  # fmt: skip
+def test_a_write_cut_off_between_two_steps_is_never_called_done(
     results: str, outcome: Outcome
 ) -> None:
     job = WriteJob(
@@ -561,6 +562,49 @@ def test_a_multicast_that_is_not_acknowledged_is_said_to_such_a_drive_alone() ->
     job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=1, said=True, silent=True)
     assert proven(job, SHOWN) == ("150s", None)
     assert job.step.kind is StepKind.WRITE
+
+
+@pytest.mark.parametrize(
+    ("others_write_s", "verified"), [(None, True), (0.5, False), (-1.5, False), (-2.5, True)]
+)
+def test_an_offline_drive_needs_something_of_its_own_from_behind_the_time_of_late_answers(
+    others_write_s: float | None, verified: bool
+) -> None:
+    """Where answers come twice: its acknowledgement or one reading, asked of no other drive."""
+    duplicates, at_s = doubted(), 1.0
+    for one in Form:
+        duplicates.asked(encode_code(Code(150), one), "b", at_s - 0.1)
+    if others_write_s is not None:
+        duplicates.asked(ACK_FIELD, "b", others_write_s)
+    job = StopJob(
+        STATION, StopAction.INHIBIT, word=lambda: None, retries=1, silent=True, offline=True,
+        duplicates=duplicates,
+    )  # fmt: skip
+    job.advance(late(RESULTS["ack"], at_s))
+    asked, verdict = proven(job, SHOWN, at_s)
+    assert len(asked.split()) == 3
+    assert (verdict is not None and verdict[0] is VERIFIED) is verified
+    if not verified:
+        assert job.step.kind is StepKind.WRITE, "it is sent again for another acknowledgement"
+        job.advance(late(RESULTS["ack"], 5.3))  # more than 3 s after the other's
+        assert (proven(job, SHOWN, 5.4)[1] or (None,))[0] is VERIFIED
+
+
+def test_an_offline_drive_that_shows_nothing_of_its_own_is_not_confirmed() -> None:
+    duplicates, verdict, at_s = doubted(), None, 0.0
+    job = StopJob(
+        STATION, StopAction.INHIBIT, word=lambda: None, retries=1, silent=True, offline=True,
+        duplicates=duplicates,
+    )  # fmt: skip
+    while verdict is None:
+        at_s += 0.25
+        for field in (*(encode_code(Code(150), one) for one in Form), ACK_FIELD):
+            duplicates.asked(field, "b", at_s)
+        job.advance(late(RESULTS["ack"], at_s))
+        verdict = proven(job, SHOWN, at_s)[1]
+    assert verdict[0] is UNKNOWN
+    assert "it was offline, and its acknowledgement may be another drive's" in verdict[1]
+    assert at_s < 7.0
 
 
 def test_another_drives_address_is_no_proof() -> None:

@@ -114,6 +114,76 @@ def test_a_write_to_a_dead_drive_is_never_verified(
     assert living >= 0.75 * 4 * (len(INVERTERS) - len(DEAD)), "most that took it are proven"
 
 
+def cut(faults: str, seed: int, after_s: float) -> GroupReport:
+    """Write a setpoint to all drives, some of them dead, and stop all in the middle of it."""
+    reports: list[GroupReport] = []
+
+    async def test(plant: Plant) -> None:
+        await plant.online(within_s=600.0)
+        plant.line.faults = parse_faults(faults)
+        await anyio.sleep(2.0)
+        for name in DEAD:
+            plant.line[name].present = False
+
+        async def write() -> None:
+            operations = plant.site.operations
+            reports.append(await operations.write_group("one-by-one", SETPOINT, 12, verify=True))
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(write)
+            await anyio.sleep(after_s)
+            await plant.site.operations.stop(StopAction.INHIBIT, "all")
+
+    with_plant(test, WRITES, seed=seed)
+    return reports[0]
+
+
+@pytest.mark.parametrize("after_s", [0.1, 0.2, 0.3, 0.4])
+@pytest.mark.parametrize("faults", DOUBLES[:3])
+def test_a_verified_write_that_a_stop_cuts_is_never_called_done(
+    faults: str, after_s: float
+) -> None:
+    for seed in range(6):
+        report = cut(faults, seed, after_s)
+        ended = {one.drive: (one.outcome, one.reason) for one in report.members}
+        assert Outcome.DONE not in {outcome for outcome, _ in ended.values()}, (seed, ended)
+        assert not [name for name in DEAD if ended[name][0] is Outcome.VERIFIED], (seed, ended)
+        for outcome, reason in ended.values():
+            if outcome is Outcome.SUPERSEDED:
+                assert "sent before" not in reason
+
+
+@pytest.mark.parametrize("faults", DOUBLES[:3])
+def test_a_write_that_is_done_says_where_its_acknowledgement_may_be_anothers(faults: str) -> None:
+    doubted = 0
+    for seed in range(6):
+        reports: list[GroupReport] = []
+
+        async def test(plant: Plant, reports: list[GroupReport] = reports) -> None:
+            await plant.online(within_s=600.0)
+            plant.line.faults = parse_faults(faults)
+            await anyio.sleep(3.5)
+            for name in DEAD:
+                plant.line[name].present = False
+            operations = plant.site.operations
+            reports.append(await operations.write_group("one-by-one", SETPOINT, Decimal(12)))
+
+        with_plant(test, WRITES, seed=seed)
+        done = [one for one in reports[0].members if one.outcome is Outcome.DONE]
+        assert not [one for one in done if one.drive in DEAD and not one.reason], (seed, done)
+        doubted += len([one for one in done if "may be another drive's" in one.reason])
+    assert doubted
+
+
+def test_a_write_that_is_done_on_a_healthy_line_says_nothing() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online(within_s=600.0)
+        report = await plant.site.operations.write_group("one-by-one", SETPOINT, Decimal(12))
+        assert {(one.outcome, one.reason) for one in report.members} == {(Outcome.DONE, "")}
+
+    with_plant(test, WRITES)
+
+
 def test_on_a_healthy_line_one_reading_of_each_drive_proves_a_write() -> None:
     async def test(plant: Plant) -> None:
         await plant.online(within_s=600.0)

@@ -161,6 +161,7 @@ class RequestMaker(Protocol):
         said: bool,
         settle: Settle,
         silent: bool = False,
+        offline: bool = False,
         may_inhibit: bool = True,
         patience_s: float = STOP_PATIENCE_S,
     ) -> Request:
@@ -175,6 +176,7 @@ class RequestMaker(Protocol):
             said: A multicast has said the stop already: begin with the proof.
             settle: See above.
             silent: The drive did not answer before.
+            offline: It did not answer for so long that it was taken for absent.
             may_inhibit: A quick stop that cannot be had may become an inhibit.
             patience_s: How long it is tried, seconds.
         """

@@ -19,6 +19,7 @@ from lecombus.schedule.request import STOPPED, Outcome
 
 __all__ = [
     "CUT_REMEDY",
+    "READ_REMEDY",
     "REMEDIES",
     "STOPPED_REMEDY",
     "GroupInfo",
@@ -44,6 +45,7 @@ REMEDIES: Final[Mapping[str, str]] = {
     "expired": "allow more time, or ask less of the line",
 }
 STOPPED_REMEDY: Final = "ask for it again if it is still wanted: a stop ends all that waits"
+READ_REMEDY: Final = "read the code to see what it holds"
 OTHER_RUN_REMEDY: Final = "look at the drive, then begin again"
 CUT_REMEDY = "the port is being reopened; read the code then to see what it holds"
 """The write may have happened, so repeating it without a look is no remedy."""

@@ -203,6 +203,7 @@ class Stops:
             inhibited=lambda: self._context.control_word(name).inhibited(),
             last_word=lambda: self._context.control_word(name).last(), said=said, settle=settle,
             silent=bool(self._context.silence_of(station)),
+            offline=absent,
             may_inhibit=entry is None or entry.stop_fallback == "inhibit",
             patience_s=ABSENT_PATIENCE_S if absent else STOP_PATIENCE_S,
         )  # fmt: skip

@@ -20,6 +20,7 @@ from lecombus.operations.context import OperationContext
 from lecombus.operations.reads import READ_WITHIN_S
 from lecombus.operations.reports import (
     CUT_REMEDY,
+    READ_REMEDY,
     REMEDIES,
     STOPPED_REMEDY,
     Proof,
@@ -200,8 +201,8 @@ class Writes:
         remedy = REMEDIES.get(kind, "")
         if outcome is Outcome.UNKNOWN and kind == "line-lost":
             remedy = CUT_REMEDY
-        elif reason == STOPPED:
-            remedy = STOPPED_REMEDY
+        elif reason.startswith(STOPPED):
+            remedy = READ_REMEDY if outcome is Outcome.UNKNOWN else STOPPED_REMEDY
         reading = self._context.store.reading(drive, code)
         job, proof = ending.request.work if ending.request is not None else None, None
         if outcome is Outcome.VERIFIED and isinstance(job, WriteWork) and job.proof is not None:

@@ -117,8 +117,7 @@ class Request:
         told: Cost and longest time by manual and roster alone, seconds, where measured answer times
             made them longer; None: they did not.
         cut_outcome: How it ends when a stop, a later request, a parked drive or a lost line cuts
-            it off between two of its steps. The line sets it as soon as something went out that
-            may have changed the drive (`UNKNOWN`), and again once that was acknowledged (`DONE`).
+            it off between two of its steps. The line sets it after each step.
         yields: For a stop: only more proof is wanted, and it waits for feeds (`silent_stops`).
         hold_s: Its drive may have to be left alone for so long afterwards, also if it is not
             answered, seconds.
@@ -179,6 +178,8 @@ class Request:
             outcome = self.cut_outcome
         elif self.attempts and (self.writes or self.supersedes is not None):
             outcome = Outcome.UNKNOWN
+        if outcome is Outcome.UNKNOWN:
+            reason = f"{reason}; it was sent before, and not proven"
         self.end(outcome, reason)
 
     @property

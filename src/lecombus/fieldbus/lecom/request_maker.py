@@ -265,13 +265,14 @@ class RequestMaker:
         said: bool,
         settle: Settle,
         silent: bool = False,
+        offline: bool = False,
         may_inhibit: bool = True,
         patience_s: float = STOP_PATIENCE_S,
     ) -> Request:
         """Make a request that stops one drive and proves it."""
         job = StopJob(
             station, action, word=word, inhibited=inhibited, retries=self.retries, said=said,
-            silent=silent, may_inhibit=may_inhibit, duplicates=self.duplicates,
+            silent=silent, offline=offline, may_inhibit=may_inhibit, duplicates=self.duplicates,
             patience_s=patience_s, last_word=last_word,
         )  # fmt: skip
         usual = self._read_cost(station, station.family.stops[action].code)

@@ -55,6 +55,10 @@ class Duplicates:
             return last[1]
         return self._other.get(field, float("-inf"))
 
+    def may_be_anothers(self, field: bytes, drive: str, asked_s: float) -> bool:
+        """Whether an answer that a drive was asked for may be the second one of another drive."""
+        return self.doubtful(asked_s) and asked_s - self.other_s(field, drive) < COPY_S
+
     def came(self, field: bytes, at_s: float) -> None:
         """Record an answer without an open request."""
         whose = {name for asked_s, one, name in self._lately

@@ -8,6 +8,7 @@ Rules (EDB2102EN 8.3.5; CMVLC401A 6):
 * NAK is an answer: nothing was changed. It can also mean that the telegram was damaged on its way
   (EDB2102EN 8.3.1; CMVLC401A 6.1), so a plain value is written once more, and a read is asked once
   more; never an edge, a step or a save. That counts as one of the repetitions;
+* an acknowledgement carries no address: where answers come twice, what rests on it alone says so;
 * what was written is proven by reading it back: an answer that may be another drive's, because it
   was asked for the same, takes more readings (`read_back_proof`).
 """
@@ -27,6 +28,7 @@ from lecombus.fieldbus.station import JobStep, Station, StepKind, Verdict
 from lecombus.parameters import AddressForm, Code, Value
 from lecombus.schedule.request import Outcome
 
+from ..protocol.exchange import ACK_FIELD
 from ..protocol.telegrams import AckAnswer, Answer, NakAnswer, UnknownCodeAnswer, ValueAnswer
 from .duplicates import Duplicates
 from .failures import error_of
@@ -36,6 +38,12 @@ __all__ = ["MulticastJob", "ReadBackJob", "ReadJob", "WriteJob"]
 
 MOST_READINGS = 10
 """Reading back ends after so many: two of the value, the others of the drive's own address."""
+
+
+ANOTHERS_ACK = (
+    "answers come twice on this line: the acknowledgement may be another drive's, verify shows it"
+)
+"""Why a write that is done may not have reached its drive: acknowledgements carry no address."""
 
 
 class ReadJob(ReadWork):
@@ -220,7 +228,7 @@ class WriteJob(WriteWork):
         if type(answer) is AckAnswer:
             self._acknowledged = True
             self.error = None
-            return self._prove() if self.verify else (Outcome.DONE, "")
+            return self._prove() if self.verify else (Outcome.DONE, self._doubt(result.started_s))
         self.error = error_of(self.station, self.step, result, self.attempts)
         if result.kind is ResultKind.ANSWERED:
             if self._repeats_after(answer):
@@ -232,10 +240,17 @@ class WriteJob(WriteWork):
 
     @property
     def cut_outcome(self) -> Outcome | None:
-        """Acknowledged, refused and not yet sent again, or perhaps done."""
+        """Refused and not yet sent again, or perhaps done: an acknowledgement proves nothing."""
         if self._acknowledged:
-            return Outcome.DONE
+            return Outcome.UNKNOWN
         return Outcome.REFUSED if isinstance(self.error, NakError) else Outcome.UNKNOWN
+
+    def _doubt(self, said_s: float) -> str:
+        """Say why the acknowledgement may be another drive's; empty where it is this one's."""
+        duplicates, name = self._duplicates, self.station.name
+        if duplicates is None or not duplicates.may_be_anothers(ACK_FIELD, name, said_s):
+            return ""
+        return ANOTHERS_ACK
 
     def _repeats_after(self, answer: Answer | None) -> bool:
         """Whether a refusal may have been a damaged telegram: a plain value is sent once more."""

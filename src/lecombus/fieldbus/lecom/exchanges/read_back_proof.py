@@ -23,6 +23,7 @@ from lecombus.fieldbus.station import JobStep, Station, StepKind
 from lecombus.parameters import AddressForm, Code, Value
 
 from ..protocol.addressing import Form, encode_code
+from ..protocol.exchange import ACK_FIELD
 from ..protocol.telegrams import UnknownCodeAnswer, ValueAnswer
 from .duplicates import COPY_S, Duplicates
 
@@ -57,6 +58,7 @@ class ReadBackProof:
     Args:
         duplicates: From which drives answers were requested; None: from no other drive.
         silent: The drive did not answer before.
+        offline: It did not answer for so long that it was taken for absent.
 
     Attributes:
         acknowledged: The drive acknowledged the stop itself.
@@ -66,20 +68,32 @@ class ReadBackProof:
             form may not be asked for while a late answer in it may still come.
     """
 
-    def __init__(self, duplicates: Duplicates | None, *, silent: bool) -> None:
+    def __init__(
+        self, duplicates: Duplicates | None, *, silent: bool, offline: bool = False
+    ) -> None:
         self._duplicates = duplicates or Duplicates()
         self.silent = silent
         self.acknowledged = False
         self.repeated = False
+        self._was_offline = offline
+        self._ack_is_own = False
         self._shown: set[bytes] = set()
         self._is_itself = False
         self.has_no_address = False
         self._asked_itself = 0
         self._led_astray: set[AddressForm] = set()
 
-    def said(self, *, acknowledged: bool) -> None:
-        """Record that it was sent: a value read before the acknowledgement is too early."""
+    def said(self, *, acknowledged: bool, drive: str = "", at_s: float = 0.0) -> None:
+        """Record that it was sent: a value read before the acknowledgement is too early.
+
+        Args:
+            acknowledged: An acknowledgement came.
+            drive: Whose it should be; empty: nothing depends on that.
+            at_s: When it was sent.
+        """
         self.repeated = False
+        if acknowledged and drive:
+            self._ack_is_own |= not self._duplicates.may_be_anothers(ACK_FIELD, drive, at_s)
         if not self.acknowledged:
             self.acknowledged = acknowledged
             self._shown.clear()
@@ -150,18 +164,39 @@ class ReadBackProof:
 
     def begin(self) -> None:
         """Start again, with another stop."""
-        self.acknowledged = False
+        self.acknowledged = self._ack_is_own = False
         self._shown.clear()
 
     def is_enough(self, station: Station, what: StopAction | WrittenValue, now_s: float) -> bool:
         """Whether the stop is shown."""
         if not (self.silent or self._duplicates.doubtful(now_s)):
             return bool(self._shown)
+        if not self._is_shown_by_itself(station, what, now_s):
+            return False
+        return not self.wants_own_ack(station, what, now_s)
+
+    def _is_shown_by_itself(
+        self, station: Station, what: StopAction | WrittenValue, now_s: float
+    ) -> bool:
         if not self.acknowledged or not self._has_enough(station, what):
             return False
         return self._knows_it and not (
             self.has_no_address and any(self._is_old(one, station, now_s) for one in self._shown)
         )
+
+    def wants_own_ack(
+        self, station: Station, what: StopAction | WrittenValue, now_s: float
+    ) -> bool:
+        """Whether only an acknowledgement is missing that no other drive can have given.
+
+        A drive that was offline may have missed the stop. Where second answers come, the
+        acknowledgement and both readings may be those of drives that were asked lately.
+        """
+        if not self._was_offline or not self._duplicates.doubtful(now_s) or self._ack_is_own:
+            return False
+        if not self._is_shown_by_itself(station, what, now_s):
+            return False
+        return all(self._is_old(one, station, now_s) for one in self._shown)
 
     def is_written(self, station: Station, what: WrittenValue, now_s: float) -> bool:
         """Whether a write is shown, acknowledged or not."""
@@ -176,6 +211,8 @@ class ReadBackProof:
         """Say what is not shown, where a reading showed the stop."""
         if not self.acknowledged:
             return "the drive did not acknowledge it: the answer may be another drive's"
+        if self._was_offline and not self._ack_is_own and self._knows_it:
+            return "it was offline, and its acknowledgement may be another drive's"
         return self.not_its_own(station)
 
     def not_its_own(self, station: Station) -> str:

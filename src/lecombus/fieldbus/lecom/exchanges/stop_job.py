@@ -84,6 +84,7 @@ class StopJob(StopWork):
         retries: How often a failed attempt is repeated without a pause.
         said: The stop was already said by a multicast; begin with reading back.
         silent: The drive did not answer before: its stop takes more to be shown.
+        offline: It was offline: also where answers come twice, more must be its own.
         may_inhibit: A quick stop that cannot be had may become an inhibit.
         duplicates: What is known of answers that come twice on this line.
         patience_s: How long it is tried, seconds; once the drive answers: `STOP_PATIENCE_S`.
@@ -100,6 +101,7 @@ class StopJob(StopWork):
         retries: int,
         said: bool = False,
         silent: bool = False,
+        offline: bool = False,
         may_inhibit: bool = True,
         duplicates: Duplicates | None = None,
         patience_s: float = STOP_PATIENCE_S,
@@ -115,7 +117,7 @@ class StopJob(StopWork):
         self.may_inhibit = may_inhibit
         self.proof: Value | None = None
         self.proof_code: Code | None = None
-        self._proving = ReadBackProof(duplicates, silent=silent)
+        self._proving = ReadBackProof(duplicates, silent=silent, offline=offline)
         self.error: ExchangeError | None = None
         self._since_s: float | None = None
         self._checking = said
@@ -208,7 +210,10 @@ class StopJob(StopWork):
         if self._checking:
             return self._checked(step, result, over)
         self.attempts += 1
-        self._proving.said(acknowledged=type(result.answer) is AckAnswer)
+        acknowledged = type(result.answer) is AckAnswer
+        self._proving.said(
+            acknowledged=acknowledged, drive=self.station.name, at_s=result.started_s
+        )
         if type(result.answer) is AckAnswer:
             self.error, self._unheard, self._naks, self._checking = None, 0, 0, True
             return None
@@ -352,7 +357,9 @@ class StopJob(StopWork):
                 return Outcome.VERIFIED, f"{self._why}{self.action}: {self._shown}"
             assert self._since_s is not None
             if result.ended_s - self._since_s < self.patience_s + PROVING_S:
-                self._checking = proving.acknowledged
+                self._checking = proving.acknowledged and not proving.wants_own_ack(
+                    self.station, self.action, result.ended_s
+                )
                 return None
             text = f"{self._why}{self.action} was sent and {self._shown}, but "
             return Outcome.UNKNOWN, text + proving.missing(self.station)
