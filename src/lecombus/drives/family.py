@@ -104,6 +104,10 @@ class WatchdogTraits:
     volatile: Flag
     source: Source
 
+    def action_of(self, number: int) -> str | None:
+        """Return the roster's word for the action that a number stands for."""
+        return next((word for word, one in self.actions.items() if one == number), None)
+
 
 @dataclass(frozen=True, slots=True)
 class SoftwareGate:

@@ -120,14 +120,12 @@ def _unknown_set(
     known: Known, scale: Mapping[Code, Decimal], speed: str, rule: SetpointRule
 ) -> OperationError:
     """Refuse a conversion that would have to guess which parameter set is in use."""
-    return OperationError(
+    assert rule.full_scale is not None
+    return known.refused(
         f"{known.drive} does not show which parameter set is in use, and 100 % differs between "
         f"them ({_listed(known, scale)}): {speed} could mean several speeds, nothing was sent",
-        kind="setting",
-        drive=known.drive,
-        code=str(rule.full_scale),
-        remedy=f"give the speed in {rule.unit}, or set {rule.full_scale} alike in all parameter "
-        "sets",
+        rule.full_scale,
+        f"give the speed in {rule.unit}, or set {rule.full_scale} alike in all parameter sets",
     )
 
 
@@ -144,13 +142,11 @@ def _refuse_jog(known: Known, rules: VerbRules) -> None:
         return
     jog = control_word(known, rules) & bits.jog
     if jog:
-        raise OperationError(
+        raise known.refused(
             f"{known.drive} takes its speed from JOG value {jog}, by the low bits of {bits.code}: "
             "a setpoint would have no effect, nothing was sent",
-            kind="setting",
-            drive=known.drive,
-            code=str(bits.code),
-            remedy=f"clear bits 0 and 1 of {bits.code}",
+            bits.code,
+            f"clear bits 0 and 1 of {bits.code}",
         )
 
 
@@ -161,12 +157,10 @@ def _no_way(known: Known, rules: VerbRules) -> OperationError:
     )
     values = settings_in_force(known, when.code)
     reads = ", ".join(f"{code} reads {value.raw}" for code, value in values.items())
-    return OperationError(
+    return known.refused(
         f"{known.drive} takes no setpoint from the line: {reads or f'{when.code} is not there'}",
-        kind="setting",
-        drive=known.drive,
-        code=str(when.code),
-        remedy=f"set {when.code} = {' or '.join(map(str, right))}",
+        when.code,
+        f"set {when.code} = {' or '.join(map(str, right))}",
     )
 
 
@@ -189,10 +183,4 @@ def _bad_speed(
     if bits.direction and rule.low >= 0:
         place = bits.direction.bit_length() - 1
         remedy += f"; its direction of rotation is bit {place} of {bits.code}, not a sign"
-    return OperationError(
-        f"{what}: nothing was sent",
-        kind="bad-value",
-        drive=known.drive,
-        code=str(rule.code),
-        remedy=remedy,
-    )
+    return known.refused(f"{what}: nothing was sent", rule.code, remedy, kind="bad-value")

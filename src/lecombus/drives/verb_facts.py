@@ -59,6 +59,12 @@ class Known:
         value = self.values.get(code)
         return value.word if value is not None else None
 
+    def refused(
+        self, why: str, code: Code, remedy: str, *, kind: str = "setting"
+    ) -> OperationError:
+        """Return the refusal of a verb because of what a code reads."""
+        return OperationError(why, kind=kind, drive=self.drive, code=str(code), remedy=remedy)
+
     @property
     def configured(self) -> Family:
         """The family as this drive's signal configuration makes it."""
@@ -176,13 +182,12 @@ def control_word(known: Known, rules: VerbRules) -> int:
     if word is None:
         value = known.values.get(rules.control)
         reads = f"reads {value.raw}" if value is not None else "is not there"
-        raise OperationError(
+        raise known.refused(
             f"the control word {rules.control} of {known.drive} {reads}: its bits are not "
             "guessed, nothing was sent",
+            rules.control,
+            "write the codes by hand if you know what they must be",
             kind="no-control-word",
-            drive=known.drive,
-            code=str(rules.control),
-            remedy="write the codes by hand if you know what they must be",
         )
     return word
 
@@ -218,10 +223,5 @@ def objected(known: Known, demand: Demand) -> OperationError:
     """Make the refusal of a demand that is not met."""
     code = demand.condition.code
     reads = f"{known.family.spoken(code)} of {known.drive} reads {known.values[code].raw}"
-    return OperationError(
-        f"{reads}: with that it does not do what it is told over the line, nothing was sent",
-        kind="setting",
-        drive=known.drive,
-        code=str(code),
-        remedy=demand.remedy,
-    )
+    why = f"{reads}: with that it does not do what it is told over the line, nothing was sent"
+    return known.refused(why, code, demand.remedy)

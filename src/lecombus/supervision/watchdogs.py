@@ -318,6 +318,5 @@ def number(value: Value) -> float:
 
 def describe(traits: WatchdogTraits, setting: WatchdogSetting) -> str:
     """Put a setting into words."""
-    words = {value: word for word, value in traits.actions.items()}
-    action = words.get(setting.action, f"action {setting.action}")
+    action = traits.action_of(setting.action) or f"action {setting.action}"
     return "off" if action == "none" else f"{action} after {setting.time_s:g} s"

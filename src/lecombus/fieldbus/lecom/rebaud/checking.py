@@ -13,11 +13,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from lecombus.drives import Family
 from lecombus.drives.access import is_passing
 from lecombus.drives.identity import is_identity, text_of
 from lecombus.drives.standstill import Standstill, ask_standstill
 from lecombus.durations import format_duration
+from lecombus.fieldbus.lecom.address_codes import CODE_BANK, SHIFTING
 from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.parameters import Code, Value
 
@@ -26,7 +26,6 @@ from .drives import DrivePlace, RebaudDrive, RebaudLine
 __all__ = ["Obstacle", "check", "is_same_drive", "standstill"]
 
 NETWORK_LEVEL = Code(1420)
-REDIRECTING = (Code(248), Code(249))
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,24 +97,23 @@ async def _check_one(
         remedy = "switch it off and on, or set its baud rate at its keypad, then try again"
         return [Obstacle(drive.name, problem, remedy, "wrong-rate")]
     drive.be(DrivePlace.UNSEEN, rate)
-    found: list[Obstacle] = []
-    for step in (_identity, _addressing, _software, _permission, _stopped):
-        found += await step(line, drive, rate)
+    steps = (_identity, _addressing, _software, _permission, _stopped)
+    found = [await step(line, drive, rate) for step in steps]
     await _watchdog(line, drive, rate)
-    return found
+    return [one for one in found if one is not None]
 
 
 # ---- who it is ----------------------------------------------------------------------------------
 
 
-async def _identity(line: RebaudLine, drive: RebaudDrive, rate: int) -> list[Obstacle]:
+async def _identity(line: RebaudLine, drive: RebaudDrive, rate: int) -> Obstacle | None:
     found, differing = {}, []
     for code in drive.subject.asked:
         answer = await line.read(drive, rate, code)
         if answer.value is None and is_passing(answer.kind):
             name = drive.subject.family.spoken(code)
             problem = f"{drive.name} does not say who it is ({name}): {answer.text}"
-            return [Obstacle(drive.name, problem, "check the line, then try again", "no-answer")]
+            return Obstacle(drive.name, problem, "check the line, then try again", "no-answer")
         if answer.value is None:
             continue
         found[code] = answer.value
@@ -123,14 +121,14 @@ async def _identity(line: RebaudLine, drive: RebaudDrive, rate: int) -> list[Obs
             differing.append(code)
     drive.identity = found
     if not differing:
-        return []
+        return None
     told = ", ".join(
         f"{drive.subject.family.spoken(code)} reads {text_of(found[code])}, "
         f"not {drive.subject.expected[code]}"
         for code in differing
     )
     remedy = f"`lecombus accept {drive.name}` or its `identity` in the roster, if it was replaced"
-    return [Obstacle(drive.name, f"{drive.name} is another drive: {told}", remedy, "swapped")]
+    return Obstacle(drive.name, f"{drive.name} is another drive: {told}", remedy, "swapped")
 
 
 async def is_same_drive(line: RebaudLine, drive: RebaudDrive, rate: int) -> str:
@@ -147,60 +145,60 @@ async def is_same_drive(line: RebaudLine, drive: RebaudDrive, rate: int) -> str:
 # ---- whether it can be written to ---------------------------------------------------------------
 
 
-async def _addressing(line: RebaudLine, drive: RebaudDrive, rate: int) -> list[Obstacle]:
+async def _addressing(line: RebaudLine, drive: RebaudDrive, rate: int) -> Obstacle | None:
     """In standard addressing a code bank would make another code of C0125."""
     subject = drive.subject
-    if subject.form is Form.EXTENDED or subject.family.info(REDIRECTING[1]) is None:
-        return []
-    for code in REDIRECTING:
+    if subject.form is Form.EXTENDED or subject.family.info(CODE_BANK) is None:
+        return None
+    for code in reversed(SHIFTING):
         answer = await line.read(drive, rate, code)
         if answer.value is None or answer.value.number != 0:
             shown = answer.value.raw if answer.value is not None else "nothing"
             problem = f"{code} of {drive.name} reads {shown}: a write would reach another code"
             remedy = "switch it off and on, or write `addressing: both` for it in the roster"
-            return [Obstacle(drive.name, problem, remedy, "locked")]
-    return []
+            return Obstacle(drive.name, problem, remedy, "locked")
+    return None
 
 
-async def _software(line: RebaudLine, drive: RebaudDrive, rate: int) -> list[Obstacle]:
+async def _software(line: RebaudLine, drive: RebaudDrive, rate: int) -> Obstacle | None:
     gate = drive.subject.family.software
     if gate is None:
-        return []
+        return None
     answer = await line.read(drive, rate, gate.code)
     accepted = (*gate.versions, *drive.subject.accept_software)
     if answer.value is not None and any(is_identity(answer.value, one) for one in accepted):
-        return []
+        return None
     shown = text_of(answer.value) if answer.value is not None else "nothing"
     name = drive.subject.family.spoken(gate.code)
     problem = f"{name} of {drive.name} reads software {shown}, not {' or '.join(accepted)}"
     remedy = "nothing is written to it, unless the roster names that in `accept_software`"
-    return [Obstacle(drive.name, problem, remedy, "locked")]
+    return Obstacle(drive.name, problem, remedy, "locked")
 
 
-async def _permission(line: RebaudLine, drive: RebaudDrive, rate: int) -> list[Obstacle]:
+async def _permission(line: RebaudLine, drive: RebaudDrive, rate: int) -> Obstacle | None:
     """Ask an SMVector whether its network may set parameters."""
     if drive.subject.family.info(NETWORK_LEVEL) is None:
-        return []
+        return None
     answer = await line.read(drive, rate, NETWORK_LEVEL)
     if answer.value is not None and answer.value.number != 0:
-        return []
+        return None
     shown = answer.value.raw if answer.value is not None else "nothing"
     problem = f"P420 of {drive.name} reads {shown}: it takes no parameters over the line"
-    return [Obstacle(drive.name, problem, "set P420 to 1 or more at its keypad", "locked")]
+    return Obstacle(drive.name, problem, "set P420 to 1 or more at its keypad", "locked")
 
 
 # ---- whether it is stopped ----------------------------------------------------------------------
 
 
-async def _stopped(line: RebaudLine, drive: RebaudDrive, rate: int) -> list[Obstacle]:
+async def _stopped(line: RebaudLine, drive: RebaudDrive, rate: int) -> Obstacle | None:
     found = await standstill(line, drive, rate)
     drive.motion = found.known
     if not found.obstacle:
-        return []
+        return None
     remedy = f"stop it first: `lecombus inhibit {drive.name}`, then end the daemon and try again"
     if found.inhibited:
         remedy = "wait until its motor has come to rest, then try again"
-    return [Obstacle(drive.name, f"{drive.name} {found.obstacle}", remedy, "not-stopped")]
+    return Obstacle(drive.name, f"{drive.name} {found.obstacle}", remedy, "not-stopped")
 
 
 async def standstill(line: RebaudLine, drive: RebaudDrive, rate: int) -> Standstill:
@@ -219,18 +217,17 @@ async def _watchdog(line: RebaudLine, drive: RebaudDrive, rate: int) -> None:
         return
     time = await line.read(drive, rate, traits.time_code)
     action = await line.read(drive, rate, traits.action_code)
-    words = {number: word for word, number in traits.actions.items()}
     number = action.value.quantity if action.value is not None else None
-    word = words.get(int(number)) if number is not None else None
+    word = traits.action_of(int(number)) if number is not None else None
     if time.value is None or word is None:
         drive.note = (
             "its watchdog could not be read: if it is set, it will act; it is stopped anyway"
         )
     elif word != "none" and time.value.number:
-        drive.note = _acting(drive.subject.family, word, time.value.number)
+        drive.note = _acting(word, time.value.number)
 
 
-def _acting(family: Family, word: str, time_ms: object) -> str:
+def _acting(word: str, time_ms: object) -> str:
     after = format_duration(int(str(time_ms)) / 1000.0)
     told = f"its watchdog will act ({word} after {after})"
     if word == "trip":

@@ -27,6 +27,7 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 
 from lecombus.drives import Family, family
+from lecombus.fieldbus.lecom.address_codes import SHIFTING
 from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.parameters import Code, Format
 
@@ -113,7 +114,6 @@ NETWORK_ADDRESS = Code(1410)
 LECOM_B = 7
 VERSION = Code(1494)
 DRIVE_ID = Code(1502)
-REDIRECTING = (Code(248), Code(249))
 
 LATER_82XX = re.compile(r"82([124])[1-8]")
 """A later 82XX's type in its software label, such as `8221`."""
@@ -214,7 +214,7 @@ async def _without_extended_addressing(drive: DriveQuestions) -> Finding:
 
 async def _redirection(drive: DriveQuestions) -> None:
     """Remark if standard addressing is redirected in this drive. Source: EDB2102EN 8.2."""
-    for code in REDIRECTING:
+    for code in reversed(SHIFTING):
         heard = await drive.read(code)
         if heard.value is not None and heard.value.number != 0:
             drive.remarks.append(
@@ -346,8 +346,7 @@ async def _watchdog(drive: DriveQuestions, of: Family) -> FoundWatchdog | None:
         return None
     time = await drive.read(traits.time_code, waiting=of.name)
     action = await drive.read(traits.action_code, waiting=of.name)
-    words = {number: word for word, number in traits.actions.items()}
-    word = next((words[one] for one in words if _is_number(action, one)), None)
+    word = next((word for word, one in traits.actions.items() if _is_number(action, one)), None)
     if time.kind is not HeardKind.VALUE or word is None or not time.text.isdecimal():
         drive.remarks.append(
             f"its watchdog could not be read: {traits.time_code} {time.text or time.kind.value}, "
