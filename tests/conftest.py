@@ -59,6 +59,13 @@ used: set[str] = set()
 """What the test that runs now has used of `USES`."""
 
 
+def pytest_make_parametrize_id(val: object) -> str | None:
+    """Name a test by the words that it is given: a golden file is read by people."""
+    if isinstance(val, list | tuple) and val and all(isinstance(word, str) for word in val):
+        return " ".join(val).encode("unicode_escape").decode()
+    return None
+
+
 FILES = pytest.StashKey[GoldenFiles]()
 
 
@@ -70,7 +77,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def golden(request: pytest.FixtureRequest) -> Golden:
     """Compares what is said with the golden file of the test's folder (`support.golden`)."""
     files, path = request.config.stash[FILES], Path(request.node.path)
-    return Golden(files, path.with_name(NAME), f"{path.stem}::{request.node.name}")
+    new = [name for name in ("tmp_path", "short_dir") if name in request.fixturenames]
+    places = {name.upper(): Path(request.getfixturevalue(name)) for name in new}
+    return Golden(files, path.with_name(NAME), f"{path.stem}::{request.node.name}", places)
 
 
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:

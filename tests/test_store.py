@@ -22,6 +22,7 @@ from lecombus.store import (
     Store,
     ValueChanged,
 )
+from support.golden import Golden
 
 FREQUENCY = Code(46)
 STATUS = Code(150)
@@ -134,14 +135,16 @@ def test_a_code_nobody_asked_for_is_unknown_and_asking_keeps_nothing(store: Stor
 
 
 def test_a_cyclic_value_goes_stale_after_two_periods_and_a_second(
-    store: Store, clocks: Clocks
+    store: Store, clocks: Clocks, golden: Golden
 ) -> None:
     store.expect("feeder", FREQUENCY, 0.5)
     store.value_read("feeder", FREQUENCY, Value.parse("35.4"), clocks.now_s)
     clocks.tick(1.99)
     assert quality(store)[0] is Quality.GOOD
     clocks.tick(0.02)
-    assert quality(store) == (Quality.STALE, "read 2.0 s ago, 2.0 s allowed")
+    shown, reason = quality(store)
+    assert shown is Quality.STALE
+    golden(reason)
 
 
 def test_a_stretched_cadence_allows_cyclic_values_more_age(store: Store, clocks: Clocks) -> None:
@@ -155,21 +158,27 @@ def test_a_stretched_cadence_allows_cyclic_values_more_age(store: Store, clocks:
 
 
 def test_a_line_that_reads_nothing_any_more_makes_no_value_fresh(
-    store: Store, clocks: Clocks
+    store: Store, clocks: Clocks, golden: Golden
 ) -> None:
     store.expect("feeder", FREQUENCY, 0.5)
     store.value_read("feeder", FREQUENCY, Value.parse("35.4"), clocks.now_s)
     store.set_stretch(1000.0)
     clocks.tick(5.1)
-    assert quality(store) == (Quality.STALE, "read 5.1 s ago, 5.0 s allowed")
+    shown, reason = quality(store)
+    assert shown is Quality.STALE
+    golden(reason)
 
 
-def test_a_value_read_once_goes_stale_after_ten_seconds(store: Store, clocks: Clocks) -> None:
+def test_a_value_read_once_goes_stale_after_ten_seconds(
+    store: Store, clocks: Clocks, golden: Golden
+) -> None:
     store.value_read("feeder", FREQUENCY, Value.parse("35.4"), clocks.now_s)
     clocks.tick(9.9)
     assert quality(store)[0] is Quality.GOOD
     clocks.tick(0.2)
-    assert quality(store) == (Quality.STALE, "read 10.1 s ago, not read cyclically")
+    shown, reason = quality(store)
+    assert shown is Quality.STALE
+    golden(reason)
 
 
 def test_a_failed_attempt_makes_the_value_bad_until_the_next_good_one(
@@ -185,10 +194,12 @@ def test_a_failed_attempt_makes_the_value_bad_until_the_next_good_one(
     assert quality(store) == (Quality.GOOD, None)
 
 
-def test_an_offline_drive_has_no_good_values(store: Store, clocks: Clocks) -> None:
+def test_an_offline_drive_has_no_good_values(store: Store, clocks: Clocks, golden: Golden) -> None:
     store.value_read("feeder", FREQUENCY, Value.parse("35.4"), clocks.now_s)
     store.drive_state("feeder", DriveState.OFFLINE, "no answer to 5 telegrams")
-    assert quality(store) == (Quality.STALE, "drive offline: no answer to 5 telegrams")
+    shown, reason = quality(store)
+    assert shown is Quality.STALE
+    golden(reason)
 
 
 @pytest.mark.parametrize("state", [LineState.LOST, LineState.CLOSED])

@@ -16,6 +16,7 @@ from lecombus.operations.reports import WriteReport
 from lecombus.schedule.request import Outcome
 from openapi.answer_models import VerbDocument
 from support.api_line import Line
+from support.golden import Golden
 
 pytestmark = [pytest.mark.anyio, pytest.mark.clock]
 
@@ -71,24 +72,24 @@ async def test_a_stop_is_refused_for_no_query_and_no_key(
 
 
 @pytest.mark.parametrize(
-    ("verb", "body", "says"),
+    ("verb", "body"),
     [
-        ("set-speed", "", "value is missing: it takes a number such as 35.4"),
-        ("set-speed", '{"value": 35}', 'unit is missing: it takes "Hz", or "%"'),
-        ("set-speed", '{"value": "35", "unit": "Hz"}', "takes a number such as 35.4, not '35'"),
-        ("set-speed", '{"value": 1E+99, "unit": "Hz"}', "takes a number such as 35.4"),
-        ("set-speed", '{"value": 35, "unt": "Hz"}', "did you mean unit?"),
-        ("set-speed", '{"value": 35, "unit": "Hz", "expires": "2h"}', "up to 1 h"),
-        ("enable", '{"value": 1}', "there is no key value"),
-        ("enable", "[]", "not a JSON object"),
+        ("set-speed", ""),
+        ("set-speed", '{"value": 35}'),
+        ("set-speed", '{"value": "35", "unit": "Hz"}'),
+        ("set-speed", '{"value": 1E+99, "unit": "Hz"}'),
+        ("set-speed", '{"value": 35, "unt": "Hz"}'),
+        ("set-speed", '{"value": 35, "unit": "Hz", "expires": "2h"}'),
+        ("enable", '{"value": 1}'),
+        ("enable", "[]"),
     ],
 )
 async def test_a_body_that_is_not_understood_says_what_is_right(
-    client: httpx2.AsyncClient, line: Line, verb: str, body: str, says: str
+    client: httpx2.AsyncClient, line: Line, verb: str, body: str, golden: Golden
 ) -> None:
     answer = await say(client, verb, body)
     assert (answer.status_code, line.ops.asked) == (422, [])
-    assert says in answer.json()["detail"]
+    golden(answer.json()["detail"])
     assert answer.json()["remedy"].startswith("send {")
 
 

@@ -19,6 +19,7 @@ from lecombus.operations.reports import WriteReport
 from lecombus.schedule.request import Outcome, Priority
 from openapi.answer_models import GroupOutcomeDocument, OutcomeDocument
 from support.api_line import FREQUENCY, Line
+from support.golden import Golden
 
 pytestmark = [pytest.mark.anyio, pytest.mark.clock]
 
@@ -78,48 +79,48 @@ async def test_a_write_may_say_that_it_has_time(client: httpx2.AsyncClient, line
 
 
 @pytest.mark.parametrize(
-    ("body", "says"),
+    "body",
     [
-        ("", "not JSON"),
-        ("{", "not JSON"),
-        ("[1]", "not a JSON object"),
-        (b'{"value": "\xff"}', "not JSON"),
-        ('{"value": NaN}', "NaN is not a number"),
-        ('{"value": Infinity}', "Infinity is not a number"),
-        ('{"value": 1, "value": 2}', "key value stands twice"),
-        ("[" * 8000, "nested too deeply"),
-        ("{}", "key value is missing"),
-        ('{"value": true}', "not true"),
-        ('{"value": null}', "not null"),
-        ('{"value": [1]}', "not an array"),
-        ('{"value": {}}', "not an object"),
-        ('{"value": ""}', "value takes a number"),
-        ('{"value": 1e999999}', "value takes a number"),
-        ('{"value": 1e9999999999999999999}', "too large or too small"),
-        ('{"value": 1e-9999999999999999999}', "too large or too small"),
-        ('{"value": 1e-999999999999999999}', "value takes a number"),
-        ('{"value": 1, "expires": 1e9999999999999999999}', "too large or too small"),
-        ('{"value": 1, "expires": 1e-9999999999999999999}', "too large or too small"),
-        ('{"value": 1, "expires": 1e-999999}', "expires takes a duration"),
-        (r'{"\ud800": 1}', "a key is not text"),
-        (r'{"value": 1, "\udfff": 1}', "a key is not text"),
-        ('{"valeu": 1}', "there is no key valeu: did you mean value?"),
-        ('{"value": 1, "expire": "2s"}', "did you mean expires?"),
-        ('{"value": 1, "expires": "2"}', "expires takes a duration"),
-        ('{"value": 1, "expires": 0}', "expires takes a duration"),
-        ('{"value": 1, "expires": -1}', "expires takes a duration"),
-        ('{"value": 1, "expires": "2h"}', "expires takes a duration"),
-        ('{"value": 1, "expires": true}', "expires takes a duration"),
-        ('{"value": 1, "verify": "yes"}', "verify takes true or false, not 'yes'"),
-        ('{"value": 1, "verify": 1}', "verify takes true or false"),
+        "",
+        "{",
+        "[1]",
+        b'{"value": "\xff"}',
+        '{"value": NaN}',
+        '{"value": Infinity}',
+        '{"value": 1, "value": 2}',
+        "[" * 8000,
+        "{}",
+        '{"value": true}',
+        '{"value": null}',
+        '{"value": [1]}',
+        '{"value": {}}',
+        '{"value": ""}',
+        '{"value": 1e999999}',
+        '{"value": 1e9999999999999999999}',
+        '{"value": 1e-9999999999999999999}',
+        '{"value": 1e-999999999999999999}',
+        '{"value": 1, "expires": 1e9999999999999999999}',
+        '{"value": 1, "expires": 1e-9999999999999999999}',
+        '{"value": 1, "expires": 1e-999999}',
+        '{"\\ud800": 1}',
+        '{"value": 1, "\\udfff": 1}',
+        '{"valeu": 1}',
+        '{"value": 1, "expire": "2s"}',
+        '{"value": 1, "expires": "2"}',
+        '{"value": 1, "expires": 0}',
+        '{"value": 1, "expires": -1}',
+        '{"value": 1, "expires": "2h"}',
+        '{"value": 1, "expires": true}',
+        '{"value": 1, "verify": "yes"}',
+        '{"value": 1, "verify": 1}',
     ],
 )
 async def test_a_wrong_body_is_refused_and_nothing_is_sent(
-    client: httpx2.AsyncClient, line: Line, body: str | bytes, says: str
+    client: httpx2.AsyncClient, line: Line, body: str | bytes, golden: Golden
 ) -> None:
     answer = await put(client, body)
     assert answer.status_code == 422
-    assert says in answer.json()["detail"]
+    golden(answer.json()["detail"])
     assert answer.json()["remedy"].startswith("send {")
     assert line.ops.asked == []
 
@@ -229,7 +230,7 @@ async def test_a_group_write_has_an_outcome_per_member(
 
 
 async def test_a_group_that_was_not_reached_whole_is_a_problem_with_its_members(
-    client: httpx2.AsyncClient, line: Line
+    client: httpx2.AsyncClient, line: Line, golden: Golden
 ) -> None:
     line.ops.report = lambda drive, code: (
         WriteReport(drive, code, Outcome.UNKNOWN, "no answer")
@@ -240,7 +241,7 @@ async def test_a_group_that_was_not_reached_whole_is_a_problem_with_its_members(
     problem = answer.json()
     assert (answer.status_code, problem["target"]) == (504, "conveyors")
     assert [one["outcome"] for one in problem["members"]] == ["refused", "unknown"]
-    assert problem["detail"] == "conveyors: not done by feeder, belt"
+    golden(problem["detail"])
 
 
 async def test_a_member_that_was_sent_nothing_names_no_code(

@@ -12,6 +12,7 @@ from lecombus.backups import read_backup, wanted_codes, write_backup
 from lecombus.drives import FAMILY_NAMES, family
 from lecombus.errors import ConfigError
 from lecombus.parameters import Code, Value
+from support.golden import Golden
 
 VECTOR = {
     "C0001": "3", "C0011": "50.00", "C2011": "060.10", "C0150": "H8678", "C1810": "S33S2102I_10000",
@@ -131,30 +132,30 @@ GOOD = write_backup(backup_of("8200vector", {"C0001": "3", "C0011": "50"}))
 
 
 @pytest.mark.parametrize(
-    ("right", "wrong", "line", "says"),
+    ("right", "wrong", "line"),
     [
-        ("lecombus-backup: 1", "lecombus-backup: 2", 3, "a later lecombus"),
-        ("lecombus-backup: 1\n", "", 3, "this is no backup"),
-        ("family: 8200vector", "family: 8200", 7, "there is no family 8200; 820x,"),
-        ("address: 11", "address: 111", 6, "from 1 to 99"),
-        ("C0011: 50", "C0011: 50,5", 14, "'50,5' is no value"),
-        ("C0011: 50", "C00a1: 50", 14, "is not a code"),
-        ("C0011: 50", "C1: 50", 14, "C0001 stands in this file twice: also at b.yaml:13:3"),
-        ("C0011: 50", "C0011: [50]", 14, "a text is right here"),
-        ("parameters:", "parameter:", 12, "parameter is not known here"),
-        ("drive: feeder\n", "", 3, "drive is missing"),
-        ("drive: feeder", 'drive: "\\e]0;x\\a"', 4, "a control character"),
-        ("C0011: 50", "C0011: " + "[" * 50_000, 14, "nest more than 20 deep"),
-        ("C0011: 50", "C0011:\n    " + "- " * 50_000, 15, "nest more than 20 deep"),
+        ("lecombus-backup: 1", "lecombus-backup: 2", 3),
+        ("lecombus-backup: 1\n", "", 3),
+        ("family: 8200vector", "family: 8200", 7),
+        ("address: 11", "address: 111", 6),
+        ("C0011: 50", "C0011: 50,5", 14),
+        ("C0011: 50", "C00a1: 50", 14),
+        ("C0011: 50", "C1: 50", 14),
+        ("C0011: 50", "C0011: [50]", 14),
+        ("parameters:", "parameter:", 12),
+        ("drive: feeder\n", "", 3),
+        ("drive: feeder", 'drive: "\\e]0;x\\a"', 4),
+        ("C0011: 50", "C0011: " + "[" * 50000, 14),
+        ("C0011: 50", "C0011:\n    " + "- " * 50000, 15),
     ],
 )
 def test_what_cannot_be_is_refused_with_its_line(
-    right: str, wrong: str, line: int, says: str
+    right: str, wrong: str, line: int, golden: Golden
 ) -> None:
     assert right in GOOD
     with pytest.raises(ConfigError) as caught:
         read_backup(GOOD.replace(right, wrong), "b.yaml")
-    assert says in str(caught.value)
+    golden(caught.value)
     assert str(caught.value).startswith(f"b.yaml:{line}:")
 
 

@@ -10,6 +10,7 @@ from lecombus.backups import Restored, make_plan, restore
 from lecombus.drives import family
 from lecombus.parameters import Code, Value
 from support.fake_drive import ENABLED, Ear, FakeDrive
+from support.golden import Golden
 
 FILE = {"C0001": "3", "C0011": "60", "C2011": "70"}
 NOW = {1: "0", 11: "50", 2011: "50"}
@@ -59,7 +60,7 @@ def test_a_drive_that_somebody_enables_is_no_longer_written_to() -> None:
     assert result.inhibited_now is False
 
 
-def test_a_stop_ends_it_and_what_was_written_is_told() -> None:
+def test_a_stop_ends_it_and_what_was_written_is_told(golden: Golden) -> None:
     one = drive()
 
     def stop(here: FakeDrive, code: Code) -> None:
@@ -69,7 +70,7 @@ def test_a_stop_ends_it_and_what_was_written_is_told() -> None:
     result = restored(one)
     assert one.writes == [("C0001", "3")]
     assert [str(code) for code in result.written] == ["C0001"]
-    assert result.stopped == ("nothing more is written to the drive: ended by a stop of the drive")
+    golden(result.stopped)
     assert (result.complete, result.refused) == (False, {})
 
 

@@ -20,6 +20,7 @@ from lecombus.cli.backup_files import Notes
 from lecombus.cli.restore import result_json, show_result
 from lecombus.drives import family
 from lecombus.parameters import Code, Value
+from support.golden import Golden
 
 pytestmark = pytest.mark.clock
 
@@ -397,20 +398,13 @@ def test_another_family_is_refused_whatever_is_said(run: Run, drive: Drive, tmp_
     assert "--to-other-drive" not in ran.err
 
 
-@pytest.mark.parametrize(
-    ("inhibited", "says"),
-    [
-        (True, "feeder is inhibited: enable it yourself"),
-        (False, "feeder is not inhibited now: take it for one that may start"),
-        (None, "feeder does not say whether it is inhibited now"),
-    ],
-)
+@pytest.mark.parametrize("inhibited", [True, False, None])
 def test_a_restore_says_of_the_inhibit_what_the_drive_shows_in_the_end(
-    capsys: pytest.CaptureFixture[str], inhibited: bool | None, says: str
+    capsys: pytest.CaptureFixture[str], inhibited: bool | None, golden: Golden
 ) -> None:
     result = Restored(inhibited_here=True, inhibited_now=inhibited)
     plan = make_plan(backup_of("8200vector", {}), family("8200vector"), {})
     show_result(plan, result, "feeder", enabled=False)
     shown = capsys.readouterr()
-    assert says in shown.out + shown.err
+    golden(shown.out + shown.err)
     assert result_json(plan, result, "feeder")["inhibited"] is (inhibited is True)

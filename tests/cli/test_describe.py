@@ -12,6 +12,7 @@ from lecombus.cli import describe
 from lecombus.cli.describe import GERMAN
 from lecombus.drives import FAMILY_NAMES, family
 from lecombus.parameters import Code
+from support.golden import Golden
 
 ENGLISH = {english for english, german in GERMAN.items() if english != german}
 
@@ -96,23 +97,23 @@ def test_json_is_what_the_daemon_would_say(run: Run) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    "words",
     [
-        (("821z",), "'821z' is not one of '820x'"),
-        (("821x", "C0044"), "C0044 of 821x is not described; near it are C0040, C0043, C0046"),
-        (("generic", "C0044"), "C0044 of generic is not described; any code may be read"),
-        (("821x", "forty"), "is not a code"),
-        (("93xx", "--configuration", "2001"), "configuration 2001 of 93xx; known are: 1xx1, 4xx1"),
-        (("821x", "--configuration", "1001"), "configuration 1001 of 821x; known are: none"),
-        (("821x", "--lang", "fr"), "'fr' is not one of 'en', 'de'"),
+        ("821z",),
+        ("821x", "C0044"),
+        ("generic", "C0044"),
+        ("821x", "forty"),
+        ("93xx", "--configuration", "2001"),
+        ("821x", "--configuration", "1001"),
+        ("821x", "--lang", "fr"),
     ],
 )
 def test_what_is_not_there_is_refused_with_what_is(
-    words: tuple[str, ...], message: str, run: Run
+    words: tuple[str, ...], run: Run, golden: Golden
 ) -> None:
     ran = run("describe", *words)
     assert (ran.status, ran.out) == (2, "")
-    assert message in ran.err
+    golden(ran.err)
 
 
 @pytest.mark.parametrize(

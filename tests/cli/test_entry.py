@@ -20,6 +20,7 @@ import lecombus
 from cli.conftest import Run
 from lecombus.cli import entry
 from lecombus.errors import CodeValueError, LineLostError, OperationError
+from support.golden import Golden
 
 pytestmark = pytest.mark.clock
 
@@ -38,39 +39,39 @@ def roster(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    "words",
     [
-        (["frobnicate"], "frobnicate"),
-        (["write", "feeder", "C0046"], "VALUE"),
-        (["write", "feeder", "C0046", "5", "--verfy"], "--verify"),
-        (["write", "feeder", "C0046", "35,4"], "35.4"),
-        (["write", "feeder", "C0046", "fast"], "H0008"),
-        (["write", "feeder", "C99999", "5"], "65535"),
-        (["write", "feeder", "C0046", "5", "--expires", "2"], "2s"),
-        (["write", "feeder", "C0046", "5", "--expires", "-2s"], "negative"),
-        (["write", "feeder", "C0046", "5", "--expires", "0s"], "0s is out of range, write 1ms to"),
-        (["write", "feeder", "C0046", "5", "--expires", "0.1ms"], "0.1ms is out of range"),
-        (["group", "all", "C0046", "5", "--expires", "2h"], "2h is out of range, write 1ms to 1h"),
-        (["set-speed", "feeder", "5%", "--expires", "0"], "0 is out of range, write 1ms to 1h"),
-        (["write", "feeder", "C0046", "1e1"], "1e1 has an exponent, write 10"),
-        (["write", "feeder", "C0046", "-2.5E-1"], "-2.5E-1 has an exponent, write -0.25"),
-        (["write", "feeder", "C0046", "1e999999999999999999999"], "write a number such as 35.4"),
-        (["read", "feeder"], "DRIVE CODE"),
-        (["read", "feeder", "C1", "--port", "/dev/x", "--address", "1"], "CODE"),
-        (["read", "C1", "--port", "/dev/x"], "--address"),
-        (["stop", "--action", "brake"], "inhibit"),
-        (["simulate", "-c", "x.yaml"], "--pty"),
-        (["check", "-c", "/nowhere.yaml"], "/nowhere.yaml"),
+        ["frobnicate"],
+        ["write", "feeder", "C0046"],
+        ["write", "feeder", "C0046", "5", "--verfy"],
+        ["write", "feeder", "C0046", "35,4"],
+        ["write", "feeder", "C0046", "fast"],
+        ["write", "feeder", "C99999", "5"],
+        ["write", "feeder", "C0046", "5", "--expires", "2"],
+        ["write", "feeder", "C0046", "5", "--expires", "-2s"],
+        ["write", "feeder", "C0046", "5", "--expires", "0s"],
+        ["write", "feeder", "C0046", "5", "--expires", "0.1ms"],
+        ["group", "all", "C0046", "5", "--expires", "2h"],
+        ["set-speed", "feeder", "5%", "--expires", "0"],
+        ["write", "feeder", "C0046", "1e1"],
+        ["write", "feeder", "C0046", "-2.5E-1"],
+        ["write", "feeder", "C0046", "1e999999999999999999999"],
+        ["read", "feeder"],
+        ["read", "feeder", "C1", "--port", "/dev/x", "--address", "1"],
+        ["read", "C1", "--port", "/dev/x"],
+        ["stop", "--action", "brake"],
+        ["simulate", "-c", "x.yaml"],
+        ["check", "-c", "/nowhere.yaml"],
     ],
 )
 def test_a_usage_error_is_one_line_that_says_what_is_right(
-    run: Run, words: list[str], said: str
+    run: Run, words: list[str], golden: Golden
 ) -> None:
     ran = run(*words)
     assert ran.status == 2
     assert ran.out == ""
     assert ran.err.count("\n") == 1
-    assert said in ran.err
+    golden(ran.err)
 
 
 def test_no_command_shows_the_help(run: Run) -> None:
@@ -149,13 +150,11 @@ def test_a_port_that_may_not_be_opened_is_not_permitted(
     assert "roster" not in ran.err
 
 
-@pytest.mark.parametrize(
-    ("word", "meant"), [("statsu", "status"), ("Stop", "stop"), ("setspeed", "set-speed")]
-)
-def test_a_misspelt_command_is_told_the_nearest(run: Run, word: str, meant: str) -> None:
+@pytest.mark.parametrize("word", ["statsu", "Stop", "setspeed"])
+def test_a_misspelt_command_is_told_the_nearest(run: Run, word: str, golden: Golden) -> None:
     ran = run(word)
     assert ran.status == 2
-    assert ran.err == f"there is no command `{word}`; did you mean {meant}?\n"
+    golden(ran.err)
 
 
 def test_without_a_roster_nothing_is_said_of_ports_that_need_one(run: Run) -> None:

@@ -24,6 +24,7 @@ from lecombus.config import Roster, parse_roster
 from lecombus.errors import LineLostError
 from lecombus.fieldbus.lecom.rebaud import LineAccess, Subject
 from lecombus.line.loop import run as run_loop
+from support.golden import Golden
 from support.rebauding import RebaudLine, Step, Write
 from support.rosters import roster_text
 
@@ -63,17 +64,17 @@ def line(monkeypatch: pytest.MonkeyPatch) -> RebaudLine:
 
 
 @pytest.mark.parametrize(
-    ("change", "words", "says"),
+    ("change", "words"),
     [
-        (("", ""), ("9600",), "has 9600 baud already; name another rate, or by --from"),
-        (("", ""), ("19200", "--from", "19200"), "has from 19200 to 19200 baud"),
-        (("", ""), ("9601",), "'9601' is not one of"),
-        (("/", "socket://192.0.2.7:4001#"), ("19200",), "is not set from here; connect the drives"),
-        (("8200vector", "generic"), ("19200",), "of feeder (generic) nobody knows how"),
+        (("", ""), ("9600",)),
+        (("", ""), ("19200", "--from", "19200")),
+        (("", ""), ("9601",)),
+        (("/", "socket://192.0.2.7:4001#"), ("19200",)),
+        (("8200vector", "generic"), ("19200",)),
     ],
 )
 def test_what_cannot_be_done_is_refused_with_what_can(
-    run: Run, roster: Path, change: tuple[str, str], words: tuple[str, ...], says: str
+    run: Run, roster: Path, change: tuple[str, str], words: tuple[str, ...], golden: Golden
 ) -> None:
     text = roster.read_text()
     if change[0] == "/":
@@ -83,7 +84,7 @@ def test_what_cannot_be_done_is_refused_with_what_can(
     roster.write_text(text)
     ran = run("rebaud", *words, "-c", str(roster), "--yes")
     assert ran.status == 2
-    assert says in ran.err
+    golden(ran.err)
 
 
 def test_a_rate_at_which_the_watchdogs_cannot_be_fed_is_refused_beforehand(
@@ -143,24 +144,22 @@ def test_a_dry_run_shows_the_plan_and_writes_nothing(
     assert not [one for one in line.steps if isinstance(one, Write)]
 
 
-def test_nobody_is_written_to_unasked(run: Run, roster: Path, line: RebaudLine) -> None:
+def test_nobody_is_written_to_unasked(
+    run: Run, roster: Path, line: RebaudLine, golden: Golden
+) -> None:
     ran = run("rebaud", "19200", "-c", str(roster))
-    assert (ran.status, ran.err) == (
-        2,
-        "nobody can be asked here; nothing was written; repeat it with --yes\n",
-    )
+    assert ran.status == 2
+    golden(ran.err)
     assert not [one for one in line.steps if isinstance(one, Write)]
 
 
 def test_the_line_to_write_into_the_roster_is_shown(
-    run: Run, roster: Path, line: RebaudLine
+    run: Run, roster: Path, line: RebaudLine, golden: Golden
 ) -> None:
     before = roster.read_text()
     ran = run("rebaud", "19200", "-c", str(roster), "--yes")
     assert (ran.status, ran.err) == (0, "")
-    assert ran.out.splitlines()[-1] == (
-        f"in {roster}, under `line:`, write `baud: 19200`, then start the daemon"
-    )
+    golden(ran.out.splitlines()[-1])
     assert roster.read_text() == before
     assert line.rates == {"feeder": 19200, "belt": 19200}
 
@@ -210,13 +209,13 @@ def test_a_drive_that_refuses_splits_the_line_or_all_go_back(
 
 
 def test_drives_are_fetched_from_another_rate_than_the_rosters(
-    run: Run, roster: Path, line: RebaudLine
+    run: Run, roster: Path, line: RebaudLine, golden: Golden
 ) -> None:
     line["feeder"].model.params.set(125, "4")
     ran = run("rebaud", "9600", "--from", "19200", "-c", str(roster), "--yes")
     assert ran.status == 0
     assert line.rates == {"feeder": 9600, "belt": 9600}
-    assert ran.out.splitlines()[-1] == f"{roster} says so already: start the daemon"
+    golden(ran.out.splitlines()[-1])
 
 
 def test_a_lost_port_ends_it_with_where_everybody_is(

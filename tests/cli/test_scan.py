@@ -22,6 +22,7 @@ from cli.test_simulate import simulated
 from lecombus.cli import scan
 from lecombus.config import load_roster
 from lecombus.fieldbus.lecom.protocol.controls import bcc
+from support.golden import Golden
 from support.rosters import roster_text
 
 pytestmark = pytest.mark.clock
@@ -193,26 +194,26 @@ def test_a_device_server_that_frames_7e1_is_told_from_a_silent_line(run: Run) ->
 
 
 @pytest.mark.parametrize(
-    ("words", "status", "said"),
+    ("words", "status"),
     [
-        (["--port", "/dev/no-such-port"], 1, "no such device"),
-        (["--port", "/dev/x", "--bauds", "9601"], 2, "drives know no '9601' baud"),
-        (["--port", "/dev/x", "--addresses", "10,20"], 2, "no drive has such an address"),
-        (["--port", "/dev/x", "--addresses", "x"], 2, "`x` is no address: write 11, 1-39"),
-        (["--port", "/dev/x", "--addresses", "1-99999999999"], 1, "no such device"),
-        (["--port", "/dev/x", "--name", "hall 3"], 2, "is not usable as a line name"),
-        (["--port", "COM1"], 2, "is no port"),
-        (["--port", "/dev/x", "--url", "http://127.0.0.1:1"], 2, "both given"),
-        (["--port", "/dev/x", "-o", "/no/such/place.yaml"], 2, "is no directory"),
-        (["--all-bauds"], 2, "a daemon scans at its line's baud rate only"),
-        (["--port", "/dev/x", "--all-bauds", "--bauds", "9600"], 2, "are both given"),
-        ([], 3, "no daemon has its socket"),
+        (["--port", "/dev/no-such-port"], 1),
+        (["--port", "/dev/x", "--bauds", "9601"], 2),
+        (["--port", "/dev/x", "--addresses", "10,20"], 2),
+        (["--port", "/dev/x", "--addresses", "x"], 2),
+        (["--port", "/dev/x", "--addresses", "1-99999999999"], 1),
+        (["--port", "/dev/x", "--name", "hall 3"], 2),
+        (["--port", "COM1"], 2),
+        (["--port", "/dev/x", "--url", "http://127.0.0.1:1"], 2),
+        (["--port", "/dev/x", "-o", "/no/such/place.yaml"], 2),
+        (["--all-bauds"], 2),
+        (["--port", "/dev/x", "--all-bauds", "--bauds", "9600"], 2),
+        ([], 3),
     ],
 )
-def test_what_cannot_be_is_said(run: Run, words: list[str], status: int, said: str) -> None:
+def test_what_cannot_be_is_said(run: Run, words: list[str], status: int, golden: Golden) -> None:
     ran = run("scan", *words)
     assert (ran.status, ran.out) == (status, "")
-    assert said in ran.err
+    golden(ran.err.partition("; is the adapter")[0])  # which are there, each machine says
 
 
 def test_a_file_is_overwritten_only_when_told_to(run: Run, tmp_path: Path) -> None:

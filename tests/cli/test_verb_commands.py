@@ -8,6 +8,7 @@ import pytest
 
 from cli.conftest import Run
 from cli.daemon_stub import DaemonStub
+from support.golden import Golden
 
 pytestmark = pytest.mark.clock
 
@@ -51,25 +52,25 @@ def test_a_speed_is_sent_with_its_unit(
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    "words",
     [
-        (["35"], "35 has no unit, write 35 Hz or 35%"),
-        (["-35"], "-35 has no unit"),
-        (["fast"], "`fast` is no speed, write it like 35 Hz or 70%"),
-        (["35,4", "Hz"], "35,4 has a decimal comma, write 35.4"),
-        (["1.2.3", "Hz"], "`1.2.3` is no value"),
-        (["1e1", "Hz"], "1e1 has an exponent, write 10"),
-        (["-3.5E1%"], "-3.5E1 has an exponent, write -35"),
-        (["1e99999", "Hz"], "1e99999 has an exponent, write a number such as 35.4"),
-        ([], "Missing argument"),
+        ["35"],
+        ["-35"],
+        ["fast"],
+        ["35,4", "Hz"],
+        ["1.2.3", "Hz"],
+        ["1e1", "Hz"],
+        ["-3.5E1%"],
+        ["1e99999", "Hz"],
+        [],
     ],
 )
 def test_a_speed_that_is_none_is_refused_here(
-    run: Run, daemon: DaemonStub, words: list[str], says: str
+    run: Run, daemon: DaemonStub, words: list[str], golden: Golden
 ) -> None:
     ran = run("set-speed", "feeder", *words)
     assert (ran.status, daemon.asked) == (2, [])
-    assert says in ran.err
+    golden(ran.err)
     assert "\0" not in ran.err
 
 

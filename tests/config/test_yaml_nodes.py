@@ -9,6 +9,7 @@ import yaml
 
 from lecombus.config.mistakes import Mistakes, RosterError
 from lecombus.config.yaml_nodes import DEEPEST, ListNode, MappingNode, Node, Scalar, compose
+from support.golden import Golden
 
 PARSERS = [yaml.SafeLoader, *([yaml.CSafeLoader] if yaml.__with_libyaml__ else [])]
 
@@ -75,27 +76,23 @@ def test_merged_keys_give_way_to_written_ones_wherever_they_stand(parser: Any) -
     assert plainly(node)["d"] == {"y": "6", "z": "4"}
 
 
-def test_merging_what_is_no_mapping_is_noted(parser: Any) -> None:
+def test_merging_what_is_no_mapping_is_noted(parser: Any, golden: Golden) -> None:
     _, mistakes = composed("a: &a 1\nb: {<<: *a}", parser)
-    assert mistakes == [
-        "f:1:4: `<<` is given what is no mapping, give an alias of a mapping, such as "
-        "`<<: *defaults`"
-    ]
+    golden(*mistakes)
 
 
-def test_a_key_that_stands_twice_is_noted_and_the_first_one_kept(parser: Any) -> None:
+def test_a_key_that_stands_twice_is_noted_and_the_first_one_kept(
+    parser: Any, golden: Golden
+) -> None:
     node, mistakes = composed("a: 1\nb: 2\na: 3", parser)
     assert plainly(node) == {"a": "1", "b": "2"}
-    assert mistakes == ["f:3:1: the key `a` stands twice (first in line 1), keep one of the two"]
+    golden(*mistakes)
 
 
-def test_tags_are_noted_and_never_acted_on(parser: Any) -> None:
+def test_tags_are_noted_and_never_acted_on(parser: Any, golden: Golden) -> None:
     text = "a: !!python/object/apply:os.system [ls]\nb: !thing x\nc: !!str 5"
     _, mistakes = composed(text, parser)
-    assert [mistake.split(",")[0] for mistake in mistakes] == [
-        ["f:1:4: the tag `tag:yaml.org", "2002:python/object/apply:os.system` is refused"][0],
-        "f:2:4: the tag `!thing` means nothing here",
-    ]
+    golden(*mistakes)
 
 
 def test_a_text_without_document_is_nothing(parser: Any) -> None:
@@ -104,26 +101,25 @@ def test_a_text_without_document_is_nothing(parser: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "expected"),
+    ("text", "place"),
     [
-        ("a:\n\t- b\n", "f:2:1: not valid YAML: a tab stands where YAML wants spaces, indent with "
-         "spaces"),
-        ("a: b: c", "f:1:5: not valid YAML: a `:` stands where no key can be, align the key with "
-         "its neighbours, or quote a text that contains `: `"),
-        ("line:\n  port: sim:\n", 'f:2:12: not valid YAML: a value that ends in `:` needs quotes, '
-         'write port: "sim:"'),
-        ("a: *b", "f:1:4: the alias `*b` refers to nothing, write the anchor `&b` before it, or "
-         "quote a value that begins with *"),
-        ("a: &a [*a]", "f:1:8: the alias `*a` refers to what it stands in, write the entry out"),
-        ("a: 1\n---\nb: 2", "f:2:1: a second document begins here, remove the `---` before it: a "
-         "file is one roster"),
-        ("{[a]: b}", "f:1:2: a list or mapping cannot be a key, write `key: value`"),
-        ("a: b\x07c", "f:1:5: the character U+0007 cannot stand in a YAML file, remove it"),
-        ("a: 1\nb: \ud800", "f:2:4: the character U+D800 cannot stand in a YAML file, remove it"),
+        ("a:\n\t- b\n", "f:2:1"),
+        ("a: b: c", "f:1:5"),
+        ("line:\n  port: sim:\n", "f:2:12"),
+        ("a: *b", "f:1:4"),
+        ("a: &a [*a]", "f:1:8"),
+        ("a: 1\n---\nb: 2", "f:2:1"),
+        ("{[a]: b}", "f:1:2"),
+        ("a: b\x07c", "f:1:5"),
+        ("a: 1\nb: \ud800", "f:2:4"),
     ],
-)  # fmt: skip
-def test_what_is_no_yaml_is_one_mistake_at_its_place(text: str, expected: str, parser: Any) -> None:
-    assert refused(text, parser) == expected
+)
+def test_what_is_no_yaml_is_one_mistake_at_its_place(
+    text: str, place: str, parser: Any, golden: Golden
+) -> None:
+    words = refused(text, parser)
+    assert words.startswith(f"{place}: ")
+    golden(words)
 
 
 @pytest.mark.parametrize(

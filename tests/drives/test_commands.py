@@ -7,6 +7,7 @@ import pytest
 from lecombus.drives import ControlWordInfo, Family, family
 from lecombus.errors import CodeValueError
 from lecombus.parameters import Code
+from support.golden import Golden
 
 CONTROL = Code(135)
 
@@ -87,20 +88,21 @@ def test_several_bits_change_at_once() -> None:
 
 
 @pytest.mark.parametrize(
-    ("column", "name", "message"),
+    ("column", "name"),
     [
-        ("93xx", "bit_4", "bit 4 of C0135 is free: .*; quick_stop"),
-        ("93xx 4001", "bit_0", "bit 0 of C0135 is free"),
-        ("93xx", "jog", "C0135 has no bit jog; quick_stop, controller_inhibit, trip_reset can"),
-        ("820x", "trip_reset", "C0135 has no bit trip_reset; direction_ccw"),
-        ("820x", "bit_11", "bit 11 of C0135 is reserved"),
-        ("821x", "bit_99", "C0135 has no bit bit_99"),
-        ("821x", "", "C0135 has no bit ;"),
+        ("93xx", "bit_4"),
+        ("93xx 4001", "bit_0"),
+        ("93xx", "jog"),
+        ("820x", "trip_reset"),
+        ("820x", "bit_11"),
+        ("821x", "bit_99"),
+        ("821x", ""),
     ],
 )
-def test_what_nobody_here_knows_cannot_be_changed(column: str, name: str, message: str) -> None:
-    with pytest.raises(CodeValueError, match=message):
+def test_what_nobody_here_knows_cannot_be_changed(column: str, name: str, golden: Golden) -> None:
+    with pytest.raises(CodeValueError) as caught:
         word_of(column).encode(0, {name: True})
+    golden(caught.value)
 
 
 def test_a_field_takes_only_the_numbers_it_has() -> None:

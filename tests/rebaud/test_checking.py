@@ -9,6 +9,7 @@ from lecombus.fieldbus.lecom.rebaud import DrivePlace, Subject
 from lecombus.fieldbus.lecom.simulator import SimDrive
 from lecombus.fieldbus.lecom.simulator.motor import Motor
 from lecombus.parameters import Code
+from support.golden import Golden
 from support.rebauding import RebaudLine, Write, subject_of
 
 FAMILIES = ("820x", "821x", "822x", "824x", "8200vector", "93xx", "smvector")
@@ -89,7 +90,7 @@ def test_a_coasting_inverter_passes_and_is_not_called_standing(
 
 
 def test_a_93xx_measures_its_speed_and_must_have_come_to_rest(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, golden: Golden
 ) -> None:
     line = turning("93xx", monkeypatch)
     host, address = line.scanned.host, line["93xx"].address
@@ -97,13 +98,12 @@ def test_a_93xx_measures_its_speed_and_must_have_come_to_rest(
     line.check()
     assert line.kinds == ["not-stopped"]
     obstacle = line.work.obstacles[0]
-    assert "is inhibited, but still turns" in obstacle.problem
-    assert obstacle.remedy == "wait until its motor has come to rest, then try again"
+    golden(obstacle.problem, obstacle.remedy)
     host.wait(60.0)
     line.work.obstacles.clear()
     line.check()
     assert line.kinds == []
-    assert line.work.drives[0].motion == "inhibited; it measures a speed of 0"
+    golden(line.work.drives[0].motion)
 
 
 @pytest.mark.parametrize(("configuration", "kinds"), [("1001", []), ("2001", ["not-stopped"])])

@@ -16,6 +16,7 @@ from lecombus.fieldbus.lecom.simulator import (
     build,
     send_to_simulator,
 )
+from support.golden import Golden
 
 pytestmark = pytest.mark.clock
 
@@ -154,34 +155,35 @@ def test_a_drive_is_looked_at(control: Control, line: SimLine) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    "text",
     [
-        ("jump", "there is no `jump`: one of help, drives"),
-        ("help jump", "there is no `jump`"),
-        ("trip feeder", r"write trip DRIVE NUMBER \[stays\]"),
-        ("trip feedr 50", "there is no drive `feedr`: did you mean feeder?"),
-        ("trip feeder 5x", "`5x` is not a LECOM fault number"),
-        ("trip feeder 37", "no fault has the number 37 here: 11, 12"),
-        ("trip feeder 50 always", "`always`"),
-        ("power-cycle feeder 3", "3 has no unit"),
-        ("terminal feeder ajar", r"write terminal DRIVE open\|closed"),
-        ("set feeder X12 7", "`X12` is no code, write C0012"),
-        ("set feeder C0012 1301", "C0012 cannot be `1301`: 0 to 1300"),
-        ("set feeder C0050 7", "what the drive itself measures"),
-        ("get feeder C4711", "feeder has no code C4711"),
-        ("faults late=2", "the chance is a number from 0 to 1"),
-        ("faults absent=77", "no drive has the address 77"),
-        ("faults trip=11:50", "by `trip`"),
-        ("trip 'feeder 50", "close the quotation mark"),
-        ("log feeder x", "`x` is not a number"),
-        ("unplug x", "x "),
+        "jump",
+        "help jump",
+        "trip feeder",
+        "trip feedr 50",
+        "trip feeder 5x",
+        "trip feeder 37",
+        "trip feeder 50 always",
+        "power-cycle feeder 3",
+        "terminal feeder ajar",
+        "set feeder X12 7",
+        "set feeder C0012 1301",
+        "set feeder C0050 7",
+        "get feeder C4711",
+        "faults late=2",
+        "faults absent=77",
+        "faults trip=11:50",
+        "trip 'feeder 50",
+        "log feeder x",
+        "unplug x",
     ],
 )
 def test_nonsense_is_answered_with_what_would_be_right(
-    control: Control, text: str, message: str
+    control: Control, text: str, golden: Golden
 ) -> None:
-    with pytest.raises(ControlError, match=message):
+    with pytest.raises(ControlError) as caught:
         control.do(text)
+    golden(caught.value)
 
 
 def test_an_empty_line_does_nothing(control: Control) -> None:

@@ -8,7 +8,9 @@ Other assertions look at kinds, places and values, so that a reworded message fa
 from __future__ import annotations
 
 import difflib
+from collections.abc import Mapping
 from pathlib import Path
+from zlib import crc32
 
 import pytest
 
@@ -17,6 +19,8 @@ __all__ = ["NAME", "Golden", "GoldenFiles", "read_golden"]
 NAME = "golden.txt"
 HEAD = "What the program says in the tests of this folder; `make golden` writes it again."
 MARK = "== "
+LONGEST = 120
+"""So long a test's name may be; what is longer is cut off."""
 
 
 def read_golden(path: Path) -> dict[str, str]:
@@ -71,12 +75,16 @@ class Golden:
         files: The files.
         path: The file of this test's folder.
         key: The test.
+        places: Folders that are new in each run, by the name they are shown by.
     """
 
-    def __init__(self, files: GoldenFiles, path: Path, key: str) -> None:
+    def __init__(
+        self, files: GoldenFiles, path: Path, key: str, places: Mapping[str, Path]
+    ) -> None:
         self._files = files
         self._path = path
-        self._key = key
+        self._key = key if len(key) < LONGEST else f"{key[:LONGEST]}.. {crc32(key.encode()):08x}"
+        self._places = places
         self._count = 0
 
     def __call__(self, *said: object) -> None:
@@ -85,6 +93,8 @@ class Golden:
         key = self._key if self._count == 1 else f"{self._key} #{self._count}"
         text = "\n".join(line.rstrip() for one in said for line in str(one).splitlines())
         text = text.strip("\n")
+        for name, place in self._places.items():
+            text = text.replace(str(place), name)
         assert text, "nothing was said"
         assert f"\n{MARK}" not in f"\n{text}", "this would be read as a headline"
         if self._files.writes:
