@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 from lecombus.drives import family
-from lecombus.fieldbus.lecom.exchanges.extended_listen import ExtendedListen
+from lecombus.fieldbus.lecom.exchanges.idle_receive import ExtendedListen
 from lecombus.fieldbus.station import Station
 from lecombus.parameters import Code
 from lecombus.schedule.shares import LISTEN_EVERY_S

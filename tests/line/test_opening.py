@@ -82,8 +82,3 @@ def test_a_right_url_is_no_mistake(url: str) -> None:
 
 def test_a_socket_url_without_a_port_is_a_mistake_before_anything_is_opened() -> None:
     assert "HOST:PORT" in (url_mistake("socket://server") or "")
-
-
-def test_a_scheme_that_the_caller_opens_itself_is_no_mistake() -> None:
-    assert url_mistake("sim:", others=("sim",)) is None
-    assert url_mistake("sim:five-families", others=("sim",)) is None

@@ -52,7 +52,7 @@ def writing() -> WriteJob:
 def test_a_read_carries_parity_where_we_make_it_and_not_where_a_device_does() -> None:
     where = preparer()
     assert ask(where, ReadJob(station(), STATUS, 0)).ask.sent == b"\x84\x30\xb1\x3f\x30\x05"
-    where.parity = False
+    where.opened(parity=False)
     assert ask(where, ReadJob(station(), STATUS, 0)).ask.sent == b"\x0401?0\x05"
 
 

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from lecombus.drives import family
 from lecombus.drives.measured import MeasuredTimes
+from lecombus.fieldbus.lecom.exchanges.idle_receive import UnsolicitedBytes
 from lecombus.fieldbus.lecom.exchanges.late_replies import PendingLateReplies, UnansweredRead
-from lecombus.fieldbus.lecom.exchanges.unsolicited_bytes import UnsolicitedBytes
 from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
 from lecombus.fieldbus.lecom.protocol.exchange import ACK_FIELD
 from lecombus.fieldbus.lecom.protocol.parser import with_parity

@@ -1,15 +1,36 @@
-"""The exchange loop of a protocol, as the worker and its line use it."""
+"""The exchange loop of a protocol, as the worker and its line use it, and how a line is worked."""
 
 from __future__ import annotations
 
 from collections.abc import Awaitable, Mapping
+from dataclasses import dataclass
 from typing import Protocol
 
 from lecombus.errors import LineLostError
 from lecombus.fieldbus.port import Port, Receiver
 from lecombus.fieldbus.reports import Observer
 
-__all__ = ["ExchangeLoop", "LateWakes", "OpenConnection", "SecondAnswerCount"]
+__all__ = ["ExchangeLoop", "LateWakes", "OpenConnection", "SecondAnswerCount", "WorkerOptions"]
+
+
+@dataclass(frozen=True, slots=True)
+class WorkerOptions:
+    """How one line is worked.
+
+    Args:
+        turnaround_s: Least pause between the end of an answer and the next telegram, seconds.
+        late_answer_s: How late an answer may still come after it was given up, seconds.
+        stall_s: Silence from all drives after which the port is reopened, seconds; 0: never.
+        echo: Whether the line echoes; None: find out.
+        quarantine: Keep silence after a failed exchange. False only to show what it is good for.
+    """
+
+    turnaround_s: float = 0.002
+    late_answer_s: float = 0.5
+    stall_s: float = 30.0
+    echo: bool | None = None
+    quarantine: bool = True
+
 
 SecondAnswerCount = tuple[int, Mapping[str, int]]
 """How many second answers came within the last minute, and behind whose answers alone."""

@@ -15,6 +15,8 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
+from lecombus.errors import LineLostError
+
 __all__ = ["Direction", "Framing", "Parity", "Port", "PortOpener", "PortSettings", "Receiver"]
 
 Direction = Literal["adapter", "kernel", "rts"]
@@ -101,6 +103,10 @@ class PortSettings:
     direction: Direction = "adapter"
     framing: Framing = "8N1"
     line: str = ""
+
+    def error(self, why: str) -> LineLostError:
+        """Return the error of a port that is lost or cannot be opened."""
+        return LineLostError(f"{self.url}: {why}", line=self.line)
 
 
 PortOpener = Callable[[PortSettings, Receiver], Awaitable[Port]]

@@ -13,8 +13,7 @@ from typing import Protocol
 from lecombus.drives import Family
 from lecombus.errors import ConfigError
 from lecombus.fieldbus.costs import ExchangeCosts, LineTiming
-from lecombus.fieldbus.loop import ExchangeLoop, LateWakes, OpenConnection
-from lecombus.fieldbus.options import WorkerOptions
+from lecombus.fieldbus.loop import ExchangeLoop, LateWakes, OpenConnection, WorkerOptions
 from lecombus.fieldbus.port import Framing, Parity, PortOpener
 from lecombus.fieldbus.reports import Observer
 from lecombus.fieldbus.requests import RequestMaker

@@ -19,10 +19,7 @@ from ..errors import LineLostError
 from .serial_port import open_serial
 from .tcp_port import host_and_port, open_tcp
 
-__all__ = ["RFC2217_REFUSAL", "SCHEMES", "open_port", "url_mistake"]
-
-SCHEMES = ("socket://HOST:PORT", "sim:")
-"""What a port may be besides a device path, as it is written."""
+__all__ = ["RFC2217_REFUSAL", "open_port", "url_mistake"]
 
 RFC2217_REFUSAL = (
     "rfc2217:// is not supported: use socket://HOST:PORT, and have the device server pass raw "
@@ -47,29 +44,23 @@ async def open_port(settings: PortSettings, receiver: Receiver) -> Port:
     return await _OPENERS.get(_scheme(settings.url), open_serial)(settings, receiver)
 
 
-def url_mistake(url: str, *, others: tuple[str, ...] = ()) -> str | None:
+def url_mistake(url: str) -> str | None:
     """Say what is wrong with a port's URL and what would be right.
-
-    Args:
-        url: The URL or device path.
-        others: Further schemes that the caller opens itself, such as `sim`.
 
     Returns:
         The mistake; None if there is none that shows without opening it.
     """
     scheme = _scheme(url)
-    if scheme in others:
-        return None
     if scheme == "rfc2217":
         return f"{url}: {RFC2217_REFUSAL}"
     if scheme == "socket":
         try:
             host_and_port(url)
         except ValueError as exc:
-            return str(exc)
+            return f"{url}: {exc}"
     elif scheme or not url.startswith("/"):
-        known = ", ".join(one for one in SCHEMES if one != "sim:" or "sim" in others)
-        return f"{url!r} is no port: use a device path such as /dev/serial/by-id/.., or {known}"
+        right = "a device path such as /dev/serial/by-id/.., or socket://HOST:PORT"
+        return f"{url!r} is no port: use {right}"
     return None
 
 

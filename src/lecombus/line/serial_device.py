@@ -30,7 +30,6 @@ from serial.rs485 import RS485Settings
 
 from lecombus.fieldbus.port import Framing, PortSettings
 
-from ..errors import LineLostError
 from . import devices
 
 __all__ = ["Device", "open_device", "reason"]
@@ -96,7 +95,7 @@ def open_device(settings: PortSettings) -> Device:
             device.rts = False  # opening ignores a device without RTS, this does not
     except (OSError, ValueError, termios.error) as exc:
         device.close()
-        raise LineLostError(_why_not_open(settings, exc), line=settings.line) from exc
+        raise settings.error(_why_not_open(settings, exc)) from exc
     if not pseudo:
         _claim(device, settings)
     _remark(device, settings)
@@ -130,7 +129,7 @@ def _claim(device: Device, settings: PortSettings) -> None:
     others.pop(os.getpid(), None)
     if others:
         device.close()
-        raise LineLostError(_in_use(settings.url, others), line=settings.line)
+        raise settings.error(_in_use(others))
     with contextlib.suppress(OSError):
         fcntl.ioctl(device.fileno(), termios.TIOCEXCL)
 
@@ -155,27 +154,27 @@ def _why_not_open(settings: PortSettings, exc: Exception) -> str:
     path, code = settings.url, _number(exc)
     if code == errno.ENOENT:
         now = ", ".join(devices.connected()) or "none"
-        return f"{path}: no such device; is the adapter plugged in? connected now: {now}"
+        return f"no such device; is the adapter plugged in? connected now: {now}"
     if code in (errno.EACCES, errno.EPERM):
-        return f"{path}: permission denied; {_who_may(path)}"
+        return f"permission denied; {_who_may(path)}"
     if code in (errno.EBUSY, errno.EAGAIN):
-        return _in_use(path, devices.holders(path))
+        return _in_use(devices.holders(path))
     if settings.framing != "8N1" and code == errno.EINVAL and isinstance(exc, termios.error):
         remedy = "; parity `line` needs no such device" if settings.framing == "7E1" else ""
-        return f"{path}: the device does not frame {settings.framing}{remedy}"
+        return f"the device does not frame {settings.framing}{remedy}"
     if settings.direction == "rts" and code in (errno.ENOTTY, errno.EINVAL):
-        return f"{path}: the device has no RTS line; direction `adapter` needs none"
+        return "the device has no RTS line; direction `adapter` needs none"
     if "RS485" in str(exc):
         return (
-            f"{path}: the driver cannot switch an RS-485 transceiver (direction `kernel`); use an "
+            "the driver cannot switch an RS-485 transceiver (direction `kernel`); use an "
             "adapter that switches by itself and direction `adapter`, or direction `rts`"
         )
-    return f"{path}: cannot be used as a serial port: {reason(exc)}"
+    return f"cannot be used as a serial port: {reason(exc)}"
 
 
-def _in_use(path: str, holders: dict[int, str]) -> str:
+def _in_use(holders: dict[int, str]) -> str:
     who = ", ".join(holders.values()) or "another user's process"
-    return f"{path}: in use by {who}; stop that first, or let it use another port"
+    return f"in use by {who}; stop that first, or let it use another port"
 
 
 def _who_may(path: str) -> str:

@@ -75,7 +75,7 @@ class SerialPort(SerialTransport):
         longer than the wire would, the port is lost.
         """
         if self._closing:
-            raise self._error("the port is closed")
+            raise self._settings.error("the port is closed")
         if self._write_buffer:
             self._write_buffer.append(data)
             return
@@ -150,7 +150,7 @@ class SerialPort(SerialTransport):
 
     def _lose(self, why: str) -> LineLostError:
         """Close, and report the loss from the loop; only the first call has an effect."""
-        error = self._error(why)
+        error = self._settings.error(why)
         if not self._closing:
             self._loop.call_soon(self._report_loss, error)
             self._shut()
@@ -180,9 +180,6 @@ class SerialPort(SerialTransport):
 
     def _wire_time_s(self, data: bytes) -> float:
         return len(data) * _CHARACTER_BITS[self._settings.framing] / self._settings.baud
-
-    def _error(self, why: str) -> LineLostError:
-        return LineLostError(f"{self._settings.url}: {why}", line=self._settings.line)
 
 
 class PseudoPort(SerialPort):

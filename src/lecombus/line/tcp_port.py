@@ -19,8 +19,6 @@ import anyio
 
 from lecombus.fieldbus.port import PortSettings, Receiver
 
-from ..errors import LineLostError
-
 __all__ = ["CONNECT_TIMEOUT_S", "TcpPort", "host_and_port", "open_tcp"]
 
 CONNECT_TIMEOUT_S = 3.0
@@ -58,7 +56,7 @@ class TcpPort(asyncio.Protocol):
         """Hand all of `data` to the connection."""
         transport = self._transport
         if transport is None or transport.is_closing():
-            raise self._error("the connection is closed")
+            raise self._settings.error("the connection is closed")
         transport.write(data)
 
     def discard_input(self) -> None:
@@ -95,7 +93,7 @@ class TcpPort(asyncio.Protocol):
             LineLostError: The connection ended while it was being made.
         """
         if self._transport is None:
-            raise self._error(self._why)
+            raise self._settings.error(self._why)
         self._silent = False
 
     def describe(self) -> str:
@@ -127,10 +125,7 @@ class TcpPort(asyncio.Protocol):
         if exc is not None:
             self._why = _reason(exc)
         if not self._silent:
-            self._receiver.lost(self._error(self._why))
-
-    def _error(self, why: str) -> LineLostError:
-        return LineLostError(f"{self._settings.url}: {why}", line=self._settings.line)
+            self._receiver.lost(self._settings.error(self._why))
 
 
 def host_and_port(url: str) -> tuple[str, int]:
@@ -146,7 +141,7 @@ def host_and_port(url: str) -> tuple[str, int]:
     except ValueError:
         host, port = None, None
     if not host or not port or url.partition("//")[2] != parts.netloc or "@" in url:
-        raise ValueError(f"{url}: not of the form {scheme}://HOST:PORT, PORT in 1..65535")
+        raise ValueError(f"not of the form {scheme}://HOST:PORT, PORT in 1..65535")
     return host, port
 
 
@@ -167,7 +162,7 @@ async def open_tcp(settings: PortSettings, receiver: Receiver) -> TcpPort:
         with anyio.fail_after(CONNECT_TIMEOUT_S):
             await loop.create_connection(lambda: port, host, number)
     except (OSError, ValueError) as exc:  # a time-out is an OSError
-        raise LineLostError(_why_not_open(settings.url, exc), line=settings.line) from exc
+        raise settings.error(_why_not_open(exc)) from exc
     port.begin()
     return port
 
@@ -182,19 +177,19 @@ def _watch(sock: socket.socket) -> None:
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNACKNOWLEDGED_MS)
 
 
-def _why_not_open(url: str, exc: Exception) -> str:
+def _why_not_open(exc: Exception) -> str:
     if isinstance(exc, ConnectionRefusedError):
-        return f"{url}: connection refused; is the device server running and is that its port?"
+        return "connection refused; is the device server running and is that its port?"
     if isinstance(exc, PermissionError):
         return (
-            f"{url}: operation not permitted; a firewall of this machine refuses it, or the "
+            "operation not permitted; a firewall of this machine refuses it, or the "
             "service needs the drop-in device-server.conf (docs/install.md)"
         )
     if isinstance(exc, TimeoutError):
-        return f"{url}: no answer within {CONNECT_TIMEOUT_S:g} s; check host and network"
+        return f"no answer within {CONNECT_TIMEOUT_S:g} s; check host and network"
     if isinstance(exc, socket.gaierror):
-        return f"{url}: the host name cannot be resolved ({exc.strerror}); check it"
-    return str(exc) if isinstance(exc, ValueError) else f"{url}: {_reason(exc)}"
+        return f"the host name cannot be resolved ({exc.strerror}); check it"
+    return _reason(exc)
 
 
 def _reason(exc: Exception) -> str:

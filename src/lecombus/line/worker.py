@@ -15,8 +15,7 @@ import asyncio
 import anyio
 
 from lecombus.fieldbus.costs import LineTiming
-from lecombus.fieldbus.loop import ExchangeLoop
-from lecombus.fieldbus.options import WorkerOptions
+from lecombus.fieldbus.loop import ExchangeLoop, WorkerOptions
 from lecombus.fieldbus.port import PortOpener, PortSettings
 from lecombus.fieldbus.protocols import Fieldbus
 from lecombus.fieldbus.reports import ExchangeReport, Observer

@@ -15,8 +15,7 @@ from lecombus.fieldbus.lecom.protocol.timing import BAUDS, BITS_PER_CHAR
 from lecombus.fieldbus.lecom.request_maker import RequestMaker
 from lecombus.fieldbus.lecom.roster_costs import RosterCosts
 from lecombus.fieldbus.loop import ExchangeLoop as AnyLoop
-from lecombus.fieldbus.loop import LateWakes, OpenConnection
-from lecombus.fieldbus.options import WorkerOptions
+from lecombus.fieldbus.loop import LateWakes, OpenConnection, WorkerOptions
 from lecombus.fieldbus.port import Framing, Parity, PortOpener
 from lecombus.fieldbus.protocols import Fieldbus
 from lecombus.fieldbus.reports import Observer

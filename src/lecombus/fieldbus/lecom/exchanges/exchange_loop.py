@@ -33,8 +33,7 @@ from typing import Final
 from lecombus.errors import LineLostError
 from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.protocol.exchange import Exchange, Result
-from lecombus.fieldbus.loop import LateWakes, OpenConnection
-from lecombus.fieldbus.options import WorkerOptions
+from lecombus.fieldbus.loop import LateWakes, OpenConnection, WorkerOptions
 from lecombus.fieldbus.port import Port
 from lecombus.fieldbus.reports import Observer, ResultKind
 from lecombus.fieldbus.station import Job
@@ -142,7 +141,7 @@ class ExchangeLoop:
         loop = asyncio.get_running_loop()
         self._time = loop.time
         self.exchange = Exchange(parity=port.carries_parity, echo=self._options.echo)
-        self._preparer.parity = port.carries_parity
+        self._preparer.opened(parity=port.carries_parity)
         self._stall.opened()
         self._idle_receive.opened(loop.time(), parity=port.carries_parity)
         self._ended = ended = loop.create_future()

@@ -1,35 +1,184 @@
 """Receives between exchanges, and decides how long the line stays quiet for a late answer.
 
-After an exchange without its answer there is always a quarantine (`bus_idle`). If `extended_listen`
-asks for it, the quarantine is extended until the answer of a very slow drive would have come. That
-delays cyclic reads of other drives by up to a second, and nothing else. The extension begins only
-if every watchdog can still be fed in time after it. It ends when anything but cyclic and background
-work needs the line: a stop, a control word, an urgent feed, a client's request. The next telegram
-begins with EOT, which makes a drive drop an answer that it has not sent yet (EDB2102EN 8.3). Late
-replies stay pending, and the quarantine lasts, as long as without the extension.
+What comes then (`UnsolicitedBytes`: late answers, noise, another device) is never used as a value.
+A complete read answer that was pending ends that wait: a request with the same answer may be sent
+again. If it was the only pending one, it also measures how slow its drive is (`drives.measured`).
+
+After an exchange without its answer there is always a quarantine (`bus_idle`). A drive far slower
+than its manual would never be received on a busy line: the next telegram cancels its answer before
+it begins. So after a cyclic read or a probe without answer, several times in a row
+(`ExtendedListen`), the quarantine is extended for up to a second, until such an answer would have
+come. That delays cyclic reads of other drives, and nothing else. The extension begins only if every
+watchdog can still be fed in time after it. It ends when anything but cyclic and background work
+needs the line: a stop, a control word, an urgent feed, a client's request. The next telegram begins
+with EOT, which makes a drive drop an answer that it has not sent yet (EDB2102EN 8.3). Late replies
+stay pending, and the quarantine lasts, as long as without the extension.
+
+Limits: once a minute for a line, once in five minutes for a code of a drive, and less often while
+nothing arrives, because the drive is usually absent. A second time in the same minute is allowed
+after a late answer, because one late answer alone proves nothing.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Final
 
-from lecombus.fieldbus.lecom.protocol.exchange import Result
+from lecombus.fieldbus.lecom.exchanges.duplicates import Duplicates
+from lecombus.fieldbus.lecom.exchanges.jobs import ReadJob
+from lecombus.fieldbus.lecom.exchanges.late_replies import PendingLateReplies, UnansweredRead
+from lecombus.fieldbus.lecom.exchanges.prepared_telegrams import PreparedTelegram
+from lecombus.fieldbus.lecom.protocol.exchange import ACK_FIELD, Result
+from lecombus.fieldbus.lecom.protocol.parser import AnswerParser
+from lecombus.fieldbus.lecom.protocol.telegrams import (
+    BadAnswer,
+    TransmissionErrorAnswer,
+    UnknownCodeAnswer,
+    ValueAnswer,
+)
+from lecombus.fieldbus.lecom.protocol.timing import MAX_ANSWER_CHARS
 from lecombus.fieldbus.reports import ResultKind
 from lecombus.fieldbus.station import Station
 from lecombus.line.bus_idle import BusIdleTimer
 from lecombus.parameters import Code
 from lecombus.schedule import Priority, Request, Schedule
-from lecombus.schedule.shares import LISTEN_S
+from lecombus.schedule.shares import LISTEN_EVERY_S, LISTEN_S
 
-from .duplicates import Duplicates
-from .extended_listen import ExtendedListen
-from .jobs import ReadJob
-from .late_replies import PendingLateReplies
-from .prepared_telegrams import PreparedTelegram
-from .unsolicited_bytes import UnsolicitedBytes
+__all__ = ["ExtendedListen", "IdleReceive", "UnsolicitedBytes"]
 
-__all__ = ["IdleReceive"]
+
+class UnsolicitedBytes:
+    """Listens between exchanges.
+
+    Args:
+        late_replies: Is updated when a late answer has come.
+        second: Called with the code field and time of an answer that is not missing.
+    """
+
+    def __init__(
+        self,
+        late_replies: PendingLateReplies,
+        second: Callable[[bytes, float], None] = lambda field, now_s: None,
+    ) -> None:
+        self._late_replies = late_replies
+        self._second = second
+        self._parser = AnswerParser(parity=True)
+        # Asked last, and listened for since.
+        self.awaited: tuple[bytes, UnansweredRead] | None = None
+        self.bytes_total = 0
+        self._begun_at = 0
+
+    def opened(self, *, parity: bool) -> None:
+        """A port was opened; bytes carry even parity in bit 7 if `parity`."""
+        self._parser = AnswerParser(parity=parity)
+
+    def begin(self) -> None:
+        """Start again: an exchange has just been given up."""
+        self._begun_at = self.bytes_total
+        self._parser.reset()
+
+    @property
+    def is_endless(self) -> bool:
+        """Whether more has come since an exchange was given up than any answer is long."""
+        return self.bytes_total - self._begun_at > MAX_ANSWER_CHARS
+
+    def feed(self, data: bytes, now_s: float) -> bool:
+        """Process unsolicited bytes.
+
+        Args:
+            data: The bytes, parity bits included.
+            now_s: When they came.
+
+        Returns:
+            Whether they completed a whole old answer.
+        """
+        self.bytes_total += len(data)
+        answer = self._parser.feed(data)
+        if answer is None:
+            return False
+        self._parser.reset()
+        if isinstance(answer, BadAnswer):
+            return False
+        if isinstance(answer, ValueAnswer | UnknownCodeAnswer | TransmissionErrorAnswer):
+            self._measure(answer.field, now_s)
+            if not self._late_replies.resolve(answer.field):
+                self._second(answer.field, now_s)
+        elif self._late_replies.blocked_until_s(ACK_FIELD, now_s) <= now_s:
+            self._second(ACK_FIELD, now_s)
+        return True
+
+    def _measure(self, field: bytes, now_s: float) -> None:
+        """Let a drive know its own slowness, where it is certain whose answer this is.
+
+        The end of the answer is taken for its beginning: a time-out may rather be too long.
+        """
+        asked = self._late_replies.sole(field, now_s)
+        if self.awaited is not None:  # nothing was sent since, however long ago that was
+            asked = self.awaited[1] if self.awaited[0] == field else None
+        if asked is not None:
+            station, code = asked.station, asked.code
+            late_s = now_s - asked.said_s
+            station.measured.note_late(code, station.documented_s(code), late_s, now_s)
+
+
+CUT_S: Final = 2.0
+"""After an interrupted extended listen the next one waits at least this long, seconds."""
+MISSES: Final = 3
+CODE_EVERY_S: Final = 300.0
+CODE_EVERY_MOST_S: Final = 3600.0
+MOST_RUNS: Final = 512
+
+
+@dataclass(slots=True)
+class _Run:
+    """The misses of one code of one drive since it was last answered in time."""
+
+    since_s: float
+    misses: int = 0
+    next_s: float = 0.0
+    every_s: float = CODE_EVERY_S
+
+
+class ExtendedListen:
+    """Counts missing answers and extended listens."""
+
+    def __init__(self) -> None:
+        self._runs: dict[tuple[str, Code], _Run] = {}
+        self._next_s = 0.0
+        self._heard = False  # something, the last time
+
+    def wanted(self, station: Station, code: Code, now_s: float) -> bool:
+        """Count a read without answer; return whether to extend the receive time for it."""
+        key = (station.name, code)
+        run = self._runs.get(key)
+        answered_s = station.measured.answered_s(code)
+        if run is None or (answered_s is not None and answered_s > run.since_s):
+            if len(self._runs) >= MOST_RUNS:
+                self._runs.clear()
+            run = self._runs[key] = _Run(now_s)
+        run.misses += 1
+        return run.misses >= MISSES and now_s >= max(run.next_s, self._next_s)
+
+    def in_vain(self, station: Station, code: Code, now_s: float) -> None:
+        """Record that the whole extended time passed without an answer."""
+        run = self._runs.get((station.name, code))
+        if run is not None:
+            run.next_s = now_s + run.every_s
+            run.every_s = min(2.0 * run.every_s, CODE_EVERY_MOST_S)
+        self._next_s = now_s + LISTEN_EVERY_S
+        self._heard = False
+
+    def cut(self, now_s: float) -> None:
+        """Record that an urgent request ended the extended time."""
+        self._next_s = now_s + CUT_S
+
+    def heard(self, now_s: float) -> None:
+        """Record that the late answer came."""
+        if self._heard:
+            self._next_s = now_s + LISTEN_EVERY_S
+        self._heard = not self._heard
+
 
 LEAST_S = 0.02
 """Less than this on top of the quarantine is not worth it, seconds."""
@@ -80,7 +229,7 @@ class IdleReceive:
     def opened(self, now_s: float, *, parity: bool) -> None:
         """A port was opened; bytes carry even parity in bit 7 if `parity`."""
         self._awaited = None
-        self._unsolicited.parity = parity
+        self._unsolicited.opened(parity=parity)
         self._bus_idle.opened(now_s)
 
     def stray(self, data: bytes, now_s: float, gap_s: float) -> bool:

@@ -84,16 +84,11 @@ class TelegramPreparer:
         self._parity = True
         self.gap_s = 5.0 * timing.char_s + timing.adapter_latency_s
 
-    @property
-    def parity(self) -> bool:
-        """Whether telegrams carry even parity in bit 7."""
-        return self._parity
-
-    @parity.setter
-    def parity(self, value: bool) -> None:
-        if value != self._parity:
+    def opened(self, *, parity: bool) -> None:
+        """A port was opened; telegrams carry even parity in bit 7 if `parity`."""
+        if parity != self._parity:
             self._reads.clear()
-        self._parity = value
+        self._parity = parity
 
     def ask(self, job: Job, now_s: float, *, urgent: bool) -> PreparedTelegram | float:
         """Put the job's next step into a telegram.
