@@ -19,8 +19,8 @@ def slow_line(cost_s: float, worst_s: float, *, drives: int = 20, time_s: float 
     """A line of which every drive was measured to be slow, and is as quick as it ever was."""
     world = World(lasts_s=COST_S).drives(*NAMES[:drives])
     for name in NAMES[:drives]:
-        world.feed(name, time_s, cost_s=cost_s, worst_s=worst_s, told=TOLD)
-        world.cyclic(name, 5.0, cost_s=cost_s, worst_s=worst_s, told=TOLD)
+        world.feed(name, time_s, cost_s=cost_s, worst_s=worst_s, documented=TOLD)
+        world.cyclic(name, 5.0, cost_s=cost_s, worst_s=worst_s, documented=TOLD)
     return world
 
 
@@ -35,7 +35,7 @@ def test_a_line_that_only_seems_slow_takes_requests_of_every_class(
 
     def ask() -> None:
         asked.append(
-            world.submit("d3", priority, cost_s=cost_s, worst_s=worst_s, told=(COST_S, 0.3))
+            world.submit("d3", priority, cost_s=cost_s, worst_s=worst_s, documented=(COST_S, 0.3))
         )
 
     for number in range(10):
@@ -53,7 +53,7 @@ def test_a_drive_that_is_slow_is_waited_for_as_long_as_the_watchdogs_of_others_l
     world.feed("a", 2.0)
     world.feed("b", 2.0)
     world.silent.add("slow")
-    request = world.submit("slow", worst_s=2.5, told=TOLD)
+    request = world.submit("slow", worst_s=2.5, documented=TOLD)
     world.run(10.0)
     assert world.outcome(request)[0] is Outcome.UNKNOWN
     (sent,) = [one for one in world.sent if one.request is request]
@@ -67,10 +67,10 @@ def test_what_only_fits_by_the_manual_goes_now_and_then() -> None:
     """Here the measures are right: feeding all takes 1 s of each 1.8 s."""
     world = World().drives(*NAMES[:10])
     for name in NAMES[:10]:
-        world.feed(name, 2.0, cost_s=0.1, worst_s=0.3, told=TOLD)
+        world.feed(name, 2.0, cost_s=0.1, worst_s=0.3, documented=TOLD)
     world.run(5.0)
     began_s = world.now_s
-    world.saturate(P.CONTROL, NAMES[:3], cost_s=0.1, worst_s=1.0, told=(COST_S, 0.75))
+    world.saturate(P.CONTROL, NAMES[:3], cost_s=0.1, worst_s=1.0, documented=(COST_S, 0.75))
     world.run(began_s + 60.0)
     starts = world.starts(lambda one: one.priority is P.CONTROL)
     assert 30 <= len(starts) <= 61
@@ -91,14 +91,14 @@ def test_without_measures_what_can_never_fit_is_refused_as_ever() -> None:
 
 def test_a_manual_that_does_not_fit_is_refused_whatever_was_measured() -> None:
     world = slow_line(0.25, 0.6)
-    request = world.submit("d3", worst_s=5.0, told=(COST_S, 3.0))
+    request = world.submit("d3", worst_s=5.0, documented=(COST_S, 3.0))
     world.run(1.0)
     assert world.outcome(request)[0] is Outcome.REFUSED
 
 
 def test_what_feeding_costs_is_reckoned_anew_when_it_changes() -> None:
     world = World().drives("a", "b")
-    costs: dict[str, Any] = {"cost_s": 0.5, "worst_s": 1.2, "told": TOLD}
+    costs: dict[str, Any] = {"cost_s": 0.5, "worst_s": 1.2, "documented": TOLD}
 
     def make() -> Request:
         return world.request("a", P.WATCHDOG, **costs)
@@ -107,6 +107,6 @@ def test_what_feeding_costs_is_reckoned_anew_when_it_changes() -> None:
     world.cyclic("a", 0.2)
     world.run(2.0)
     slack_s = world.schedule.stats(world.now_s).slack_s
-    costs = {"cost_s": COST_S, "worst_s": WORST_S, "told": None}
+    costs = {"cost_s": COST_S, "worst_s": WORST_S, "documented": None}
     world.schedule.costs_changed("a")
     assert world.schedule.stats(world.now_s).slack_s == pytest.approx(slack_s + 0.48)

@@ -570,7 +570,7 @@ def test_an_exchange_is_refused_if_a_lost_stop_behind_it_would_make_a_watchdog_a
 def test_measured_times_refuse_nothing_for_a_stop_behind_it() -> None:
     """They may be wrong, and must not close the line."""
     world = lost_stop_world()
-    slow = world.submit("a", cost_s=0.5, worst_s=0.6, told=(0.3, 0.4))
+    slow = world.submit("a", cost_s=0.5, worst_s=0.6, documented=(0.3, 0.4))
     world.run(5.0)
     assert world.outcome(slow)[0] is Outcome.DONE
 

@@ -2,7 +2,7 @@
 
 A request is a drive, an opaque piece of work, what it costs on the line in seconds and by when it
 must have begun. Nothing here knows a line protocol: the codes and values are inside `work`, which
-only the line reads. Everyone who puts a request into a schedule is told its end exactly once
+only the line reads. Everyone who puts a request into a schedule gets its end exactly once
 through `settle`.
 """
 
@@ -114,7 +114,7 @@ class Request:
         stops: For a stop: the drives whose waiting writes it ends.
         members: For a multicast: the drives it reaches.
         submitted_at_s: When the schedule took it; for a cyclic slot, when it was due.
-        told: Cost and longest time by manual and roster alone, seconds, where measured answer times
+        documented: Cost and longest time by manual and roster alone, seconds, where measured times
             made them longer; None: they did not.
         cut_outcome: How it ends when a stop, a later request, a parked drive or a lost line cuts
             it off between two of its steps. The line sets it after each step.
@@ -140,7 +140,7 @@ class Request:
     members: tuple[str, ...] = ()
     submitted_at_s: float = 0.0
     cut_outcome: Outcome | None = None
-    told: tuple[float, float] | None = None
+    documented: tuple[float, float] | None = None
     yields: bool = False
     hold_s: float = 0.0
     is_gone: Callable[[], bool] | None = None
@@ -162,8 +162,8 @@ class Request:
 
     def shorten(self, worst_s: float) -> None:
         """Have it hold the line no longer than this, but for what its manual allows."""
-        if self.told is not None and worst_s < self.worst_s:
-            least_s = min(max(worst_s, self.told[1]), self.worst_s)
+        if self.documented is not None and worst_s < self.worst_s:
+            least_s = min(max(worst_s, self.documented[1]), self.worst_s)
             self.cut_by_s += self.worst_s - least_s
             self.worst_s = least_s
 

@@ -274,7 +274,7 @@ class Schedule(DriveTable):
         """Run what must go before a request that does not fit now, or end it if it never will."""
         feeds = self._watchdogs
         reason = feeds.never(request)
-        if reason and request.told is not None:
+        if reason and request.documented is not None:
             request.shorten(feeds.most_s(request.drive)[0] * MEASURED_PART)
             reason = feeds.never(request)
         if reason and feeds.is_measured and not feeds.by_manual:

@@ -46,27 +46,27 @@ class WatchdogCosts:
 
     Attributes:
         measured: As measured, where that is longer; else as documented.
-        told: By manual and roster.
+        documented: By manual and roster.
     """
 
-    __slots__ = ("measured", "told")
+    __slots__ = ("documented", "measured")
 
     def __init__(self, request: Request) -> None:
-        self.measured = self.told = (0.0, 0.0)
+        self.measured = self.documented = (0.0, 0.0)
         self.take(request)
 
     def take(self, request: Request) -> bool:
         """Take what the read costs now; return whether that is news."""
         measured = (request.cost_s, request.worst_s + request.cut_by_s)
-        told = request.told or measured
-        news = (measured, told) != (self.measured, self.told)
-        self.measured, self.told = measured, told
+        documented = request.documented or measured
+        news = (measured, documented) != (self.measured, self.documented)
+        self.measured, self.documented = measured, documented
         return news
 
     @property
     def is_longer(self) -> bool:
         """Whether measured times are longer than documented ones."""
-        return self.measured != self.told
+        return self.measured != self.documented
 
 
 class WatchdogDeadline:

@@ -72,7 +72,7 @@ class WatchdogSet:
         """Forget the bounds: a feed was added, taken away, paused, restarted or costs otherwise."""
         self.count_by(manual=False)
         if self.is_measured:
-            worst_s = max(feed.costs.told[1] for feed in self.by_drive.values())
+            worst_s = max(feed.costs.documented[1] for feed in self.by_drive.values())
             if self.most_s("")[0] < worst_s:
                 self.count_by(manual=True)
 
@@ -80,7 +80,7 @@ class WatchdogSet:
         """Use the times of manual and roster, or the measured ones."""
         self.by_manual = manual
         for feed in self.by_drive.values():
-            feed.cost_s, feed.worst_s = feed.costs.told if manual else feed.costs.measured
+            feed.cost_s, feed.worst_s = feed.costs.documented if manual else feed.costs.measured
         self._latest_end_s = self._due_from_s = -math.inf
         self._spare_s = self._lost = None
         self._measured = None
@@ -102,7 +102,7 @@ class WatchdogSet:
 
         Where measured times count, room for its own lost answer is enough: they may be wrong.
         """
-        if request.told is not None or self.is_measured:
+        if request.documented is not None or self.is_measured:
             return request.worst_s
         return self.least_room_s(request.cost_s, request.worst_s)
 

@@ -44,7 +44,7 @@ class _ReadCost(NamedTuple):
     cost: Cost
     line_s: float
     worst_s: float
-    told: tuple[float, float] | None
+    documented: tuple[float, float] | None
 
 
 class _FeedCost(NamedTuple):
@@ -52,7 +52,7 @@ class _FeedCost(NamedTuple):
 
     slow: SlowAnswers
     measured: tuple[float, float]
-    told: tuple[float, float]
+    documented: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,13 +110,17 @@ class RequestMaker:
             self._counted(priority, settle),
             job,
             expires_at_s=expires_at_s,
-            told=cost.told,
+            documented=cost.documented,
         )
 
-    def _told(self, told: Cost, measured: Cost) -> tuple[float, float] | None:
+    def _documented(self, documented: Cost, measured: Cost) -> tuple[float, float] | None:
         """Give cost and longest time by manual and roster, where others were measured."""
         pause_s = self.timing.turnaround_s
-        return None if told == measured else (told.expected_s + pause_s, told.worst_s + pause_s)
+        return (
+            None
+            if documented == measured
+            else (documented.expected_s + pause_s, documented.worst_s + pause_s)
+        )
 
     def feed(self, station: Station, instead: tuple[Code, ...]) -> Request:
         """Make the read that feeds a watchdog, reckoned with in the longest form it may be said in.
@@ -135,8 +139,8 @@ class RequestMaker:
                 self._dearest(station, code, station.answer_time_s),
             )
         request.cost_s, request.worst_s = kept.measured
-        if request.told is not None:
-            request.told = kept.told
+        if request.documented is not None:
+            request.documented = kept.documented
         return request
 
     def _dearest(self, station: Station, code: Code, answer_s: float | None) -> tuple[float, float]:
@@ -162,10 +166,10 @@ class RequestMaker:
                 self._costs.clear()
             form, pause_s = form_of(station, code), self.timing.turnaround_s
             cost = read_cost(self.timing, station.family, code, form, station.answer_s(code))
-            told = read_cost(self.timing, station.family, code, form, station.answer_time_s)
+            documented = read_cost(self.timing, station.family, code, form, station.answer_time_s)
             kept = _ReadCost(
                 slow, cost, cost.expected_s + pause_s, cost.worst_s + pause_s,
-                self._told(told, cost),
+                self._documented(documented, cost),
             )  # fmt: skip
             self._costs[station, code] = kept
         return kept
@@ -204,7 +208,9 @@ class RequestMaker:
         """
         form, answer_s = form_of(station, code), station.answer_s(code, write=True)
         cost = write_cost(self.timing, station.family, code, value, form, answer_s)
-        told = write_cost(self.timing, station.family, code, value, form, station.answer_time_s)
+        documented = write_cost(
+            self.timing, station.family, code, value, form, station.answer_time_s
+        )
         info = station.family.info(code)
         write_class = station.family.write_class(code, value)
         job = WriteJob(
@@ -227,7 +233,7 @@ class RequestMaker:
             supersedes=(station.name, code) if setpoint else None,
             writes=True,
             hold_s=station.hold_s,
-            told=self._told(told, cost),
+            documented=self._documented(documented, cost),
         )
 
     def read_back(
@@ -251,7 +257,7 @@ class RequestMaker:
             self._counted(priority, settle),
             job,
             expires_at_s=expires_at_s,
-            told=cost.told,
+            documented=cost.documented,
         )
 
     def stop(
