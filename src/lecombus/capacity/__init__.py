@@ -9,6 +9,6 @@
 * `timeline`: the real schedule run over a roster, and a picture of it.
 
 Pure: no clock, no port. Costs come from the model that schedule and time-outs use
-(`drives.costs`). What must not live here: reading a roster (`config`), choosing what is sent next
+(`fieldbus`). What must not live here: reading a roster (`config`), choosing what is sent next
 (`schedule`).
 """

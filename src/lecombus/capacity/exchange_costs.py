@@ -152,7 +152,7 @@ def adapter_latency_s(line: LineEntry) -> float:
 
 
 def line_timing(line: LineEntry) -> LineTiming:
-    """Return the line's times for `drives.costs`.
+    """Return the line's times, by which exchanges cost what they do.
 
     The quarantine covers what an adapter may still have in its buffers. Answers later than that,
     up to `late_answer`, are not sat out but kept in doubt, which costs no line time.

@@ -3,5 +3,5 @@
 `facade` is what the API calls: one object made of `reads`, `writes`, `stop_requests`,
 `group_writes` and `verb_operations` (whose steps `verb_steps` takes), which share one `context`.
 It logs each change (`actions`). `requests` submits a request to the line and waits for
-its end, `request_maker` gives every request its cost, `reports` holds the outcomes.
+its end, `reports` holds the outcomes.
 """

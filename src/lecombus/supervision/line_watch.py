@@ -2,7 +2,7 @@
 
 `LineWatch` takes a snapshot of the schedule into the figures of the last minutes, for the metrics
 and for `lecombus plan`. From it and from what the line counted come remarks: cyclic reads that the
-line cannot hold, answers that were not asked for (`line.duplicates` counts them), and in the log
+line cannot hold, answers that were not asked for (the exchange loop counts them), and in the log
 watchdogs whose time ran out. `port_watch` says who else has the port open.
 """
 
