@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from random import Random
@@ -585,3 +586,15 @@ def test_feeds_leave_room_for_lost_answers_with_a_stop_on_an_idle_line(tolerate:
         least_s = min(least_s, feeds.slack_s(world.now_s))
     assert least_s >= (tolerate - 1) * WORST_S + 0.5 - 0.1 - 1e-6
     assert world.schedule.stats(20.0).feeds["a"].misses == 0
+
+
+def test_an_exchange_leaves_room_for_a_stop_behind_its_own_lost_answer() -> None:
+    """A write to an 820X takes half a second in vain, and a stop of another one a quarter."""
+    lost_s, tenth_s = 0.1, 0.1
+    faults = FaultHypothesis(1, stop_s=0.28, stop_failed_s=0.3)
+    assert faults.need_s(0.02, 0.5, lost_s, tenth_s) == pytest.approx(0.5 + 0.28 - 0.1)
+    assert faults.least_room_s(0.02, 0.5, lost_s, tenth_s) == pytest.approx(0.5 + 0.28 - 0.1)
+    assert faults.need_s(0.02, 0.1, lost_s, tenth_s) == pytest.approx(0.02 + 0.1 + 0.28 - 0.1)
+    assert faults.need_s(0.02, 0.5, lost_s, 0.3) == pytest.approx(0.5), "the last tenth holds it"
+    assert replace(faults, tolerate=2).need_s(0.02, 0.5, lost_s, 0.3) == pytest.approx(0.6)
+    assert replace(faults, tolerate=0).least_room_s(0.02, 0.5, lost_s, tenth_s) == 0.5

@@ -104,12 +104,14 @@ class Room:
         alike: All watchdogs have the same time: one round makes room for the longest.
         answered_s: The longest exchange, answered, that leaves room for a stop with a lost answer;
             one that takes longer is not begun.
+        failed_s: The longest exchange, not answered, that leaves room for a stop; likewise.
     """
 
     most_s: float
     round_s: float
     alike: bool
     answered_s: float = math.inf
+    failed_s: float = math.inf
 
     @property
     def sure_s(self) -> float:
@@ -257,8 +259,9 @@ def feeds_of(roster: Roster, timing: LineTiming) -> WatchdogSet:
 def _room(feeds: WatchdogSet) -> Room:
     times = {feed.time_s for feed in feeds.by_drive.values()}
     most_s = feeds.most_s("")[0]
-    behind_s = feeds.least_room_s(0.0, 0.0)
-    return Room(most_s, feeds.round_s(), len(times) < 2, most_s - behind_s)
+    answered_s = most_s - feeds.least_room_s(0.0, 0.0)
+    failed_s = most_s - feeds.least_room_s(-math.inf, 0.0)
+    return Room(most_s, feeds.round_s(), len(times) < 2, answered_s, failed_s)
 
 
 def _own(drive: DriveEntry, timing: LineTiming) -> Iterator[Longest]:

@@ -202,7 +202,7 @@ def _show_room(plan: LinePlan) -> None:
     if room.sure_s < room.most_s:
         some = f", and is promised nothing above {_time(room.sure_s)} while all classes are full"
     click.echo(
-        f"an exchange that may hold the line for more than {_time(room.most_s)} is refused: the "
+        f"an exchange that may hold the line for more than {_time(room.failed_s)} is refused: the "
         f"watchdogs never leave more{some}"
     )
     if room.answered_s < room.most_s:

@@ -2,11 +2,12 @@
 
 An exchange is begun only if the watchdogs outlast what may be lost from then on. If its own answer
 is lost, it takes its longest, and all but one of the lost answers that are tolerated may be those
-of the feeds after it. If it is answered, all of them may be. A stop does not wait; it and its
-lost answer may use the last tenth of a watchdog time, and room is kept for what that does not hold.
-With none to be tolerated an exchange is begun if the watchdogs outlast its own lost answer. One for
-which there is never room together with one lost answer and a stop is not begun; where there is
-never room for all that are tolerated, it is begun when there is most (`watchdog_set`).
+of the feeds after it; a stop may follow, too. If it is answered, all of them may be. A stop does
+not wait; it and its lost answer may use the last tenth of a watchdog time, and room is kept for
+what that does not hold. With none to be tolerated an exchange is begun if the watchdogs outlast its
+own lost answer. One for which there is never room together with one lost answer and a stop is not
+begun; where there is never room for all that are tolerated, it is begun when there is most
+(`watchdog_set`).
 
 The roster was accepted by the same sum (`capacity.watchdog_demand`).
 
@@ -45,17 +46,18 @@ class FaultHypothesis:
         """
         if not self.tolerate:
             return worst_s
-        more_s = (self.tolerate - 1) * lost_s
-        return max(more_s + worst_s, cost_s + self.behind_s(lost_s, tenth_s))
+        failed_s = (self.tolerate - 1) * lost_s + worst_s + max(self.stop_s - tenth_s, 0.0)
+        return max(failed_s, cost_s + self.behind_s(lost_s, tenth_s))
 
     def least_room_s(self, cost_s: float, worst_s: float, lost_s: float, tenth_s: float) -> float:
         """Return how much slack an exchange must find to be begun at all; arguments as `need_s`.
 
-        It is room for its own lost answer, or for one behind it together with a stop.
+        It is room for its own lost answer, or for one behind it, and a stop.
         """
         if not self.tolerate:
             return worst_s
-        return max(worst_s, cost_s + self.stop_behind_s(lost_s, tenth_s))
+        failed_s = worst_s + max(self.stop_s - tenth_s, 0.0)
+        return max(failed_s, cost_s + self.stop_behind_s(lost_s, tenth_s))
 
     def behind_s(self, lost_s: float, tenth_s: float) -> float:
         """Return how much slack an exchange that is answered must leave, seconds.
