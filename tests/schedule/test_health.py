@@ -155,7 +155,8 @@ def test_a_write_that_may_have_happened_is_not_called_refused() -> None:
     world.schedule.finished(write, 0.0, 0.1, False)
     world.schedule.again(write, 0.1, not_before_s=1.0)
     world.schedule.fail_all(0.2, "the line is lost")
-    assert world.outcome(write) == (Outcome.UNKNOWN, "the line is lost")
+    reason = "the line is lost; it was sent before, and not proven"
+    assert world.outcome(write) == (Outcome.UNKNOWN, reason)
 
 
 def test_a_removed_drive_leaves_nothing_behind() -> None:
