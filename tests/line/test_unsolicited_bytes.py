@@ -15,9 +15,9 @@ from lecombus.fieldbus.lecom.exchanges.late_replies import PendingLateReplies, U
 from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
 from lecombus.fieldbus.lecom.protocol.exchange import ACK_FIELD
 from lecombus.fieldbus.lecom.protocol.parser import with_parity
-from lecombus.fieldbus.lecom.protocol.telegrams import ACK_ANSWER, unknown_code_answer, value_answer
 from lecombus.fieldbus.station import Station
 from lecombus.parameters import Code, Value
+from support.answers import ACK_ANSWER, unknown_code_answer, value_answer
 
 FIELD = encode_code(Code(150), Form.STANDARD)
 OTHER = encode_code(Code(150), Form.EXTENDED)

@@ -11,18 +11,15 @@ from hypothesis import strategies as st
 from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
 from lecombus.fieldbus.lecom.protocol.exchange import ACK_FIELD, Ask, Exchange, Result
 from lecombus.fieldbus.lecom.protocol.telegrams import (
-    ACK_ANSWER,
-    NAK_ANSWER,
     AckAnswer,
     NakAnswer,
     UnknownCodeAnswer,
     ValueAnswer,
     read_telegram,
-    unknown_code_answer,
-    value_answer,
 )
 from lecombus.fieldbus.reports import ResultKind
 from lecombus.parameters import Code, Value
+from support.answers import ACK_ANSWER, NAK_ANSWER, unknown_code_answer, value_answer
 
 CODE, OTHER = Code(46), Code(50)
 

@@ -16,13 +16,12 @@ from lecombus.fieldbus.lecom.protocol.telegrams import (
     NakAnswer,
     TelegramFault,
     ValueAnswer,
-    encode_answer,
-    value_answer,
 )
 from lecombus.fieldbus.lecom.protocol.timing import MAX_ANSWER_CHARS
 from lecombus.parameters import Code, Value
 from protocol.strategies import answers, cut, fields, values
 from protocol.vectors import feed_all, load, splits, wire
+from support.answers import encode_answer, value_answer
 
 C46 = encode_code(Code(46), Form.STANDARD)
 GOOD = value_answer(C46, Value.decimal("35.4"))

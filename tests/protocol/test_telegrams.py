@@ -5,18 +5,20 @@ import pytest
 from lecombus.errors import CodeValueError
 from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.fieldbus.lecom.protocol.telegrams import (
-    ACK_ANSWER,
-    NAK_ANSWER,
     BadAnswer,
     TelegramFault,
-    encode_answer,
     read_telegram,
-    transmission_error_answer,
-    unknown_code_answer,
-    value_answer,
     write_telegram,
 )
 from lecombus.parameters import Code, Value
+from support.answers import (
+    ACK_ANSWER,
+    NAK_ANSWER,
+    encode_answer,
+    transmission_error_answer,
+    unknown_code_answer,
+    value_answer,
+)
 
 C46 = Code(46)
 

@@ -22,12 +22,12 @@ from lecombus.fieldbus.lecom.protocol.telegrams import (
     UnknownCodeAnswer,
     ValueAnswer,
     WriteRequest,
-    encode_answer,
     read_telegram,
     write_telegram,
 )
 from lecombus.parameters import Code, Format, Value
 from protocol.vectors import feed_all, load, named, splits, wire
+from support.answers import encode_answer
 
 ANSWERS = named("answers.yaml")
 BAD_ANSWERS = named("bad_answers.yaml")

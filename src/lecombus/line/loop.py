@@ -48,18 +48,16 @@ class FineSelector(selectors.EpollSelector):
     """An epoll selector that keeps time-outs to microseconds instead of milliseconds.
 
     It may return early with nothing ready, which asyncio allows: it looks at the clock again.
+
+    Attributes:
+        fine: Short waits are accurate; not if 1024 descriptors were open before this one.
     """
 
     def __init__(self) -> None:
         """Open the epoll descriptor, and choose the plain way if `select` cannot take it."""
         super().__init__()
         self._watched = [self.fileno()]
-        self._fine = self.fileno() < _SELECT_LIMIT
-
-    @property
-    def fine(self) -> bool:
-        """Whether short waits are accurate; not if 1024 descriptors were open before this one."""
-        return self._fine
+        self.fine = self.fileno() < _SELECT_LIMIT
 
     def select(self, timeout: float | None = None) -> Ready:
         """Wait for a descriptor to become ready.
@@ -70,7 +68,7 @@ class FineSelector(selectors.EpollSelector):
         Returns:
             What is ready, empty when the time is over or nearly over.
         """
-        if timeout is None or timeout <= 0.0 or not self._fine:
+        if timeout is None or timeout <= 0.0 or not self.fine:
             return super().select(timeout)
         if timeout >= FINE_BELOW_S:
             return super().select(timeout - EARLY_S)

@@ -58,7 +58,6 @@ class LineWorker:
     ) -> None:
         self.fieldbus = fieldbus
         self.schedule = schedule
-        self.options = options
         self.lateness = Lateness()
         self._connection = PortConnection(settings, opener)
         self.exchange_loop: ExchangeLoop = fieldbus.exchange_loop(

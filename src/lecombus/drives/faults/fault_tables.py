@@ -9,7 +9,7 @@ needs them.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
 from typing import Annotated, Final, TypeVar
@@ -23,7 +23,6 @@ from ..field_types import BothLanguages, CodeNumber, Flag, Source, Words, whole
 from ..texts import NOTHING, Text
 from ..yaml_models import (
     FILE_TABLE,
-    NOT_A_KEY,
     ReadAs,
     ReadFile,
     YamlFile,
@@ -167,7 +166,6 @@ class ExtendedFault:
         number: As read.
         classification: The manual's class of it, as a word.
         meaning: What it is.
-        class_text: What the class is called.
         source: Manual and section.
     """
 
@@ -177,7 +175,6 @@ class ExtendedFault:
     classification: Annotated[Words, Field(alias="class")]
     meaning: BothLanguages
     source: Source
-    class_text: Annotated[Text, NOT_A_KEY] = NOTHING
 
 
 @dataclass(frozen=True, slots=True)
@@ -348,11 +345,7 @@ def link_report(read_file: ReadFile | None = None) -> LinkReport:
     for place, given in enumerate(document.data["communication"]):
         for item, name in enumerate(given["allows"]):
             _check_class(document, name, file, "communication", place, "allows", item)
-    extended = {
-        number: replace(fault, class_text=file.classes[fault.classification])
-        for number, fault in file.extended.items()
-    }
-    return LinkReport(extended, file.communication)
+    return LinkReport(file.extended, file.communication)
 
 
 def _check_class(document: YamlFile, name: str, file: _LinkReportFile, *path: int | str) -> None:

@@ -25,7 +25,6 @@ __all__ = [
     "EXTENDED_MARK",
     "HIGHEST_STANDARD_CODE",
     "Form",
-    "decode_code",
     "encode_address",
     "encode_code",
     "field_length",
@@ -85,27 +84,6 @@ def _encode_code(code: Code, form: AddressForm) -> bytes:
         )  # fmt: skip
     page, rest = divmod(code.number, _PAGE)
     return bytes((rest // 10 + _BASE, rest % 10 + page * 10 + _BASE))
-
-
-def decode_code(field: bytes) -> tuple[Code, Form]:
-    """Return the code a code field names, and the form it is written in.
-
-    Raises:
-        CodeValueError: The characters are not a code field.
-
-    Source: the inverse of `encode_code`.
-    """
-    return _decode_code(field)
-
-
-@lru_cache(maxsize=8192)
-def _decode_code(field: bytes) -> tuple[Code, Form]:
-    if not is_code_field(field):
-        raise CodeValueError(f"{field!r} is not a code field", value=field)
-    if field[0] == EXTENDED_MARK:
-        return Code(int(field[1:5], 16), int(field[5:7], 16)), Form.EXTENDED
-    page, unit = divmod(field[1] - _BASE, 10)
-    return Code(page * _PAGE + (field[0] - _BASE) * 10 + unit), Form.STANDARD
 
 
 def field_length(first: int) -> int:

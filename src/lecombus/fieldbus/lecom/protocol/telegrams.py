@@ -24,13 +24,11 @@ from typing import ClassVar, Final
 
 from lecombus.errors import CodeValueError
 from lecombus.fieldbus.lecom.protocol.addressing import encode_address, encode_code
-from lecombus.fieldbus.lecom.protocol.controls import ACK, ENQ, EOT, ETX, NAK, STX, bcc
+from lecombus.fieldbus.lecom.protocol.controls import ENQ, EOT, ETX, STX, bcc
 from lecombus.fieldbus.reports import AnswerKind
 from lecombus.parameters import SENDABLE_STRING_CHARS, AddressForm, Code, Format, Value
 
 __all__ = [
-    "ACK_ANSWER",
-    "NAK_ANSWER",
     "AckAnswer",
     "Answer",
     "BadAnswer",
@@ -43,18 +41,9 @@ __all__ = [
     "UnknownCodeAnswer",
     "ValueAnswer",
     "WriteRequest",
-    "encode_answer",
     "read_telegram",
-    "transmission_error_answer",
-    "unknown_code_answer",
-    "value_answer",
     "write_telegram",
 ]
-
-ACK_ANSWER: Final = bytes((ACK,))
-"""The answer to a write that was done."""
-NAK_ANSWER: Final = bytes((NAK,))
-"""The answer to a write that changed nothing."""
 
 
 class TelegramFault(StrEnum):
@@ -234,38 +223,6 @@ def write_telegram(address: int, code: Code, value: Value, form: AddressForm) ->
         )  # fmt: skip
     text = _text(encode_code(code, form), value.raw.encode("ascii"))
     return b"%c%b%b" % (EOT, encode_address(address), text)
-
-
-def value_answer(field: bytes, value: Value) -> bytes:
-    """Return a drive's value answer; the field repeats that of the question."""
-    return _text(field, value.raw.encode("ascii"))
-
-
-def transmission_error_answer(field: bytes) -> bytes:
-    """Return a drive's `?` answer: it saw a transmission error in the question."""
-    return _text(field, b"?")
-
-
-def unknown_code_answer(field: bytes) -> bytes:
-    """Return a drive's answer to a code it does not have."""
-    return b"%c%b%c" % (STX, field, EOT)
-
-
-def encode_answer(answer: Answer) -> bytes:
-    """Return the 7-bit characters an answer was read from; a bad one as it came."""
-    match answer:
-        case ValueAnswer(field, value):
-            return value_answer(field, value)
-        case TransmissionErrorAnswer(field):
-            return transmission_error_answer(field)
-        case UnknownCodeAnswer(field):
-            return unknown_code_answer(field)
-        case AckAnswer():
-            return ACK_ANSWER
-        case NakAnswer():
-            return NAK_ANSWER
-        case BadAnswer():
-            return answer.received
 
 
 def _text(field: bytes, value: bytes) -> bytes:

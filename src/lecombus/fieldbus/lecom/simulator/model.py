@@ -11,12 +11,13 @@ simulated drives do the one or the other (`word_as_written`).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from decimal import Decimal
 from typing import ClassVar, Final
 
 from .motor import Motor
 from .parameters import CommError, ExtendedError, Kept, Parameters, Refusal, Spec
 from .troubles import Kind, Troubles
-from .wire import decimal_text, read_decimal
+from .wire import decimal_text
 
 __all__ = ["INHIBIT", "JOG_BITS", "QSP", "REVERSE", "Model", "Restart", "tens_digit", "word_text"]
 
@@ -370,6 +371,4 @@ class Model:
 
     def frequency_text(self, value: float, decimals: int = 1) -> str:
         """Write a computed frequency as VD text."""
-        number = read_decimal(f"{value:.{decimals}f}")
-        assert number is not None
-        return decimal_text(number)
+        return decimal_text(Decimal(f"{value:.{decimals}f}"))

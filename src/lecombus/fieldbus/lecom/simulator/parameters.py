@@ -244,10 +244,6 @@ class Parameters:
         """The number kept under a decimal code."""
         return float(self.text(number, subcode))
 
-    def word(self, number: int) -> int:
-        """The number kept under a hexadecimal code."""
-        return int(self.text(number)[1:], 16)
-
     def keep(self, spec: Spec, text: str) -> None:
         """Take a checked value over, and count the wear."""
         key = (spec.number, spec.subcode)

@@ -26,7 +26,6 @@ class TcpEnd(PacedEnd):
 
     def __init__(self, line: SimLine, port: int = 0) -> None:
         super().__init__(line)
-        self._refusing = False
         self._client: socket.socket | None = None
         self._server: socket.socket | None = socket.create_server(("127.0.0.1", port))
         self.port: int = self._server.getsockname()[1]
