@@ -22,11 +22,21 @@ addressed = st.one_of(
     st.tuples(st.builds(Code, st.integers(0, 65535), st.integers(0, 255)), st.just(Form.EXTENDED)),
 )
 fields = addressed.map(lambda pair: encode_code(*pair))
+
+
+def string(text: str) -> Value:
+    return Value.parse(f"S{text}")
+
+
+def octets(block: bytes) -> Value:
+    return Value.parse(f"O{block.hex().upper()}")
+
+
 values = st.one_of(
     st.integers(-(2**31), 2**31 - 1).map(lambda n: Value.decimal(f"{n / 10000:.4f}")),
     st.builds(Value.hexadecimal, st.integers(0, 255), st.sampled_from((2, 4, 8))),
-    st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=240).map(Value.string),
-    st.binary(min_size=1, max_size=120).map(Value.octets),
+    st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=240).map(string),
+    st.binary(min_size=1, max_size=120).map(octets),
 )
 sendable = values.filter(lambda value: not value.raw.startswith("S") or len(value.raw) <= 21)
 answers: st.SearchStrategy[Answer] = st.one_of(

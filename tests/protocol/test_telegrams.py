@@ -11,6 +11,7 @@ from lecombus.fieldbus.lecom.protocol.telegrams import (
     write_telegram,
 )
 from lecombus.parameters import Code, Value
+from protocol.strategies import octets, string
 from support.answers import (
     ACK_ANSWER,
     NAK_ANSWER,
@@ -63,15 +64,15 @@ def test_no_telegram_goes_out_in_a_form_that_loses_the_subcode() -> None:
 
 
 def test_strings_of_20_characters_are_sent_and_of_21_are_not() -> None:
-    telegram = write_telegram(1, Code(200), Value.string("x" * 20), Form.STANDARD)
+    telegram = write_telegram(1, Code(200), string("x" * 20), Form.STANDARD)
     assert telegram[6:27] == b"S" + b"x" * 20
     with pytest.raises(CodeValueError, match="at most 20") as caught:
-        write_telegram(1, Code(200), Value.string("x" * 21), Form.STANDARD)
+        write_telegram(1, Code(200), string("x" * 21), Form.STANDARD)
     assert caught.value.code == "C0200"
 
 
 def test_octets_are_sent_in_full_length() -> None:
-    telegram = write_telegram(1, C46, Value.octets(bytes(120)), Form.STANDARD)
+    telegram = write_telegram(1, C46, octets(bytes(120)), Form.STANDARD)
     assert len(telegram) == 3 + 1 + 2 + 241 + 2
 
 

@@ -18,6 +18,7 @@ from lecombus.fieldbus.lecom.protocol.timing import (
     write_request_chars,
 )
 from lecombus.parameters import Code, Value
+from protocol.strategies import string
 from protocol.vectors import load
 from support.answers import ACK_ANSWER, transmission_error_answer, value_answer
 
@@ -59,7 +60,7 @@ def test_the_table_covers_every_baud_rate() -> None:
     assert tuple(row["baud"] for row in TABLE) == BAUDS
 
 
-@given(st.sampled_from(Form), st.text("0123456789ABCDEF", max_size=240).map(Value.string))
+@given(st.sampled_from(Form), st.text("0123456789ABCDEF", max_size=240).map(string))
 def test_counted_characters_are_the_telegrams_own(form: Form, value: Value) -> None:
     code = Code(46)
     field = encode_code(code, form)
@@ -74,5 +75,5 @@ def test_counted_characters_are_the_telegrams_own(form: Form, value: Value) -> N
 
 def test_the_longest_answer_is_extended_with_240_characters() -> None:
     assert MAX_ANSWER_CHARS == 1 + 7 + 241 + 2
-    longest = value_answer(encode_code(Code(0), Form.EXTENDED), Value.string("x" * 240))
+    longest = value_answer(encode_code(Code(0), Form.EXTENDED), string("x" * 240))
     assert len(longest) == MAX_ANSWER_CHARS

@@ -74,7 +74,7 @@ class ValueFormatError(CodeValueError):
 class Value:
     """One parameter value; two are equal when their texts are.
 
-    Make one with `decimal`, `hexadecimal`, `string`, `octets` or `parse`, which check it.
+    Make one with `decimal`, `hexadecimal` or `parse`, which check it.
 
     Args:
         format: What the text is.
@@ -174,34 +174,6 @@ class Value:
                 value=number, low=0, high=high,
             )  # fmt: skip
         return cls(Format.VH, f"H{number:0{digits}X}")
-
-    @classmethod
-    def string(cls, text: str) -> Value:
-        """Make a VS value of 0 to 240 printable ASCII characters.
-
-        Raises:
-            CodeValueError: It is longer, or has other characters.
-        """
-        if _VS.fullmatch(f"S{text}") is None:
-            raise CodeValueError(
-                f"{text!r} is not a string value: up to 240 printable ASCII characters are",
-                value=text,
-            )
-        return cls(Format.VS, f"S{text}")
-
-    @classmethod
-    def octets(cls, block: bytes) -> Value:
-        """Make a VO value of 1 to 120 bytes, the lowest address first.
-
-        Raises:
-            CodeValueError: The block is empty or longer.
-        """
-        if not 1 <= len(block) <= 120:
-            raise CodeValueError(
-                f"a block of {len(block)} bytes cannot be sent: 1 to 120 bytes can",
-                value=block, low=1, high=120,
-            )  # fmt: skip
-        return cls(Format.VO, f"O{block.hex().upper()}")
 
     @classmethod
     def parse(cls, raw: str | bytes) -> Value:
