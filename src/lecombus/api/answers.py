@@ -62,8 +62,8 @@ __all__ = [
     "STATUS_BY_KIND",
     "ProblemDocument",
     "ProblemError",
-    "WithDate",
     "date_header",
+    "dated",
     "json_response",
     "problem_of",
     "report_problem",
@@ -364,24 +364,18 @@ def date_header() -> tuple[bytes, bytes]:
     return b"date", formatdate(usegmt=True).encode()
 
 
-class WithDate:
-    """Dates each answer with the moment at which it is made (RFC 9110, 6.6.1).
+def dated(app: ASGIApp) -> ASGIApp:
+    """Date each answer of an application with the moment at which it is made (RFC 9110, 6.6.1).
 
     An answer is made when the outcome is known, which may be seconds after its request came.
-
-    Args:
-        app: The application behind.
     """
 
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, and date its answer."""
-
+    async def answer(scope: Scope, receive: Receive, send: Send) -> None:
         async def send_dated(message: Message) -> None:
             if message["type"] == "http.response.start":
                 message["headers"] = [date_header(), *message.get("headers", ())]
             await send(message)
 
-        await self._app(scope, receive, send_dated)
+        await app(scope, receive, send_dated)
+
+    return answer

@@ -81,7 +81,7 @@ def create_app(
             *WriteRoutes(ops, Idempotency(clock)).routes(),
             *ServiceRoutes(metrics, ready, healthy, version or "0").routes(),
         ],
-        middleware=[Middleware(StopPaths)],
+        middleware=[Middleware(with_plain_stop_paths)],
         exception_handlers={
             LecombusError: known_error,
             HTTPException: not_routed,
@@ -92,22 +92,16 @@ def create_app(
     return app
 
 
-class StopPaths:
-    """Removes extra slashes around the path of a stop; the router would not find it.
+def with_plain_stop_paths(app: ASGIApp) -> ASGIApp:
+    """Remove extra slashes around the path of a stop; the router would not find it."""
 
-    Args:
-        app: The application behind.
-    """
-
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on."""
+    async def answer(scope: Scope, receive: Receive, send: Send) -> None:
         path = scope["path"] if scope["type"] == "http" else ""
         if is_stop(path) and path != (plain := f"/{path.strip('/')}"):
             scope = {**scope, "path": plain}
-        await self._app(scope, receive, send)
+        await app(scope, receive, send)
+
+    return answer
 
 
 class ServiceRoutes:

@@ -27,7 +27,7 @@ from anyio.abc import TaskStatus
 from starlette.types import ASGIApp
 
 from lecombus.api.access import ReadOnlyAccess
-from lecombus.api.answers import WithDate
+from lecombus.api.answers import dated
 from lecombus.api.connection import Connection, StartQueue
 from lecombus.api.limits import (
     ACCEPT_AT_ONCE,
@@ -38,7 +38,7 @@ from lecombus.api.limits import (
     RequestLimiter,
     connection_limit,
 )
-from lecombus.api.tcp_connection import CpuShare, TcpConnection, TimedApp
+from lecombus.api.tcp_connection import CpuShare, TcpConnection, timed
 from lecombus.errors import OperationError
 from lecombus.roster import is_loopback
 
@@ -148,13 +148,13 @@ def tcp_configuration(app: ASGIApp, host: str, places: ConnectionPlaces) -> uvic
     kind = type("PlacedTcpConnection", (TcpConnection,), {"places": places, "share": share})
     limited = RequestLimiter(PacedLineRequests(app), TCP_LIMIT, TCP_WAITING_LIMIT)
     access = ReadOnlyAccess(limited, host)
-    return configuration(TimedApp(access, share), kind, 1)
+    return configuration(timed(access, share), kind, 1)
 
 
 def configuration(app: ASGIApp, kind: type[Connection], accept_at_once: int) -> uvicorn.Config:
     """Return uvicorn's configuration; what lecombus does itself or does not offer is off."""
     return uvicorn.Config(
-        WithDate(app),
+        dated(app),
         log_config=None,
         log_level="error",  # a warning for each bad request: any client could fill the log
         access_log=False,

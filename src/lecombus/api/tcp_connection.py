@@ -40,8 +40,8 @@ __all__ = [
     "CpuShare",
     "LingeringTransport",
     "TcpConnection",
-    "TimedApp",
     "TimedCoroutine",
+    "timed",
 ]
 
 PART: Final = 0.2
@@ -346,20 +346,12 @@ class TimedCoroutine(Generator[Any, Any, None]):
         self._work.close()
 
 
-class TimedApp:
-    """Counts the processor time of every step of an application.
+def timed(app: ASGIApp, share: CpuShare) -> ASGIApp:
+    """Count the processor time of every step of an application."""
 
-    Args:
-        app: The application behind.
-        share: Where it is counted.
-    """
-
-    def __init__(self, app: ASGIApp, share: CpuShare) -> None:
-        self._app = app
-        self._share = share
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on."""
-        answering = self._app(scope, receive, send)
+    async def answer(scope: Scope, receive: Receive, send: Send) -> None:
+        answering = app(scope, receive, send)
         assert isinstance(answering, Coroutine), "an ASGI application is a coroutine function"
-        await self._share.timed(answering)
+        await share.timed(answering)
+
+    return answer

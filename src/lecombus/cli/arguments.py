@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from functools import wraps
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import click
 
@@ -35,6 +35,7 @@ __all__ = [
     "CommandWithNumbers",
     "DaemonOptions",
     "Given",
+    "Word",
     "daemon_options",
     "json_option",
     "roster_option",
@@ -91,84 +92,80 @@ def _hide(word: str) -> str:
     return _HIDDEN + word if _NEGATIVE.match(word) else word
 
 
-class _CodeType(click.ParamType[Code]):
-    name = "code"
+T = TypeVar("T")
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Code:
-        if isinstance(value, Code):
-            return value
+
+class Word(click.ParamType[T]):
+    """What a word on the command line stands for.
+
+    Args:
+        name: How help calls it.
+        read: Reads the word, or raises `click.BadParameter` with what would be right.
+    """
+
+    def __init__(self, name: str, read: Callable[[str], T]) -> None:
+        self.name = name
+        self._read = read
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> T:
+        """Read a word; a default is none."""
+        if not isinstance(value, str):
+            return cast(T, value)
         try:
-            return Code.parse(value.removeprefix(_HIDDEN))
-        except CodeValueError as exc:
-            self.fail(str(exc), param, ctx)
+            return self._read(value.removeprefix(_HIDDEN))
+        except click.BadParameter as exc:
+            self.fail(exc.message, param, ctx)
 
 
-class _CodesType(click.ParamType[tuple[Code, ...]]):
-    name = "codes"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[Code, ...]:
-        if isinstance(value, tuple):
-            return value
-        first, dash, last = str(value).partition("-")
-        begin = CODE.convert(first, param, ctx)
-        if not dash:
-            return (begin,)
-        of_subcodes = begin.subcode > 0 and last.isdecimal()
-        end = CODE.convert(f"{begin.number}/{last}" if of_subcodes else last, param, ctx)
-        if of_subcodes:
-            codes = [Code(begin.number, n) for n in range(begin.subcode, end.subcode + 1)]
-        else:
-            codes = [Code(n, begin.subcode) for n in range(begin.number, end.number + 1)]
-        if (
-            not codes
-            or len(codes) > MOST_CODES
-            or (begin.subcode != end.subcode and not of_subcodes)
-        ):
-            right = f"a code, or up to {MOST_CODES} of them such as C0010-C0050 or C0039/1-15"
-            self.fail(f"{value} is no range of codes: {right}", param, ctx)
-        return tuple(codes)
+def _code(word: str) -> Code:
+    try:
+        return Code.parse(word)
+    except CodeValueError as exc:
+        raise click.BadParameter(str(exc)) from exc
 
 
-class _ValueType(click.ParamType[str]):
-    """A value as text: whether `0208` is a number or a word is for the daemon to judge."""
-
-    name = "value"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        word = str(value).removeprefix(_HIDDEN).strip()
-        if re.fullmatch(r"[+-]?[0-9]+", word, re.ASCII):
-            return word
-        if _DECIMAL.fullmatch(word):
-            return f"{Decimal(word):f}"
-        if re.fullmatch(r"[+-]?[0-9]+,[0-9]+", word, re.ASCII):
-            self.fail(f"{word} has a decimal comma, write {word.replace(',', '.')}", param, ctx)
-        if re.fullmatch(r"[+-]?[0-9.]+[eE][+-]?[0-9]+", word, re.ASCII):
-            self.fail(f"{word} has an exponent, {_written_out(word)}", param, ctx)
-        if not _WORD_OR_OCTETS.fullmatch(word):
-            self.fail(
-                f"`{word}` is no value, write a number such as 35.4, a word such as H0008, "
-                "or octets such as O1A2B",
-                param,
-                ctx,
-            )
-        return word if word[:1] == "0" else word.upper()
+def _codes(word: str) -> tuple[Code, ...]:
+    first, dash, last = word.partition("-")
+    begin = _code(first)
+    if not dash:
+        return (begin,)
+    of_subcodes = begin.subcode > 0 and last.isdecimal()
+    end = _code(f"{begin.number}/{last}" if of_subcodes else last)
+    if of_subcodes:
+        codes = [Code(begin.number, n) for n in range(begin.subcode, end.subcode + 1)]
+    else:
+        codes = [Code(n, begin.subcode) for n in range(begin.number, end.number + 1)]
+    if not codes or len(codes) > MOST_CODES or (begin.subcode != end.subcode and not of_subcodes):
+        right = f"a code, or up to {MOST_CODES} of them such as C0010-C0050 or C0039/1-15"
+        raise click.BadParameter(f"{word} is no range of codes: {right}")
+    return tuple(codes)
 
 
-class _NumberType(click.ParamType[Decimal]):
-    """A number, such as that of a speed."""
+def _value(word: str) -> str:
+    """Read a value as text: whether `0208` is a number or a word is for the daemon to judge."""
+    word = word.strip()
+    if re.fullmatch(r"[+-]?[0-9]+", word, re.ASCII):
+        return word
+    if _DECIMAL.fullmatch(word):
+        return f"{Decimal(word):f}"
+    if re.fullmatch(r"[+-]?[0-9]+,[0-9]+", word, re.ASCII):
+        raise click.BadParameter(f"{word} has a decimal comma, write {word.replace(',', '.')}")
+    if re.fullmatch(r"[+-]?[0-9.]+[eE][+-]?[0-9]+", word, re.ASCII):
+        raise click.BadParameter(f"{word} has an exponent, {_written_out(word)}")
+    if not _WORD_OR_OCTETS.fullmatch(word):
+        raise click.BadParameter(
+            f"`{word}` is no value, write a number such as 35.4, a word such as H0008, "
+            "or octets such as O1A2B"
+        )
+    return word if word[:1] == "0" else word.upper()
 
-    name = "number"
 
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> Decimal:
-        text = VALUE.convert(value, param, ctx)
-        try:
-            return Decimal(text)
-        except InvalidOperation:
-            self.fail(f"`{text}` is no number, write one such as 35.4", param, ctx)
+def _number(word: str) -> Decimal:
+    text = _value(word)
+    try:
+        return Decimal(text)
+    except InvalidOperation:
+        raise click.BadParameter(f"`{text}` is no number, write one such as 35.4") from None
 
 
 def _written_out(word: str) -> str:
@@ -182,40 +179,28 @@ def _written_out(word: str) -> str:
     return f"write {number:f}"
 
 
-class _DurationType(click.ParamType[float]):
-    name = "duration"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
-        if isinstance(value, float):
-            return value
-        word = value.removeprefix(_HIDDEN)
-        try:
-            return parse_duration(word)
-        except DurationError as exc:
-            self.fail(f"{word} {exc}", param, ctx)
+def _duration(word: str) -> float:
+    try:
+        return parse_duration(word)
+    except DurationError as exc:
+        raise click.BadParameter(f"{word} {exc}") from exc
 
 
-class _ExpiryType(_DurationType):
-    """How long a request may wait before it is not sent any more."""
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
-        seconds = super().convert(value, param, ctx)
-        if not LEAST_EXPIRY_S <= seconds <= LONGEST_EXPIRY_S:
-            right = f"{format_duration(LEAST_EXPIRY_S)} to {format_duration(LONGEST_EXPIRY_S)}"
-            self.fail(f"{value} is out of range, write {right}, such as 2s", param, ctx)
-        return seconds
+def _expiry(word: str) -> float:
+    """Read how long a request may wait before it is not sent any more, seconds."""
+    seconds = _duration(word)
+    if not LEAST_EXPIRY_S <= seconds <= LONGEST_EXPIRY_S:
+        right = f"{format_duration(LEAST_EXPIRY_S)} to {format_duration(LONGEST_EXPIRY_S)}"
+        raise click.BadParameter(f"{word} is out of range, write {right}, such as 2s")
+    return seconds
 
 
-CODE = _CodeType()
-CODES = _CodesType()
-VALUE = _ValueType()
-NUMBER = _NumberType()
-DURATION = _DurationType()
-EXPIRY = _ExpiryType()
+CODE = Word("code", _code)
+CODES = Word("codes", _codes)
+VALUE = Word("value", _value)
+NUMBER = Word("number", _number)
+DURATION = Word("duration", _duration)
+EXPIRY = Word("duration", _expiry)
 
 
 def json_option(function: Function) -> Function:

@@ -81,7 +81,7 @@ def _show(description: Description) -> None:
     show_rows(("group", "stops go as", "writes go as", "members"), rows)
     for text in map(_warning, description.warnings):
         click.echo(text)
-    for text in map(_unused, description.not_yet_used):
+    for text in map(_unused, gathered(description.not_yet_used)):
         click.echo(text)
 
 

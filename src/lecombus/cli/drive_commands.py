@@ -6,36 +6,26 @@ from functools import partial
 
 import click
 
-from lecombus.cli.arguments import CODE, DaemonOptions, daemon_options
+from lecombus.cli.arguments import CODE, DaemonOptions, Word, daemon_options
 from lecombus.cli.client import DaemonClient, connect, path_of
 from lecombus.cli.document_rows import Document, show_outcomes, status_of
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.screen import age, on_terminal, show_rows, table_text
-from lecombus.parameters import Code
 
 __all__ = ["accept_command", "forget_times_command", "readdress_command", "wear_command"]
 
 
-class _SeenType(click.ParamType[tuple[str, str]]):
-    name = "seen"
-
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[str, str]:
-        if isinstance(value, tuple):
-            return value
-        code, equals, text = str(value).partition("=")
-        if not equals or not text:
-            self.fail(f"`{value}` is no CODE=VALUE, such as C1810=33S2102I_10000", param, ctx)
-        found = CODE.convert(code, param, ctx)
-        assert isinstance(found, Code)
-        return str(found), text
+def _seen(word: str) -> tuple[str, str]:
+    code, equals, text = word.partition("=")
+    if not equals or not text:
+        raise click.BadParameter(f"`{word}` is no CODE=VALUE, such as C1810=33S2102I_10000")
+    return str(CODE.convert(code, None, None)), text
 
 
 @click.command("accept")
 @click.argument("drive")
 @click.option(
-    "--seen", type=_SeenType(), multiple=True, metavar="CODE=VALUE",
+    "--seen", type=Word("seen", _seen), multiple=True, metavar="CODE=VALUE",
     help="What differs, as you have seen it; instead of being asked. Once for each code.",
 )  # fmt: skip
 @daemon_options

@@ -50,7 +50,6 @@ class RestoreOptions:
         digest: Its content's digest.
         drive: The drive.
         other_drive: It is known to be another one.
-        dry_run: Only show the plan.
         yes: Do not ask the user.
         enable: Lift the inhibit at the end if it was enabled before.
         patience_s: How long to wait for what is away, seconds.
@@ -61,7 +60,6 @@ class RestoreOptions:
     digest: str
     drive: str
     other_drive: bool
-    dry_run: bool
     yes: bool
     enable: bool
     patience_s: float
@@ -126,7 +124,7 @@ def restore_command(
     text = read_text(file)
     backup = read_backup(text, str(file))
     options = RestoreOptions(
-        backup, digest_of(text), drive, other_drive, dry_run, yes or dry_run, enable, patience_s,
+        backup, digest_of(text), drive, other_drive, yes or dry_run, enable, patience_s,
         daemon,
     )  # fmt: skip
     with said_when_interrupted("nothing was written"):
