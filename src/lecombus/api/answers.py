@@ -4,25 +4,6 @@ Strategy: every failure becomes one `ProblemDocument`, made in one of two ways: 
 error of lecombus' tree, `report_problem` from a write that ended in anything but `done` or
 `verified`. The status follows from the problem's kind by one table, and the OpenAPI document
 shows the same table.
-
-==== ==================================================================================
-400  not HTTP, not with one host, or with too many query parameters
-403  not writable, or over TCP a write or a request of another web page
-404  no such drive, group, code or path
-405  wrong method
-409  refused by the drive (NAK), or superseded by a later request or a stop
-413  the body is too big
-414  path and query are too long
-421  the request names a host that is not this machine
-422  the request cannot be understood, or the value cannot be sent
-429  a stored parameter was written too often (`Retry-After` says when it may be again)
-431  the request's headers are too long or too many
-500  a mistake in lecombus
-502  the answer was garbled or belonged to something else
-503  the line is lost or closed, or it was never sent: queue full, expired while waiting
-     (`Retry-After` where asking again makes sense)
-504  no answer, drive offline, or unknown: it may have happened
-==== ==================================================================================
 """
 
 from __future__ import annotations

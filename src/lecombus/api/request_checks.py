@@ -126,6 +126,9 @@ class Body(BaseModel):
     right: ClassVar[Mapping[str, str]] = {}
     """What a key takes here, where that is not what it takes elsewhere."""
 
+    example: ClassVar[str] = '{"value": 35.4, "expires": "2s", "verify": true}'
+    """A right body, for messages."""
+
 
 class WaitingBody(Body):
     """How long what is asked for may wait for its turn."""
@@ -209,6 +212,8 @@ class DriveWriteBody(WriteBody):
 class StopBody(Body):
     """How to stop, and what."""
 
+    example: ClassVar[str] = '{"action": "quick-stop", "target": "all"}'
+
     action: Annotated[
         StopAction,
         Field(strict=False, description=RIGHT["action"]),
@@ -222,6 +227,8 @@ class StopBody(Body):
 class VerbBody(WaitingBody):
     """How long a verb may wait before its first write."""
 
+    example: ClassVar[str] = "{}"
+
     expires: Annotated[
         Number | None,
         Field(description=f"Not begun any more after this: {RIGHT['expires']}"),
@@ -232,6 +239,7 @@ class SpeedBody(VerbBody):
     """A speed with its unit."""
 
     right: ClassVar[Mapping[str, str]] = {"value": "a number such as 35.4"}
+    example: ClassVar[str] = '{"value": 35.4, "unit": "Hz"}'
 
     value: Annotated[
         int | Decimal,
@@ -257,6 +265,8 @@ class NoKeysBody(Body):
 class AcceptBody(Body):
     """The identity that whoever accepts a drive has seen."""
 
+    example: ClassVar[str] = '{"identity": {"C1810": "33S2102I_10000"}}'
+
     identity: Annotated[
         dict[str, str], Field(description=RIGHT["identity"], max_length=IDENTITY_CODES)
     ]
@@ -272,6 +282,8 @@ class AcceptBody(Body):
 
 class AddressBody(Body):
     """Where a drive shall be found from now on."""
+
+    example: ClassVar[str] = '{"address": 12}'
 
     address: Annotated[int, Field(description=RIGHT["address"])]
 
@@ -412,9 +424,9 @@ def object_of(
     try:
         given = read(raw)
     except NotJsonError as exc:
-        raise refusal(f"the body is not JSON: {exc}", f"send {example(model)}") from exc
+        raise refusal(f"the body is not JSON: {exc}", f"send {model.example}") from exc
     if not isinstance(given, dict):
-        raise refusal("the body is not a JSON object", f"send {example(model)}")
+        raise refusal("the body is not a JSON object", f"send {model.example}")
     return given
 
 
@@ -438,7 +450,7 @@ def checked(given: Mapping[str, object], model: type[B]) -> B:
         found = list(dict.fromkeys(found))
         mistakes, count = found + mistakes, len(found) + count
     if count:
-        raise refusal("; ".join(cut(mistakes, count)), f"send {example(model)}")
+        raise refusal("; ".join(cut(mistakes, count)), f"send {model.example}")
     return body
 
 
@@ -548,21 +560,6 @@ def shown(value: object) -> str:
         return {True: "true", False: "false", None: "null"}[value]
     text = short(str(value), SHOWN_CHARS)
     return repr(text) if isinstance(value, str) else text
-
-
-def example(model: type[Body]) -> str:
-    """Return a right body, for messages."""
-    if model is StopBody:
-        return '{"action": "quick-stop", "target": "all"}'
-    if model is SpeedBody:
-        return '{"value": 35.4, "unit": "Hz"}'
-    if model is VerbBody:
-        return "{}"
-    if model is AddressBody:
-        return '{"address": 12}'
-    if model is AcceptBody:
-        return '{"identity": {"C1810": "33S2102I_10000"}}'
-    return '{"value": 35.4, "expires": "2s", "verify": true}'
 
 
 def refusal(detail: str, remedy: str) -> ProblemError:

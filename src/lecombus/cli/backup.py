@@ -30,7 +30,7 @@ from lecombus.cli.arguments import CODES, DaemonOptions, daemon_options, wait_op
 from lecombus.cli.backup_files import check_target, load_backup, save
 from lecombus.cli.client import connect_async
 from lecombus.cli.drive_access import HttpDrive
-from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.screen import counted, progress, show_rows
 from lecombus.drives import family
 from lecombus.parameters import Code
@@ -151,14 +151,12 @@ def incomplete(drive: str, left: Sequence[ReadResult], output: Path | None) -> C
     kept = f"; {output} is as it was" if output is not None and output.exists() else ""
     return CommandError(
         Exit.FAILED,
-        Problem(
-            f"{codes} of {drive} could not be read, the first {first.code}: {first.text}; nothing "
-            f"was written{kept}",
-            "again when the line is well, or with --partial for what there is",
-            first.kind,
-            drive,
-            str(first.code),
-        ),
+        f"{codes} of {drive} could not be read, the first {first.code}: {first.text}; nothing "
+        f"was written{kept}",
+        "again when the line is well, or with --partial for what there is",
+        first.kind,
+        drive,
+        str(first.code),
     )
 
 
@@ -260,8 +258,9 @@ def is_file(name: str) -> bool:
     if os.sep in name or name.endswith(SUFFIXES):
         return True
     if Path(name).is_file():
-        problem = Problem(f"{name} is a file here and may be a drive", f"write ./{name} for it")
-        raise CommandError(Exit.USAGE, problem)
+        raise CommandError(
+            Exit.USAGE, f"{name} is a file here and may be a drive", f"write ./{name} for it"
+        )
     return False
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from lecombus.backups import Backup, Progress, done_line, head_line, read_backup, read_progress
-from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.cli.exits import CommandError, Exit
 from lecombus.errors import ConfigError
 from lecombus.parameters import Code, Value
 
@@ -38,12 +38,13 @@ def read_text(path: Path) -> str:
     with path.open("rb") as file:
         content = file.read(LARGEST + 1)
     if len(content) > LARGEST:
-        raise CommandError(Exit.USAGE, Problem(f"{path} is far too big for a backup"))
+        raise CommandError(Exit.USAGE, f"{path} is far too big for a backup")
     try:
         return content.decode("utf-8")
     except UnicodeDecodeError as exc:
-        problem = Problem(f"{path} is no text in UTF-8", "name the file that backup wrote")
-        raise CommandError(Exit.USAGE, problem) from exc
+        raise CommandError(
+            Exit.USAGE, f"{path} is no text in UTF-8", "name the file that backup wrote"
+        ) from exc
 
 
 def load_backup(path: Path) -> Backup:
@@ -69,15 +70,15 @@ def check_target(path: Path) -> None:
         CommandError: There is something else in its place, or no folder for it.
     """
     if not path.parent.is_dir():
-        problem = Problem(f"there is no folder {path.parent}", "make it first")
-        raise CommandError(Exit.USAGE, problem)
+        raise CommandError(Exit.USAGE, f"there is no folder {path.parent}", "make it first")
     if not path.exists():
         return
     try:
         load_backup(path)
     except (ConfigError, CommandError) as exc:
-        problem = Problem(f"{path} is there and is no backup", "name another file, or remove it")
-        raise CommandError(Exit.USAGE, problem) from exc
+        raise CommandError(
+            Exit.USAGE, f"{path} is there and is no backup", "name another file, or remove it"
+        ) from exc
 
 
 def save(path: Path, text: str) -> None:
@@ -130,7 +131,7 @@ class Notes:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as exc:
                 problem = f"another restore of {drive} is under way"
-                raise CommandError(Exit.FAILED, Problem(problem, "wait for its end")) from exc
+                raise CommandError(Exit.FAILED, problem, "wait for its end") from exc
             try:
                 yield cls(path, descriptor)
             finally:

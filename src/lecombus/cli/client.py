@@ -24,7 +24,7 @@ import httpx2
 
 from lecombus.cli.arguments import DaemonOptions
 from lecombus.cli.document_rows import kind_of
-from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.cli.exits import CommandError, Exit
 from lecombus.readings import Json
 
 __all__ = [
@@ -32,11 +32,11 @@ __all__ = [
     "Answer",
     "DaemonClient",
     "answer_of",
-    "body_text",
     "connect",
     "connect_async",
     "find_daemon",
     "path_of",
+    "sent",
     "unreachable",
 ]
 
@@ -134,12 +134,8 @@ class DaemonClient:
         params: Mapping[str, str] | None = None,
         document: Mapping[str, Json] | None = None,
     ) -> Answer:
-        headers = {"content-type": "application/json"} if document is not None else None
-        content = body_text(document) if document is not None else None
         try:
-            response = self._client.request(
-                method, path, params=params, content=content, headers=headers
-            )
+            response = self._client.request(method, path, params=params, **sent(document))
         except httpx2.HTTPError as exc:
             raise unreachable(exc, self.where) from exc
         return answer_of(response, self.where)
@@ -190,7 +186,7 @@ def path_of(kind: Literal["drive", "group"], name: str) -> str:
         shown = name if len(name) <= LONGEST_NAME else f"{name[:LONGEST_NAME]}..."
         problem = f"there is no {kind} `{shown}`"
         remedy = f"`lecombus {'status' if kind == 'drive' else 'check'}` shows the {kind}s"
-        raise CommandError(Exit.USAGE, Problem(problem, remedy, f"no-such-{kind}"))
+        raise CommandError(Exit.USAGE, problem, remedy, f"no-such-{kind}")
     return f"/v1/{kind}s/{quote(name, safe='')}"
 
 
@@ -236,7 +232,7 @@ def find_daemon(socket: str | None, url: str | None) -> tuple[str, str]:
         CommandError: Both are given, or none and it is not clear which daemon is meant.
     """
     if socket and url:
-        raise CommandError(Exit.USAGE, Problem("--socket and --url are both given", "give one"))
+        raise CommandError(Exit.USAGE, "--socket and --url are both given", "give one")
     if not socket and not url:
         socket, url = os.environ.get("LECOMBUS_SOCKET"), os.environ.get("LECOMBUS_URL")
     if socket:
@@ -253,9 +249,7 @@ def _checked_url(url: str) -> str:
         parsed = httpx2.URL()
     if parsed.scheme in ("http", "https") and parsed.host:
         return url
-    raise CommandError(
-        Exit.USAGE, Problem(f"`{url}` is no URL", "write it like http://127.0.0.1:9740")
-    )
+    raise CommandError(Exit.USAGE, f"`{url}` is no URL", "write it like http://127.0.0.1:9740")
 
 
 def _only_socket() -> Path:
@@ -268,33 +262,33 @@ def _only_socket() -> Path:
     if not sockets:
         problem = f"no daemon has its socket in {RUNTIME_DIR}"
         remedy = "start one (systemctl start lecombus@NAME), or say where it is with --socket"
-        raise CommandError(Exit.UNREACHABLE, Problem(problem, remedy))
+        raise CommandError(Exit.UNREACHABLE, problem, remedy)
     names = ", ".join(str(path) for path in sockets)
     remedy = "say which with --socket or LECOMBUS_SOCKET"
-    raise CommandError(Exit.USAGE, Problem(f"more than one daemon runs: {names}", remedy))
+    raise CommandError(Exit.USAGE, f"more than one daemon runs: {names}", remedy)
 
 
 def _forbidden(where: str) -> CommandError:
     remedy = "ask for membership of the group lecombus (adduser YOU lecombus), then log in again"
-    return CommandError(Exit.FORBIDDEN, Problem(f"{where} may not be opened", remedy))
+    return CommandError(Exit.FORBIDDEN, f"{where} may not be opened", remedy)
 
 
 def unreachable(exc: httpx2.HTTPError, where: str) -> CommandError:
     """Say why a daemon could not be spoken with."""
     if isinstance(exc, httpx2.TimeoutException):
         problem = f"the daemon at {where} does not answer in time"
-        return CommandError(Exit.UNREACHABLE, Problem(problem, "look at its log"))
+        return CommandError(Exit.UNREACHABLE, problem, "look at its log")
     if isinstance(exc, httpx2.ReadError | httpx2.RemoteProtocolError | httpx2.WriteError):
         problem = f"the daemon at {where} ended before it answered"
         remedy = "what was asked may have happened; look at its log, then ask again"
-        return CommandError(Exit.UNREACHABLE, Problem(problem, remedy))
+        return CommandError(Exit.UNREACHABLE, problem, remedy)
     return _nobody_at(where)
 
 
 def _nobody_at(where: str) -> CommandError:
     problem = f"no daemon answers at {where}"
     remedy = "start it (systemctl status lecombus@NAME tells why it is not running)"
-    return CommandError(Exit.UNREACHABLE, Problem(problem, remedy))
+    return CommandError(Exit.UNREACHABLE, problem, remedy)
 
 
 def _read_json(response: httpx2.Response, where: str) -> Any:
@@ -302,9 +296,7 @@ def _read_json(response: httpx2.Response, where: str) -> Any:
         return json.loads(response.text, parse_float=Decimal)
     except ValueError as exc:
         problem = f"what answers at {where} is not lecombus (HTTP status {response.status_code})"
-        raise CommandError(
-            Exit.UNREACHABLE, Problem(problem, "look at the address and the port")
-        ) from exc
+        raise CommandError(Exit.UNREACHABLE, problem, "look at the address and the port") from exc
 
 
 def _refused(http_status: int, data: Any) -> CommandError:
@@ -319,7 +311,14 @@ def _refused(http_status: int, data: Any) -> CommandError:
     cause = text("cause")
     if cause and cause not in problem:
         problem = f"{problem} ({cause})"
-    return CommandError(status, Problem(problem, text("remedy"), kind, text("drive"), text("code")))
+    return CommandError(status, problem, text("remedy"), kind, text("drive"), text("code"))
+
+
+def sent(document: Mapping[str, Json] | None) -> dict[str, Any]:
+    """Return how a document is sent with a request; None: without a body."""
+    if document is None:
+        return {}
+    return {"content": body_text(document), "headers": {"content-type": "application/json"}}
 
 
 def body_text(document: Mapping[str, Json]) -> str:

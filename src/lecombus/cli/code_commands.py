@@ -20,7 +20,7 @@ from lecombus.cli.arguments import (
 )
 from lecombus.cli.client import Answer, connect, path_of
 from lecombus.cli.document_rows import Document, show_outcomes, show_reading, status_of
-from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.cli.exits import CommandError, Exit
 from lecombus.fieldbus.lecom.protocol.addressing import is_drive_address
 from lecombus.fieldbus.lecom.protocol.timing import BAUDS as ALL_BAUDS
 from lecombus.parameters import Code
@@ -79,27 +79,25 @@ def read_command(
 def _drive_address(address: int | None) -> int:
     """Return an address that one drive answers at; groups are never answered."""
     if address is None:
-        raise CommandError(Exit.USAGE, Problem("--port needs --address", "give the drive's"))
+        raise CommandError(Exit.USAGE, "--port needs --address", "give the drive's")
     if not is_drive_address(address):
         problem = f"no drive has the address {address}"
         remedy = "it is 1 to 99, and not 10, 20 .. 90, which are groups that nobody answers for"
-        raise CommandError(Exit.USAGE, Problem(problem, remedy))
+        raise CommandError(Exit.USAGE, problem, remedy)
     return address
 
 
 def _only_code(words: Sequence[str]) -> Code:
     if len(words) != 1:
         raise CommandError(
-            Exit.USAGE, Problem("with --port only a code is named", "write read --port .. CODE")
+            Exit.USAGE, "with --port only a code is named", "write read --port .. CODE"
         )
     return CODE.convert(words[0], None, None)
 
 
 def _drive_and_code(words: Sequence[str]) -> tuple[str, Code]:
     if len(words) != 2:
-        raise CommandError(
-            Exit.USAGE, Problem("a drive and a code are needed", "write read DRIVE CODE")
-        )
+        raise CommandError(Exit.USAGE, "a drive and a code are needed", "write read DRIVE CODE")
     return words[0], CODE.convert(words[1], None, None)
 
 

@@ -10,7 +10,7 @@ import click
 from lecombus.api.decimal_json import encode
 from lecombus.cli.arguments import CODE, json_option
 from lecombus.cli.document_rows import Document
-from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.screen import on_terminal, show_rows
 from lecombus.descriptions import bits_document, code_document, family_document
 from lecombus.drives import FAMILY_NAMES, CodeInfo, Family, Language, WriteClass, family
@@ -110,7 +110,7 @@ def not_described(described: Family, code: Code) -> CommandError:
     if code == FAULT_RESET and described.verbs and described.verbs.reset.code is None:
         problem = f"{described.name} has no {code}: inhibit followed by enable resets a fault"
         remedy = "lecombus reset-fault does it; the drive restarts, and stays inhibited"
-    return CommandError(Exit.USAGE, Problem(problem, remedy, "no-such-code", code=str(code)))
+    return CommandError(Exit.USAGE, problem, remedy, "no-such-code", code=str(code))
 
 
 def configured(described: Family, number: int | None) -> Family:
@@ -124,10 +124,8 @@ def configured(described: Family, number: int | None) -> Family:
         known = ", ".join(filter(None, described.variants)) or "none"
         raise CommandError(
             Exit.USAGE,
-            Problem(
-                f"nothing is known of the signal configuration {number} of {described.name}",
-                f"known are: {known}",
-            ),
+            f"nothing is known of the signal configuration {number} of {described.name}",
+            f"known are: {known}",
         )
     return found
 

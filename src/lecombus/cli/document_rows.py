@@ -19,6 +19,7 @@ from lecombus.readings import NOT_CYCLIC
 
 __all__ = [
     "Document",
+    "cells_of",
     "code_of",
     "is_done",
     "kind_of",
@@ -76,6 +77,11 @@ def code_of(document: Document) -> str:
     return f"{code}/{subcode}" if subcode and "/" not in code else code
 
 
+def cells_of(document: Document, *keys: str) -> list[str]:
+    """Return members of a document as cells."""
+    return [table_text(document.get(key)) for key in keys]
+
+
 def value_of(reading: Document) -> str:
     """Return a value as people know it: a word by its digits on the wire, such as `H8678`."""
     return table_text(reading.get("raw" if reading.get("format") == "VH" else "value"))
@@ -93,7 +99,7 @@ def quality_of(reading: Document) -> tuple[str, str]:
     A value that is stale only because it was read once, as most parameters are, gets the quality
     `once`: its age is shown.
     """
-    quality, reason = table_text(reading.get("quality")), table_text(reading.get("reason"))
+    quality, reason = cells_of(reading, "quality", "reason")
     if quality == "stale" and reason.endswith(NOT_CYCLIC):
         return "once", ""
     return quality, reason
@@ -143,7 +149,7 @@ def show_verb(report: Document) -> None:
     """Print how a verb ended."""
     states = [str(state) for state in report.get("states") or () if state not in _DETAILS]
     shown = ", ".join(state.replace("_", " ") for state in states)
-    cells = [table_text(report.get(key)) for key in ("drive", "verb", "outcome")]
+    cells = cells_of(report, "drive", "verb", "outcome")
     rows = [(*cells, shown, _reads(report), _why(report))]
     show_rows(("drive", "verb", "outcome", "shows", "reads", "why"), rows)
 
@@ -154,7 +160,7 @@ def _show_outcomes(
     rows = []
     said: dict[str, str] = {}
     for report in reports:
-        drive, outcome = table_text(report.get("drive")), table_text(report.get("outcome"))
+        drive, outcome = cells_of(report, "drive", "outcome")
         why = _why(report, without)
         if why and not is_done(report) and on_terminal():
             first = said.setdefault(_in_general(why, drive), drive)

@@ -19,9 +19,9 @@ import anyio
 import httpx2
 
 from lecombus.backups import ReadResult, WriteResult
-from lecombus.cli.client import answer_of, body_text, path_of, unreachable
+from lecombus.cli.client import answer_of, path_of, sent, unreachable
 from lecombus.cli.document_rows import kind_of
-from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.cli.exits import CommandError, Exit
 from lecombus.errors import CodeValueError
 from lecombus.parameters import Code, Value
 from lecombus.readings import Json
@@ -223,18 +223,17 @@ class HttpDrive:
         params: Mapping[str, str] | None = None,
         document: Mapping[str, Json] | None = None,
     ) -> Mapping[str, Any]:
-        headers = {"content-type": "application/json"} if document is not None else None
-        content = body_text(document) if document is not None else None
         try:
-            response = await self._client.request(
-                method, path, params=params, content=content, headers=headers
-            )
+            response = await self._client.request(method, path, params=params, **sent(document))
         except httpx2.HTTPError as exc:
             raise unreachable(exc, self._where) from exc
         data = answer_of(response, self._where).data
         if not isinstance(data, dict):
-            problem = Problem(f"what answers at {self._where} is not lecombus", "look at the path")
-            raise CommandError(Exit.UNREACHABLE, problem)
+            raise CommandError(
+                Exit.UNREACHABLE,
+                f"what answers at {self._where} is not lecombus",
+                "look at the path",
+            )
         return data
 
 

@@ -8,8 +8,8 @@ import click
 
 from lecombus.cli.arguments import CODE, DaemonOptions, Word, daemon_options
 from lecombus.cli.client import DaemonClient, connect, path_of
-from lecombus.cli.document_rows import Document, show_outcomes, status_of
-from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.cli.document_rows import Document, cells_of, show_outcomes, status_of
+from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.screen import age, on_terminal, show_rows, table_text
 
 __all__ = ["accept_command", "forget_times_command", "readdress_command", "wear_command"]
@@ -75,8 +75,8 @@ def _ask_again(client: DaemonClient, drive: str, found: dict[str, str]) -> None:
     known = dict(client.get(f"{path}/identity").data.get("found") or {})
     state: Document = client.get(path).data
     if known != found or state.get("state") != "online":
-        what = f"{drive} is {table_text(state.get('state'))}: {table_text(state.get('reason'))}"
-        raise CommandError(Exit.FAILED, Problem(what, "repeat this when it is online"))
+        what = f"{drive} is {': '.join(cells_of(state, 'state', 'reason'))}"
+        raise CommandError(Exit.FAILED, what, "repeat this when it is online")
 
 
 def _confirm_identity(
@@ -94,14 +94,14 @@ def _confirm_identity(
         if wrong:
             right = " ".join(f"--seen {code}={text}" for code, text in differing.items())
             what = f"what was seen of {', '.join(sorted(wrong))} is not what differs"
-            raise CommandError(Exit.USAGE, Problem(what, f"look again: it is {right}"))
+            raise CommandError(Exit.USAGE, what, f"look again: it is {right}")
         return
     if not may_ask:
         right = " ".join(f"--seen {code}={text}" for code, text in differing.items())
         what = f"{drive} is not accepted without being looked at"
-        raise CommandError(Exit.USAGE, Problem(what, f"if this is right: {right}"))
+        raise CommandError(Exit.USAGE, what, f"if this is right: {right}")
     if not click.confirm(f"Is this the drive that {drive} shall be from now on?"):
-        raise CommandError(Exit.FAILED, Problem("nothing was accepted"))
+        raise CommandError(Exit.FAILED, "nothing was accepted")
 
 
 @click.command("readdress")
@@ -120,7 +120,7 @@ def readdress_command(drive: str, address: int, yes: bool, daemon: DaemonOptions
     """
     if address % 10 == 0:
         what = f"{address} is no drive's address"
-        raise CommandError(Exit.USAGE, Problem(what, "1 to 99 without 10, 20 .. 90 would be right"))
+        raise CommandError(Exit.USAGE, what, "1 to 99 without 10, 20 .. 90 would be right")
     with connect(daemon) as client:
         path = path_of("drive", drive)
         if not yes:
@@ -132,10 +132,10 @@ def readdress_command(drive: str, address: int, yes: bool, daemon: DaemonOptions
 
 
 def _confirm_address(known: Document, address: int, *, may_ask: bool) -> None:
-    drive, old = table_text(known.get("drive")), table_text(known.get("address"))
+    drive, old = cells_of(known, "drive", "address")
     if not may_ask:
         raise CommandError(
-            Exit.USAGE, Problem(f"the address of {drive} is not changed unasked", "add --yes")
+            Exit.USAGE, f"the address of {drive} is not changed unasked", "add --yes"
         )
     labels = ", ".join(f"{code} {text}" for code, text in dict(known.get("identity") or {}).items())
     click.echo(f"{drive} at address {old} ({known.get('family')}), which is {labels or 'unknown'}")
@@ -146,7 +146,7 @@ def _confirm_address(known: Document, address: int, *, may_ask: bool) -> None:
     if "zero_speed" not in (states or ()):
         click.echo("it does not say that its motor has come to rest: look at the machine")
     if not click.confirm(f"Give it address {address}?"):
-        raise CommandError(Exit.FAILED, Problem("nothing was changed"))
+        raise CommandError(Exit.FAILED, "nothing was changed")
 
 
 @click.command("wear")
@@ -172,7 +172,7 @@ def _show_wear(drive: str, report: Document) -> None:
         return
     rows = [
         (
-            *(table_text(one.get(key)) for key in ("code", "name", "writes", "to_this_device")),
+            *cells_of(one, "code", "name", "writes", "to_this_device"),
             age(one["wait_s"]) if one.get("wait_s") else "",
         )
         for one in codes

@@ -74,7 +74,7 @@ class _Commands(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             remedy = meant(cmd_name, COMMANDS, "the commands")
-            raise CommandError(Exit.USAGE, Problem(f"there is no command `{cmd_name}`", remedy))
+            raise CommandError(Exit.USAGE, f"there is no command `{cmd_name}`", remedy)
         module = import_module(f"lecombus.cli.{COMMANDS[cmd_name][0]}")
         command: click.Command = getattr(module, f"{cmd_name.replace('-', '_')}_command")
         return command
@@ -148,7 +148,7 @@ def _as_command_error(exc: Exception) -> CommandError:
     if isinstance(exc, CommandError):
         return exc
     if isinstance(exc, click.ClickException):
-        return CommandError(Exit.USAGE, Problem(exc.format_message(), _how_to_call(exc)))
+        return CommandError(Exit.USAGE, exc.format_message(), _how_to_call(exc))
     if isinstance(exc, OSError):
         return _as_system_error(exc)
     status = Exit.USAGE if isinstance(exc, ConfigError | CodeValueError) else Exit.FAILED
@@ -157,9 +157,8 @@ def _as_command_error(exc: Exception) -> CommandError:
         status = Exit.FORBIDDEN
     lines = str(exc).splitlines() or [type(exc).__name__]
     if isinstance(exc, OperationError):
-        found = Problem(" ".join(lines), exc.remedy, exc.kind, exc.drive, exc.code)
-        return CommandError(status, found)
-    return CommandError(status, *(Problem(line) for line in lines))
+        return CommandError(status, " ".join(lines), exc.remedy, exc.kind, exc.drive, exc.code)
+    return CommandError.of(status, *(Problem(line) for line in lines))
 
 
 def _as_system_error(exc: OSError) -> CommandError:
@@ -169,7 +168,7 @@ def _as_system_error(exc: OSError) -> CommandError:
     elif isinstance(exc, FileNotFoundError | IsADirectoryError):
         status = Exit.USAGE
     what = (exc.strerror or type(exc).__name__).lower()
-    return CommandError(status, Problem(f"{exc.filename}: {what}" if exc.filename else what))
+    return CommandError(status, f"{exc.filename}: {what}" if exc.filename else what)
 
 
 def _how_to_call(exc: click.ClickException) -> str:

@@ -65,10 +65,25 @@ class CommandError(Exception):
 
     Args:
         status: The exit status.
-        problems: What is wrong, one line each.
+        problem: What is wrong, and further parts of a `Problem`.
     """
 
-    def __init__(self, status: Exit, *problems: Problem) -> None:
-        super().__init__("\n".join(str(problem) for problem in problems))
+    def __init__(
+        self,
+        status: Exit,
+        problem: str,
+        remedy: str = "",
+        kind: str = "",
+        drive: str = "",
+        code: str = "",
+    ) -> None:
         self.status = status
-        self.problems = problems
+        self.problems: tuple[Problem, ...] = (Problem(problem, remedy, kind, drive, code),)
+        super().__init__(str(self.problems[0]))
+
+    @classmethod
+    def of(cls, status: Exit, *problems: Problem) -> CommandError:
+        """Return an error of several problems, one line each."""
+        error = cls(status, "\n".join(map(str, problems)))
+        error.problems = problems
+        return error

@@ -19,7 +19,7 @@ from lecombus.capacity.timeline import Preview, picture, preview
 from lecombus.capacity.watchdog_feasibility import InfeasibleWatchdog, find_infeasible, rounded_up
 from lecombus.cli.arguments import DaemonOptions, daemon_options
 from lecombus.cli.client import Answer, connect
-from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.screen import counted, show_table
 from lecombus.config import DriveEntry, Roster, line_timing, load_roster
 from lecombus.durations import format_duration
@@ -324,7 +324,7 @@ def _understood() -> Iterator[None]:
     except (KeyError, TypeError, ValueError) as exc:
         problem = "the daemon describes its line in a way that this lecombus does not know"
         remedy = "use the command of the daemon's own version"
-        raise CommandError(Exit.FAILED, Problem(problem, remedy)) from exc
+        raise CommandError(Exit.FAILED, problem, remedy) from exc
 
 
 def show_answers(answers: Answers) -> None:

@@ -15,7 +15,7 @@ import anyio.to_thread
 
 from lecombus.api.decimal_json import encode
 from lecombus.cli.document_rows import Document
-from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.cli.exits import CommandError, Exit
 from lecombus.config import LineEntry, line_timing
 from lecombus.drive_runtime import LineDrives
 from lecombus.drives import family
@@ -285,9 +285,9 @@ async def _read(settings: PortSettings, station: Station, code: Code) -> Value:
             others = await anyio.to_thread.run_sync(others_at, settings.url)
             if others:
                 what = f"{exc}; {shared(settings.url, others)}"
-                raise CommandError(Exit.FAILED, Problem(what, END_IT, "port-shared")) from exc
+                raise CommandError(Exit.FAILED, what, END_IT, "port-shared") from exc
             if isinstance(exc, NoReplyError) and not line.bytes_heard:
                 what = f"no drive answers at address {station.address}: not one byte came back"
                 remedy = f"{unheard_remedy(settings.url, settings.baud)}, and its address"
-                raise CommandError(Exit.FAILED, Problem(what, remedy, "no-answer")) from exc
+                raise CommandError(Exit.FAILED, what, remedy, "no-answer") from exc
             raise

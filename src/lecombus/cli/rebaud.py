@@ -126,7 +126,7 @@ def rebaud_command(
     if _shows_plan(work, options, dry_run=dry_run):
         show_plan(work, read, as_json=as_json)
     if work.obstacles:
-        raise CommandError(Exit.FAILED, *_problems(work))
+        raise CommandError.of(Exit.FAILED, *_problems(work))
     return Exit.DONE if dry_run else _do(work, options)
 
 
@@ -154,17 +154,17 @@ def _check_words(roster: Roster, old: int, new: int, *, generic: bool) -> None:
         named = f"from {old} to {new} baud" if old != roster.line.baud else f"{new} baud already"
         problem = f"{roster.file} has {named}"
         remedy = "name another rate, or by --from the one at which some drives are"
-        raise CommandError(Exit.USAGE, Problem(problem, remedy))
+        raise CommandError(Exit.USAGE, problem, remedy)
     port = roster.line.port
     if not port.startswith("/"):
         problem = f"the baud rate of {port} is not set from here"
         remedy = "connect the drives to a serial adapter of this machine, and name it as the port"
-        raise CommandError(Exit.USAGE, Problem(problem, remedy))
+        raise CommandError(Exit.USAGE, problem, remedy)
     unknown = [one.name for one in roster.drives if one.family == "generic"]
     if unknown and not generic:
         problem = f"of {', '.join(unknown)} (generic) nobody knows how the baud rate is set"
         remedy = "with --generic-c0125, if C0125 has a 2102's numbers there (0: 9600 .. 4: 19200)"
-        raise CommandError(Exit.USAGE, Problem(f"{problem}, or whether it turns", remedy))
+        raise CommandError(Exit.USAGE, f"{problem}, or whether it turns", remedy)
 
 
 def _check_held(roster: Roster, baud: int) -> None:
@@ -179,7 +179,7 @@ def _check_held(roster: Roster, baud: int) -> None:
         problems = [
             Problem(f"{one.drive}: {one.what}", one.right, drive=one.drive) for one in wrong
         ]
-        raise CommandError(Exit.USAGE, *problems)
+        raise CommandError.of(Exit.USAGE, *problems)
 
 
 def _see_no_daemon(roster: Roster) -> None:
@@ -193,7 +193,7 @@ def _see_no_daemon(roster: Roster) -> None:
         asked.settimeout(2.0)
         asked.connect(path)
         problem = f"a daemon of line {roster.line.name} runs: it answers at {path}"
-        raise CommandError(Exit.FAILED, Problem(problem, "stop it first", "daemon-runs"))
+        raise CommandError(Exit.FAILED, problem, "stop it first", "daemon-runs")
 
 
 def _check_rates(subjects: tuple[Subject, ...], old: int, new: int) -> None:
@@ -201,7 +201,7 @@ def _check_rates(subjects: tuple[Subject, ...], old: int, new: int) -> None:
         for baud in (old, new):
             if subject.number(baud) is None:
                 problem = f"{subject.name} ({subject.family.title}) knows no {baud} baud"
-                raise CommandError(Exit.USAGE, Problem(problem))
+                raise CommandError(Exit.USAGE, problem)
 
 
 def _subjects(roster: Roster) -> tuple[Subject, ...]:
@@ -235,7 +235,7 @@ def _recorded(roster: Roster) -> State:
         return State.parse(Path(roster.state).read_bytes())
     except ValueError as exc:
         remedy = "start the daemon once, which sets a damaged file aside"
-        raise CommandError(Exit.FAILED, Problem(f"{roster.state}: {exc}", remedy)) from exc
+        raise CommandError(Exit.FAILED, f"{roster.state}: {exc}", remedy) from exc
 
 
 def _ask_drives(work: Rebaud, roster: Roster, *, quiet: bool) -> None:
@@ -247,9 +247,9 @@ def _ask_drives(work: Rebaud, roster: Roster, *, quiet: bool) -> None:
     try:
         _carry(work, work.check, roster, Shown("asking drives", RebaudDrive.is_seen, quiet=quiet))
     except LecombusError as exc:
-        raise CommandError(Exit.FAILED, Problem(str(exc), "nothing was written")) from exc
+        raise CommandError(Exit.FAILED, str(exc), "nothing was written") from exc
     if work.line.interrupted:
-        raise CommandError(Exit.INTERRUPTED, Problem("interrupted", "nothing was written"))
+        raise CommandError(Exit.INTERRUPTED, "interrupted", "nothing was written")
 
 
 # ---- doing it -----------------------------------------------------------------------------------

@@ -181,10 +181,11 @@ def check(options: RestoreOptions, seen: Seen) -> None:
         strange = options.backup.family is seen.plan.family and not options.other_drive
         remedy = "with --to-other-drive, if it is meant for it" if strange else ""
         problems = [Problem(text, remedy, drive=options.drive) for text in seen.plan.blockers]
-        raise CommandError(Exit.USAGE, *problems)
+        raise CommandError.of(Exit.USAGE, *problems)
     if seen.rights.reason:
-        problem = Problem(seen.rights.reason, seen.rights.remedy, "not-permitted", options.drive)
-        raise CommandError(Exit.FORBIDDEN, problem)
+        raise CommandError(
+            Exit.FORBIDDEN, seen.rights.reason, seen.rights.remedy, "not-permitted", options.drive
+        )
 
 
 def carry_out(options: RestoreOptions, seen: Seen, notes: Notes) -> int:
@@ -223,7 +224,7 @@ def carry_out(options: RestoreOptions, seen: Seen, notes: Notes) -> int:
     enabled_again = enabled and options.enable and not enabling
     give_result(plan, result, options, partial(show_result, enabled=enabled_again))
     if enabling:
-        raise CommandError(Exit.FAILED, Problem(f"{options.drive} stays inhibited: {enabling}"))
+        raise CommandError(Exit.FAILED, f"{options.drive} stays inhibited: {enabling}")
     return Exit.DONE if result.complete else Exit.FAILED
 
 

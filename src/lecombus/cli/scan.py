@@ -19,7 +19,7 @@ import click
 from lecombus.cli import client
 from lecombus.cli.arguments import DaemonOptions, daemon_options
 from lecombus.cli.client import DaemonClient, connect
-from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.own_line import OwnPort, own_port
 from lecombus.cli.screen import Bar, on_terminal, progress, show_rows
 from lecombus.config import LineEntry, line_timing
@@ -161,17 +161,17 @@ def scan_command(
     _check_output(options)
     if all_bauds and bauds:
         raise CommandError(
-            Exit.USAGE, Problem("--bauds and --all-bauds are both given", "leave one of them out")
+            Exit.USAGE, "--bauds and --all-bauds are both given", "leave one of them out"
         )
     if port is None:
         if all_bauds or bauds:
             what = "a daemon scans at its line's baud rate only"
             remedy = "leave the rates out, or stop the daemon and scan with --port"
-            raise CommandError(Exit.USAGE, Problem(what, remedy))
+            raise CommandError(Exit.USAGE, what, remedy)
         return _through_daemon(options, daemon)
     if daemon.socket or daemon.url:
         raise CommandError(
-            Exit.USAGE, Problem("--port and a daemon are both given", "leave one of them out")
+            Exit.USAGE, "--port and a daemon are both given", "leave one of them out"
         )
     line = LineEntry(name=name, port=port, parity=parity, direction=direction)  # type: ignore[arg-type]
     return _on_own_port(options, line)
@@ -193,13 +193,13 @@ def _on_own_port(options: ScanOptions, line: LineEntry) -> int:
     if not scan.found:
         if others:
             what = f"no drive answers: {shared(line.port, others)}"
-            raise CommandError(Exit.FAILED, Problem(what, END_IT, "no-drive"))
+            raise CommandError(Exit.FAILED, what, END_IT, "no-drive")
         echo = bytes_heard > 0 and not scan.samples  # all that was heard is what was sent
         what, remedy = why_nothing(
             scan.samples, scan.unclear, echo=echo, parity=line.parity,
             bauds=options.bauds,
         )  # fmt: skip
-        raise CommandError(Exit.FAILED, Problem(what, remedy, "no-drive"))
+        raise CommandError(Exit.FAILED, what, remedy, "no-drive")
     baud = _commonest(scan.found)
     text, _ = propose(place, baud, scan.found, scan.unclear)
     _give(options, scan, text, {"port": line.port, "baud": baud})
@@ -212,9 +212,7 @@ def _through_daemon(options: ScanOptions, where: DaemonOptions) -> int:
         known = {int(one["address"]) for one in daemon.get("/v1/drives").data["drives"]}
         addresses = tuple(one for one in options.addresses if one not in known)
         if not addresses:
-            raise CommandError(
-                Exit.USAGE, Problem("the roster has all of these addresses", "name others")
-            )
+            raise CommandError(Exit.USAGE, "the roster has all of these addresses", "name others")
         baud = line.baud
         scan = Scan(ScanPlan(addresses, (baud,), options.thorough, listen_s=0.0))
         with _scan_bar() as bar:
@@ -227,7 +225,7 @@ def _through_daemon(options: ScanOptions, where: DaemonOptions) -> int:
                 scan.samples, scan.unclear, echo=None, parity="line", bauds=(baud,)
             )
         what = "; ".join(filter(None, (what, silence)))
-        raise CommandError(Exit.FAILED, Problem(what, "", "no-drive"))
+        raise CommandError(Exit.FAILED, what, "", "no-drive")
     here = {"port": line.port, "baud": baud}
     added = "\n".join(
         ["# To be added under `drives:` of the roster:", *entries(scan.found, {}), ""]
@@ -292,7 +290,7 @@ def _line_of(daemon: DaemonClient) -> LineEntry:
     line = daemon.get("/v1/line").data
     if "port" not in line or "baud" not in line:
         problem = f"the daemon at {daemon.where} does not know scans"
-        raise CommandError(Exit.UNREACHABLE, Problem(problem, "update it, or scan with --port"))
+        raise CommandError(Exit.UNREACHABLE, problem, "update it, or scan with --port")
     return LineEntry(name="line", port=str(line["port"]), baud=int(line["baud"]))
 
 
@@ -337,17 +335,12 @@ def _check_output(options: ScanOptions) -> None:
         return
     if options.output.exists() and not options.force:
         problem = f"{options.output} exists"
-        raise CommandError(
-            Exit.USAGE, Problem(problem, "name another file, or overwrite it with --force")
-        )
+        raise CommandError(Exit.USAGE, problem, "name another file, or overwrite it with --force")
     if not options.output.parent.is_dir():
-        raise CommandError(
-            Exit.USAGE, Problem(f"{options.output.parent} is no directory", "make it first")
-        )
+        raise CommandError(Exit.USAGE, f"{options.output.parent} is no directory", "make it first")
     if not os.access(options.output.parent, os.W_OK):
         raise CommandError(
-            Exit.FORBIDDEN,
-            Problem(f"{options.output.parent} may not be written to", "name another"),
+            Exit.FORBIDDEN, f"{options.output.parent} may not be written to", "name another"
         )
 
 

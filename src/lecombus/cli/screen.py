@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Self
 
 import click
 
-from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.cli.exits import CommandError, Exit
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
@@ -64,10 +64,11 @@ def make_sure(question: str, *, as_json: bool) -> None:
         CommandError: The user cannot be asked, or the answer was no.
     """
     if as_json or not can_ask():
-        problem = Problem("nobody can be asked here; nothing was written", "repeat it with --yes")
-        raise CommandError(Exit.USAGE, problem)
+        raise CommandError(
+            Exit.USAGE, "nobody can be asked here; nothing was written", "repeat it with --yes"
+        )
     if not click.confirm(question):
-        raise CommandError(Exit.FAILED, Problem("nothing was written"))
+        raise CommandError(Exit.FAILED, "nothing was written")
 
 
 def show_rows(headings: Sequence[str], rows: Iterable[Sequence[str]], *, title: str = "") -> None:

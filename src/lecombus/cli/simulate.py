@@ -110,15 +110,12 @@ def simulate_command(
 
 def _check_ends(roster: Path | None, pty: Path | None, tcp: str | None) -> None:
     if roster is None:
-        problem = Problem("-c ROSTER is missing", "say which drives to simulate")
-        raise CommandError(Exit.USAGE, problem)
+        raise CommandError(Exit.USAGE, "-c ROSTER is missing", "say which drives to simulate")
     if pty is not None and tcp is not None:
-        raise CommandError(
-            Exit.USAGE, Problem("--pty and --tcp are both given", "leave one of them out")
-        )
+        raise CommandError(Exit.USAGE, "--pty and --tcp are both given", "leave one of them out")
     if pty is None and tcp is None:
         raise CommandError(
-            Exit.USAGE, Problem("either --pty or --tcp is needed", "say where to serve the line")
+            Exit.USAGE, "either --pty or --tcp is needed", "say where to serve the line"
         )
 
 
@@ -132,7 +129,7 @@ def _serve_control(stack: ExitStack, path: Path, commands: Control, *, wanted: b
         problem = Problem(f"{path} cannot be a control socket: {exc.strerror}",
                           "name a shorter or free path with --control")  # fmt: skip
         if wanted:
-            raise CommandError(Exit.USAGE, problem) from exc
+            raise CommandError.of(Exit.USAGE, problem) from exc
         click.echo(f"lecombus: {problem}", err=True)
 
 
@@ -147,7 +144,7 @@ def _build(roster: Roster, faults: str, seed: int, *, as_written: bool, digit_of
             word_as_written=as_written, digit_of=digit_of,
         )  # fmt: skip
     except ValueError as exc:
-        raise CommandError(Exit.USAGE, Problem(str(exc))) from exc
+        raise CommandError(Exit.USAGE, str(exc)) from exc
 
 
 def _check_absent(absent: set[int], roster: Roster) -> None:
@@ -156,7 +153,7 @@ def _check_absent(absent: set[int], roster: Roster) -> None:
     if unknown := absent - there:
         problem = f"no drive of {roster.line.name} has the address {min(unknown)}"
         remedy = f"absent takes addresses of the roster: {'+'.join(map(str, sorted(there)))}"
-        raise CommandError(Exit.USAGE, Problem(problem, remedy))
+        raise CommandError(Exit.USAGE, problem, remedy)
 
 
 def _free_link(path: Path) -> Path:
@@ -167,11 +164,9 @@ def _free_link(path: Path) -> Path:
     if path.is_symlink() and path.exists():
         problem = f"{path} leads to {path.readlink()}: a simulator still serves it, or it is a port"
         remedy = "end that one first, or name another path; if it is neither, remove the link"
-        raise CommandError(Exit.USAGE, Problem(problem, remedy))
+        raise CommandError(Exit.USAGE, problem, remedy)
     if path.exists() and not path.is_symlink():
-        raise CommandError(
-            Exit.USAGE, Problem(f"{path} exists and is no link", "name a path that is free")
-        )
+        raise CommandError(Exit.USAGE, f"{path} exists and is no link", "name a path that is free")
     return path
 
 
@@ -179,7 +174,7 @@ def _tcp_port(text: str) -> int:
     host, _, port = text.rpartition(":")
     if host not in ("", "127.0.0.1", "localhost") or not port.isdecimal() or int(port) > 65535:
         remedy = "write --tcp 127.0.0.1:PORT; simulated drives are served to this machine only"
-        raise CommandError(Exit.USAGE, Problem(f"`{text}` cannot be served", remedy))
+        raise CommandError(Exit.USAGE, f"`{text}` cannot be served", remedy)
     return int(port)
 
 
@@ -217,7 +212,7 @@ def _tell_simulator(path: Path | None, lines: tuple[str, ...], *, as_json: bool)
     """
     if path is None:
         remedy = "give the --pty or the --control that the simulator was started with"
-        raise CommandError(Exit.USAGE, Problem("--tell does not know whom to tell", remedy))
+        raise CommandError(Exit.USAGE, "--tell does not know whom to tell", remedy)
     sent: list[dict[str, str]] = []
     try:
         for line in lines:
@@ -239,11 +234,11 @@ def _send_line(path: Path, line: str) -> str:
     try:
         return send_to_simulator(path, line)
     except ControlError as exc:
-        raise CommandError(Exit.FAILED, Problem(str(exc))) from exc
+        raise CommandError(Exit.FAILED, str(exc)) from exc
     except OSError as exc:
         problem = f"no simulator is told through {path}: {exc.strerror or exc}"
         remedy = "start it with `lecombus simulate`, and name its --pty or --control here"
-        raise CommandError(Exit.UNREACHABLE, Problem(problem, remedy)) from exc
+        raise CommandError(Exit.UNREACHABLE, problem, remedy) from exc
 
 
 def _listen_to_terminal(do: Callable[[str], str]) -> bool:

@@ -9,7 +9,7 @@ import click
 
 from lecombus.cli.arguments import DaemonOptions, daemon_options
 from lecombus.cli.client import connect, path_of
-from lecombus.cli.document_rows import Document, code_of, quality_of, shown_value
+from lecombus.cli.document_rows import Document, cells_of, code_of, quality_of, shown_value
 from lecombus.cli.exits import Exit
 from lecombus.cli.screen import Styled, age, on_terminal, show_rows, table_text
 
@@ -61,7 +61,7 @@ def _show_line(line: Document, drives: Sequence[Document]) -> None:
         show_rows((), [("line", name, state, why)])
     rows = []
     for drive in drives:
-        who = [table_text(drive.get(key)) for key in ("drive", "address", "family")]
+        who = cells_of(drive, "drive", "address", "family")
         how = table_text(drive.get("state"))
         why = _why(drive).replace(f"line {state}: {line.get('reason')}", f"line {state}")
         motion: Document = drive.get("motion") or {}
@@ -255,14 +255,10 @@ def _show_history(why: Document, words: Mapping[str, str]) -> None:
 
 
 def _list_why(why: Document) -> None:
-    rows = [("answer", *(table_text(why.get(key)) for key in ("drive", "state", "answer")))]
-    keys = ("weight", "name", "text", "remedy", "shown_by")
-    rows += [
-        (*(table_text(one.get(key)) for key in keys), "stale" if one.get("stale") else "")
-        for one in why.get("findings") or []
-    ]
-    rows += [
-        ("history", *(table_text(one.get(key)) for key in ("code", "number", "keypad", "meaning")))
-        for one in why.get("history") or []
-    ]
+    rows = [("answer", *cells_of(why, "drive", "state", "answer"))]
+    for one in why.get("findings") or []:
+        cells = cells_of(one, "weight", "name", "text", "remedy", "shown_by")
+        rows.append((*cells, "stale" if one.get("stale") else ""))
+    for one in why.get("history") or []:
+        rows.append(("history", *cells_of(one, "code", "number", "keypad", "meaning")))
     show_rows((), rows)

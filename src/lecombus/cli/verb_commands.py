@@ -22,7 +22,7 @@ from lecombus.cli.document_rows import (
     show_verb,
     status_of,
 )
-from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.cli.exits import CommandError, Exit
 from lecombus.readings import Json
 
 __all__ = [
@@ -209,7 +209,5 @@ def stop_command(
     back, reason. With --json: the daemon's document, as for group.
     """
     if target and everything:
-        raise CommandError(
-            Exit.USAGE, Problem("a target and --all are both given", "leave one of them out")
-        )
+        raise CommandError(Exit.USAGE, "a target and --all are both given", "leave one of them out")
     return _send_stop(target or "all", action, daemon)
