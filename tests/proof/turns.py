@@ -19,6 +19,8 @@ from proof.lines import RandomLine
 
 __all__ = ["Turns"]
 
+_ROWS = {priority: f"{priority.name.lower()}, its turn" for priority in Priority}
+
 
 class Turns:
     """Judges how long each class had to wait for its turn.
@@ -99,8 +101,9 @@ class Turns:
             return
         stops_s = self._stops_s - self._stops_before_s.get(priority, self._stops_s)
         waited_s = begun_s - self._since_s[priority] - stops_s
-        row = f"{priority.name.lower()}, its turn"
-        self.most[row] = max(self.most.get(row, 0.0), waited_s / promised_s)
+        row = _ROWS[priority]
+        if waited_s / promised_s > self.most.setdefault(row, 0.0):
+            self.most[row] = waited_s / promised_s
         if waited_s > promised_s:
             self._say(
                 f"{priority.name.lower()} had no turn for {waited_s:.3f} s, promised "

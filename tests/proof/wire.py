@@ -21,6 +21,7 @@ import struct
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 from lecombus.fieldbus.lecom.protocol.exchange import EARLIEST_SHARE
 from lecombus.fieldbus.lecom.protocol.telegrams import (
@@ -199,6 +200,7 @@ def _has_come(one: _Exchange, answer: object) -> bool:
     return any(byte in text for byte in (ACK, NAK, EOT))
 
 
+@lru_cache(maxsize=4096)
 def is_whole(heard: bytes) -> bool:
     """Whether bytes are one whole answer and nothing else, by position alone."""
     text = heard.translate(STRIPPED)

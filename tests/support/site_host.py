@@ -409,7 +409,7 @@ class Plant:
         self.site.apply(parse_roster(text, "r.yaml"))
 
     def state(self, drive: str) -> DriveState:
-        return self.site.store.drive(drive).state
+        return self.site.store.state(drive)
 
     def sent_to(self, address: int, since_s: float = 0.0) -> list[Telegram]:
         head = b"\x04%02d" % address

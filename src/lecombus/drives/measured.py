@@ -171,7 +171,10 @@ class _Attempts:
     @property
     def answers(self) -> int:
         """How many of them were answered."""
-        return len(self._last) - [time_s for _, time_s in self._last].count(math.inf)
+        count = len(self._last)
+        if not self._untimely:  # a missing answer is untimely; most drives miss none
+            return count
+        return count - [time_s for _, time_s in self._last].count(math.inf)
 
     @property
     def is_slow(self) -> bool:

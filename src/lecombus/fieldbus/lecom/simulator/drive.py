@@ -255,8 +255,8 @@ class SimDrive:
         Returns:
             The answer; None when it stays silent.
         """
-        self.advance(now_s)
         model = self.model
+        model.advance(now_s)
         if now_s < model.deaf_until_s or not model.listens():
             return None
         if model.standard_only and heard.field[:1] == b"!":

@@ -35,6 +35,9 @@ _BITS: Final = 10
 """A character: start bit, 7 data bits, parity, stop bit. Source: EDB2102EN 3.2."""
 
 
+_NOBODY: Final[list[SimDrive]] = []
+
+
 class _Event(Enum):
     SPEAK = auto()
     LET_THROUGH = auto()
@@ -328,7 +331,7 @@ class SimLine:
     def _reached(self, address: int) -> list[SimDrive]:
         """The drives an address or group address reaches. Source: EDB2102EN 8.3.4."""
         if address % 10:
-            found = (self._by_address or self._look()).get(address, [])
+            found = (self._by_address or self._look()).get(address, _NOBODY)
         elif address == 0:
             found = list(self.drives)
         else:
@@ -346,10 +349,10 @@ class SimLine:
         self._by_address = None
 
     def _hears(self, drive: SimDrive) -> bool:
-        faults = self._faults_of(drive)
-        return (
-            drive.present and drive.address not in faults.absent and drive.baud == self._host_baud
-        )
+        if not drive.present or drive.baud != self._host_baud:
+            return False
+        absent = self._faults_of(drive).absent if self.drive_faults else self.faults.absent
+        return not absent or drive.address not in absent
 
     def _faults_of(self, drive: SimDrive) -> Faults:
         if not self.drive_faults:
@@ -409,7 +412,8 @@ class SimLine:
         """Let an answer's bytes arrive at the host, and perhaps once more later."""
         self._deliver(speech, at_s)
         faults = self._faults_of(speech.drive)
-        twin = speech.drive.address in self.faults.twins
+        twins = self.faults.twins
+        twin = bool(twins) and speech.drive.address in twins
         if twin or (faults.double and self._spoiler.happens(faults.double)):
             least_s, most_s = TWIN_S if twin else faults.double_s
             later_s = at_s + self._spoiler.rng.uniform(least_s, most_s)
