@@ -67,18 +67,20 @@ class Arbiter:
 
     def first(self, now_s: float) -> tuple[Request | None, bool]:
         """Find what is first; return whether it is a feed, which needs no slack check."""
+        waiting, queues = self._waiting, self._waiting.queues
         heads: dict[Priority, Request] = {}
         costs_s: dict[Priority, float] = {}
         for priority in CLASS_SHARES:
-            head = self._waiting.head(priority, now_s)
+            head = waiting.head(priority, now_s) if queues[priority].depth else None
             if head is None and priority is Priority.CYCLIC:
                 head = self._periodic(now_s)
             if head is not None:
                 heads[priority] = head
                 costs_s[priority] = head.cost_s
-            elif self._waiting.queues[priority].depth:
+            elif queues[priority].depth:
                 costs_s[priority] = 0.0
-        control = self._waiting.head(Priority.CONTROL, now_s)
+        depth = queues[Priority.CONTROL].depth
+        control = waiting.head(Priority.CONTROL, now_s) if depth else None
         top = Priority.CONTROL if control is not None else next(iter(heads), Priority.BACKGROUND)
         entitled = self._shares.entitled(costs_s, top)
         kept = self._kept(control or heads.get(top), heads, now_s)

@@ -213,7 +213,7 @@ class Exchange:
         self._quiet_s = now_s if quiet_s is None else quiet_s
         paused = self._quiet_s - self._last_byte_s > self._ask.gap_s
         self._last_byte_s = now_s
-        if self._phase is not _WAIT:
+        if self._phase is not _WAIT and (paused or self._phase is not _ANSWER):
             data = self._not_of_the_answer(data, paused)
             if not data:
                 return None
