@@ -8,7 +8,7 @@ the one that is open, and every report of the daemon must fit the exchange that 
 * At most one exchange is open: the one before had its whole answer, or is reported as failed.
 * No answer is taken for another exchange's: what is reported is what that drive did upon that
   telegram, as the drive itself remembers it. Noise alone may turn an answer into that of a drive
-  without the code (see `simulator.spoiling`), and a stop may be ended by the late acknowledgement
+  without the code (see `simulator.faults`), and a stop may be ended by the late acknowledgement
   of a write that stayed without its own: it is not believed, but proven by a read (`shown`).
 
 Must not live here: who should have spoken (`invariants`), how long anything may wait (`promises`).
