@@ -39,12 +39,13 @@ class PreparedTelegram:
     """A telegram ready to be sent.
 
     Args:
-        ask: Bytes, expected answer, deadlines. quarantine_s: Silence wanted after it if its answer
-        does not come, seconds. hold_s: How long the drive is left alone after it, seconds.
-        thinking_s: For how long nothing can arrive after it was handed over, seconds. documented_s:
-        The longest that manual and roster let the drive think, seconds. documented_ask: A read of a
-        drive that turned out to be slower than they tell, with the time-outs of one that is not: a
-        stop need not wait for a slow drive's reading.
+        ask: Bytes, expected answer, deadlines.
+        quarantine_s: Silence wanted after it if its answer does not come, seconds.
+        hold_s: How long the drive is left alone after it, seconds.
+        thinking_s: For how long nothing can arrive after it was handed over, seconds.
+        documented_s: The longest that manual and roster let the drive think, seconds.
+        documented_ask: A read of a drive that is slower than documented, with the time-outs of one
+            that is not: a stop need not wait for a slow drive's reading.
     """
 
     ask: Ask
@@ -66,7 +67,7 @@ class _Kept:
     """The questions that read one code, one for each form that can, the preferred first."""
 
     slow: SlowAnswers
-    preparer: tuple[PreparedTelegram, ...]
+    telegrams: tuple[PreparedTelegram, ...]
 
 
 class TelegramPreparer:
@@ -132,12 +133,12 @@ class TelegramPreparer:
     ) -> PreparedTelegram | float:
         """Find the form in which a code may be read now; else the time when one may be used."""
         free_at_s = math.inf
-        preparer = self._of_read(station, code)
+        telegrams = self._of_read(station, code)
         if form is not None:
             field = encode_code(code, form)
-            preparer = tuple(sorted(preparer, key=lambda one: one.ask.field != field))
-            preparer = preparer[:1] if only else preparer
-        for prepared in preparer:
+            telegrams = tuple(sorted(telegrams, key=lambda one: one.ask.field != field))
+            telegrams = telegrams[:1] if only else telegrams
+        for prepared in telegrams:
             until_s = self._late_replies.blocked_until_s(prepared.ask.field, now_s)
             if until_s <= now_s:
                 return prepared
@@ -152,7 +153,7 @@ class TelegramPreparer:
             forms = [form for form in station.forms if form.carries(code)]
             kept = _Kept(slow, tuple(self._to_read(station, code, form) for form in forms))
             self._reads[station, code] = kept
-        return kept.preparer
+        return kept.telegrams
 
     def _to_read(self, station: Station, code: Code, form: AddressForm) -> PreparedTelegram:
         cost = read_cost(self._timing, station.family, code, form, station.answer_s(code))
