@@ -9,6 +9,7 @@ import pytest
 from config.rosters import CONFIG, GOOD, drive_with, line_with, parsed, roster_with
 from lecombus.cli.check import gathered, pipe_rows
 from lecombus.config import describe, line_timing, load_roster
+from lecombus.fieldbus.lecom.protocol.addressing import group_reach
 from support.golden import Golden
 
 
@@ -26,7 +27,7 @@ def test_groups_say_whether_one_telegram_reaches_them() -> None:
         ("one", "one-by-one", "one-by-one", None),
     ]
     one_telegram = "one multicast to 10 (reaches every drive at 11 to 19)"
-    shown = pipe_rows(description)
+    shown = pipe_rows(description, group_reach)
     assert ("group", "both", one_telegram, "one after another", "belt, feeder") in shown
     assert ("group", "one", "one after another", "one after another", "belt") in shown
     assert any("group one: multicast does nothing" in text for text in description.warnings)
@@ -38,7 +39,7 @@ def test_writes_go_as_one_telegram_where_the_roster_says_that_it_knows_every_dri
     assert [(one.how, one.writes) for one in description.groups] == [("multicast", "multicast")] * 2
     assert description.groups[0].members == ("feeder", "belt")
     one_telegram = "one multicast to 10 (reaches every drive at 11 to 19)"
-    rows = pipe_rows(description)
+    rows = pipe_rows(description, group_reach)
     assert ("group", "both", one_telegram, one_telegram, "belt, feeder") in rows
     assert not [text for text in description.warnings if "multicast" in text]
 
@@ -65,7 +66,7 @@ def test_what_does_nothing_yet_is_told_in_a_few_lines() -> None:
     keys = describe(load_roster(CONFIG / "full.yaml")).not_yet_used
     assert len(gathered(keys)) == 5
     assert "drives.infeed-1.lease and 8 more drives'" in gathered(keys)[-1]
-    rows = pipe_rows(describe(load_roster(CONFIG / "full.yaml")))
+    rows = pipe_rows(describe(load_roster(CONFIG / "full.yaml")), group_reach)
     assert [row[1] for row in rows if row[0] == "unused"] == list(keys)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -13,9 +14,12 @@ from lecombus.cli.exits import Exit
 from lecombus.cli.screen import on_terminal, show_rows
 from lecombus.config import RosterError, load_roster
 from lecombus.config.describing import DescribedDrive, DescribedGroup, Description, describe
-from lecombus.fieldbus.lecom.protocol.addressing import group_reach
+from lecombus.fieldbus.protocols import find
 
 __all__ = ["check_command", "gathered", "pipe_rows"]
+
+Reach = Callable[[int], Sequence[int]]
+"""Gives the addresses that a multicast to an address reaches."""
 
 COLUMNS = ("drive", "address", "family", "watchdog", "stop fallback", "cyclic reads")
 
@@ -40,7 +44,8 @@ def check_command(roster: Path, as_json: bool) -> int:
     "not_yet_used"}.
     """
     try:
-        description = describe(load_roster(roster))
+        loaded = load_roster(roster)
+        description, reach = describe(loaded), find(loaded.line.protocol).group_reach
     except RosterError as exc:
         if not as_json:
             raise
@@ -50,32 +55,35 @@ def check_command(roster: Path, as_json: bool) -> int:
     if as_json:
         click.echo(json.dumps({"ok": True, **description.as_json()}, ensure_ascii=False))
     elif on_terminal():
-        _show(description)
+        _show(description, reach)
     else:
-        show_rows((), pipe_rows(description))
+        show_rows((), pipe_rows(description, reach))
     return Exit.DONE
 
 
-def pipe_rows(description: Description) -> list[tuple[str, ...]]:
+def pipe_rows(description: Description, reach: Reach) -> list[tuple[str, ...]]:
     """Return the report for a pipe: rows whose first cell says what they are."""
     line = description.line.removeprefix("line ")
     return [
         ("line", line, f"{description.cyclic_load:.0%}"),
         *(("drive", *_row(one)) for one in description.drives),
-        *(("group", one.name, *_ways(one), ", ".join(one.members)) for one in description.groups),
+        *(
+            ("group", one.name, *_ways(one, reach), ", ".join(one.members))
+            for one in description.groups
+        ),
         *(("warning", text) for text in description.warnings),
         *(("unused", key) for key in description.not_yet_used),
     ]
 
 
-def _show(description: Description) -> None:
+def _show(description: Description, reach: Reach) -> None:
     """Print the report on a terminal."""
     title = f"{description.line}; cyclic reads take {description.cyclic_load:.0%} of it"
     show_rows(COLUMNS, map(_row, description.drives), title=title)
     click.echo()
     rows = []
     for group in description.groups:
-        stops, writes = _ways(group)
+        stops, writes = _ways(group, reach)
         how = "the same" if group.how == group.writes else writes
         rows.append((group.name, stops, how, ", ".join(group.members)))
     show_rows(("group", "stops go as", "writes go as", "members"), rows)
@@ -93,17 +101,18 @@ def _row(drive: DescribedDrive) -> tuple[str, ...]:
     )  # fmt: skip
 
 
-def _ways(group: DescribedGroup) -> tuple[str, str]:
+def _ways(group: DescribedGroup, reach: Reach) -> tuple[str, str]:
     """Say how stops and how other writes go to a group."""
-    return _way(group.how, group.multicast_address), _way(group.writes, group.multicast_address)
+    address = group.multicast_address
+    return _way(group.how, address, reach), _way(group.writes, address, reach)
 
 
-def _way(how: str, address: int | None) -> str:
+def _way(how: str, address: int | None, reach: Reach) -> str:
     """Say how a telegram goes to a group, and which drives a multicast reaches."""
     if how == "one-by-one" or address is None:
         return "one after another"
-    reach = group_reach(address)
-    return f"one multicast to {address:02d} (reaches every drive at {reach[0]} to {reach[-1]})"
+    reached = reach(address)
+    return f"one multicast to {address:02d} (reaches every drive at {reached[0]} to {reached[-1]})"
 
 
 def _warning(text: str) -> str:

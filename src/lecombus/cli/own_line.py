@@ -21,8 +21,8 @@ from lecombus.drive_runtime import LineDrives
 from lecombus.drives import family
 from lecombus.errors import ExchangeError, LecombusError, LineLostError, NoReplyError
 from lecombus.fieldbus.costs import LineTiming
-from lecombus.fieldbus.lecom.fieldbus import FIELDBUS as LECOM
 from lecombus.fieldbus.port import Port, PortSettings, Receiver
+from lecombus.fieldbus.protocols import find
 from lecombus.fieldbus.reports import ExchangeReport
 from lecombus.fieldbus.station import Station
 from lecombus.line.devices import END_IT, others_at, shared, unheard_remedy
@@ -35,6 +35,9 @@ from lecombus.readings import Quality, Reading
 from lecombus.schedule import Outcome, Priority, Schedule
 
 __all__ = ["OwnLine", "OwnPort", "own_line", "own_port", "read_directly"]
+
+LECOM = find("lecom")
+"""What is spoken where no roster says it."""
 
 STRAYS_KEPT = 256
 """How many unsolicited bytes are kept."""

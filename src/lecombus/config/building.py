@@ -15,6 +15,7 @@ from lecombus.config.keys import ALL
 from lecombus.drives import Family, family
 from lecombus.fieldbus.protocols import find
 from lecombus.parameters import AddressForm, Code, rules_of
+from lecombus.parameters.rules import forms_of
 from lecombus.roster import (
     ApiEntry,
     CyclicEntry,
@@ -112,11 +113,8 @@ def _stored_writes(entry: Fields | None) -> StoredWrites:
 
 
 def _forms(addressing: str | None, of: Family) -> tuple[AddressForm, ...]:
-    """Return the forms that a drive is spoken to in: `both` is all that its protocol knows."""
-    if addressing is None:
-        return of.forms
-    known = rules_of(of.protocol).forms
-    return tuple(known.values()) if addressing == "both" else (known[addressing],)
+    """Return the forms that a drive is spoken to in."""
+    return of.forms if addressing is None else forms_of(rules_of(of.protocol), addressing)
 
 
 def _groups(roster: Fields, drives: Sequence[DriveEntry], protocol: str) -> dict[str, GroupEntry]:

@@ -10,7 +10,6 @@ each other, groups, and the end.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Final
 
 from lecombus.capacity.watchdog_feasibility import find_infeasible
 from lecombus.config.container_types import Fields, Items
@@ -19,14 +18,10 @@ from lecombus.config.mistakes import Mistakes, did_you_mean, one_of, shown
 from lecombus.config.scalar_types import UNUSABLE
 from lecombus.config.yaml_nodes import Scalar
 from lecombus.drives import StopAction, family, knows_stop
+from lecombus.fieldbus.protocols import Fieldbus, find
 from lecombus.roster import Roster, is_network_port
 
 __all__ = ["check_feasibility", "check_roster", "default_socket", "drives_of"]
-
-MOST_DRIVES: Final = {"rs232": 1, "rs485": 31, "fibre": 52}
-"""Source: EDB2102EN 4.4.1 to 4.4.3, CMVLC401A 3.3.2."""
-MOST_WITH_REPEATERS: Final = 90
-"""Source: CMVLC401A 3.3.2."""
 
 
 def default_socket(line: str) -> str:
@@ -40,17 +35,24 @@ def drives_of(roster: Fields) -> list[Fields]:
     return [item.value for item in drives] if isinstance(drives, Items) else []
 
 
-def check_roster(roster: Fields, mistakes: Mistakes) -> None:
-    """Note everything that is wrong between the keys of a roster."""
+def check_roster(roster: Fields, protocol: str, mistakes: Mistakes) -> None:
+    """Note everything that is wrong between the keys of a roster.
+
+    Args:
+        roster: What could be read.
+        protocol: The protocol of its line.
+        mistakes: Noted into.
+    """
+    fieldbus = find(protocol)
     drives = drives_of(roster)
     line = roster.get("line")
     if isinstance(line, Fields):
         _check_line(line, mistakes)
-        _check_count(line, roster, mistakes)
+        _check_count(line, roster, fieldbus, mistakes)
     for drive in drives:
-        check_drive(drive, mistakes)
+        check_drive(drive, fieldbus, mistakes)
     _check_names(drives, mistakes)
-    _check_addresses(drives, mistakes)
+    _check_addresses(drives, fieldbus, mistakes)
     _check_groups(roster, drives, mistakes)
     _check_shutdown(roster, drives, mistakes)
     _check_default_lapse(roster, drives, mistakes)
@@ -84,21 +86,21 @@ def _check_line(line: Fields, mistakes: Mistakes) -> None:
         mistakes.note(line.place("repeaters"), what, "remove the key, or write medium: rs485")
 
 
-def _check_count(line: Fields, roster: Fields, mistakes: Mistakes) -> None:
+def _check_count(line: Fields, roster: Fields, fieldbus: Fieldbus, mistakes: Mistakes) -> None:
     """Note each drive beyond what the medium takes, at the first one too many."""
     medium = line.get("medium", None if "medium" in line.nodes else "rs485")
     if medium is None or not isinstance(roster.get("drives"), Items):
         return
-    most = MOST_DRIVES[medium]
+    most, with_repeaters = fieldbus.most_drives[medium], fieldbus.most_with_repeaters
     if medium == "rs485" and line.get("repeaters"):
-        most = MOST_WITH_REPEATERS
+        most = with_repeaters
     drives = drives_of(roster)
     if len(drives) <= most:
         return
     what = f"there are {len(drives)} drives, but {medium} takes {most}"
     right = "remove drives or split them over two lines"
-    if medium == "rs485" and most < MOST_WITH_REPEATERS:
-        right = f"split them over two lines, or write repeaters: true for {MOST_WITH_REPEATERS}"
+    if medium == "rs485" and most < with_repeaters:
+        right = f"split them over two lines, or write repeaters: true for {with_repeaters}"
     if medium == "rs232":
         right = "keep one drive, or write medium: rs485"
     mistakes.note(drives[most].node, what, right)
@@ -116,7 +118,7 @@ def _check_names(drives: list[Fields], mistakes: Mistakes) -> None:
             mistakes.note(drive.place("name"), what, "every drive needs its own name")
 
 
-def _check_addresses(drives: list[Fields], mistakes: Mistakes) -> None:
+def _check_addresses(drives: list[Fields], fieldbus: Fieldbus, mistakes: Mistakes) -> None:
     first: dict[int, Fields] = {}
     for drive in drives:
         address = drive.get("address")
@@ -127,14 +129,16 @@ def _check_addresses(drives: list[Fields], mistakes: Mistakes) -> None:
             named = f"drive {shown(other.get('name', 'without a name'))}"
             line = other.place("address").line
             what = f"address {address} is that of {named} in line {line} already"
-            mistakes.note(drive.place("address"), what, _free_address(address, drives))
+            mistakes.note(drive.place("address"), what, _free_address(address, drives, fieldbus))
 
 
-def _free_address(near: int, drives: list[Fields]) -> str:
+def _free_address(near: int, drives: list[Fields], fieldbus: Fieldbus) -> str:
     """Return a remedy that names the next free address."""
     taken = {drive.get("address") for drive in drives}
-    free = [number for number in (*range(near, 100), *range(near, 0, -1))
-            if number % 10 and number not in taken]  # fmt: skip
+    upwards = range(near, fieldbus.highest_address + 1)
+    downwards = range(near, fieldbus.lowest_address - 1, -1)
+    free = [number for number in (*upwards, *downwards)
+            if fieldbus.is_address(number) and number not in taken]  # fmt: skip
     return f"every drive needs its own; {free[0]} is free" if free else "every drive needs its own"
 
 

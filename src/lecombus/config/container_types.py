@@ -10,8 +10,8 @@ What must not live here: which keys there are (see `keys`).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from lecombus.config.mistakes import Mistakes, nearest, shown
@@ -105,6 +105,15 @@ class Table:
         self.doc = doc
         self.expects = self._expected()
         self.schema = self._schema()
+
+    def with_types(self, types: Mapping[str, ValueType], without: Collection[str] = ()) -> Table:
+        """Return a table with other types for some of its keys, and without some of them."""
+        keys = [
+            replace(key, type=types.get(name, key.type))
+            for name, key in self.keys.items()
+            if name not in without
+        ]
+        return Table(self.title, keys, self.doc)
 
     def _expected(self) -> str:
         required = [key.name for key in self.keys.values() if key.required]

@@ -9,12 +9,12 @@ from collections.abc import Collection
 
 from lecombus.config.container_types import Fields, Item, Items
 from lecombus.config.mistakes import Mistakes, Position, did_you_mean, one_of, shown
-from lecombus.drives import FAMILY_NAMES, Family, StopAction, WatchdogTraits, family, knows_stop
+from lecombus.drives import Family, StopAction, WatchdogTraits, family, family_names, knows_stop
 from lecombus.durations import format_duration
 from lecombus.errors import CodeValueError
-from lecombus.fieldbus.lecom.protocol.addressing import Form
-from lecombus.fieldbus.protocols import find
+from lecombus.fieldbus.protocols import Fieldbus, find
 from lecombus.parameters import Code
+from lecombus.parameters.rules import forms_of
 
 __all__ = ["check_drive", "check_lapse"]
 
@@ -22,15 +22,15 @@ WRITABLE = ("writable", "also_writable")
 """The keys that list what may be written."""
 
 
-def check_drive(drive: Fields, mistakes: Mistakes) -> None:
+def check_drive(drive: Fields, fieldbus: Fieldbus, mistakes: Mistakes) -> None:
     """Note everything that is wrong inside one drive's entry."""
     _check_doubles(drive, mistakes)
-    _check_forms(drive, mistakes)
+    _check_forms(drive, fieldbus, mistakes)
     name = drive.get("family")
     watchdog = drive.get("watchdog")
     if name is None:
         if isinstance(watchdog, Fields):
-            _check_watchdog_of_any(watchdog, mistakes)
+            _check_watchdog_of_any(watchdog, fieldbus, mistakes)
         return
     of = family(name)
     if of.watchdog is None and "watchdog" in drive.nodes:
@@ -55,9 +55,12 @@ def check_lapse(drive: Fields, action: str, place: Position, mistakes: Mistakes)
         mistakes.note(place, what, f"write on_lapse: {one_of([*known, 'silence', 'hold'])}")
 
 
-def _check_watchdog_of_any(watchdog: Fields, mistakes: Mistakes) -> None:
+def _check_watchdog_of_any(watchdog: Fields, fieldbus: Fieldbus, mistakes: Mistakes) -> None:
     """Note what no family's watchdog can do, where the family is not known."""
-    known = [traits for name in FAMILY_NAMES if (traits := family(name).watchdog) is not None]
+    all_of = map(family, family_names(fieldbus.name))
+    known = [of.watchdog for of in all_of if of.watchdog is not None]
+    if not known:
+        return
     low_s, high_s = min(one.low_s for one in known), max(one.high_s for one in known)
     actions = list(dict.fromkeys(action for one in known for action in one.actions))
     time_s, action = watchdog.get("time"), watchdog.get("action")
@@ -150,20 +153,20 @@ def _check_doubles(drive: Fields, mistakes: Mistakes) -> None:
                 mistakes.note(item.node, what, "keep one of the two")
 
 
-def _check_forms(drive: Fields, mistakes: Mistakes) -> None:
+def _check_forms(drive: Fields, fieldbus: Fieldbus, mistakes: Mistakes) -> None:
     """Note codes that the drive's addressing cannot carry."""
     name = drive.get("family")
     addressing = drive.get("addressing")
-    if addressing is None and name is not None and "addressing" not in drive.nodes:
-        addressing = "both" if Form.EXTENDED in family(name).forms else "standard"
-    if addressing != "standard":
+    if addressing is not None:
+        forms = forms_of(fieldbus.rules, addressing)
+    elif name is not None and "addressing" not in drive.nodes:
+        forms = family(name).forms
+    else:
         return
     for key in ("cyclic", *WRITABLE, "identity"):
         for item in _codes(drive, key):
-            if not Form.STANDARD.carries(item.value):
-                what = f"{item.value} needs extended addressing, which this drive does not have"
-                right = "codes 0 to 6229 without subcode would be right, or addressing: both"
-                mistakes.note(item.node, what, right)
+            if not any(form.carries(item.value) for form in forms):
+                mistakes.note(item.node, *fieldbus.uncarried(item.value))
 
 
 def _check_writable(drive: Fields, of: Family, mistakes: Mistakes) -> None:

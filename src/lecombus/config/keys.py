@@ -1,6 +1,6 @@
 """Every key of a roster, what it holds, and its words for editors: the grammar as one table.
 
-Reading (`loading`) and the JSON Schema are both made from `ROSTER`; a key that is added
+Reading (`loading`) and the JSON Schema are both made from `roster_table`; a key that is added
 here is read, refused, completed and shown in editors. What it does is then up to `checks` and
 `building`.
 
@@ -9,6 +9,7 @@ What must not live here: rules between keys, defaults that depend on something.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any, Final, get_args
 
 from lecombus import roster
@@ -20,12 +21,13 @@ from lecombus.config.endpoint_types import (
     HttpType,
     PortType,
 )
+from lecombus.config.mistakes import one_of
 from lecombus.config.number_types import Address, CodeType, Duration, Percent, Whole, WholeChoice
-from lecombus.config.scalar_types import Keyword, Name, TextLine, YesNo
-from lecombus.drives import FAMILY_NAMES
-from lecombus.fieldbus.lecom.protocol.timing import BAUDS
+from lecombus.config.scalar_types import Keyword, Name, TextLine, WrongText, YesNo
+from lecombus.drives import family_names
+from lecombus.fieldbus.protocols import find, names
 
-__all__ = ["ALL", "CYCLIC_SHORTEST_S", "ROSTER", "roster_json_schema"]
+__all__ = ["ALL", "CYCLIC_SHORTEST_S", "roster_json_schema", "roster_table"]
 
 ALL: Final = "all"
 """The group that always exists."""
@@ -36,7 +38,8 @@ _HOUR_S: Final = 3600.0
 
 _DRIVE_NAME: Final = Name("drive", reserved={ALL: "`all` is the group of all drives"})
 _GROUP_NAME: Final = Name("group")
-_CODE: Final = CodeType()
+_BY_PROTOCOL: Final = TextLine("what the protocol of the line says", 1)
+"""Stands where the type depends on the protocol; `roster_table` sets it."""
 _ECHO: Final = Keyword(
     get_args(roster.Echo),
     also={"true": "yes", "on": "yes", "yes": "yes", "false": "no", "off": "no", "no": "no"},
@@ -49,7 +52,8 @@ _LINE: Final = Table("line", (
     Key("port", PortType(),
         "A device by its stable path (/dev/serial/by-id/..), socket://HOST:PORT, or sim: "
         "for built-in simulated drives.", required=True),
-    Key("baud", WholeChoice(BAUDS), "Bits a second, the same in every drive (C0125, P411).",
+    Key("protocol", _BY_PROTOCOL, "What the drives speak.", default="lecom"),
+    Key("baud", _BY_PROTOCOL, "Bits a second, the same in every drive (C0125, P411).",
         default=9600),
     Key("medium", Keyword(get_args(roster.Medium)),
         "What the drives hang on. rs485 takes 31 drives (90 with repeaters), rs232 one, fibre 52.",
@@ -94,7 +98,7 @@ _WATCHDOG: Final = Table("watchdog", (
 ), "The timer in the drive that stops it when the line goes quiet; lecombus feeds it.")  # fmt: skip
 
 _CYCLIC: Final = Table("cyclic read", (
-    Key("code", _CODE, "The code, with its subcode after a slash.", required=True),
+    Key("code", _BY_PROTOCOL, "The code, with its subcode after a slash.", required=True),
     Key("every", Duration(CYCLIC_SHORTEST_S, _DAY_S), "How often it is read.", required=True),
 ))  # fmt: skip
 
@@ -115,18 +119,18 @@ _STORED_WRITES: Final = Table("stored writes", (
 
 _DRIVE: Final = Table("drive", (
     Key("name", _DRIVE_NAME, "Name of the drive in commands, URLs and metrics.", required=True),
-    Key("address", Address(), "1..99 without 10, 20 .. 90 (C0009, P410).", required=True),
-    Key("family", Keyword(FAMILY_NAMES),
+    Key("address", _BY_PROTOCOL, "1..99 without 10, 20 .. 90 (C0009, P410).", required=True),
+    Key("family", _BY_PROTOCOL,
         "What it is; generic for any other device that speaks LECOM-A/B.", required=True),
     Key("watchdog", _WATCHDOG, _WATCHDOG.doc),
-    Key("cyclic", ListOf(_CYCLIC, "the cyclic read"),
+    Key("cyclic", _BY_PROTOCOL,
         "What is read all the time. Absent: the family's status set; [] for nothing."),
-    Key("writable", ListOf(_CODE, "the code"),
+    Key("writable", _BY_PROTOCOL,
         "What may be written, instead of the family's set; [] for nothing. To add codes to that "
         "set, use also_writable."),
-    Key("also_writable", ListOf(_CODE, "the code"),
+    Key("also_writable", _BY_PROTOCOL,
         "What may be written in addition to `writable` or, without it, to the family's set."),
-    Key("unchecked", ListOf(_CODE, "the code"),
+    Key("unchecked", _BY_PROTOCOL,
         "Codes that take any value, because this drive's range is not its manual's."),
     Key("allow_address_change", YesNo(),
         "Let `lecombus readdress` change the drive's address; plain writes never do.",
@@ -140,7 +144,7 @@ _DRIVE: Final = Table("drive", (
         "Absent: as its family."),
     Key("accept_software", ListOf(TextLine("a software version such as 1.30", 20), "the version"),
         "Software versions (P494 of an SMVector) that may be written to besides the manual's."),
-    Key("identity", NamedEntries(_CODE, TextLine("what the drive says of itself", 240)),
+    Key("identity", _BY_PROTOCOL,
         "What identity codes such as C0200 or C1810 must read; else nothing but stops is written."),
     Key("stop_fallback", Keyword(get_args(roster.StopFallback)),
         "What a quick stop becomes that the drive refuses, does not show, or that cannot be made "
@@ -179,9 +183,9 @@ _MQTT: Final = Table("mqtt", (
     Key("tls", YesNo(), "Whether the broker is spoken to by TLS.", default=True),
 ), "The message broker (not used by this version).")  # fmt: skip
 
-ROSTER: Final = Table("roster", (
-    Key("line", _LINE, _LINE.doc, required=True),
-    Key("drives", ListOf(_DRIVE, "the drive", least=1), "The drives on the line.", required=True),
+_ROSTER: Final = Table("roster", (
+    Key("line", _BY_PROTOCOL, _LINE.doc, required=True),
+    Key("drives", _BY_PROTOCOL, "The drives on the line.", required=True),
     Key("groups", NamedEntries(_GROUP_NAME, _GROUP, special={ALL: _ALL_DRIVES}),
         "Drives spoken to together. The group `all` always exists and takes only `multicast`."),
     Key("lease", _LEASE, "The default for all drives (not used by this version)."),
@@ -197,11 +201,51 @@ ROSTER: Final = Table("roster", (
 ), "One line of drives, read by one lecombus process.")  # fmt: skip
 
 
+class _FamilyName(Keyword):
+    """The name of a family that speaks the protocol of the line."""
+
+    def __init__(self, protocol: str) -> None:
+        super().__init__(family_names(protocol))
+        self._protocol = protocol
+
+    def _convert(self, text: str) -> str:
+        for other in names():
+            if other != self._protocol and text in family_names(other):
+                what = f"speaks {other}, and the protocol of the line is {self._protocol}"
+                raise WrongText(what, f"{one_of(self._words)} would be right, or protocol: {other}")
+        return super()._convert(text)
+
+
+@cache
+def roster_table(protocol: str) -> Table:
+    """Return the table of a whole roster.
+
+    Args:
+        protocol: The protocol of its line, one that is known.
+    """
+    own = find(protocol)
+    code = CodeType(own.rules)
+    codes = ListOf(code, "the code")
+    line = _LINE.with_types(
+        {"protocol": Keyword(names()), "baud": WholeChoice(own.bauds)}, own.unused_keys
+    )
+    drive = _DRIVE.with_types({
+        "address": Address(own),
+        "family": _FamilyName(protocol),
+        "cyclic": ListOf(_CYCLIC.with_types({"code": code}), "the cyclic read"),
+        "writable": codes,
+        "also_writable": codes,
+        "unchecked": codes,
+        "identity": NamedEntries(code, TextLine("what the drive says of itself", 240)),
+    }, own.unused_keys)  # fmt: skip
+    return _ROSTER.with_types({"line": line, "drives": ListOf(drive, "the drive", least=1)})
+
+
 def roster_json_schema() -> dict[str, Any]:
     """Return the JSON Schema (2020-12) of a roster, for editors.
 
-    It knows keys, words and forms. Rules between keys, ranges of durations and everything that
-    follows from a drive's family are known to `lecombus check` only.
+    It knows keys, words and forms of a LECOM line. Rules between keys, ranges of durations and
+    everything that follows from a drive's family are known to `lecombus check` only.
     """
     schema = "https://json-schema.org/draft/2020-12/schema"
-    return {"$schema": schema, "title": "lecombus roster", **ROSTER.schema}
+    return {"$schema": schema, "title": "lecombus roster", **roster_table("lecom").schema}

@@ -18,9 +18,10 @@ from typing import Final
 from lecombus.config.building import build_roster
 from lecombus.config.checks import check_feasibility, check_roster
 from lecombus.config.container_types import Fields
-from lecombus.config.keys import ROSTER
+from lecombus.config.keys import roster_table
 from lecombus.config.mistakes import Mistakes, RosterError, Spot
 from lecombus.config.yaml_nodes import MappingNode, Scalar, compose
+from lecombus.fieldbus.protocols import names
 from lecombus.roster import Roster
 
 __all__ = ["load_roster", "parse_roster"]
@@ -72,9 +73,10 @@ def parse_roster(text: str, file: str) -> Roster:
     if not isinstance(node, MappingNode):
         right = "a roster is a mapping with at least `line:` and `drives:`"
         raise mistakes.fatal(node, "this is no roster", right)
-    roster = ROSTER.read(node, "the roster", mistakes)
+    protocol = _protocol(node)
+    roster = roster_table(protocol).read(node, "the roster", mistakes)
     assert isinstance(roster, Fields)
-    check_roster(roster, mistakes)
+    check_roster(roster, protocol, mistakes)
     if mistakes:
         raise mistakes.error()
     built = build_roster(roster, file)
@@ -82,6 +84,16 @@ def parse_roster(text: str, file: str) -> Roster:
     if mistakes:
         raise mistakes.error()
     return built
+
+
+def _protocol(roster: MappingNode) -> str:
+    """Return the protocol of the line, by which all else is read; the usual one if it is wrong."""
+    line = roster.items.get("line")
+    if line is not None and isinstance(line[1], MappingNode):
+        given = line[1].items.get("protocol")
+        if given is not None and isinstance(given[1], Scalar) and given[1].text in names():
+            return given[1].text
+    return "lecom"
 
 
 def _read(path: Path, mistakes: Mistakes) -> bytes:

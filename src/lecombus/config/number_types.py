@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any
 
 from lecombus.config.mistakes import one_of
 from lecombus.config.scalar_types import ScalarType, WrongText
 from lecombus.durations import DurationError, format_duration, parse_duration
 from lecombus.errors import CodeValueError
-from lecombus.parameters import Code
+from lecombus.fieldbus.protocols import Fieldbus
+from lecombus.parameters import Code, ParameterRules
 
 __all__ = ["Address", "CodeType", "Duration", "Percent", "Whole", "WholeChoice"]
 
@@ -74,29 +75,27 @@ class WholeChoice(Whole):
 
 
 class Address(Whole):
-    """A drive's address: 1..99 without those ending in 0, which reach groups.
+    """A drive's address.
 
-    Source: EDB2102EN 8.3.1 and 8.3.4 (addresses ending in 0 are reserved for BROADCAST).
+    Args:
+        fieldbus: The protocol, which says which there are.
     """
 
-    _RIGHT: Final = "1..99 without 10, 20 .. 90 are right"
-
-    def __init__(self) -> None:
-        super().__init__(1, 99)
-        self.schema["not"] = {"multipleOf": 10}
+    def __init__(self, fieldbus: Fieldbus) -> None:
+        super().__init__(fieldbus.lowest_address, fieldbus.highest_address)
+        self.schema.update(fieldbus.address_schema)
+        self._wrong = fieldbus.wrong_address
 
     def _convert(self, text: str) -> int:
         number = self._number(text)
-        if 0 <= number <= 99 and number % 10 == 0:
-            reach = "all drives" if number == 0 else f"the group {number + 1}..{number + 9}"
-            raise WrongText(f"ends in 0 and so reaches {reach}", self._RIGHT)
-        if not 1 <= number <= 99:
-            raise WrongText("is out of range", self._RIGHT)
+        wrong = self._wrong(number)
+        if wrong is not None:
+            raise WrongText(*wrong)
         return number
 
     def _without_0(self, number: int) -> str:
-        # 010 would be a group without its 0, too.
-        return f"write {number}" if number % 10 and number < 100 else self._RIGHT
+        wrong = self._wrong(number)  # 010 would be a group without its 0, too
+        return f"write {number}" if wrong is None else wrong[1]
 
 
 class Duration(ScalarType):
@@ -161,18 +160,26 @@ class Percent(ScalarType):
 
 
 class CodeType(ScalarType):
-    """A code, with its subcode after a slash."""
+    """A code, with its subcode after a slash.
 
-    def __init__(self) -> None:
+    Args:
+        rules: The protocol's, which say which there are.
+    """
+
+    def __init__(self, rules: ParameterRules) -> None:
+        self._rules = rules
         written = {"type": "string", "pattern": r"^([Cc]?[0-9]{1,5}|[Pp][0-9]{1,3})(/[0-9]{1,3})?$"}
-        number = {"type": "integer", "minimum": 0, "maximum": 65535}
+        number = {"type": "integer", "minimum": 0, "maximum": rules.highest_code}
         super().__init__("a code such as C0150, C0039/1 or P425", {"anyOf": [written, number]})
 
     def _convert(self, text: str) -> Code:
         try:
-            return Code.parse(text)
+            code = Code.parse(text)
         except CodeValueError as exc:
             raise WrongText(*self._words(text)) from exc
+        if not self._rules.carries(code):
+            raise WrongText(*self._words(text))
+        return code
 
     def _words(self, text: str) -> tuple[str, str]:
         match = re.fullmatch(r"([CcPp]?)([0-9]+)(?:/([0-9]+))?", text, re.ASCII)
@@ -180,6 +187,9 @@ class CodeType(ScalarType):
             return "is no code", "write it like C0150, C150, 150, C0039/1 (code/subcode) or P425"
         if match[1] in {"P", "p"} and len(match[2]) > 3:
             return "is no SMVector parameter", "P0 to P999 would be right"
-        if match[3] and (len(match[3]) > 3 or int(match[3]) > 255):
-            return "has a subcode out of range", "subcodes run from 0 to 255"
-        return "is out of range", "codes run from 0 to 65535"
+        if match[3] and (len(match[3]) > 3 or int(match[3]) > self._rules.highest_subcode):
+            return (
+                "has a subcode out of range",
+                f"subcodes run from 0 to {self._rules.highest_subcode}",
+            )
+        return "is out of range", f"codes run from 0 to {self._rules.highest_code}"

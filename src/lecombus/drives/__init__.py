@@ -15,7 +15,7 @@ from .codes import CodeInfo, Storage, WriteClass
 from .commands import ControlWordInfo
 from .encoding import check_allowed, encode_for
 from .family import Family, SoftwareGate, WatchdogTraits
-from .family_files import FAMILY_NAMES, family
+from .family_files import FAMILY_NAMES, add_families, family, family_names
 from .faults.fault_tables import Fault, FaultKind
 from .operating import OperatingState, believed_states, join_states
 from .restore_rules import (
@@ -56,11 +56,13 @@ __all__ = [
     "WatchdogTraits",
     "WordInfo",
     "WriteClass",
+    "add_families",
     "believed_states",
     "check_allowed",
     "confirm_codes",
     "encode_for",
     "family",
+    "family_names",
     "german_name",
     "is_last",
     "join_states",

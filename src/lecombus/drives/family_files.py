@@ -9,7 +9,7 @@ between sections are checked. The first mistake is raised with file, line and co
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from typing import Annotated, Any, Final, TypeVar
@@ -52,7 +52,7 @@ from .yaml_models import (
     without_keys,
 )
 
-__all__ = ["FAMILY_NAMES", "family", "load_family"]
+__all__ = ["FAMILY_NAMES", "add_families", "family", "family_names", "load_family"]
 
 FAMILY_NAMES: Final = (
     "820x",
@@ -64,6 +64,9 @@ FAMILY_NAMES: Final = (
     "smvector",
     "generic",
 )
+
+_ADDED: Final[dict[str, tuple[str, ReadFile]]] = {}
+"""Families of protocols that are not part of this package: protocol and reader, by name."""
 
 NEVER_BY_DEFAULT: Final = frozenset({WriteClass.ADDRESS, WriteClass.SAVE})
 """Write classes that a roster must spell out: they cut the drive off or wear its memory."""
@@ -226,17 +229,36 @@ LISTS: Final = ("codes", "answer_times", "fields", "words", "control_words", "st
 """Sections that a family's file and those it includes may all have: their entries are joined."""
 
 
+def add_families(protocol: str, names: Iterable[str], read_file: ReadFile) -> None:
+    """Make the families of a protocol known whose data files are not in this package.
+
+    Args:
+        protocol: The protocol that their files name.
+        names: Their names, none of which is known yet.
+        read_file: Returns the text of a data file by its name with `.yaml`.
+    """
+    _ADDED.update(dict.fromkeys(names, (protocol, read_file)))
+
+
+def family_names(protocol: str) -> tuple[str, ...]:
+    """Return the names of the families that speak a protocol."""
+    packaged = FAMILY_NAMES if protocol == "lecom" else ()
+    return (*packaged, *(name for name, added in _ADDED.items() if added[0] == protocol))
+
+
 @cache
 def family(name: str) -> Family:
     """Return the family of a roster's word for it.
 
     Args:
-        name: One of `FAMILY_NAMES`.
+        name: One of `family_names` of a protocol.
 
     Raises:
         ConfigError: There is no such family; the message names those there are.
         DescriptionError: Its data file is wrong.
     """
+    if name in _ADDED:
+        return load_family(name, _ADDED[name][1])
     if name not in FAMILY_NAMES:
         remedy = meant(name, FAMILY_NAMES, "the families")
         raise ConfigError(f"there is no family {name}; {remedy}")

@@ -7,10 +7,10 @@ loaded when it is asked for. Others call `register`.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
-from typing import Protocol
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, Protocol
 
-from lecombus.drives import Family
+from lecombus.drives import Family, add_families
 from lecombus.errors import ConfigError
 from lecombus.fieldbus.costs import ExchangeCosts, LineTiming
 from lecombus.fieldbus.loop import ExchangeLoop, LateWakes, OpenConnection, WorkerOptions
@@ -22,7 +22,7 @@ from lecombus.parameters.rules import ParameterRules, register_rules
 from lecombus.roster import Roster
 from lecombus.schedule import Outcome, Priority, Schedule
 
-__all__ = ["Fieldbus", "find", "register"]
+__all__ = ["Fieldbus", "find", "names", "register"]
 
 
 class Fieldbus(Protocol):
@@ -34,6 +34,13 @@ class Fieldbus(Protocol):
         bauds: The baud rates that it knows, bit/s, from the lowest.
         addresses: The addresses that a single drive can have, in words.
         bits_per_char: Bits of a character, start, parity and stop bits included.
+        families: The names of its families beside those of this package.
+        unused_keys: Keys of a roster's `line` and `drives` that mean nothing to it.
+        lowest_address: The lowest address of a single drive.
+        highest_address: The highest.
+        address_schema: What a JSON schema must say of an address besides.
+        most_drives: How many drives a line takes, by medium.
+        most_with_repeaters: How many with repeaters.
         costs: What its exchanges cost.
     """
 
@@ -43,6 +50,29 @@ class Fieldbus(Protocol):
     addresses: str
     bits_per_char: int
     costs: ExchangeCosts
+    families: tuple[str, ...]
+    unused_keys: frozenset[str]
+    lowest_address: int
+    highest_address: int
+    address_schema: Mapping[str, Any]
+    most_drives: Mapping[str, int]
+    most_with_repeaters: int
+
+    def read_family_file(self, name: str) -> str:
+        """Return the text of a data file of its families, by its name with `.yaml`.
+
+        Raises:
+            OSError: There is no such file.
+        """
+
+    def wrong_address(self, address: int) -> tuple[str, str] | None:
+        """Return what is wrong with a drive's address and what would be right; None: nothing."""
+
+    def uncarried(self, code: Code) -> tuple[str, str]:
+        """Return what to say of a code that the drive's addressing cannot carry, and the remedy."""
+
+    def group_reach(self, address: int) -> Sequence[int]:
+        """Return the addresses that a multicast to an address reaches."""
 
     def is_address(self, address: int) -> bool:
         """Return whether a single drive can have an address."""
@@ -118,10 +148,20 @@ class Fieldbus(Protocol):
 _KNOWN: dict[str, Fieldbus] = {}
 
 
+PACKAGED: Final = ("lecom",)
+"""The protocols of this package."""
+
+
 def register(fieldbus: Fieldbus) -> None:
     """Make a protocol known that is not part of this package."""
     _KNOWN[fieldbus.name] = fieldbus
     register_rules(fieldbus.rules)
+    add_families(fieldbus.name, fieldbus.families, fieldbus.read_family_file)
+
+
+def names() -> tuple[str, ...]:
+    """Return the names of all protocols."""
+    return tuple(dict.fromkeys((*PACKAGED, *_KNOWN)))
 
 
 def find(protocol: str) -> Fieldbus:

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from enum import Enum
 
 from lecombus.errors import ConfigError
-from lecombus.parameters.codes import Code
+from lecombus.parameters.codes import HIGHEST_CODE, HIGHEST_SUBCODE, Code
 
-__all__ = ["AddressForm", "ParameterRules", "register_rules", "rules_of"]
+__all__ = ["AddressForm", "ParameterRules", "forms_of", "register_rules", "rules_of"]
 
 
 class AddressForm(Enum):
@@ -32,10 +32,24 @@ class ParameterRules:
     Args:
         protocol: Its name.
         forms: The ways in which its telegrams name a code, by the word for each.
+        highest_code: The highest code number, 65535 at most.
+        highest_subcode: The highest subcode, 255 at most.
     """
 
     protocol: str
     forms: Mapping[str, AddressForm]
+    highest_code: int = HIGHEST_CODE
+    highest_subcode: int = HIGHEST_SUBCODE
+
+    def carries(self, code: Code) -> bool:
+        """Return whether a telegram can name a code."""
+        return code.number <= self.highest_code and code.subcode <= self.highest_subcode
+
+
+def forms_of(rules: ParameterRules, addressing: str) -> tuple[AddressForm, ...]:
+    """Return the forms of the roster's word: one of them, or `both`, all that there are."""
+    known = rules.forms
+    return tuple(known.values()) if addressing == "both" else (known[addressing],)
 
 
 _KNOWN: dict[str, ParameterRules] = {}

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Final
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
 
 from lecombus.drives import Family
 from lecombus.fieldbus.costs import ExchangeCosts, LineTiming
 from lecombus.fieldbus.lecom import address_codes
 from lecombus.fieldbus.lecom.exchanges.exchange_loop import ExchangeLoop
 from lecombus.fieldbus.lecom.parameters import RULES
-from lecombus.fieldbus.lecom.protocol.addressing import Form, is_drive_address, multicast_address
+from lecombus.fieldbus.lecom.protocol.addressing import (
+    Form,
+    group_reach,
+    is_drive_address,
+    multicast_address,
+)
 from lecombus.fieldbus.lecom.protocol.timing import BAUDS, BITS_PER_CHAR
 from lecombus.fieldbus.lecom.request_maker import RequestMaker
 from lecombus.fieldbus.lecom.roster_costs import RosterCosts
@@ -26,6 +31,9 @@ from lecombus.schedule import Outcome, Priority, Schedule
 __all__ = ["FIELDBUS", "Lecom"]
 
 
+ADDRESS_RIGHT: Final = "1..99 without 10, 20 .. 90 are right"
+
+
 class Lecom:
     """See `Fieldbus`."""
 
@@ -35,6 +43,42 @@ class Lecom:
     addresses = "1 to 99, and not 10, 20 .. 90, which are groups that nobody answers for"
     bits_per_char = BITS_PER_CHAR
     costs: ExchangeCosts = RosterCosts()
+    families: tuple[str, ...] = ()  # they are those of this package
+    unused_keys: frozenset[str] = frozenset()
+    lowest_address = 1
+    highest_address = 99
+    address_schema: Mapping[str, Any] = {"not": {"multipleOf": 10}}
+    most_drives: Mapping[str, int] = {"rs232": 1, "rs485": 31, "fibre": 52}
+    """Source: EDB2102EN 4.4.1 to 4.4.3, CMVLC401A 3.3.2."""
+    most_with_repeaters = 90
+    """Source: CMVLC401A 3.3.2."""
+
+    def read_family_file(self, name: str) -> str:
+        """Read nothing: its families are those of this package."""
+        raise FileNotFoundError(name)
+
+    def wrong_address(self, address: int) -> tuple[str, str] | None:
+        """Say what is wrong with an address that ends in 0 or is not 1..99.
+
+        Source: EDB2102EN 8.3.1 and 8.3.4 (addresses ending in 0 are reserved for BROADCAST).
+        """
+        if is_drive_address(address):
+            return None
+        if 0 <= address <= 99:
+            reach = "all drives" if address == 0 else f"the group {address + 1}..{address + 9}"
+            return f"ends in 0 and so reaches {reach}", ADDRESS_RIGHT
+        return "is out of range", ADDRESS_RIGHT
+
+    def uncarried(self, code: Code) -> tuple[str, str]:
+        """Say that standard addressing cannot carry it."""
+        return (
+            f"{code} needs extended addressing, which this drive does not have",
+            "codes 0 to 6229 without subcode would be right, or addressing: both",
+        )
+
+    def group_reach(self, address: int) -> Sequence[int]:
+        """Return the addresses of a decade, or of all drives."""
+        return group_reach(address)
 
     def is_address(self, address: int) -> bool:
         """Return whether it is 1..99 and does not end in 0."""
