@@ -13,12 +13,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from lecombus.fieldbus.options import WorkerOptions
-
 from lecombus.drives import Family, StopAction, stop_value
 from lecombus.errors import ExchangeError, ExchangeRecord, NakError, NoReplyError, UnknownCodeError
 from lecombus.fieldbus.costs import Cost, ExchangeCosts, LineTiming
-from lecombus.fieldbus.loop import LateWakes, OpenConnection
+from lecombus.fieldbus.loop import LateWakes, OpenConnection, WorkerOptions
 from lecombus.fieldbus.port import Framing, Parity, Port, PortOpener, PortSettings, Receiver
 from lecombus.fieldbus.reports import AnswerKind, ExchangeReport, Observer, ResultKind
 from lecombus.fieldbus.requests import ReadWork, StopWork, WriteWork
