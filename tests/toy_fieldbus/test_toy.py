@@ -105,7 +105,7 @@ def test_a_toy_line_is_read_written_and_stopped_over_http(client: httpx2.Client)
     assert 'lecombus_drive_up{line="toys",drive="fan"} 1' in page
     counted = [line for line in page.splitlines() if line.startswith("lecombus_telegrams_total")]
     assert any('drive="fan"' in line and 'outcome="answered"' in line for line in counted)
-    assert client.get("/v1/line").json()["port"] == "toy: 2 drives in memory"
+    assert client.get("/v1/line").json()["state"] == "open"
 
 
 def test_check_and_plan_calculate_a_toy_line(tmp_path: Path) -> None:
