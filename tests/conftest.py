@@ -25,8 +25,6 @@ from support.golden import NAME, Golden, GoldenFiles
 hypothesis.settings.register_profile("lecombus", deadline=None)
 hypothesis.settings.load_profile("lecombus")
 
-HERE = Path(__file__).parent
-
 REPEATED = 2
 
 ON_THE_CLOCK = ("clock", "real")

@@ -36,14 +36,6 @@ def slow_down(plant: Plant, drive: str, to_s: float, *, code: int | None = None)
     model.think_s = think_s  # type: ignore[method-assign]
 
 
-def misses(plant: Plant, drive: str, since_s: float) -> int:
-    return sum(
-        one.drive == drive and one.result.started_s > since_s
-        and one.result.kind is not ResultKind.ANSWERED
-        for one in plant.reports
-    )  # fmt: skip
-
-
 def is_listening(plant: Plant) -> bool:
     """Whether this busy line is silent after an exchange failed, for longer than it must be."""
     last = plant.reports[-1].result
@@ -59,8 +51,8 @@ def test_a_code_that_takes_most_of_a_second_is_learnt_on_a_busy_line(addressing:
         await anyio.sleep(60.0)
         settled_s = plant.now_s
         await anyio.sleep(30.0)
-        assert misses(plant, "b", settled_s) == 0
-        assert misses(plant, "a", 0.0) == 0
+        assert plant.misses("b", settled_s) == 0
+        assert plant.misses("a", 0.0) == 0
         assert plant.state("b") is DriveState.ONLINE
         for drive, address in (("a", "1"), ("b", "2")):
             reading = await plant.site.operations.read(drive, ADDRESS)
@@ -76,7 +68,7 @@ def test_a_drive_that_takes_half_a_second_for_everything_comes_online() -> None:
         await until(lambda: plant.state("b") is DriveState.ONLINE, within_s=400.0)
         settled_s = plant.now_s
         await anyio.sleep(60.0)
-        assert misses(plant, "b", settled_s) == 0
+        assert plant.misses("b", settled_s) == 0
 
     with_plant(test, ROSTER)
 

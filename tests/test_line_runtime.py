@@ -208,7 +208,7 @@ def test_a_drive_that_never_ends_starting_hides_the_remark_for_minutes_only() ->
             plant.site.watch.look()
         assert "cadence" in plant.site.store.line().remarks
 
-    with_plant(test, roster_text(AB, drive="cyclic: [{code: C0150, every: 50ms}]"))
+    with_plant(test, roster_text(AB, baud=1200, drive="cyclic: [{code: C0150, every: 50ms}]"))
 
 
 def test_a_setpoint_is_known_by_what_the_drive_had_and_by_what_it_acknowledged() -> None:

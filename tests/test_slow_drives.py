@@ -12,7 +12,6 @@ from lecombus.api.decimal_json import encode
 from lecombus.capacity.facts import roster_of as running
 from lecombus.capacity.plan import make_plan
 from lecombus.errors import OperationError
-from lecombus.fieldbus.reports import ResultKind
 from lecombus.parameters import Code
 from lecombus.readings import DriveState
 from support.rosters import roster_text
@@ -43,14 +42,6 @@ async def work(plant: Plant, seconds: int) -> None:
         await anyio.sleep(1.0)
 
 
-def lost(plant: Plant, drive: str, since_s: float) -> int:
-    return sum(
-        one.drive == drive and one.result.started_s > since_s
-        and one.result.kind is not ResultKind.ANSWERED
-        for one in plant.reports
-    )  # fmt: skip
-
-
 def remarks(plant: Plant, drive: str) -> str:
     return encode(plant.site.store.drive(drive).as_json())
 
@@ -65,8 +56,8 @@ def test_a_drive_three_times_as_slow_comes_online_and_stays(
         settled_s = plant.now_s
         await work(plant, 120)
         assert plant.state("b") is DriveState.ONLINE
-        assert lost(plant, "b", settled_s) == 0
-        assert lost(plant, "a", 0.0) == 0
+        assert plant.misses("b", settled_s) == 0
+        assert plant.misses("a", 0.0) == 0
         assert "answers later than its manual says" in remarks(plant, "b")
         assert "answers later" not in remarks(plant, "a")
         for drive, address in (("a", "1"), ("b", "2")):
@@ -175,7 +166,7 @@ def test_all_drives_slow_are_told_apart_all_the_same() -> None:
         assert {plant.state(name) for name in "abc"} == {DriveState.ONLINE}
         settled_s = plant.now_s
         await work(plant, 60)
-        assert sum(lost(plant, name, settled_s) for name in "abc") == 0
+        assert sum(plant.misses(name, settled_s) for name in "abc") == 0
 
     three = [*TWO, ("c", 3, "8200vector")]
     with_plant(test, roster_text(three, drive="cyclic: [{code: C0009, every: 300ms}]"))

@@ -6,18 +6,8 @@ Each is an edit of `GOOD`: what is replaced and by what; rows that begin with `l
 
 from __future__ import annotations
 
-GOOD = """\
-line:
-  name: hall-3
-  port: /dev/serial/by-id/usb-1
-drives:
-  - name: feeder
-    address: 11
-    family: 8200vector
-  - name: belt
-    address: 12
-    family: smvector
-"""
+from config.rosters import GOOD
+
 PORT = "/dev/serial/by-id/usb-1"
 ADDRESSES = [number for number in range(1, 100) if number % 10]
 

@@ -70,13 +70,6 @@ def pty() -> Iterator[Pty]:
     pair.close_master()
 
 
-@pytest.fixture(autouse=True)
-def nothing_reaches_the_loop_handler(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
-    """The loop logs exceptions that nobody took: there must be none."""
-    yield
-    assert not [record for record in caplog.records if record.name == "asyncio"]
-
-
 def settings(
     pty: Pty, *, parity: Parity = "line", direction: Direction = "adapter"
 ) -> PortSettings:

@@ -66,13 +66,6 @@ def server() -> Iterator[Server]:
     made.close()
 
 
-@pytest.fixture(autouse=True)
-def nothing_reaches_the_loop_handler(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
-    """The loop logs exceptions that nobody took: there must be none."""
-    yield
-    assert not [record for record in caplog.records if record.name == "asyncio"]
-
-
 def with_port(
     server: Server,
     body: Callable[[TcpPort, Heard], Awaitable[None]],

@@ -27,17 +27,22 @@ DEAD = ("d3", "d5")
 DOUBLES = ["double=1:20ms-3s", "double=1:20ms-500ms", "double=0.5:10ms-100ms", "twins=13"]
 
 
+async def some_die(plant: Plant, faults: str, for_s: float) -> None:
+    """Switch faults on, and then some drives off, and wait."""
+    await plant.online(within_s=600.0)
+    plant.line.faults = parse_faults(faults)
+    await anyio.sleep(2.0)
+    for name in DEAD:
+        plant.line[name].present = False
+    await anyio.sleep(for_s)
+
+
 def stopped(faults: str, seed: int, action: StopAction, dead_for_s: float) -> GroupReport:
     """Stop all drives of a line, some of which have been dead for a time."""
     reports: list[GroupReport] = []
 
     async def test(plant: Plant) -> None:
-        await plant.online(within_s=600.0)
-        plant.line.faults = parse_faults(faults)
-        await anyio.sleep(2.0)
-        for name in DEAD:
-            plant.line[name].present = False
-        await anyio.sleep(dead_for_s)
+        await some_die(plant, faults, dead_for_s)
         reports.append(await plant.site.operations.stop(action, "all"))
 
     with_plant(test, roster_text(DRIVES), seed=seed)
@@ -85,12 +90,7 @@ def written(group: str, faults: str, seed: int, dead_for_s: float) -> GroupRepor
     reports: list[GroupReport] = []
 
     async def test(plant: Plant) -> None:
-        await plant.online(within_s=600.0)
-        plant.line.faults = parse_faults(faults)
-        await anyio.sleep(2.0)
-        for name in DEAD:
-            plant.line[name].present = False
-        await anyio.sleep(dead_for_s)
+        await some_die(plant, faults, dead_for_s)
         write = plant.site.operations.write_group
         reports.append(await write(group, SETPOINT, Decimal(12), verify=True))
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
 
 import anyio
 import anyio.lowlevel
@@ -74,10 +73,6 @@ def test_a_write_asked_for_after_the_stop_goes_out() -> None:
         assert report.outcome is Outcome.DONE
 
     with_plant(test, ROSTER)
-
-
-def told_to_stop(plant: Plant) -> Callable[[], bool]:
-    return lambda: any(b"\x02" in one.data for one in plant.sent_to(11, plant.now_s))
 
 
 @pytest.mark.parametrize("code", [12, 1920])

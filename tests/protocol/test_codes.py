@@ -23,7 +23,6 @@ from protocol.vectors import load
 from support.answers import decode_code
 
 codes = st.builds(Code, st.integers(0, 65535), st.integers(0, 255))
-standard_codes = st.integers(0, 6229).map(Code)
 
 
 def test_every_standard_code_follows_the_formula_of_the_manual() -> None:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from lecombus.backups import ReadResult, WriteResult
-from lecombus.drives import Family, StopAction, confirm_codes, family
+from lecombus.drives import Family, family
 from lecombus.parameters import Code, Value
 
 __all__ = ["Ear", "FakeDrive"]
@@ -123,8 +123,3 @@ class FakeDrive:
 
     def now_s(self) -> float:
         return self.clock_s
-
-
-def inhibit_code(drive: Family) -> Code:
-    """The code that tells first whether a drive is inhibited."""
-    return confirm_codes(drive, StopAction.INHIBIT)[0]

@@ -25,7 +25,7 @@ from lecombus.fieldbus.lecom.simulator.drive import SimDrive
 from lecombus.fieldbus.lecom.simulator.line import SimLine, build
 from lecombus.fieldbus.lecom.simulator.memory import MemoryEnd
 from lecombus.fieldbus.port import Port, PortSettings, Receiver
-from lecombus.fieldbus.reports import ExchangeReport
+from lecombus.fieldbus.reports import ExchangeReport, ResultKind
 from lecombus.fieldbus.station import Station
 from lecombus.line.worker import LineWorker, WorkerOptions
 from lecombus.line_runtime import LineRuntime
@@ -414,6 +414,14 @@ class Plant:
     def sent_to(self, address: int, since_s: float = 0.0) -> list[Telegram]:
         head = b"\x04%02d" % address
         return [one for one in self.end.sent if one.at_s >= since_s and one.data[:3] == head]
+
+    def misses(self, drive: str, since_s: float) -> int:
+        """How many exchanges with a drive, begun since, brought no usable answer."""
+        return sum(
+            one.drive == drive and one.result.started_s > since_s
+            and one.result.kind is not ResultKind.ANSWERED
+            for one in self.reports
+        )  # fmt: skip
 
     def is_asking(self, begin: bytes) -> bool:
         """Whether the last telegram begins so, and nothing has come since."""
