@@ -57,7 +57,7 @@ class HostileLine(SimLine):
 
     def poll(self, now_s: float) -> bytes:
         """Give what has arrived, and note how late its last byte is."""
-        due_s = max((at_s for at_s, *_ in self._outbox._heap if at_s <= now_s), default=None)
+        due_s = max((at_s for at_s, *_ in self._outbox.runs if at_s <= now_s), default=None)
         if due_s is not None:
             self._end_late_s = max(0.0, now_s - due_s - self._adapter_s)
         return super().poll(now_s)

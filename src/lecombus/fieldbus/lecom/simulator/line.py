@@ -172,7 +172,8 @@ class SimLine:
             data: The bytes.
             now_s: When, monotonic seconds, never earlier than in an earlier call.
         """
-        self._run(now_s)
+        if self._incoming or self._events:
+            self._run(now_s)
         if self.faults.unplugged:
             return
         heard, echo = data, data
@@ -207,7 +208,8 @@ class SimLine:
         Args:
             gathered: What arrives is gathered from the moment at which a drive begins to speak.
         """
-        next_s = self._outbox.next_s()
+        runs = self._outbox.runs
+        next_s = runs[0][0] if runs else None
         if self._incoming:
             # Without echo nothing comes of a telegram before its last character has arrived.
             heard_s = self._incoming[0 if self.faults.echo else -1][0]
@@ -221,7 +223,8 @@ class SimLine:
 
     def poll(self, now_s: float) -> bytes:
         """Give the bytes that have arrived at the host by now."""
-        self._run(now_s)
+        if self._incoming or self._events:
+            self._run(now_s)
         arrived = self._outbox.take(now_s)
         return b"" if self.faults.unplugged else arrived
 
@@ -233,8 +236,9 @@ class SimLine:
 
     def under_way(self, now_s: float) -> bool:
         """Whether anything is: a telegram, a drive that thinks or speaks, bytes to the host."""
-        self._run(now_s)
-        if self._incoming or self._outbox.next_s() is not None:
+        if self._incoming or self._events:
+            self._run(now_s)
+        if self._incoming or self._outbox.runs:
             return True
         for speech in self._speaking:
             if speech.end_s(self._char_s) > now_s:

@@ -64,11 +64,14 @@ class Outbox:
 
     Args:
         spoiler: Garbles what the host spoke over.
+
+    Attributes:
+        runs: What is on its way, by when its next bytes are due; to be looked at alone.
     """
 
     def __init__(self, spoiler: Spoiler) -> None:
         self._spoiler = spoiler
-        self._heap: list[tuple[float, int, _Run]] = []
+        self.runs: list[tuple[float, int, _Run]] = []
         self._count = 0
 
     def put(self, base_s: float, data: bytes, speech: Speech | None, char_s: float = 0.0) -> None:
@@ -82,15 +85,11 @@ class Outbox:
         """
         self._count += 1
         run = _Run(base_s, char_s, data, speech)
-        heappush(self._heap, (run.at_s(0), self._count, run))
-
-    def next_s(self) -> float | None:
-        """When the next bytes are due."""
-        return self._heap[0][0] if self._heap else None
+        heappush(self.runs, (run.at_s(0), self._count, run))
 
     def take(self, now_s: float) -> bytes:
         """Give what has arrived by now."""
-        heap = self._heap
+        heap = self.runs
         if len(heap) == 1:  # nearly always: nothing comes between its bytes
             return self._take_alone(now_s)
         arrived = b""
@@ -106,7 +105,7 @@ class Outbox:
 
     def _take_alone(self, now_s: float) -> bytes:
         """Give what has arrived of the only run."""
-        at_s, count, run = self._heap[0]
+        at_s, count, run = self.runs[0]
         if at_s > now_s:
             return b""
         base_s, char_s = run.base_s, run.char_s
@@ -118,15 +117,15 @@ class Outbox:
             at_s = base_s + (end + 1) * char_s
             if at_s > now_s:
                 run.taken = end
-                self._heap[0] = (at_s, count, run)
+                self.runs[0] = (at_s, count, run)
                 return self._as_heard(run, begin, end)
             end += 1
-        self._heap.clear()
+        self.runs.clear()
         return self._as_heard(run, begin, end)
 
     def _end(self, run: _Run, count: int, now_s: float) -> int:
         """Find how far a run comes before it is too late, or the turn of another one's byte."""
-        others = self._heap[0][:2] if self._heap else None
+        others = self.runs[0][:2] if self.runs else None
         end, size = run.taken + 1, len(run.data)
         while end < size:
             at_s = run.at_s(end)
@@ -137,7 +136,7 @@ class Outbox:
 
     def clear(self) -> None:
         """Forget everything."""
-        self._heap.clear()
+        self.runs.clear()
 
     def _as_heard(self, run: _Run, begin: int, end: int) -> bytes:
         speech = run.speech
