@@ -90,6 +90,8 @@ def test_a_toy_line_is_read_written_and_stopped_over_http(client: httpx2.Client)
     assert speed(client, "belt") == 0.0
     refused = client.put("/v1/drives/fan/codes/C0001", json={"value": 100})
     assert (refused.status_code, refused.json()["type"]) == (422, "urn:lecombus:problem:bad-value")
+    halves = client.put("/v1/drives/fan/codes/C0001", json={"value": 1.5})
+    assert "no digit may follow the point" in halves.json()["detail"]
     unknown = client.get("/v1/drives/fan/codes/C0077", params={"fresh": "true"})
     assert unknown.json()["type"] == "urn:lecombus:problem:no-such-code"
 

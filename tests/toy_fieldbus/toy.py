@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -21,7 +22,7 @@ from lecombus.fieldbus.port import Framing, Parity, Port, PortOpener, PortSettin
 from lecombus.fieldbus.reports import AnswerKind, ExchangeReport, Observer, ResultKind
 from lecombus.fieldbus.requests import ReadWork, StopWork, WriteWork
 from lecombus.fieldbus.station import Job, JobStep, Station, StepKind, Verdict
-from lecombus.parameters import AddressForm, Code, ParameterRules, Value
+from lecombus.parameters import AddressForm, Code, DecimalLimits, ParameterRules, Value
 from lecombus.roster import DriveEntry, Roster
 from lecombus.schedule import Outcome, Priority, Request, Schedule, Settle, ignore_end
 from lecombus.schedule.fan_out import Part
@@ -36,7 +37,10 @@ class Form(AddressForm):
         return code.subcode == 0
 
 
-RULES = ParameterRules("toy", {"plain": Form.PLAIN}, highest_code=99, highest_subcode=0)
+DIGITS = DecimalLimits(Decimal(0), Decimal(99), 0)
+RULES = ParameterRules(
+    "toy", {"plain": Form.PLAIN}, highest_code=99, highest_subcode=0, decimals=DIGITS
+)
 ERRORS = {AnswerKind.REFUSED: NakError, AnswerKind.NO_SUCH_CODE: UnknownCodeError}
 
 

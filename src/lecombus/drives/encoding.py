@@ -19,7 +19,7 @@ from decimal import Decimal
 from typing import Final
 
 from lecombus.errors import CodeValueError
-from lecombus.parameters import Code, Format, Value
+from lecombus.parameters import Code, DecimalLimits, Format, Value, rules_of
 
 from .codes import CodeInfo
 from .family import Family
@@ -65,7 +65,7 @@ def encode_for(
         else:
             if info is None and last_read is None:
                 _refuse_leading_zero(given)
-            value = _by_itself(given)
+            value = _by_itself(given, rules_of(family.protocol).decimals)
     except CodeValueError as exc:
         raise CodeValueError(
             f"{code}: {exc}", code=str(code), value=given, low=exc.low, high=exc.high
@@ -157,9 +157,9 @@ def _refuse_leading_zero(given: Decimal | int | str) -> None:
         )
 
 
-def _by_itself(given: Decimal | int | str) -> Value:
+def _by_itself(given: Decimal | int | str, decimals: DecimalLimits) -> Value:
     if not isinstance(given, str):
-        return Value.decimal(given)
+        return Value.decimal(given, decimals)
     capitals = given.upper()
     if capitals.startswith("0X"):
         return Value.parse(f"H{capitals[2:]}")
@@ -167,7 +167,7 @@ def _by_itself(given: Decimal | int | str) -> Value:
         return Value.parse(capitals)
     if capitals[:1] == "S":
         return Value.parse(given)
-    return Value.decimal(given)
+    return Value.decimal(given, decimals)
 
 
 def _word_form(digits: int) -> str:

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from decimal import ROUND_HALF_EVEN, Decimal
 
+from lecombus import parameters
 from lecombus.errors import OperationError
 from lecombus.parameters import Code, Value
 
@@ -79,7 +80,8 @@ def speed_step(known: Known, number: Decimal, unit: str) -> WriteStep:
     finest = rule.step or FINEST
     if given % finest:
         raise _bad_speed(known, rule, in_force, f"{number} {unit} is finer than {finest}")
-    return WriteStep(rule.code, Value.decimal(given))
+    decimals = parameters.rules_of(known.family.protocol).decimals
+    return WriteStep(rule.code, Value.decimal(given, decimals))
 
 
 def _converted(number: Decimal, rule: SetpointRule, full: Decimal) -> Decimal:

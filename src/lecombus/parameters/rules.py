@@ -13,6 +13,7 @@ from enum import Enum
 
 from lecombus.errors import ConfigError
 from lecombus.parameters.codes import HIGHEST_CODE, HIGHEST_SUBCODE, Code
+from lecombus.parameters.values import USUAL_DECIMALS, DecimalLimits
 
 __all__ = ["AddressForm", "ParameterRules", "forms_of", "register_rules", "rules_of"]
 
@@ -34,12 +35,14 @@ class ParameterRules:
         forms: The ways in which its telegrams name a code, by the word for each.
         highest_code: The highest code number, 65535 at most.
         highest_subcode: The highest subcode, 255 at most.
+        decimals: Which decimal numbers can be sent.
     """
 
     protocol: str
     forms: Mapping[str, AddressForm]
     highest_code: int = HIGHEST_CODE
     highest_subcode: int = HIGHEST_SUBCODE
+    decimals: DecimalLimits = USUAL_DECIMALS
 
     def carries(self, code: Code) -> bool:
         """Return whether a telegram can name a code."""

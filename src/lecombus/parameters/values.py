@@ -36,6 +36,8 @@ __all__ = [
     "HIGHEST_VALUE_CHARS",
     "LOWEST_DECIMAL",
     "SENDABLE_STRING_CHARS",
+    "USUAL_DECIMALS",
+    "DecimalLimits",
     "Format",
     "Value",
     "ValueFormatError",
@@ -48,13 +50,31 @@ SENDABLE_STRING_CHARS: Final = 20
 HIGHEST_VALUE_CHARS: Final = 241
 """Longest value text: a format letter and 240 characters."""
 
-_STEP: Final = Decimal("0.0001")
-_EXACT: Final = Context(prec=16, traps=[Inexact, InvalidOperation])
+_EXACT: Final = Context(prec=28, traps=[Inexact, InvalidOperation])
 _VD: Final = re.compile(r"(-?\d{1,6})(?:\.(\d{1,4}))?", re.ASCII)
 _VH: Final = re.compile(r"H(?:[0-9A-Fa-f]{2}|[0-9A-Fa-f]{4}|[0-9A-Fa-f]{8})")
 _VS: Final = re.compile(r"S[ -~]{0,240}")
 _VO: Final = re.compile(r"O(?:[0-9A-Fa-f]{2}){1,120}")
 _GIVEN: Final = re.compile(r"[+-]?\d{1,400}(?:\.\d{1,400})?", re.ASCII)
+
+
+@dataclass(frozen=True, slots=True)
+class DecimalLimits:
+    """Which decimal numbers a protocol can send.
+
+    Args:
+        low: The lowest.
+        high: The highest.
+        places: How many digits may follow the point.
+    """
+
+    low: Decimal
+    high: Decimal
+    places: int
+
+
+USUAL_DECIMALS: Final = DecimalLimits(LOWEST_DECIMAL, HIGHEST_DECIMAL, 4)
+"""A signed 32-bit count of 1/10000. Source: EDB2102EN 8.3.1; CMVLC401A 5.4."""
 
 
 class Format(StrEnum):
@@ -123,11 +143,12 @@ class Value:
         return self.raw == other.raw or self.number == other.number
 
     @classmethod
-    def decimal(cls, number: Decimal | int | str) -> Value:
+    def decimal(cls, number: Decimal | int | str, limits: DecimalLimits = USUAL_DECIMALS) -> Value:
         """Make a VD value.
 
         Args:
-            number: -214748.3648..214748.3647 with at most 4 decimals; a text as `-35.4`.
+            number: The number, or a text such as `-35.4`.
+            limits: Which numbers can be sent.
 
         Raises:
             CodeValueError: It is no decimal, out of range, or has too many decimals.
@@ -135,19 +156,21 @@ class Value:
         Source: EDB2102EN 8.3.1 "ASCII decimal format (VD)"; CMVLC401A 5.4.
         """
         given = _decimal_of(number)
-        if not LOWEST_DECIMAL <= given <= HIGHEST_DECIMAL:
+        low, high, places = limits.low, limits.high, limits.places
+        if not low <= given <= high:
             raise CodeValueError(
-                f"{number} does not fit: decimals run from {LOWEST_DECIMAL} to {HIGHEST_DECIMAL}",
-                value=number, low=LOWEST_DECIMAL, high=HIGHEST_DECIMAL,
+                f"{number} does not fit: decimals run from {low} to {high}",
+                value=number, low=low, high=high,
             )  # fmt: skip
         try:
-            exact = given.quantize(_STEP, context=_EXACT)
+            exact = given.quantize(Decimal(1).scaleb(-places), context=_EXACT)
         except (Inexact, InvalidOperation) as exc:
+            most = f"at most {places} digits" if places else "no digit"
             raise CodeValueError(
-                f"{number} cannot be sent exactly: at most 4 digits may follow the point",
-                value=number,
+                f"{number} cannot be sent exactly: {most} may follow the point", value=number
             ) from exc
-        text = format(exact, "f").rstrip("0").rstrip(".")
+        text = format(exact, "f")
+        text = text.rstrip("0").rstrip(".") if places else text
         return cls(Format.VD, "0" if text == "-0" else text)
 
     @classmethod
