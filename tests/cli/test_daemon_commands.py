@@ -201,7 +201,7 @@ def test_a_multicast_that_was_only_sent_is_not_done_and_says_why(
     ran = run("group", "conveyors", "C0046", "5", "--no-verify")
     assert ran.status == 1
     assert ran.err.count("\n") == 1
-    assert "nobody acknowledges, and --no-verify was given" in ran.err
+    assert "no drive acknowledges, and --no-verify was given" in ran.err
     assert run("group", "conveyors", "C0046", "5").err == ""
     one_by_one = report.replace("multicast", "one-by-one")
     daemon.answers["PUT /v1/groups/conveyors/codes/C0046"] = (504, one_by_one)

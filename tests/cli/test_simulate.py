@@ -167,7 +167,7 @@ def test_a_running_simulator_is_told_from_another_terminal(
         assert (none.status, json.loads(none.out)) == (1, [])
     gone = run("simulate", "--control", str(tmp_path / "nothing"), "--tell", "drives")
     assert gone.status == 3
-    assert "no simulator is told through" in gone.err
+    assert "no simulator answers at" in gone.err
     nobody = run("simulate", "--tell", "drives")
     assert (nobody.status, "whom to tell" in nobody.err) == (2, True)
 

@@ -32,7 +32,7 @@ __all__ = ["Restored", "is_inhibited", "restore"]
 TRIES: Final = 4
 """How often one code is written while the line comes and goes."""
 
-NOT_INHIBITED: Final = "somebody enabled the drive meanwhile: nothing more is written to it"
+NOT_INHIBITED: Final = "the drive was enabled from elsewhere: nothing more is written to it"
 
 
 @dataclass(slots=True)

@@ -30,7 +30,7 @@ MODE = 0o644
 
 
 def read_text(path: Path) -> str:
-    """Read a file of a person.
+    """Read a file that a user named.
 
     Raises:
         CommandError: It is too big, or no text.

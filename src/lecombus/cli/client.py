@@ -222,7 +222,7 @@ def _knock(path: str) -> None:
         except PermissionError as exc:
             raise _forbidden(path) from exc
         except OSError as exc:
-            raise _nobody_at(path) from exc
+            raise _no_daemon_at(path) from exc
 
 
 def find_daemon(socket: str | None, url: str | None) -> tuple[str, str]:
@@ -282,10 +282,10 @@ def unreachable(exc: httpx2.HTTPError, where: str) -> CommandError:
         problem = f"the daemon at {where} ended before it answered"
         remedy = "what was asked may have happened; look at its log, then ask again"
         return CommandError(Exit.UNREACHABLE, problem, remedy)
-    return _nobody_at(where)
+    return _no_daemon_at(where)
 
 
-def _nobody_at(where: str) -> CommandError:
+def _no_daemon_at(where: str) -> CommandError:
     problem = f"no daemon answers at {where}"
     remedy = "start it (systemctl status lecombus@NAME tells why it is not running)"
     return CommandError(Exit.UNREACHABLE, problem, remedy)

@@ -31,8 +31,9 @@ __all__ = ["group_command", "read_command", "write_command", "write_document"]
 BAUDS = [str(baud) for baud in ALL_BAUDS]
 
 SENT_ONLY = (
-    "it was sent as one multicast, which nobody acknowledges, and --no-verify was given: who took "
-    "it is unknown, and so this is exit status 1; without --no-verify every member is read back"
+    "it was sent as one multicast, which no drive acknowledges, and --no-verify was given: which "
+    "drives took it is unknown, and so this is exit status 1; without --no-verify every member is "
+    "read back"
 )
 
 
@@ -82,7 +83,7 @@ def _drive_address(address: int | None) -> int:
         raise CommandError(Exit.USAGE, "--port needs --address", "give the drive's")
     if not is_drive_address(address):
         problem = f"no drive has the address {address}"
-        remedy = "it is 1 to 99, and not 10, 20 .. 90, which are groups that nobody answers for"
+        remedy = "it is 1 to 99, and not 10, 20 .. 90, which are groups: no drive answers for one"
         raise CommandError(Exit.USAGE, problem, remedy)
     return address
 
@@ -161,7 +162,7 @@ def was_only_sent(report: Document) -> bool:
 @click.option(
     "--verify/--no-verify",
     default=None,
-    help="Read it back from every member; a multicast is, unless told otherwise.",
+    help="Read it back from every member; default: only after a multicast.",
 )
 @click.option("--expires", type=EXPIRY, help="Not sent any more after this time, such as 2s.")
 @daemon_options

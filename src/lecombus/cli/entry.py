@@ -98,7 +98,7 @@ def lecombus() -> None:
     """Speak LECOM-A/B with a line of Lenze drives.
 
     demo, run, check, plan, simulate and rebaud work on a roster, describe on nothing, all others
-    talk to a running daemon; read and scan open a port themselves if told to. lecombus is not a
+    talk to a running daemon; read and scan can open a port themselves. lecombus is not a
     safety function: have an emergency stop without software.
     """
 

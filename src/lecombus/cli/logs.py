@@ -5,8 +5,8 @@ other control characters and tracebacks are escaped. Messages say `key=value` th
 become fields of the event, quoted where they need it. Under systemd the journal already keeps the
 time, so it is left out and the line begins with the level in the form the journal reads.
 
-Who logs never waits: a thread of its own writes (`BackgroundHandler`), because a standard error
-that nobody reads would otherwise stop the line, and every motor whose watchdog it feeds. What does
+Code that logs never waits: a thread writes (`BackgroundHandler`), because a standard error that no
+process reads would otherwise stop the line, and every motor whose watchdog it feeds. What does
 not fit is dropped and counted; libraries which anybody could make talk without end are bounded.
 """
 
@@ -89,7 +89,7 @@ class BackgroundHandler(logging.Handler):
     def __init__(self, stream: TextIO) -> None:
         super().__init__()
         self.dropped = 0
-        self._told = 0
+        self._reported = 0
         self._write = _writer_to(stream)
         self._queue: SimpleQueue[str | threading.Event] = SimpleQueue()
         threading.Thread(target=self._run, name="log-writer", daemon=True).start()
@@ -126,9 +126,9 @@ class BackgroundHandler(logging.Handler):
         try:
             if lines:
                 self._write("".join(lines).encode(errors="backslashreplace"))
-            if (dropped := self.dropped) != self._told:
-                self._write(f"{self.format(_dropped(dropped - self._told))}\n".encode())
-                self._told = dropped
+            if (dropped := self.dropped) != self._reported:
+                self._write(f"{self.format(_dropped(dropped - self._reported))}\n".encode())
+                self._reported = dropped
         except (OSError, ValueError):
             self.dropped += len(lines)  # closed, or the disk is full: it cannot be reported
 

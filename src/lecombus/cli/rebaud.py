@@ -162,7 +162,7 @@ def _check_words(roster: Roster, old: int, new: int, *, generic: bool) -> None:
         raise CommandError(Exit.USAGE, problem, remedy)
     unknown = [one.name for one in roster.drives if one.family == "generic"]
     if unknown and not generic:
-        problem = f"of {', '.join(unknown)} (generic) nobody knows how the baud rate is set"
+        problem = f"it is not known how the baud rate of {', '.join(unknown)} (generic) is set"
         remedy = "with --generic-c0125, if C0125 has a 2102's numbers there (0: 9600 .. 4: 19200)"
         raise CommandError(Exit.USAGE, f"{problem}, or whether it turns", remedy)
 

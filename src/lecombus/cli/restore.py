@@ -361,7 +361,7 @@ def show_result(plan: RestorePlan, result: Restored, drive: str, *, enabled: boo
     rows += [
         (
             str(code), "changed", value.raw, answer.value.raw if answer.value else "",
-            answer.text or "somebody else wrote it, or the drive did not keep it",
+            answer.text or "it was changed from elsewhere, or the drive did not keep it",
         )
         for code, (value, answer) in result.changed.items()
     ]  # fmt: skip

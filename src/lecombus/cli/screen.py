@@ -65,7 +65,9 @@ def make_sure(question: str, *, as_json: bool) -> None:
     """
     if as_json or not can_ask():
         raise CommandError(
-            Exit.USAGE, "nobody can be asked here; nothing was written", "repeat it with --yes"
+            Exit.USAGE,
+            "there is no terminal to ask at; nothing was written",
+            "repeat it with --yes",
         )
     if not click.confirm(question):
         raise CommandError(Exit.FAILED, "nothing was written")

@@ -236,7 +236,7 @@ def _send_line(path: Path, line: str) -> str:
     except ControlError as exc:
         raise CommandError(Exit.FAILED, str(exc)) from exc
     except OSError as exc:
-        problem = f"no simulator is told through {path}: {exc.strerror or exc}"
+        problem = f"no simulator answers at {path}: {exc.strerror or exc}"
         remedy = "start it with `lecombus simulate`, and name its --pty or --control here"
         raise CommandError(Exit.UNREACHABLE, problem, remedy) from exc
 

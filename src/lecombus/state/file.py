@@ -9,7 +9,7 @@ checked again each time.
 
 Only regular files are opened, never a pipe, a device or a folder. Opening never waits: a pipe
 without a reader would block open() without end, and a device that is given another name
-(`/dev/full`, as root) is gone for everybody else.
+(`/dev/full`, as root) is gone for all other programs.
 """
 
 from __future__ import annotations
@@ -147,8 +147,9 @@ class StateFile:
             )
             return
         self.trouble = (
-            f"{self.name} was damaged ({why}) and stands as {aside.name} now: what was known of "
-            "the drives' identities and write counts begins anew; delete it when it is of no use"
+            f"{self.name} was damaged ({why}) and is {aside.name} now: the drives' "
+            "identities are recorded again and write counts start at 0; delete it when it is of no "
+            "use"
         )
 
 
