@@ -190,6 +190,12 @@ BAD = [
         "short",
         "short is not known here; standard, ext",
     ),
+    (
+        "addressing: [standard]",
+        "protocol: profibus\naddressing: [standard]",
+        "profibus",
+        "there is no line protocol profibus",
+    ),
     ("title: a drive", "titel: a drive", "family: test", "title is missing"),
     ("title: a drive for tests\n", "", "family: test", "title is missing"),
     ("title: a drive", "note: 1\ntitle: a drive", "note: 1", "note is not known here"),

@@ -573,6 +573,36 @@ def test_a_device_that_does_not_frame_7e1_is_refused_with_what_to_do(
         run(main)
 
 
+def test_a_device_that_does_not_frame_8e1_is_refused(
+    pty: Pty, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a protocol other than LECOM asks for; a pseudo terminal has no parity."""
+    monkeypatch.setattr(devices, "is_pseudo", lambda _path: False)
+
+    async def main() -> None:
+        await open_serial(PortSettings(url=pty.path, framing="8E1"), Heard())
+
+    with pytest.raises(LineLostError, match=r"does not frame 8E1$"):
+        run(main)
+
+
+def test_a_device_is_set_to_the_framing_of_its_protocol(pty: Pty) -> None:
+    """A pseudo terminal frames nothing, and is told to be 8N1 whatever is asked for."""
+
+    async def main() -> None:
+        port = await open_serial(PortSettings(url=pty.path, framing="8E1", baud=93750), Heard())
+        try:
+            assert port.describe().endswith("93750 8E1")
+            assert not port.carries_parity
+            flags = termios.tcgetattr(pty.master)[2]
+            assert flags & termios.CSIZE == termios.CS8
+            assert not flags & termios.PARENB
+        finally:
+            port.abort()
+
+    run(main)
+
+
 def test_a_caller_cancelled_while_a_driver_opens_slowly_can_still_close(
     pty: Pty, monkeypatch: pytest.MonkeyPatch
 ) -> None:
