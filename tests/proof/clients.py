@@ -10,7 +10,7 @@ from random import Random
 import anyio
 
 from lecombus.config import DriveEntry
-from lecombus.drives import StopAction, Verb
+from lecombus.drives import StopAction, Verb, family
 from lecombus.errors import LecombusError
 from lecombus.fieldbus.lecom.simulator.line import SimLine
 from lecombus.line_runtime import LineRuntime
@@ -99,6 +99,8 @@ class Clients:
             deeds.append(self._enable)
         if self._line.kind == "faulty" or not any(drive.watchdog for drive in self._drives):
             deeds.append(self._stop_group)  # of stops at once the watchdogs outlast one
+        if self._line.is_idle:
+            deeds += [self._write_then_stop, self._read_slow_then_stop] * 3
         while await self._pause(0.0, 3.0):
             await self._random.choice(deeds)()
 
@@ -122,7 +124,7 @@ class Clients:
         drive = self._random.choice(self._drives)
         code = Code(1410 if drive.family == "smvector" else 9)
         self._seen.asked()
-        self._seen.turns.asked(priority)
+        number = self._seen.turns.asked(priority)
         try:
             station = self._site.requests.station(drive.name)
             value = await self._site.requests.read(station, code, priority, timeout_s=60.0)
@@ -132,7 +134,7 @@ class Clients:
             self._seen.answered("done")
             self._seen.told_address(drive.name, drive.address, value.raw)
         finally:
-            self._seen.turns.answered(priority)
+            self._seen.turns.answered(priority, number)
 
     async def _look(self) -> None:
         """Look at what is shown, again and again."""
@@ -198,6 +200,30 @@ class Clients:
                 tasks.start_soon(self._write_one, drive, SETTING, self._next_value(drive))
             await anyio.sleep(self._random.choice((0.0, 0.01, 0.1, LOST_TIME_S)))
             await self._stop([drive])
+
+    async def _write_then_stop(self) -> None:
+        """Stop a drive, the same or another, up to a watchdog time after a write."""
+        await self._write()
+        if await self._pause(0.0, self._stops_apart_s / STOPS_APART):
+            await self._stop_some()
+
+    async def _read_slow_then_stop(self) -> None:
+        """Read what takes a module half a second, if there is room for that, and stop a drive."""
+        drive = self._random.choice(self._drives)
+        traits = family(drive.family).watchdog
+        if traits is not None:
+            self._seen.asked()
+            try:
+                station = self._site.requests.station(drive.name)
+                await self._site.requests.read(
+                    station, traits.action_code, Priority.INTERACTIVE, timeout_s=60.0
+                )
+            except LecombusError as exc:
+                self._seen.answered(type(exc).__name__)
+            else:
+                self._seen.answered("done")
+        if await self._pause(0.0, self._stops_apart_s / STOPS_APART):
+            await self._stop_some()
 
     async def _enable(self) -> None:
         """Let a drive run."""

@@ -105,6 +105,11 @@ class RandomLine:
         return self.kind == "loaded"
 
     @property
+    def is_idle(self) -> bool:
+        """Whether one client asks for one thing after the other, and mostly feeds go."""
+        return False
+
+    @property
     def is_saturated(self) -> bool:
         """Whether clients also write setpoints as fast as they are done; of those crowded."""
         return self.seed % 12 == 5

@@ -1,7 +1,8 @@
 """Loses answers at the worst moments, exactly as many within a watchdog time as it is told.
 
 One loss follows the other: the first when the watchdogs have least time left for it, or when a stop
-is under way; the others hit what goes out directly after it, which by then is mostly feeds. Then
+is under way (on a line whose clients ask seldom, only then); the others hit what goes out directly
+after it, which by then is mostly feeds. Then
 none for as long as the longest watchdog time. An exchange that leaves no room for that many at any
 time, such as a read of a module's own slow codes, is hit alone, or not at all. Half of the answers
 are lost on the way back; else the drive has not heard the question, and is not fed by it.
@@ -32,8 +33,11 @@ NEAR = 1.2
 """An exchange that leaves the watchdogs no more than this part of the least seen is hit."""
 LAST_PART = 0.1
 """Of a watchdog time: an exchange that only this part of it holds is no exception."""
-LONGER = 1.6
-"""Times the least watchdog time: then there is room for a write to an 820X, too."""
+LONGER, LONGEST = 1.6, 4.0
+"""Times the least watchdog time: then there is room for a write to an 820X, or for a module's own
+codes, which take half a second."""
+STOP_LOST, STOP_LOST_IDLE = 0.3, 0.7
+"""Part of the stops whose answer is lost, where other answers are lost too and where none are."""
 LEARNT_IN = 3.0
 """Watchdog times after which the least seen is forgotten: the load has changed."""
 
@@ -44,7 +48,7 @@ class TolerantLine(RandomLine):
 
     Args:
         losses: So many answers are lost within any watchdog time.
-        idle: One client asks for one thing after the other: mostly feeds go.
+        idle: One client asks for one thing after the other: mostly feeds go, and stops are lost.
     """
 
     losses: int = 0
@@ -56,6 +60,11 @@ class TolerantLine(RandomLine):
         return not self.idle
 
     @property
+    def is_idle(self) -> bool:
+        """Whether one client asks for one thing after the other, and mostly feeds go."""
+        return self.idle
+
+    @property
     def is_saturated(self) -> bool:
         """Whether clients also write setpoints as fast as they are done."""
         return self.seed % 2 == 0
@@ -64,8 +73,9 @@ class TolerantLine(RandomLine):
 def tolerant_line(seed: int, *, tolerate: int, losses: int, length_s: float) -> TolerantLine:
     """Draw a line whose watchdogs just outlast so many lost answers.
 
-    On some they are longer: there is room for exchanges, not for each with all that may follow. On
-    as many others clients ask seldom: feeds then keep as little room as they ever do.
+    On a sixth they are longer: there is room for exchanges, not for each with all that may follow.
+    On as many clients ask seldom, mostly to write and then to stop, and the stop is what is lost:
+    feeds then keep as little room as they ever do.
     """
     random = Random(seed)
     count = random.choice((2, 3, 5, 8, 12, 20, 31))
@@ -85,11 +95,12 @@ def tolerant_line(seed: int, *, tolerate: int, losses: int, length_s: float) -> 
     while (least_s := least_time_s(demand_of(roster(60000)), all_alike=True)) is None:
         drives = drives[: len(drives) // 2]  # no time of so many outlasts so much
     of, turn = divmod(seed // 16, 4)
-    if turn == 3 and of % 2:  # on an eighth of the lines
-        least_s *= random.uniform(1.0, LONGER)
+    special = turn == 3  # a quarter of the lines, a third of these for each
+    if special and of % 3:
+        least_s *= random.uniform(1.0, LONGER if of % 3 == 2 else LONGEST)
     return TolerantLine(
         seed, "tolerant", roster(math.ceil(round(least_s * 1000, 3))), "", length_s,
-        losses=losses, idle=turn == 3 and not of % 2,
+        losses=losses, idle=special and of % 3 < 2,
     )  # fmt: skip
 
 
@@ -104,6 +115,7 @@ class Losses:
 
     def __init__(self, line: TolerantLine, sim: SimLine, site: LineRuntime) -> None:
         self._count = line.losses
+        self._idle = line.idle
         self._sim = sim
         self._site = site
         self._random = Random(line.seed + 2)
@@ -150,8 +162,9 @@ class Losses:
         if under_way is None or not self._count:
             return False
         request = under_way[0]
-        if request.priority is Priority.STOP:
-            return self._random.random() < 0.3
+        if request.priority is Priority.STOP or self._idle:
+            hit = STOP_LOST_IDLE if self._idle else STOP_LOST
+            return request.priority is Priority.STOP and self._random.random() < hit
         left_s = self._site.schedule.watchdogs.slack_s(now_s) - request.worst_s
         if now_s > self._least_at_s + LEARNT_IN * self._time_s:
             self._least_s = float("inf")

@@ -33,6 +33,8 @@ from lecombus.schedule.waiting import Waiting
 from lecombus.schedule.watchdog_set import WatchdogSet
 from lecombus.supervision.health import Health
 from lecombus.supervision.watchdogs import WatchdogAudit
+from proof.lines import RandomLine, line_of
+from proof.losses import tolerant_line
 
 __all__ = ["MUTANTS", "Mutant", "mutated"]
 
@@ -48,6 +50,7 @@ class Mutant:
         wrong: What stands there instead.
         seeds: Lines that show it, or one of which does.
         quick: It is in the tests that are run each time.
+        tolerate: The lines are those of `losses`, with so many lost answers; None: random ones.
     """
 
     owner: object
@@ -56,6 +59,13 @@ class Mutant:
     wrong: str
     seeds: tuple[int, ...]
     quick: bool = False
+    tolerate: int | None = None
+
+    def line(self, seed: int, length_s: float) -> RandomLine:
+        """Give the line of one of its seeds."""
+        if self.tolerate is None:
+            return line_of(seed, length_s)
+        return tolerant_line(seed, tolerate=self.tolerate, losses=self.tolerate, length_s=length_s)
 
 
 MUTANTS: dict[str, Mutant] = {
@@ -74,6 +84,22 @@ MUTANTS: dict[str, Mutant] = {
         "end_s = now_s + worst_s",
         "end_s = now_s",
         (18, 46),
+    ),
+    "a feed is counted from the end of its exchange": Mutant(
+        Schedule,
+        "finished",
+        "feed.reached(started_s)",
+        "feed.reached(now_s)",
+        (309, 892),
+        tolerate=1,
+    ),
+    "the feed of the drive spoken to is left out of the slack sum": Mutant(
+        WatchdogSet,
+        "_fit",
+        "total_s += feed.cost_s",
+        "total_s += feed.cost_s * (feed.drive != drive)",
+        (246,),
+        tolerate=2,
     ),
     "a write feeds for longer than a read": Mutant(
         Schedule,
@@ -146,6 +172,14 @@ MUTANTS: dict[str, Mutant] = {
         "if cost_s is not None and",
         "if False and",
         (113, 125),
+        quick=True,
+    ),
+    "last come, first served": Mutant(
+        Waiting,
+        "number",
+        "request.serial = request.place = self._serial",
+        "request.serial, request.place = self._serial, -self._serial",
+        (13, 1),
         quick=True,
     ),
     # -- the wire -------------------------------------------------------------------------------

@@ -248,7 +248,7 @@ def _mutants() -> int:
         noticed = 0
         for seed in mutant.seeds:
             with mutated(name):
-                broken = prove(seed, MUTANT_LENGTH_S).broken
+                broken = run_line(mutant.line(seed, MUTANT_LENGTH_S)).broken
             noticed += bool(broken)
             print(f"{name}, seed {seed}: {broken[0] if broken else 'not noticed'}", flush=True)
         missed += not noticed

@@ -2,7 +2,8 @@
 
 Seen from the clients' side: a class waits from when a client has asked for something in it, or from
 the end of the last exchange of that class, until the next one begins. A cyclic slot waits from when
-it is due; one that is run early, to feed a drive, is no turn of the others. Stops come on top.
+it is due; one that is run early, to feed a drive, is no turn of the others. Stops come on top. And
+no request is left behind many later ones of its class.
 
 Judged on lines whose drives all answer, whatever load is on them.
 """
@@ -20,6 +21,10 @@ from proof.lines import RandomLine
 __all__ = ["Turns"]
 
 _ROWS = {priority: f"{priority.name.lower()}, its turn" for priority in Priority}
+OVERTAKEN_MOST = 60
+"""Requests of a class go first come, first served, but for drives that are left alone or fed, and
+for what is repeated: at most 19 later ones were answered before one, and hundreds or thousands
+where the last that came goes first."""
 
 
 class Turns:
@@ -44,6 +49,9 @@ class Turns:
             if judged and one.crowded_s is not None
         }
         self._asked: Counter[Priority] = Counter()
+        self._tickets: dict[Priority, dict[int, int]] = {one: {} for one in Priority}
+        self._count = 0
+        self._in_order = line.kind in ("quiet", "loaded", "tolerant")
         self._since_s: dict[Priority, float] = {}
         self._stops_s = 0.0
         self._stops_before_s: dict[Priority, float] = {}
@@ -56,14 +64,27 @@ class Turns:
         for priority in self._since_s:
             self._wait(priority, self._now())
 
-    def asked(self, priority: Priority) -> None:
-        """A client asks for something."""
+    def asked(self, priority: Priority) -> int:
+        """A client asks for something; give its number."""
         self._asked[priority] += 1
         if priority not in self._since_s:
             self._wait(priority, self._now())
+        self._count += 1
+        self._tickets[priority][self._count] = 0
+        return self._count
 
-    def answered(self, priority: Priority) -> None:
+    def answered(self, priority: Priority, number: int) -> None:
         """It has its outcome."""
+        tickets = self._tickets[priority]
+        del tickets[number]
+        for other in tickets:
+            if other < number:
+                tickets[other] += 1
+                if tickets[other] == OVERTAKEN_MOST and self._in_order and self._begun:
+                    self._say(
+                        f"{OVERTAKEN_MOST} later requests of class {priority.name.lower()} were "
+                        "answered before one"
+                    )
         self._asked[priority] -= 1
         if not self._asked[priority]:
             del self._since_s[priority]

@@ -75,7 +75,8 @@ def test_motion_under_way_when_a_stop_comes_is_never_repeated() -> None:
     world.schedule.finished(moving, 0.0, 0.1, False)
     world.schedule.again(moving, 0.1)
     # It was on the line once, so "never sent" would be untrue.
-    assert world.outcome(moving) == (Outcome.UNKNOWN, STOPPED)
+    reason = f"{STOPPED}; it was sent before, and not proven"
+    assert world.outcome(moving) == (Outcome.UNKNOWN, reason)
     assert [sent.request for sent in world.run(1.0).sent] == [stop]
 
 
