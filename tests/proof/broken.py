@@ -22,6 +22,7 @@ from lecombus.line.bus_idle import BusIdleTimer
 from lecombus.parameters import Value
 from lecombus.schedule import (
     Cyclic,
+    FaultHypothesis,
     Outcome,
     Priority,
     Request,
@@ -185,6 +186,7 @@ def _last_moment() -> list[Patch]:
         (watchdog_deadline, "HARD_PART", 0.99),
         (watchdog_set, "HARD_PART", 0.99),
         (watchdog_set, "SPARE_PART", 0.0),
+        (FaultHypothesis, "least_room_s", lambda *_: 0.0),
     ]
 
 
@@ -214,7 +216,7 @@ BROKEN = {
     "promises short waits": Broken(_short_waits, " waited ", (12, 36)),
     "promises short exchanges": Broken(_short_exchanges, "it took"),
     "reads seldom": Broken(_seldom, "was not read for", (64, 72)),
-    "feeds at the last moment": Broken(_last_moment, "was not fed for", (4, 48, 28)),
+    "feeds at the last moment": Broken(_last_moment, "was not fed for", (84, 69, 4)),
 }
 
 
