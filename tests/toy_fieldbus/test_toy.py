@@ -36,9 +36,13 @@ def command(*words: object) -> list[str]:
 ENVIRONMENT = {**os.environ, "PYTHONPATH": f"{TESTS.parent / 'src'}{os.pathsep}{TESTS}"}
 
 
-def run(*words: object) -> subprocess.CompletedProcess[str]:
+ALONE = {**ENVIRONMENT, "WITHOUT_LECOM": "1"}
+"""A room that needs LECOM fails: a line of another protocol must not load it."""
+
+
+def run(*words: object, env: dict[str, str]) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        command(*words), env=ENVIRONMENT, capture_output=True, text=True, timeout=60, check=False
+        command(*words), env=env, capture_output=True, text=True, timeout=60, check=False
     )
 
 
@@ -48,7 +52,7 @@ def client() -> Iterator[httpx2.Client]:
     with short_dir() as folder:
         socket, roster = folder / "s", folder / "toys.yaml"
         roster.write_text(ROSTER.format(socket=socket))
-        daemon = subprocess.Popen(command("run", "-c", roster), env=ENVIRONMENT)
+        daemon = subprocess.Popen(command("run", "-c", roster), env=ALONE)
         try:
             transport = httpx2.HTTPTransport(uds=str(socket))
             with httpx2.Client(transport=transport, base_url="http://toys", timeout=20.0) as found:
@@ -113,10 +117,10 @@ def test_a_toy_line_is_read_written_and_stopped_over_http(client: httpx2.Client)
 def test_check_and_plan_calculate_a_toy_line(tmp_path: Path) -> None:
     roster = tmp_path / "toys.yaml"
     roster.write_text(ROSTER.format(socket=tmp_path / "s"))
-    checked = run("check", "-c", roster)
+    checked = run("check", "-c", roster, env=ALONE)
     assert (checked.returncode, checked.stderr) == (0, ""), checked
     assert "belt\t5\ttoymotor" in checked.stdout
-    planned = run("plan", "-c", roster, "--json")
+    planned = run("plan", "-c", roster, "--json", env=ALONE)
     assert planned.returncode == 0, planned.stderr
     assert [row["baud"] for row in json.loads(planned.stdout)["bauds"]] == [4800, 9600]
 
@@ -138,7 +142,7 @@ def test_a_roster_is_checked_by_the_rules_of_its_protocol(
 ) -> None:
     roster = tmp_path / "toys.yaml"
     roster.write_text(ROSTER.format(socket=tmp_path / "s").replace(old, new, 1))
-    checked = run("check", "-c", roster)
+    checked = run("check", "-c", roster, env=ENVIRONMENT)
     assert checked.returncode == 2
     assert right in checked.stderr
 
