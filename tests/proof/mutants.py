@@ -267,7 +267,7 @@ MUTANTS: dict[str, Mutant] = {
         "take",
         "if not _shows(",
         "if type(what) is not WrittenValue and not _shows(",
-        (259, 111),
+        (7, 107, 223),
         quick=True,
     ),
     "a refusal is taken for an acknowledgement": Mutant(
