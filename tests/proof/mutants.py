@@ -131,7 +131,7 @@ MUTANTS: dict[str, Mutant] = {
         "_cut_off",
         "request.writes and self._stopped_since(request)",
         "False",
-        (51, 35),
+        (131, 291),
     ),
     "a stop waits for the turn of others": Mutant(
         Schedule,
