@@ -1,6 +1,6 @@
 """HTTP for one line: `create_app` makes the application, `serve` listens with it.
 
-Read `app` first (routes), then `problems` (what failures look like) and `server` (where it
+Read `app` first (routes), then `answers` (answers and problem documents) and `server` (where it
 listens). It calls `Operations`, and reads `Store` and `Metrics`.
 """
 

@@ -1,7 +1,8 @@
 """The command line. A command is a function NAME_command; related commands share a module.
 
 `entry` finds the command by name and turns errors into lines on standard error and an exit status
-(`exits`). Commands on a roster call `config`, `simulator` or `daemon`. Commands to a running daemon
+(`exits`). Commands on a roster call `config`, the simulator or
+`daemon`. Commands to a running daemon
 use its HTTP API through `client`. Output goes through `screen`: tables on a terminal, tab-separated
 text in a pipe, the daemon's documents with `--json`.
 

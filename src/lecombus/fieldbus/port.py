@@ -44,7 +44,7 @@ class Receiver(Protocol):
         """The port is lost; called at most once, and never after `abort`.
 
         Args:
-            exc: Why, a `LineLostError` from the ends in this room; None for a clean end.
+            exc: Why, a `LineLostError` from a port of `line`; None for a clean end.
         """
 
 

@@ -1,8 +1,8 @@
 """The requests that lecombus makes to drives; their stations are made in `drive_changes`.
 
 Here roster, descriptions and cost model meet: every request is given its cost
-and its worst case here, so that the schedule, the time-outs and later the plan reckon with the
-same numbers. What a read costs is kept, for the same few are made for years, until the station is
+and its worst case here, so that the schedule, the time-outs and the plan use the same
+numbers. What a read costs is kept, for the same few are made for years, until the station is
 another one or its measured times are.
 """
 
