@@ -9,7 +9,6 @@ import click
 
 from lecombus.cli.arguments import DURATION, roster_option
 from lecombus.cli.logs import FORMATS, LEVELS, set_up_logging
-from lecombus.cli.openssl import leave_out_openssl
 
 __all__ = ["demo_command", "run_command"]
 
@@ -40,7 +39,6 @@ def run_command(roster: Path, log_level: str, log_format: str) -> int:
     set_up_logging(log_level, log_format)
     gc.disable()  # next to nothing that is made at the start is garbage; the daemon enables it
     try:
-        leave_out_openssl()
         from lecombus.daemon import run
 
         return run(roster, log_format=log_format)

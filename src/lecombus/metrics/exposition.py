@@ -14,6 +14,8 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 from typing import Final
 
+from prometheus_client import Metric
+
 __all__ = [
     "OPENMETRICS_TYPE",
     "TEXT_TYPE",
@@ -21,6 +23,7 @@ __all__ = [
     "escape",
     "join_blocks",
     "labels_text",
+    "sample_lines",
     "wants_openmetrics",
 ]
 
@@ -82,6 +85,18 @@ def labels_text(labels: Mapping[str, str]) -> str:
     if not labels:
         return ""
     return "{" + ",".join(f'{name}="{escape(value)}"' for name, value in labels.items()) + "}"
+
+
+def sample_lines(metric: Metric) -> list[str]:
+    """Return the sample lines of what a prometheus_client object collects.
+
+    Creation times are left out: they double the page and are not used here.
+    """
+    return [
+        f"{one.name}{labels_text(one.labels)} {one.value!r}"
+        for one in metric.samples
+        if not one.name.endswith("_created")
+    ]
 
 
 def join_blocks(blocks: Iterable[Block], *, openmetrics: bool) -> bytes:

@@ -16,12 +16,12 @@ from typing import Final
 
 import anyio
 import anyio.lowlevel
+from prometheus_client import ProcessCollector
 
 from lecombus import __version__
 from lecombus.metrics.counters import Counters
-from lecombus.metrics.exposition import Block, escape, join_blocks
+from lecombus.metrics.exposition import Block, escape, join_blocks, sample_lines
 from lecombus.metrics.gauges import DriveGauges, LineGauges, LineSnapshot
-from lecombus.metrics.process_figures import process_blocks
 from lecombus.metrics.rolling_window import RollingWindow
 from lecombus.store import Store
 
@@ -68,6 +68,7 @@ class Metrics:
         self._store = store
         self._version = version
         self._clock = clock
+        self._process = ProcessCollector(registry=None)
         self._work: Iterator[None] | None = None
         self._blocks: tuple[Block, ...] = ()
         self._pages: dict[bool, bytes] = {}
@@ -154,7 +155,9 @@ class Metrics:
                     block.lines += instrument.lines(family.name)
                 yield
             blocks.append(block)
-        blocks += process_blocks()
+        for metric in self._process.collect():
+            kind = str(metric.type)
+            blocks.append(Block(metric.name, kind, metric.documentation, sample_lines(metric)))
         yield
         for block in blocks:
             block.close()

@@ -29,8 +29,8 @@ anyone speaks (EDB2102EN 8.3.5).
 Silence is proven by looking. A process that was not run for a while finds bytes in its port of
 whose time is not known, so the caller gives the time until which nothing had come:
 a pause is one, and an answer a late one, only if the port was checked in between and was empty.
-`look_s` says when to look. An answer found after its deadline counts as in time: it may have arrived in time;
-`overdue_s` says how much older than it seems it may be.
+`look_s` says when to look. An answer found after its deadline counts as in time: it may have
+arrived in time; `overdue_s` says how much older than it seems it may be.
 
 Pure: time is an argument in seconds. Time-outs are given by the caller; retries, quarantine and
 the meaning of an answer belong to `exchanges`.
