@@ -168,7 +168,7 @@ class DriveEntry(_Model):
         identity: What identity codes must read, by code.
         stored_writes: How often stored codes may be written.
         lease: Whether its control needs a lease.
-        stop_fallback: What a quick stop becomes that cannot be had.
+        stop_fallback: What is sent when a quick stop is impossible: inhibit or none.
         slow: What a running line measured of it; no roster says that.
     """
 

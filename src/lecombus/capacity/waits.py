@@ -26,11 +26,12 @@ many there are depends on the clients.
 
 The crowded bound adds up what the schedule's rules let go before the first request of a class
 (`_crowded`). The line time in which its share is earned, independent of other requests; the
-exchange under way when it begins, lost, and the one when it is earned. From then on nothing goes by
-right twice in a row: before it go one exchange by credit of each of the other two classes, and one
-by right before each of these three. Where drives are left alone after writes, what waited for that
-may go once more before each by right. Each exchange may have to wait until feeds have made room for
-it (`_rooms_s`); feeds that only press take turns with the exchanges, one with each.
+exchange under way when it begins, lost, and the one when it is earned. From then on no class goes
+first by its priority twice in a row, so these go before it at most: one exchange by credit of
+each of the other two classes, and one by priority before each of these three. Where drives are
+left alone after writes, what waited for that may go once more before each by priority. Each
+exchange may have to wait until feeds have made room for it (`_rooms_s`); feeds that only press
+take turns with the exchanges, one with each.
 
 The bounds hold while the drives answer and at most the exchange under way is lost, and count the
 time in which the daemon runs: pauses of the computer are additional.
@@ -174,7 +175,7 @@ def _cyclic(ahead: WorkAhead) -> ClassWait:
     return ClassWait(
         "cyclic", quiet_s + LATENESS_S, max(quiet_s, loaded_s) + LATENESS_S, own_s,
         "how late a slot may be: the exchange under way, not answered, all other reads once, and "
-        "feeds that reads do not stand for",
+        "feeds that no cyclic read replaces",
         *_guaranteed(ahead, Priority.CYCLIC, max((one.cost_s for one in ahead.cyclic), default=0)),
     )  # fmt: skip
 

@@ -171,7 +171,7 @@ class WorkAhead:
 
     @property
     def once_read_s(self) -> float:
-        """What one feed of each drive takes that is both fed beside its reads and read."""
+        """Sum of one feed of each drive that needs feeds besides its cyclic reads."""
         return sum(one.cost_s for one in self.beside if one.name in self.reads_s)
 
     @property

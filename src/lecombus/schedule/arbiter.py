@@ -3,9 +3,9 @@
 In this order:
 
 1. Control. After each control exchange one other may go: the first of a class that has
-   earned its share (shares.py), or else an urgent feed. A share goes before an urgent feed because
-   feeds are urgent without end where control takes all that they leave; what feeds really need
-   goes before both, by the slack check.
+   earned its share (shares.py), or else an urgent feed. A share goes before an urgent feed: if
+   control fills the line, feeds are urgent all the time. What feeds really need goes before both,
+   by the slack check.
 2. Urgent feeds by hard deadline. A feed is urgent when it is due, or when the slack of all
    watchdogs together is less than the spare kept for failed attempts (watchdog_set.py). While two
    thirds of that spare are left, urgent feeds and lower classes take turns, so that a sweep of

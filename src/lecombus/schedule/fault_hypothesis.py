@@ -1,13 +1,13 @@
 """The fault hypothesis of a line: how many answers may be lost, and the room that is kept for them.
 
-An exchange is begun only if the watchdogs outlast what may be lost from then on. If its own answer
-is lost, it takes its longest, and all but one of the lost answers that are tolerated may be those
-of the feeds after it; a stop may follow, too. If it is answered, all of them may be. A stop does
-not wait; it and its lost answer may use the last tenth of a watchdog time, and room is kept for
-what that does not hold. With none to be tolerated an exchange is begun if the watchdogs outlast its
-own lost answer. One for which there is never room together with one lost answer and a stop is not
-begun; where there is never room for all that are tolerated, it is begun when there is most
-(`watchdog_set`).
+An exchange is begun only if the watchdogs outlast what may be lost from then on. If its own
+answer is lost, it takes its longest, and all but one of the lost answers that are tolerated may
+be those of the feeds after it; a stop may follow, too. If it is answered, all the lost answers
+that are tolerated may be those of the feeds after it. A stop does not wait; it and its lost
+answer may use the last tenth of a watchdog time, and room is kept for what that does not hold.
+With none to be tolerated an exchange is begun if the watchdogs outlast its own lost answer. One
+for which there is never room together with one lost answer and a stop is not begun; where there
+is never room for all that are tolerated, it is begun when there is most (`watchdog_set`).
 
 The roster was accepted by the same sum (`capacity.watchdog_demand`).
 

@@ -44,7 +44,8 @@ DEFAULT_LIMITS: Final[Mapping[Priority, int]] = {
     Priority.BACKGROUND: 10000,
 }
 KEPT_S: Final = 3.0
-"""So long after a hold what waited for its end goes before what would begin another, seconds .."""
+"""For so long after a hold, requests that waited for it go before those that would begin another,
+seconds .."""
 KEPT_AFTER_S: Final = 3.0
 """.. if holds have kept it for so long: a client that reads and writes in turn is no stream."""
 EXPIRE_BATCH: Final = 64  # expired requests ended per choice: about 0.1 ms

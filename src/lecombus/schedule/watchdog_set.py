@@ -89,7 +89,7 @@ class WatchdogSet:
     def need_s(self, request: Request) -> float:
         """Return how much slack it takes to begin an exchange: room for what may be lost, seconds.
 
-        Never more than there ever is, if the exchange fits at all: it must begin at some time.
+        Limited to the largest slack that can occur; otherwise a fitting exchange would never begin.
         """
         need_s = self.faults.need_s(request.cost_s, request.worst_s, *self._losses())
         most_s = self._most.get(request.drive)

@@ -1,12 +1,13 @@
-"""What a drive is set to that decides how it is to be taken: two codes.
+"""Two settings of a drive that change how lecombus treats it.
 
 *Signal configuration.* On a 93XX most bits of C0135 and C0150 mean what the signal configuration
 C0005 makes of them. It is read at every audit; until it is known, and whenever it was written and
-not yet read again, a drive is taken by what holds for every configuration. Once known it is kept
-while the drive is away: the audit that brings the drive back reads it again.
+not yet read again, only what holds for every configuration is used. Once known it is kept while
+the drive is away: the audit that brings the drive back reads it again.
 
-*Shortened response time.* With C1921 = 1 a module acknowledges a write before it has passed it on,
-and must be left alone until then. Until it is known, and after it was written, it is taken to.
+*Shortened response time.* With C1921 = 1 a module acknowledges a write before it has passed it
+on, and must be left alone until then. Until that is known, and after it was written, lecombus
+assumes that it does.
 
 Strategy: as in `fault_watch`, no task and no timer: `seen` gets every value read and `written`
 every write, and both cost one look-up where a drive's family has no such codes.

@@ -55,8 +55,8 @@ LEAST_INHIBIT_S = 1.5
 """What an inhibit in a quick stop's place is tried for at least, seconds."""
 
 PROVING_S = 1.0
-"""Beyond its time a stop of which one reading shows that it was taken is given so long for the
-others, seconds."""
+"""If one reading already shows the stop, it gets this much extra time for the other readings,
+seconds."""
 
 UNSHOWN_S = 1.0
 """A quick stop that was acknowledged gets this long to show before it is taken for without effect,
