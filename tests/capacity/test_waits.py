@@ -202,12 +202,3 @@ def test_no_exchange_is_promised_to_take_no_time() -> None:
 
 def test_no_promise_is_made_for_what_is_never_begun() -> None:
     assert math.isinf(NO_EXCHANGE.takes_s)
-
-
-def test_a_background_read_waits_for_the_status_words_after_a_command() -> None:
-    """Also on a line that reads nothing cyclically (seed 20304 of the proof)."""
-    roster = line_of(1, time="10s", baud=1200)
-    alone = roster.drives[0].model_copy(update={"watchdog": None, "cyclic": ()})
-    quiet = roster.model_copy(update={"drives": (alone,)})
-    status_s = read_times(alone, Code(150), line_timing(quiet.line)).usual_s
-    assert make_plan(quiet).wait("background").quiet_s > 2 * status_s

@@ -124,7 +124,9 @@ class Clients:
         drive = self._random.choice(self._drives)
         code = Code(1410 if drive.family == "smvector" else 9)
         self._seen.asked()
-        number = self._seen.turns.asked(priority)
+        written = self._line.is_saturated and drive in self._drives[:WRITERS]
+        alone = written and family(drive.family).hold_after_write_s > 0.0
+        number = self._seen.turns.asked(priority, alone=alone)
         try:
             station = self._site.requests.station(drive.name)
             value = await self._site.requests.read(station, code, priority, timeout_s=60.0)

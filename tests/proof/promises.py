@@ -21,6 +21,7 @@ from collections.abc import Callable
 from lecombus.capacity.exchange_costs import read_times, watched_s
 from lecombus.capacity.plan import Promises as LinePromises
 from lecombus.config import line_timing
+from lecombus.drives import family
 from lecombus.fieldbus.lecom.protocol.telegrams import ValueAnswer
 from lecombus.fieldbus.lecom.simulator.line import SimLine
 from lecombus.fieldbus.reports import ExchangeReport, ResultKind
@@ -91,6 +92,9 @@ class Promises:
         }
         self._fed: dict[int, float] = {}
         self._stopped: dict[str, float] = {}
+        self._holds_s = {
+            drive.name: family(drive.family).hold_after_write_s for drive in line.roster.drives
+        }
         self.most: dict[str, float] = {}
 
     def _promise_gaps(self, line: RandomLine, plan: LinePromises, late_s: float) -> None:
@@ -121,9 +125,14 @@ class Promises:
         if report.priority is Priority.CYCLIC and not self._is_slot(report):
             name, is_promised = "", False
         if not is_promised:
-            self._asked.append((report.result.ended_s, report.result.started_s))
+            # After a stop's write its drive may be left alone; its slots wait for that.
+            hold_s = (
+                self._holds_s.get(report.drive, 0.0) if report.priority is Priority.STOP else 0.0
+            )
+            self._asked.append((report.result.ended_s + hold_s, report.result.started_s))
         if name:
-            if name == "cyclic" and report.waited_s > promised_s:
+            # On a quiet line only status words after a command go before background.
+            if name in ("cyclic", "background") and report.waited_s > promised_s:
                 promised_s += self._asked_s(report.result.started_s - report.waited_s)
             # What a proof waits is no wait of the request; nor is a stop of the drive that is under
             # way, behind which its status words are read.

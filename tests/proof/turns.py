@@ -64,19 +64,26 @@ class Turns:
         for priority in self._since_s:
             self._wait(priority, self._now())
 
-    def asked(self, priority: Priority) -> int:
-        """A client asks for something; give its number."""
+    def asked(self, priority: Priority, *, alone: bool = False) -> int:
+        """A client asks for something; give its number.
+
+        Args:
+            priority: Its class.
+            alone: Its drive is written to all the time and left alone after each write: later ones
+                may be answered before it.
+        """
         self._asked[priority] += 1
         if priority not in self._since_s:
             self._wait(priority, self._now())
         self._count += 1
-        self._tickets[priority][self._count] = 0
+        if not alone:
+            self._tickets[priority][self._count] = 0
         return self._count
 
     def answered(self, priority: Priority, number: int) -> None:
         """It has its outcome."""
         tickets = self._tickets[priority]
-        del tickets[number]
+        tickets.pop(number, None)
         for other in tickets:
             if other < number:
                 tickets[other] += 1

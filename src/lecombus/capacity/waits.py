@@ -15,10 +15,11 @@ own rules (`schedule.arbiter`, `schedule.shares`), class by class:
   for every other slot once, all due together, and for the feeds that reads do not replace. (In
   that order the backlog is greatest at the first instant at which all are due; a load below
   the line's time lets it only shrink afterwards.)
-* *Background*: after all cyclic reads and feeds that come while it waits, and the status words that
-  are read after a command to all drives, or, if that is sooner, until its share has been earned.
+* *Background*: after all cyclic reads and feeds that come while it waits, or, if that is sooner,
+  until its share has been earned.
 
-Three bounds are given. *Quiet*: one request at a time, no other requests, no drive being audited.
+Three bounds are given. *Quiet*: one request at a time, no other requests, no drive being audited,
+no status word to be read after a command.
 *Loaded*: lower classes are full, and the exchange under way is the longest that the drives'
 descriptions know, such as a module's own codes. *Crowded*, for the classes below control: all
 classes are full all the time, the higher ones too. Requests of the same class are additional: how
@@ -191,17 +192,13 @@ def _background(ahead: WorkAhead) -> ClassWait:
         ),
         default=0.0,
     )
-    # One client's command goes before its next request, and so does what is read because of it.
-    after_s = ahead.own.times.worst_s + ahead.shown_s
-    quiet_s = max(quiet_s, response_s(0.0, after_s, coming))
     own_s = max(usual_s, ahead.read.times.usual_s)
     quiet_s = min(quiet_s, _until_earned(ahead, own_s, usual_s, lost_s))
     share, crowded_s = _guaranteed(ahead, Priority.BACKGROUND, ahead.read.times.usual_s)
     return ClassWait(
         "background", quiet_s + LATENESS_S, crowded_s, ahead.read.takes_s,
-        "all reads and feeds that come while it waits, and status words read after a command; "
-        "under load, clients of all classes: until a twentieth of the line has been earned, and "
-        "its turn has come",
+        "all reads and feeds that come while it waits; under load, clients of all classes: until a "
+        "twentieth of the line has been earned, and its turn has come",
         share, crowded_s,
     )  # fmt: skip
 

@@ -31,7 +31,6 @@ from lecombus.capacity.exchange_costs import (
 from lecombus.capacity.load import load_on
 from lecombus.capacity.watchdog_demand import faults_of
 from lecombus.drives import CodeInfo, family, stop_value
-from lecombus.drives.stops import shown_after
 from lecombus.fieldbus.costs import LineTiming
 from lecombus.parameters import Code, Format, Value
 from lecombus.roster import DriveEntry, Roster
@@ -147,7 +146,6 @@ class WorkAhead:
         load: The share of the line that reads and feeds take in the long run.
         room: What it takes to make room for an exchange beside the feeds.
         alone_s: The longest that a drive is left alone after a write, seconds.
-        shown_s: What is read of all drives after a command to all of them, seconds.
     """
 
     own: Longest
@@ -167,7 +165,6 @@ class WorkAhead:
     load: float
     room: Room
     alone_s: float
-    shown_s: float
 
     @property
     def once_read_s(self) -> float:
@@ -216,7 +213,6 @@ def work_ahead_on(roster: Roster, timing: LineTiming) -> WorkAhead:
         load=load_on(drives, timing).total,
         room=_room(feeds),
         alone_s=max((family(drive.family).hold_after_write_s for drive in drives), default=0.0),
-        shown_s=sum(_shown_s(drive, timing) for drive in drives),
     )
 
 
@@ -361,13 +357,6 @@ def _blocking(roster: Roster, timing: LineTiming) -> Iterator[Blocking]:
         for code in codes:
             saved_s = _read_s(drive, code, timing) if time_s is None else 0.0
             yield Blocking(read_times(drive, code, timing).worst_s, saved_s)
-
-
-def _shown_s(drive: DriveEntry, timing: LineTiming) -> float:
-    """What is read of a drive after a command (`supervision.command_effects`), seconds."""
-    of = family(drive.family)
-    found = [shown_after(of, rule.code) for rule in of.stops.values()]
-    return max((sum(_read_s(drive, code, timing) for code in codes) for codes in found), default=0)
 
 
 def _feed_s(drive: DriveEntry, timing: LineTiming) -> float:
