@@ -93,12 +93,45 @@ def test_each_stop_is_told_with_the_words_that_show_it() -> None:
 def test_an_old_word_does_not_contradict_a_fresh_one() -> None:
     old = read("C0068", "H1100", age_s=40.0, quality=Quality.STALE)
     fresh = read("C0150", ENABLED)
-    assert motion("820x", fresh, old).stops == ()
+    running = read("C0050", "20")
+    assert motion("820x", fresh, old, running).stops == ()
+    denied = read("C0068", "H0100", age_s=50.0, quality=Quality.STALE)
+    inhibit = read("C0040", "0", age_s=40.0, quality=Quality.STALE)
+    assert motion("8200vector", read("C0150", "H0640"), denied, inhibit).doing is Doing.ENABLED
     written = replace(read("C0135", "H0008", quality=Quality.BAD), reason=WRITTEN_SINCE)
     silent = replace(fresh, quality=Quality.STALE, age_s=30.0)
     last = motion("820x", silent, old, written)
     assert (last.stale, last.age_s) == (True, 40.0)
     assert last.stops[0].shown_by == ("C0068 reads H1100",)
+
+
+@pytest.mark.parametrize("quality", [Quality.STALE, Quality.BAD])
+@pytest.mark.parametrize(
+    ("name", "code", "value"),
+    [
+        ("8200vector", "C0135", "H0008"),
+        ("93xx", "C0135", "H0008"),
+        ("821x", "C0135", "H0008"),
+        ("821x", "C0068", "H1140"),
+    ],
+)
+def test_a_drive_is_not_called_enabled_when_the_word_that_showed_its_quick_stop_is_old(
+    name: str, code: str, value: str, quality: Quality
+) -> None:
+    status = read("C0150", "H0640")
+    seen = motion(name, status, read(code, value, age_s=31.0, quality=quality))
+    assert (seen.doing, seen.stale, seen.age_s) == (Doing.UNKNOWN, True, 31.0)
+    assert [one.shown_by for one in seen.stops] == [(f"{code} reads {value}",)]
+    released = "H0000" if code == "C0135" else "H0140"
+    told = motion(name, status, read(code, released, age_s=31.0, quality=quality))
+    assert (told.doing, told.stops, told.stale) == (Doing.ENABLED, (), False)
+
+
+def test_an_old_quick_stop_is_overtaken_by_a_fresh_word_that_would_show_it() -> None:
+    command = read("C0135", "H0008", age_s=31.0, quality=Quality.STALE)
+    for name, doing in (("821x", Doing.ENABLED), ("8200vector", Doing.UNKNOWN)):
+        seen = motion(name, read("C0150", "H0640"), read("C0068", "H0140"), command)
+        assert seen.doing is doing
 
 
 @pytest.mark.parametrize(

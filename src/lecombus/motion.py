@@ -3,10 +3,11 @@
 Strategy: every word that can show a stop is looked at, the status words and those that prove a stop
 (`drives.stops`), and each stop is reported with the words that show it. While the first status word
 is fresh only fresh values count, and what a newer status word denies does not, so that an old word
-cannot contradict a new one; otherwise all is reported as last known, and marked so. What was read
-before the last command to stop or to run does not count at all. "Stopped" means that something
-keeps the drive from driving its motor. The shaft may turn all the same, as that of a coasting motor
-does.
+cannot contradict a new one; otherwise all is reported as last known, and marked so. An old word
+that no newer one denies and that showed a stop makes it unknown whether the drive is enabled: many
+drives show a quick stop in no word that is read often. What was read before the last command to
+stop or to run does not count at all. "Stopped" means that something keeps the drive from driving
+its motor. The shaft may turn all the same, as that of a coasting motor does.
 """
 
 from __future__ import annotations
@@ -28,7 +29,16 @@ from lecombus.readings import (
     seconds,
 )
 
-__all__ = ["Doing", "Motion", "Speed", "Stop", "learnt_setpoint", "motion_of", "setpoint_codes"]
+__all__ = [
+    "Doing",
+    "Motion",
+    "Speed",
+    "Stop",
+    "learnt_setpoint",
+    "motion_of",
+    "overtaken_commands",
+    "setpoint_codes",
+]
 
 OUTPUT: Final = Code(50)
 SETPOINT: Final = Code(46)
@@ -115,7 +125,7 @@ class Motion:
 
     Args:
         doing: What it does with its motor.
-        stops: What stops it.
+        stops: What stops it; where `doing` is unknown, what stopped it as last known.
         speed: Its output frequency; None where its family has none with a unit, or none was read.
         zero: Whether it reports its speed as 0; None where that is not known.
         setpoint: The speed wanted, as last read or written; None where none is known.
@@ -182,22 +192,56 @@ def motion_of(
         return Motion(Doing.UNKNOWN, speed=actual, setpoint=_setpoint(family, known, written))
     stale = first.quality is not Quality.GOOD
     proofs = [code for rule in family.stops.values() for code in rule.proofs]
-    words = [
+    overtaken = overtaken_commands(family, known)
+    last_known = [
         reading
         for code in dict.fromkeys((*family.words, *proofs))
-        if (reading := _usable(known(code), stale=stale)) is not None
+        if code not in overtaken and (reading := _usable(known(code), stale=True)) is not None
     ]
+    words = [one for one in last_known if stale or one.quality is Quality.GOOD]
     states = _states(family, words)
     stops = _stops(states, fault)
     zero = _zero(family, _usable(speed, stale=stale), states)
+    doing = _doing(stops, states, zero)
+    is_free = doing in (Doing.ENABLED, Doing.UNKNOWN)
+    if is_free and (old := _stops(_states(family, last_known), None)):
+        doing, stops, words, stale = Doing.UNKNOWN, old, last_known, True
     return Motion(
-        _doing(stops, states, zero),
+        doing,
         stops,
         actual,
         zero,
         _setpoint(family, known, written),
         max((one.age_s or 0.0 for one in words), default=first.age_s),
         stale,
+    )
+
+
+def overtaken_commands(family: Family, known: Callable[[Code], Reading | None]) -> frozenset[Code]:
+    """Name the commands to stop (C0040, C0135) whose old value says nothing of what stops a drive.
+
+    A keypad may have changed it, and a fresh status word can show what it does. Where none can, or
+    the one that can is old too, the command stays the last that is known.
+
+    Args:
+        family: Its family.
+        known: Gives what is known of a code, with its quality; None: never asked for.
+    """
+    shown = {
+        state
+        for code, word in family.words.items()
+        if (one := known(code)) is not None and one.quality is Quality.GOOD
+        for state in word.possible_states
+    }
+    effects: dict[Code, set[OperatingState]] = {}
+    for action, rule in family.stops.items():
+        effects.setdefault(rule.code, set()).add(OF_ACTION[action])
+    return frozenset(
+        code
+        for code, states in effects.items()
+        if (command := known(code)) is not None
+        and command.quality is not Quality.GOOD
+        and states <= shown
     )
 
 

@@ -12,6 +12,7 @@ import pytest
 from lecombus.drives import FAMILY_NAMES, Language, StopAction, Verb, family
 from lecombus.drives.faults.reasons import Weight, asked_codes, reasons
 from lecombus.errors import DescriptionError, OperationError
+from lecombus.motion import Doing
 from lecombus.operations.findings import WhyReport, lapse_finding
 from lecombus.operations.reports import VerbReport
 from lecombus.parameters import Code, Value
@@ -569,6 +570,23 @@ def test_an_old_quick_stop_stays_known_only_where_no_status_word_would_show_it(d
         assert ("quick-stop-by-line" in names(why)) is (drive == "vector")
 
     at(drive, test)
+
+
+@pytest.mark.parametrize("drive", ["vector", "servo", "belt", "pump", "fan"])
+def test_a_quick_stop_whose_words_are_not_read_again_never_looks_like_an_enable(drive: str) -> None:
+    async def main(plant: Plant) -> None:
+        await plant.online()
+        await plant.site.operations.why(drive, fresh=True)
+        for doing in (Doing.STOPPED, Doing.UNKNOWN):
+            why = await plant.site.operations.why(drive)
+            motion = plant.site.store.motion(drive)
+            assert {"quick-stop-by-line", "quick-stop"} & set(names(why))
+            assert (motion.doing, [one.text for one in motion.stops]) == (doing, ["quick stop"])
+            await anyio.sleep(30.0)
+
+    chosen = [one for one in FAMILIES if one[0] == drive]
+    seldom = "cyclic: [{code: C0150, every: 1s}, {code: C0050, every: 2s}]"
+    with_plant(main, roster_text(chosen, drive=seldom))
 
 
 def test_a_feed_that_came_late_does_not_say_that_the_drive_has_acted() -> None:

@@ -17,13 +17,14 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 from lecombus.drive_runtime import LastEnable
-from lecombus.drives import Family, StopAction, Verb
+from lecombus.drives import Family, Verb
 from lecombus.drives.faults.fault_tables import NO_FAULT
 from lecombus.drives.faults.reasons import Weight, asked_codes, holding
 from lecombus.drives.operating import OperatingState, join_states
 from lecombus.drives.verb_facts import Known
 from lecombus.drives.verbs import is_enabled, status_shows_quick_stop
 from lecombus.errors import LecombusError, LineError, OperationError, UnknownCodeError
+from lecombus.motion import overtaken_commands
 from lecombus.operations.findings import (
     Finding,
     MemoryEntry,
@@ -229,22 +230,18 @@ class Why:
     def _values(self, drive: str, codes: tuple[Code, ...]) -> dict[Code, Reading]:
         """Give what is known of codes, fresh or not.
 
-        What was written since, or could not be read though the drive answers, is not known. Nor is
-        an old command (C0040, C0135) whose effect a fresh status word would show: a keypad may have
-        changed it. An old quick stop stays known where no status word of the family shows one.
+        What was written since, or could not be read though the drive answers, is not known; nor is
+        an old command that a fresh status word has overtaken.
         """
         silent = self._store.state(drive) is DriveState.OFFLINE
         family = self._store.family(drive)
-        first = next((self._store.reading(drive, code) for code in family.words), None)
-        fresh = first is not None and first.quality is Quality.GOOD
-        shown = set(family.stops) if status_shows_quick_stop(family) else {StopAction.INHIBIT}
-        commands = {rule.code for action, rule in family.stops.items() if action in shown}
+        overtaken = overtaken_commands(family, lambda code: self._store.reading(drive, code))
         found = {}
         for code in codes:
             reading = self._store.reading(drive, code)
             if reading is None or reading.value is None or reading.reason == WRITTEN_SINCE:
                 continue
-            if fresh and code in commands and reading.quality is not Quality.GOOD:
+            if code in overtaken:
                 continue
             if silent or reading.quality is not Quality.BAD:
                 found[code] = reading
