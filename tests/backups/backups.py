@@ -32,6 +32,7 @@ codes:
   - {code: C0502, name: drive ID, format: VD, source: "1"}
   - {code: C1810, name: software, format: VS, source: "1"}
   - {code: C1921, name: early answer, format: VD, writable: true, storage: module, source: "1"}
+protocol: lecom
 answer_times: [{codes: others, read_ms: 20, write_ms: 20, source: "2"}]
 hold_after_write_ms: 0
 feed: C0150

@@ -38,6 +38,7 @@ words:
   - {code: C0150, bits: {7: inhibited}, fields: [state], source: "4"}
 stops:
   - {action: inhibit, code: C0040, value: 0, proofs: [{code: C0040, equals: 0}], source: "5"}
+protocol: lecom
 """
 
 SHARED = """\
@@ -191,8 +192,8 @@ BAD = [
         "short is not known here; standard, ext",
     ),
     (
-        "addressing: [standard]",
-        "protocol: profibus\naddressing: [standard]",
+        "protocol: lecom",
+        "protocol: profibus",
         "profibus",
         "there is no line protocol profibus",
     ),

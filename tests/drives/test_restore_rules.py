@@ -109,6 +109,7 @@ feed: C0011
 identity: []
 status: []
 writable: []
+protocol: lecom
 restore:
   - %s
 """
@@ -129,4 +130,4 @@ def test_a_rule_that_cannot_be_is_refused_with_its_line(rule: str, wrong: str) -
     files = {"test.yaml": BASE % rule}
     with pytest.raises(DescriptionError, match=wrong) as caught:
         load_family("test", files.__getitem__)
-    assert caught.value.where.startswith("15:")
+    assert caught.value.where.startswith("16:")

@@ -28,6 +28,7 @@ answer_times: [{codes: others, read_ms: 20, write_ms: 20, source: "2"}]
 hold_after_write_ms: 0
 feed: C0150
 identity: []
+protocol: lecom
 status: []
 writable: [C0040]
 control_words:

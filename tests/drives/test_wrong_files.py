@@ -88,6 +88,7 @@ feed: C0001
 identity: []
 status: []
 writable: []
+protocol: lecom
 """
 
 

@@ -2,6 +2,7 @@
 
 Drives 1 to 9 on 8N1 at 4800 or 9600 bit/s. A read is `R ADDRESS CODE`, a write `W ADDRESS CODE
 NUMBER`; a drive answers `V NUMBER`, `OK`, `NO` (it refuses) or `WHAT` (it has no such code).
+No answer is late: a drive answers within 3 ms or never, so there is no quarantine.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from lecombus.parameters import AddressForm, Code, DecimalLimits, ParameterRules
 from lecombus.roster import DriveEntry, Roster
 from lecombus.schedule import Outcome, Priority, Request, Schedule, Settle, ignore_end
 from lecombus.schedule.fan_out import Part
+from lecombus.schedule.request import CLIENT_GONE
 
 __all__ = ["TOY", "Toy"]
 
@@ -41,6 +43,8 @@ DIGITS = DecimalLimits(Decimal(0), Decimal(99), 0)
 RULES = ParameterRules(
     "toy", {"plain": Form.PLAIN}, highest_code=99, highest_subcode=0, decimals=DIGITS
 )
+ANSWER_S = 0.05
+"""How long an answer is waited for."""
 ERRORS = {AnswerKind.REFUSED: NakError, AnswerKind.NO_SUCH_CODE: UnknownCodeError}
 
 
@@ -142,7 +146,7 @@ class StopJob(_Written, StopWork):
 
 
 class ToyLoop:
-    """One exchange after the other."""
+    """One exchange after the other; see `lecombus.fieldbus.loop` for what it owes the schedule."""
 
     def __init__(self, schedule: Schedule, port: OpenConnection, observer: Observer) -> None:
         self.observer, self.exchanges, self.rests = observer, 0, 0
@@ -205,13 +209,22 @@ class ToyLoop:
             wake_s = self._schedule.wake_at_s(now)
             self._after(min(1.0, max(0.0, (wake_s or now + 1.0) - now)), self._go)
             return
+        if request.is_unwanted:
+            self._schedule.defer(request, now, now)
+            self._schedule.withdraw(request, Outcome.REFUSED, CLIENT_GONE)
+            self._after(0.0, self._go)
+            return
+        self._send(request, now)
+
+    def _send(self, request: Request, now: float) -> None:
         job: Any = request.work
         step, address = job.step, job.station.address
         number = "" if step.value is None else f" {step.value.raw}"
         said = "W" if step.kind is StepKind.WRITE else "R"
         self._under_way = (request, job, now)
         self._connection.say(f"{said} {address} {step.code.number}{number}\n".encode())
-        self._after(0.05, lambda: self._conclude(ResultKind.NO_REPLY, None, "no answer in time"))
+        wait_s = max(0.0, ANSWER_S - request.cut_by_s)
+        self._after(wait_s, lambda: self._conclude(ResultKind.NO_REPLY, None, "no answer in time"))
 
     def _conclude(self, kind: ResultKind, answer: Answer | None, fault: str) -> None:
         done, self._under_way = self._under_way, None
@@ -225,6 +238,8 @@ class ToyLoop:
             )  # fmt: skip
             self.exchanges += 1
             self._schedule.finished(request, started_s, now, answer is not None)
+            if job.step.kind is StepKind.WRITE and kind is not ResultKind.LOST:
+                self._schedule.hold(request.drive, now + job.station.hold_s, now)
             verdict = job.advance(result)
             if verdict is None:
                 request.cut_outcome = job.cut_outcome
@@ -238,7 +253,7 @@ class ToyLoop:
 def cost(timing: LineTiming) -> Cost:
     """`W 9 99 99`, `V 99`, 2 ms to think: every exchange is taken to be as long."""
     wire_s = 15 * timing.char_s
-    late_s = timing.adapter_latency_s + 0.05
+    late_s = timing.adapter_latency_s + ANSWER_S
     return Cost(wire_s + 0.002, late_s, wire_s + late_s, late_s, wire_s + late_s, wire_s)
 
 
@@ -284,14 +299,14 @@ class Maker:
         return cost(self.timing).expected_s
 
     def part_of_write(self, station: Station, code: Code, value: Value) -> Part:
-        return Part(cost(self.timing).expected_s, 0.0, cost(self.timing).expected_s)
+        return Part(cost(self.timing).expected_s, station.hold_s, cost(self.timing).expected_s)
 
     def write(
         self, station: Station, code: Code, value: Value, *, settle: Settle, verify: bool,
         expires_at_s: float | None = None, urgency: Priority | None = None,
     ) -> Request:  # fmt: skip
         job = WriteJob(station, code, value, verify=verify)
-        more = {"expires_at_s": expires_at_s, "writes": True}
+        more = {"expires_at_s": expires_at_s, "writes": True, "hold_s": station.hold_s}
         return self._make(station, urgency or Priority.CONTROL, settle, job, **more)
 
     def read_back(

@@ -23,10 +23,11 @@ from typing import Annotated, Final
 import yaml
 from pydantic import Field
 
-from lecombus.drives import FAMILY_NAMES, CodeInfo, Family, family
+from lecombus.drives import CodeInfo, Family, family
 from lecombus.drives.field_types import Words, read_words, whole
 from lecombus.drives.yaml_models import FILE_TABLE, KEY, ReadBy, YamlFile, mistake
 from lecombus.errors import CodeValueError
+from lecombus.fieldbus.protocols import family_names, protocol_of
 from lecombus.parameters import Code, Value
 
 from .document import Backup, BackupEntry, Head, Section
@@ -140,10 +141,10 @@ HIGHEST_FORMAT: Final = 1_000_000
 
 
 def _read_family(given: object) -> str:
-    if given not in FAMILY_NAMES:
-        known = ", ".join(FAMILY_NAMES)
+    if not isinstance(given, str) or protocol_of(given) is None:
+        known = ", ".join(family_names())
         raise mistake(f"there is no family {read_words(given)}; {known} are known")
-    return str(given)
+    return given
 
 
 def _read_value(given: object) -> Value:

@@ -13,8 +13,9 @@ from lecombus.cli.document_rows import Document
 from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.screen import on_terminal, show_rows
 from lecombus.descriptions import bits_document, code_document, family_document
-from lecombus.drives import FAMILY_NAMES, CodeInfo, Family, Language, WriteClass, family
+from lecombus.drives import CodeInfo, Family, Language, WriteClass, family
 from lecombus.drives.codes import BY_OWN_MANUAL, OTHERS
+from lecombus.fieldbus.protocols import family_names
 from lecombus.parameters import Code
 
 __all__ = ["GERMAN", "describe_command"]
@@ -59,7 +60,7 @@ HEADINGS = ("code", "name", "format", "values", "access", "kept", "source")
 
 
 @click.command("describe")
-@click.argument("family_name", metavar="FAMILY", type=click.Choice(FAMILY_NAMES))
+@click.argument("family_name", metavar="FAMILY", type=click.Choice(family_names()))
 @click.argument("code", required=False, type=CODE)
 @click.option(
     "--lang",

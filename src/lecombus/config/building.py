@@ -5,12 +5,12 @@ Only called for a roster without mistakes, so every value is there or has a defa
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from lecombus.config.checks import default_socket, drives_of
-from lecombus.config.container_types import Fields, Items
+from lecombus.config.container_types import Fields, Item, Items
 from lecombus.config.keys import ALL
 from lecombus.drives import Family, family
 from lecombus.fieldbus.protocols import find
@@ -41,6 +41,10 @@ _RENAMED = {
     "late_answer": "late_answer_s", "stall": "stall_s", "time": "time_s", "every": "every_s",
     "answer_time": "answer_time_s",
 }  # fmt: skip
+_BUILT = frozenset({"line", "drives", "lease", "groups", "api", "mqtt", "state"})
+"""The keys of a roster that `build_roster` makes more of than their value."""
+_COMPLETED = frozenset({"addressing", "cyclic", "writable", "also_writable", "lease"})
+"""The keys of a drive whose fields take more than the key itself; `_drive` makes these."""
 _NOT_YET_USED = ("lease", "mqtt", "journal")
 
 
@@ -49,13 +53,13 @@ def build_roster(roster: Fields, file: str) -> Roster:
     line = LineEntry(**_fields(roster.get("line")))
     lease = _lease(roster.get("lease"), LeaseEntry())
     drives = tuple(_drive(entry, lease) for entry in drives_of(roster))
-    others = {key: roster.get(key) for key in ("on_shutdown", "journal") if key in roster.values}
     return Roster(
+        **_fields(roster, without=_BUILT),
         file=file, line=line, drives=drives, lease=lease,
         groups=_groups(roster, drives, line.protocol),
         api=_api(roster.get("api"), line.name), mqtt=_mqtt(roster.get("mqtt")),
         state=_state(roster.get("state"), line),
-        not_yet_used=_not_yet_used(roster), **others,
+        not_yet_used=_not_yet_used(roster),
     )  # fmt: skip
 
 
@@ -66,18 +70,43 @@ def _state(given: str | None, line: LineEntry) -> str | None:
     return str(STATE_DIR / f"{line.name}.json")
 
 
-def _fields(entry: Fields) -> dict[str, Any]:
-    """Return the values of a mapping by the names of the models' fields."""
-    return {_RENAMED.get(key, key): value for key, value in entry.values.items()}
+def _fields(entry: Fields, without: Collection[str] = ()) -> dict[str, Any]:
+    """Return the values of a mapping by the names of the models' fields.
+
+    What is absent gets the default of the model, and a key without a field is an error there.
+    """
+    return {
+        _RENAMED.get(key, key): _CONVERTED.get(key, _same)(value)
+        for key, value in entry.values.items()
+        if key not in without
+    }
+
+
+def _same(value: Any) -> Any:
+    return value
+
+
+def _set(items: Iterable[Item]) -> frozenset[Any]:
+    return frozenset(item.value for item in items)
+
+
+_CONVERTED: Final[Mapping[str, Callable[[Any], Any]]] = {
+    "watchdog": lambda given: WatchdogEntry(**_fields(given)),
+    "unchecked": _set,
+    "accept_software": lambda given: tuple(item.value for item in given),
+    "identity": lambda given: {Code.parse(at.text): text for at, text in given},
+    "stored_writes": lambda given: StoredWrites(**_fields(given)),
+    "http": lambda given: HttpAddress(host=given[0], port=given[1]),
+}
+"""How the values of keys become those of fields, where they are not the same."""
 
 
 def _lease(entry: Fields | None, default: LeaseEntry) -> LeaseEntry:
-    return default if entry is None else default.model_copy(update=_fields(entry))
+    return default if entry is None else LeaseEntry(**default.model_dump() | _fields(entry))
 
 
 def _drive(entry: Fields, lease: LeaseEntry) -> DriveEntry:
     of = family(entry.get("family"))
-    watchdog: Fields | None = entry.get("watchdog")
     cyclic: Items | None = entry.get("cyclic")
     forms = _forms(entry.get("addressing"), of)
     # A family's status set may hold a subcode that a drive with `standard` addressing lacks.
@@ -87,29 +116,15 @@ def _drive(entry: Fields, lease: LeaseEntry) -> DriveEntry:
         if any(form.carries(code) for form in forms)
     ]
     writable: Items | None = entry.get("writable")
-    simple = {key: entry.get(key) for key in ("name", "address", "family")}
     return DriveEntry(
-        **simple,
+        **_fields(entry, without=_COMPLETED),
         forms=forms,
-        watchdog=None if watchdog is None else WatchdogEntry(**_fields(watchdog)),
         cyclic=tuple(status if cyclic is None
                      else [CyclicEntry(**_fields(item.value)) for item in cyclic]),
-        writable=(of.writable if writable is None else frozenset(item.value for item in writable))
-        | frozenset(item.value for item in entry.get("also_writable", ())),
-        unchecked=frozenset(item.value for item in entry.get("unchecked", ())),
-        restore=entry.get("restore", False),
-        answer_time_s=entry.get("answer_time"),
-        accept_software=tuple(item.value for item in entry.get("accept_software", ())),
-        allow_address_change=entry.get("allow_address_change", False),
-        identity={Code.parse(at.text): text for at, text in entry.get("identity", ())},
-        stored_writes=_stored_writes(entry.get("stored_writes")),
+        writable=(of.writable if writable is None else _set(writable))
+        | _set(entry.get("also_writable", ())),
         lease=_lease(entry.get("lease"), lease),
-        stop_fallback=entry.get("stop_fallback", "inhibit"),
     )  # fmt: skip
-
-
-def _stored_writes(entry: Fields | None) -> StoredWrites:
-    return StoredWrites() if entry is None else StoredWrites(**_fields(entry))
 
 
 def _forms(addressing: str | None, of: Family) -> tuple[AddressForm, ...]:
@@ -134,21 +149,15 @@ def _groups(roster: Fields, drives: Sequence[DriveEntry], protocol: str) -> dict
 
 
 def _api(entry: Fields | None, line: str) -> ApiEntry:
-    if entry is None:
-        return ApiEntry(socket=default_socket(line))
-    http = entry.get("http")
-    return ApiEntry(
-        socket=entry.get("socket", default_socket(line)),
-        http=None if http is None else HttpAddress(host=http[0], port=http[1]),
-        tokens=entry.get("tokens"),
-    )
+    given = {} if entry is None else _fields(entry)
+    return ApiEntry(**{"socket": default_socket(line)} | given)
 
 
 def _mqtt(entry: Fields | None) -> MqttEntry | None:
     if entry is None:
         return None
-    tls = entry.get("tls", True)
-    return MqttEntry(host=entry.get("host"), tls=tls, port=entry.get("port", 8883 if tls else 1883))
+    usual_port = 8883 if entry.get("tls", True) else 1883
+    return MqttEntry(**{"port": usual_port} | _fields(entry))
 
 
 def _not_yet_used(roster: Fields) -> tuple[str, ...]:

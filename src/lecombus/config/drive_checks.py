@@ -9,7 +9,7 @@ from collections.abc import Collection
 
 from lecombus.config.container_types import Fields, Item, Items
 from lecombus.config.mistakes import Mistakes, Position, did_you_mean, one_of, shown
-from lecombus.drives import Family, StopAction, WatchdogTraits, family, family_names, knows_stop
+from lecombus.drives import Family, StopAction, WatchdogTraits, family, knows_stop
 from lecombus.durations import format_duration
 from lecombus.errors import CodeValueError
 from lecombus.fieldbus.protocols import Fieldbus, find
@@ -57,7 +57,7 @@ def check_lapse(drive: Fields, action: str, place: Position, mistakes: Mistakes)
 
 def _check_watchdog_of_any(watchdog: Fields, fieldbus: Fieldbus, mistakes: Mistakes) -> None:
     """Note what no family's watchdog can do, where the family is not known."""
-    all_of = map(family, family_names(fieldbus.name))
+    all_of = map(family, fieldbus.families)
     known = [of.watchdog for of in all_of if of.watchdog is not None]
     if not known:
         return

@@ -24,8 +24,7 @@ from lecombus.config.endpoint_types import (
 from lecombus.config.mistakes import one_of
 from lecombus.config.number_types import Address, CodeType, Duration, Percent, Whole, WholeChoice
 from lecombus.config.scalar_types import Keyword, Name, TextLine, WrongText, YesNo
-from lecombus.drives import family_names
-from lecombus.fieldbus.protocols import find, names
+from lecombus.fieldbus.protocols import Fieldbus, find, names, protocol_of
 
 __all__ = ["ALL", "CYCLIC_SHORTEST_S", "roster_json_schema", "roster_table"]
 
@@ -204,15 +203,15 @@ _ROSTER: Final = Table("roster", (
 class _FamilyName(Keyword):
     """The name of a family that speaks the protocol of the line."""
 
-    def __init__(self, protocol: str) -> None:
-        super().__init__(family_names(protocol))
-        self._protocol = protocol
+    def __init__(self, own: Fieldbus) -> None:
+        super().__init__(own.families)
+        self._protocol = own.name
 
     def _convert(self, text: str) -> str:
-        for other in names():
-            if other != self._protocol and text in family_names(other):
-                what = f"speaks {other}, and the protocol of the line is {self._protocol}"
-                raise WrongText(what, f"{one_of(self._words)} would be right, or protocol: {other}")
+        other = None if text in self._words else protocol_of(text)
+        if other is not None:
+            what = f"speaks {other}, and the protocol of the line is {self._protocol}"
+            raise WrongText(what, f"{one_of(self._words)} would be right, or protocol: {other}")
         return super()._convert(text)
 
 
@@ -231,7 +230,7 @@ def roster_table(protocol: str) -> Table:
     )
     drive = _DRIVE.with_types({
         "address": Address(own),
-        "family": _FamilyName(protocol),
+        "family": _FamilyName(own),
         "cyclic": ListOf(_CYCLIC.with_types({"code": code}), "the cyclic read"),
         "writable": codes,
         "also_writable": codes,

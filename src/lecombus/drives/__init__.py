@@ -15,7 +15,7 @@ from .codes import CodeInfo, Storage, WriteClass
 from .commands import ControlWordInfo
 from .encoding import check_allowed, encode_for
 from .family import Family, SoftwareGate, WatchdogTraits
-from .family_files import FAMILY_NAMES, add_families, family, family_names
+from .family_files import FAMILY_NAMES, add_families, family, read_family_file
 from .faults.fault_tables import Fault, FaultKind
 from .operating import OperatingState, believed_states, join_states
 from .restore_rules import (
@@ -62,7 +62,6 @@ __all__ = [
     "confirm_codes",
     "encode_for",
     "family",
-    "family_names",
     "german_name",
     "is_last",
     "join_states",
@@ -70,6 +69,7 @@ __all__ = [
     "must_be_same",
     "needs_control_word",
     "not_restored",
+    "read_family_file",
     "restore_rank",
     "restore_rule",
     "saving_rule",

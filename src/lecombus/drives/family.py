@@ -178,6 +178,7 @@ class Family:
     words: Mapping[Code, WordInfo]
     answer_times: Mapping[int, AnswerTime]
     other_answer_time: AnswerTime
+    protocol: str
     software: SoftwareGate | None = None
     set_offsets: tuple[int, ...] = (0,)
     saved_by: Code | None = None
@@ -188,7 +189,6 @@ class Family:
     restore: tuple[RestoreRule, ...] = ()
     verbs: VerbRules | None = None
     keypad_offset: int | None = None
-    protocol: str = "lecom"
 
     @property
     def shortened_code(self) -> Code | None:

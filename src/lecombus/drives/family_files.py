@@ -52,7 +52,7 @@ from .yaml_models import (
     without_keys,
 )
 
-__all__ = ["FAMILY_NAMES", "add_families", "family", "family_names", "load_family"]
+__all__ = ["FAMILY_NAMES", "add_families", "family", "load_family", "read_family_file"]
 
 FAMILY_NAMES: Final = (
     "820x",
@@ -64,9 +64,10 @@ FAMILY_NAMES: Final = (
     "smvector",
     "generic",
 )
+"""The families whose data files stand in `families/`: they are known without their protocol."""
 
-_ADDED: Final[dict[str, tuple[str, ReadFile]]] = {}
-"""Families of protocols that are not part of this package: protocol and reader, by name."""
+_ADDED: Final[dict[str, ReadFile]] = {}
+"""The families that protocols brought with them: what reads their data files, by name."""
 
 NEVER_BY_DEFAULT: Final = frozenset({WriteClass.ADDRESS, WriteClass.SAVE})
 """Write classes that a roster must spell out: they cut the drive off or wear its memory."""
@@ -125,7 +126,9 @@ def _check_protocol(protocol: str) -> str:
 
 
 def _forms(words: tuple[str, ...], info: ValidationInfo) -> tuple[AddressForm, ...]:
-    known = rules_of(info.data.get("protocol", "lecom")).forms  # a wrong one is refused itself
+    if "protocol" not in info.data:
+        return ()  # it is wrong, and refused itself
+    known = rules_of(info.data["protocol"]).forms
     for place, word in enumerate(words):
         if word not in known:
             raise mistake(f"{word} is not known here; {', '.join(known)} are", place)
@@ -189,7 +192,7 @@ class FamilyFile:
     include: tuple[Words, ...] = ()
     title: Words
     manual: Words = ""
-    protocol: Annotated[Words, AfterValidator(_check_protocol)] = "lecom"
+    protocol: Annotated[Words, AfterValidator(_check_protocol)]
     forms: Annotated[
         tuple[AddressForm, ...],
         ReadAs(tuple[Words, ...], _forms, informed=True),
@@ -229,21 +232,23 @@ LISTS: Final = ("codes", "answer_times", "fields", "words", "control_words", "st
 """Sections that a family's file and those it includes may all have: their entries are joined."""
 
 
-def add_families(protocol: str, names: Iterable[str], read_file: ReadFile) -> None:
-    """Make the families of a protocol known whose data files are not in this package.
+def add_families(names: Iterable[str], read_file: ReadFile) -> None:
+    """Make the families of a protocol known; none of their files is read yet.
 
     Args:
-        protocol: The protocol that their files name.
-        names: Their names, none of which is known yet.
+        names: Their names.
         read_file: Returns the text of a data file by its name with `.yaml`.
     """
-    _ADDED.update(dict.fromkeys(names, (protocol, read_file)))
+    _ADDED.update(dict.fromkeys(names, read_file))
 
 
-def family_names(protocol: str) -> tuple[str, ...]:
-    """Return the names of the families that speak a protocol."""
-    packaged = FAMILY_NAMES if protocol == "lecom" else ()
-    return (*packaged, *(name for name, added in _ADDED.items() if added[0] == protocol))
+def read_family_file(name: str) -> str:
+    """Return the text of a data file of `families/`, by its name with `.yaml`.
+
+    Raises:
+        OSError: There is no such file.
+    """
+    return data_text("families", name, None)
 
 
 @cache
@@ -251,18 +256,16 @@ def family(name: str) -> Family:
     """Return the family of a roster's word for it.
 
     Args:
-        name: One of `family_names` of a protocol.
+        name: One of `FAMILY_NAMES`, or of `families` of a protocol that was loaded.
 
     Raises:
         ConfigError: There is no such family; the message names those there are.
         DescriptionError: Its data file is wrong.
     """
-    if name in _ADDED:
-        return load_family(name, _ADDED[name][1])
-    if name not in FAMILY_NAMES:
-        remedy = meant(name, FAMILY_NAMES, "the families")
-        raise ConfigError(f"there is no family {name}; {remedy}")
-    return load_family(name)
+    known = tuple(dict.fromkeys((*FAMILY_NAMES, *_ADDED)))
+    if name not in known:
+        raise ConfigError(f"there is no family {name}; {meant(name, known, 'the families')}")
+    return load_family(name, _ADDED.get(name))
 
 
 def load_family(name: str, read_file: ReadFile | None = None) -> Family:

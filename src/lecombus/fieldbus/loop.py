@@ -1,4 +1,25 @@
-"""The exchange loop of a protocol, as the worker and its line use it, and how a line is worked."""
+"""The exchange loop of a protocol, as the worker and its line use it, and how a line is worked.
+
+What a loop owes the schedule (`schedule.Schedule`), with times of the event loop in seconds:
+
+1. When the line is free it asks `next`. After None it asks again at `wake_at_s`, after `nudge`, and
+   at least once a second, and counts that in `rests`.
+2. Directly before the first telegram of a request it asks `is_unwanted`. Such a request is not
+   sent: `defer` it to now, then `withdraw` it as refused (`CLIENT_GONE`).
+3. A request whose telegram may not be sent yet goes back with `defer`. A feed must not, since it
+   would be chosen again immediately: `finished` without `reached`, then `end`.
+4. It gives up an answer `cut_by_s` earlier than it would otherwise.
+5. Each exchange ends with one `finished`, with the time at which the line is free again; a loss of
+   the port is such an end too. An answer counts for the exchange that it belongs to, never for a
+   later one.
+6. After a write, also one that was not answered, it calls `hold` with the `hold_s` of the station
+   if that is not 0; after a multicast for each drive that it reaches.
+7. Then the job is asked (`Job.advance`). None: set `cut_outcome` of the request to the job's and
+   give it back with `again`; else `end` the request. Every request ends once.
+
+`observer.exchange_ended` is called for each exchange. `look_ahead`, `planned`, `follow` and
+`may_idle` need not be used.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """What a line protocol gives to all other rooms, and how it is found by its name.
 
 A protocol of this package is found by its name: `FIELDBUS` of `lecombus.fieldbus.NAME.fieldbus`,
-loaded when it is asked for. Others call `register`.
+loaded and registered when it is asked for. Others call `register`. Either way its families come
+with it.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from lecombus.parameters.rules import ParameterRules, register_rules
 from lecombus.roster import Roster
 from lecombus.schedule import Outcome, Priority, Schedule
 
-__all__ = ["Fieldbus", "find", "names", "register"]
+__all__ = ["Fieldbus", "family_names", "find", "names", "protocol_of", "register"]
 
 
 class Fieldbus(Protocol):
@@ -34,7 +35,7 @@ class Fieldbus(Protocol):
         bauds: The baud rates that it knows, bit/s, from the lowest.
         addresses: The addresses that a single drive can have, in words.
         bits_per_char: Bits of a character, start, parity and stop bits included.
-        families: The names of its families beside those of this package.
+        families: The names of its families; the file of each names the protocol.
         unused_keys: Keys of a roster's `line` and `drives` that mean nothing to it.
         lowest_address: The lowest address of a single drive.
         highest_address: The highest.
@@ -153,10 +154,10 @@ PACKAGED: Final = ("lecom",)
 
 
 def register(fieldbus: Fieldbus) -> None:
-    """Make a protocol known that is not part of this package."""
+    """Make a protocol known, with its rules and families; `find` calls it for those packaged."""
     _KNOWN[fieldbus.name] = fieldbus
     register_rules(fieldbus.rules)
-    add_families(fieldbus.name, fieldbus.families, fieldbus.read_family_file)
+    add_families(fieldbus.families, fieldbus.read_family_file)
 
 
 def names() -> tuple[str, ...]:
@@ -179,5 +180,20 @@ def find(protocol: str) -> Fieldbus:
             if exc.name not in (name, f"{name}.fieldbus"):
                 raise
             raise ConfigError(f"there is no line protocol {protocol}") from exc
-        found = _KNOWN[protocol] = module.FIELDBUS
+        found = module.FIELDBUS
+        register(found)
     return found
+
+
+def family_names() -> tuple[str, ...]:
+    """Return the names of the families of all protocols; loads each."""
+    return tuple(family for name in names() for family in find(name).families)
+
+
+def protocol_of(family: str) -> str | None:
+    """Return the protocol that a family speaks; None: there is no such family.
+
+    Protocols of this package are loaded only if none of those that were loaded has it.
+    """
+    asked = dict.fromkeys((*_KNOWN, *names()))
+    return next((name for name in asked if family in find(name).families), None)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from lecombus.config import DriveEntry
-from lecombus.drives import FAMILY_NAMES, family
+from lecombus.drives import family
 from lecombus.errors import (
     ChecksumReportedError,
     CutReplyError,
@@ -119,11 +119,11 @@ def check_address(
             kind="no-such-address",
             remedy=f"it is {fieldbus.addresses}",
         )
-    if family_name not in FAMILY_NAMES:
+    if family_name not in fieldbus.families:
         raise OperationError(
             f"there is no family {family_name}",
             kind="bad-request",
-            remedy=f"known are: {', '.join(FAMILY_NAMES)}",
+            remedy=f"known are: {', '.join(fieldbus.families)}",
         )
     for entry in entries:
         if entry.address == address:

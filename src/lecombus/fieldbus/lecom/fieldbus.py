@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
-from lecombus.drives import Family
+from lecombus.drives import FAMILY_NAMES, Family, read_family_file
 from lecombus.fieldbus.costs import ExchangeCosts, LineTiming
 from lecombus.fieldbus.lecom import address_codes
 from lecombus.fieldbus.lecom.exchanges.exchange_loop import ExchangeLoop
@@ -43,7 +43,7 @@ class Lecom:
     addresses = "1 to 99, and not 10, 20 .. 90, which are groups that nobody answers for"
     bits_per_char = BITS_PER_CHAR
     costs: ExchangeCosts = RosterCosts()
-    families: tuple[str, ...] = ()  # they are those of this package
+    families: tuple[str, ...] = FAMILY_NAMES
     unused_keys: frozenset[str] = frozenset()
     lowest_address = 1
     highest_address = 99
@@ -54,8 +54,8 @@ class Lecom:
     """Source: CMVLC401A 3.3.2."""
 
     def read_family_file(self, name: str) -> str:
-        """Read nothing: its families are those of this package."""
-        raise FileNotFoundError(name)
+        """Return the text of a data file of `drives/families/`."""
+        return read_family_file(name)
 
     def wrong_address(self, address: int) -> tuple[str, str] | None:
         """Say what is wrong with an address that ends in 0 or is not 1..99.
