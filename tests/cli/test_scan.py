@@ -20,6 +20,7 @@ from cli.conftest import Run
 from cli.daemon_stub import DaemonStub
 from cli.test_simulate import simulated
 from lecombus.cli import scan
+from lecombus.cli.arguments import whole_path
 from lecombus.config import load_roster
 from lecombus.fieldbus.lecom.protocol.controls import bcc
 from support.golden import Golden
@@ -259,3 +260,13 @@ def test_an_older_daemon_is_told_from_a_line_without_drives(run: Run, daemon: Da
     ran = run("scan")
     assert ran.status == 3
     assert "does not know scans" in ran.err
+
+
+def test_a_device_may_be_named_from_the_folder_in_use(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "line").touch()
+    monkeypatch.chdir(tmp_path)
+    assert whole_path(None, None, "line") == str(tmp_path / "line")  # type: ignore[arg-type]
+    for other in ("socket://127.0.0.1:1", "COM1", None):
+        assert whole_path(None, None, other) == other  # type: ignore[arg-type]

@@ -32,3 +32,11 @@ def test_what_a_pause_of_the_daemon_stretched_is_no_remark() -> None:
     found = remarks(overload, store, after)
     assert not any(found[: round(STRETCH_WINDOW_S)])
     assert found[-1], "what lasts longer than the pause is said"
+
+
+def test_what_the_stop_of_a_silent_drive_stretched_is_no_remark() -> None:
+    store = Store(lambda: 0.0, lambda: 0.0)
+    overload = PollOverload(store)
+    for now_s in range(LONG):
+        overload.note(2.0, float(now_s), is_open=True, stopping=now_s >= LONG - 3)
+    assert "cadence" not in store.line().remarks

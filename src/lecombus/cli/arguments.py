@@ -40,6 +40,7 @@ __all__ = [
     "json_option",
     "roster_option",
     "wait_option",
+    "whole_path",
 ]
 
 PATIENCE_S = 60.0
@@ -246,3 +247,10 @@ def daemon_options(function: Callable[..., int]) -> Callable[..., int]:
     return click.option(
         "--socket", metavar="PATH", help="The daemon's socket; default: the only one there is."
     )(command)
+
+
+def whole_path(context: click.Context, parameter: click.Parameter, port: str | None) -> str | None:
+    """Let a device be named from the folder in use; a roster wants whole paths."""
+    if port and ":" not in port and Path(port).exists():
+        return str(Path(port).absolute())
+    return port

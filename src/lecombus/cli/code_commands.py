@@ -17,6 +17,7 @@ from lecombus.cli.arguments import (
     DaemonOptions,
     Given,
     daemon_options,
+    whole_path,
 )
 from lecombus.cli.client import Answer, connect, path_of
 from lecombus.cli.document_rows import Document, show_outcomes, show_reading, status_of
@@ -40,7 +41,8 @@ SENT_ONLY = (
 @click.command("read")
 @click.argument("words", nargs=-1, metavar="[DRIVE] CODE")
 @click.option("--stored", is_flag=True, help="What the daemon knows; nothing is sent.")
-@click.option("--port", metavar="DEVICE", help="Open this port; no daemon. Needs --address.")
+@click.option("--port", metavar="DEVICE", callback=whole_path,
+              help="Open this port; no daemon. Needs --address.")  # fmt: skip
 @click.option("--address", type=int, help="The drive's address on that port.")
 @click.option("--family", default="generic", show_default=True, help="The drive's family.")
 @click.option("--baud", type=click.Choice(BAUDS), default="9600", show_default=True)

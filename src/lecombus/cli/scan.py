@@ -17,7 +17,7 @@ import anyio
 import click
 
 from lecombus.cli import client
-from lecombus.cli.arguments import DaemonOptions, daemon_options
+from lecombus.cli.arguments import DaemonOptions, daemon_options, whole_path
 from lecombus.cli.client import DaemonClient, connect
 from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.own_line import OwnPort, own_port
@@ -109,7 +109,8 @@ def _bauds(ctx: click.Context, param: click.Parameter, text: str | None) -> tupl
 
 
 @click.command("scan")
-@click.option("--port", metavar="DEVICE", help="Scan on this port; no daemon.")
+@click.option("--port", metavar="DEVICE", callback=whole_path,
+              help="Scan on this port; no daemon.")  # fmt: skip
 @click.option("--bauds", metavar="RATE[,RATE..]", callback=_bauds,
               help="Try these baud rates, until drives answer.  [default: 9600]")  # fmt: skip
 @click.option("--all-bauds", is_flag=True, help="Try every baud rate until drives answer.")

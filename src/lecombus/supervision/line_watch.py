@@ -105,7 +105,10 @@ class LineWatch:
         self._log_lapses(stats.feeds)
         starting = any(drive.health.state is DriveState.STARTING for drive in self._drives)
         is_open = self._worker.is_open
-        self._overload.note(stats.stretch, now_s, is_open=is_open, starting=starting)
+        stopping = bool(self._worker.schedule.stops())
+        self._overload.note(
+            stats.stretch, now_s, is_open=is_open, starting=starting, stopping=stopping
+        )
 
     def wants_look_at_port(self) -> bool:
         """Whether to look who else has the port open; about once a second."""
@@ -182,9 +185,9 @@ class LineWatch:
 class PollOverload:
     """The remark on a line that cannot hold the cyclic reads it was asked for.
 
-    What a line could not do while it was closed, while its drives were being started, or while the
-    daemon did not run, is not what it cannot hold: the periods of that time are given as they were
-    (`cyclic_stretch_ratio`), and no remark is made of them.
+    What a line could not do while it was closed, while its drives were being started or stopped, or
+    while the daemon did not run, is not what it cannot hold: the periods of that time are given as
+    they were (`cyclic_stretch_ratio`), and no remark is made of them.
 
     Args:
         store: Gets the factor, and the remark.
@@ -192,11 +195,19 @@ class PollOverload:
 
     def __init__(self, store: Store) -> None:
         self._store = store
-        self._closed_at_s = -math.inf  # when the line was last closed, starting or paused
+        self._closed_at_s = -math.inf  # when it was last closed, starting, stopping or paused
         self._starting_from_s: float | None = None
         self._noted_s = math.inf
 
-    def note(self, stretch: float, now_s: float, *, is_open: bool, starting: bool = False) -> None:
+    def note(
+        self,
+        stretch: float,
+        now_s: float,
+        *,
+        is_open: bool,
+        starting: bool = False,
+        stopping: bool = False,
+    ) -> None:
         """Take the figure of the moment; about once a second.
 
         Args:
@@ -204,6 +215,7 @@ class PollOverload:
             now_s: Monotonic seconds.
             is_open: Whether the line is open.
             starting: Whether drives are being started.
+            stopping: Whether stops wait, such as that of a drive that does not answer.
         """
         if not starting:
             self._starting_from_s = None
@@ -212,7 +224,8 @@ class PollOverload:
         begun_s = self._starting_from_s
         paused = now_s - self._noted_s >= PAUSED_FROM_S
         self._noted_s = now_s
-        if paused or not is_open or (begun_s is not None and now_s - begun_s < STARTING_MOST_S):
+        begins = begun_s is not None and now_s - begun_s < STARTING_MOST_S
+        if paused or stopping or begins or not is_open:
             self._closed_at_s = now_s
         self._store.set_stretch(stretch)
         text = None
