@@ -14,7 +14,13 @@ from lecombus.config import parse_roster
 from lecombus.drives import FAMILY_NAMES, family
 from lecombus.errors import ConfigError
 from lecombus.fieldbus import protocols
-from lecombus.fieldbus.protocols import family_names, find, names, protocol_of
+from lecombus.fieldbus.protocols import (
+    family_names,
+    family_of_any_protocol,
+    find,
+    names,
+    protocol_of,
+)
 from lecombus.parameters import rules_of
 from support.known_protocols import known_protocols_kept
 
@@ -111,6 +117,12 @@ def test_families_of_all_protocols_are_known_without_a_roster(boxed: str) -> Non
     head = Head("fan", "boxes", 6, "boxedmotor", "2026-11-23T02:00:00Z", "1")
     text = write_backup(Backup(head, family("boxedmotor")))
     assert read_backup(text, "fan.yaml").head.family == "boxedmotor"
+
+
+def test_a_family_that_a_daemon_names_is_found_without_its_roster(boxed: str) -> None:
+    assert family_of_any_protocol("boxedmotor").protocol == boxed
+    with pytest.raises(ConfigError, match="there is no family boxed;"):
+        family_of_any_protocol("boxed")
 
 
 def test_a_family_is_found_without_loading_more_protocols(boxed: str) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lecombus.drives import family, family_files
+from lecombus.drives import family_files
 from lecombus.fieldbus import protocols
 from lecombus.parameters import rules
 
@@ -16,4 +16,3 @@ def known_protocols_kept(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(protocols, "_KNOWN", dict(protocols._KNOWN))
     patch.setattr(rules, "_KNOWN", dict(rules._KNOWN))
     patch.setattr(family_files, "_ADDED", dict(family_files._ADDED))
-    family.cache_clear()

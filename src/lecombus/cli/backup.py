@@ -32,7 +32,7 @@ from lecombus.cli.client import connect_async
 from lecombus.cli.drive_access import HttpDrive
 from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.screen import counted, progress, show_rows
-from lecombus.drives import family
+from lecombus.fieldbus.protocols import family_of_any_protocol
 from lecombus.parameters import Code
 from lecombus.readings import Json
 
@@ -131,7 +131,7 @@ async def read_drive(
         CommandError: There is no such drive, or no daemon.
     """
     whose = await drive.whose()
-    kind = family(whose.family)
+    kind = family_of_any_protocol(whose.family)
     codes = wanted_codes(kind, also)
     taken = await take(drive, codes, patience_s=patience_s, listener=listener)
     entries = {

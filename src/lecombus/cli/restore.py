@@ -34,7 +34,7 @@ from lecombus.cli.client import connect_async
 from lecombus.cli.drive_access import HttpDrive, RestorePermission, Whose
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.screen import counted, make_sure, on_terminal, progress, show_rows
-from lecombus.drives import family
+from lecombus.fieldbus.protocols import family_of_any_protocol
 from lecombus.parameters import Code, Value
 from lecombus.readings import Json
 
@@ -159,7 +159,7 @@ async def look(options: RestoreOptions) -> Seen:
     async with connect_async(options.daemon) as (client, where):
         drive = HttpDrive(client, where, options.drive)
         whose, rights = await drive.whose(), await drive.restore_rights()
-        kind = family(whose.family)
+        kind = family_of_any_protocol(whose.family)
         codes = codes_to_read(options.backup, rights.owned) if kind is options.backup.family else ()
         with progress(f"reading {options.drive}", quiet=options.daemon.as_json) as bar:
             taken = await take(drive, codes, patience_s=options.patience_s, listener=bar)

@@ -11,7 +11,7 @@ import importlib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, Protocol
 
-from lecombus.drives import Family, add_families
+from lecombus.drives import Family, add_families, family
 from lecombus.errors import ConfigError
 from lecombus.fieldbus.costs import ExchangeCosts, LineTiming
 from lecombus.fieldbus.loop import ExchangeLoop, LateWakes, OpenConnection, WorkerOptions
@@ -23,7 +23,15 @@ from lecombus.parameters.rules import ParameterRules, register_rules
 from lecombus.roster import Roster
 from lecombus.schedule import Outcome, Priority, Schedule
 
-__all__ = ["Fieldbus", "family_names", "find", "names", "protocol_of", "register"]
+__all__ = [
+    "Fieldbus",
+    "family_names",
+    "family_of_any_protocol",
+    "find",
+    "names",
+    "protocol_of",
+    "register",
+]
 
 
 class Fieldbus(Protocol):
@@ -187,13 +195,24 @@ def find(protocol: str) -> Fieldbus:
 
 def family_names() -> tuple[str, ...]:
     """Return the names of the families of all protocols; loads each."""
-    return tuple(family for name in names() for family in find(name).families)
+    return tuple(one for name in names() for one in find(name).families)
 
 
-def protocol_of(family: str) -> str | None:
+def family_of_any_protocol(name: str) -> Family:
+    """Return a family where no roster was read that says its protocol.
+
+    Raises:
+        ConfigError: There is no such family.
+        DescriptionError: Its data file is wrong.
+    """
+    protocol_of(name)  # loads its protocol
+    return family(name)
+
+
+def protocol_of(family_name: str) -> str | None:
     """Return the protocol that a family speaks; None: there is no such family.
 
     Protocols of this package are loaded only if none of those that were loaded has it.
     """
     asked = dict.fromkeys((*_KNOWN, *names()))
-    return next((name for name in asked if family in find(name).families), None)
+    return next((name for name in asked if family_name in find(name).families), None)
