@@ -11,7 +11,7 @@ import lecombus.fieldbus
 from lecombus.backups import read_backup, write_backup
 from lecombus.backups.document import Backup, Head
 from lecombus.config import parse_roster
-from lecombus.drives import FAMILY_NAMES, family
+from lecombus.drives import FAMILY_NAMES, family, family_files
 from lecombus.errors import ConfigError
 from lecombus.fieldbus import protocols
 from lecombus.fieldbus.protocols import (
@@ -120,7 +120,9 @@ def test_families_of_all_protocols_are_known_without_a_roster(boxed: str) -> Non
 
 
 def test_a_family_that_a_daemon_names_is_found_without_its_roster(boxed: str) -> None:
+    assert "boxedmotor" not in family_files._ADDED
     assert family_of_any_protocol("boxedmotor").protocol == boxed
+    assert "boxedmotor" in family_files._ADDED  # loaded here, and not kept of another test
     with pytest.raises(ConfigError, match="there is no family boxed;"):
         family_of_any_protocol("boxed")
 
