@@ -25,6 +25,7 @@ from lecombus.drives import family
 from lecombus.fieldbus.lecom.protocol.telegrams import ValueAnswer
 from lecombus.fieldbus.lecom.simulator.line import SimLine
 from lecombus.fieldbus.reports import ExchangeReport, ResultKind
+from lecombus.fieldbus.station import StepKind
 from lecombus.parameters import Code
 from lecombus.schedule import Priority
 from lecombus.schedule.watchdog_deadline import HARD_PART
@@ -125,10 +126,9 @@ class Promises:
         if report.priority is Priority.CYCLIC and not self._is_slot(report):
             name, is_promised = "", False
         if not is_promised:
-            # After a stop's write its drive may be left alone; its slots wait for that.
-            hold_s = (
-                self._holds_s.get(report.drive, 0.0) if report.priority is Priority.STOP else 0.0
-            )
+            # After a write its drive may be left alone; its slots wait for that.
+            is_write = report.step.kind is StepKind.WRITE
+            hold_s = self._holds_s.get(report.drive, 0.0) if is_write else 0.0
             self._asked.append((report.result.ended_s + hold_s, report.result.started_s))
         if name:
             # On a quiet line only status words after a command go before background.
