@@ -6,7 +6,7 @@ import pytest
 
 from lecombus.daemon import place, tell_goodbye
 from lecombus.drives import StopAction
-from lecombus.operations.reports import GroupReport, WriteReport
+from lecombus.operations.operation_reports import GroupReport, WriteReport
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome
 

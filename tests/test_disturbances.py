@@ -9,11 +9,11 @@ from itertools import pairwise
 import anyio
 import pytest
 
+from lecombus.drive_state.readings import DriveState
 from lecombus.fieldbus.lecom.protocol.timing import MAX_ANSWER_CHARS
 from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.fieldbus.reports import ResultKind
 from lecombus.parameters import Code
-from lecombus.readings import DriveState
 from support.disturbances import AFTER_S, LINES, PATTERNS, Picture, look, mixed_roster
 from support.rosters import roster_text
 from support.site_host import Plant, until, with_plant

@@ -5,10 +5,10 @@ from __future__ import annotations
 import anyio
 import pytest
 
+from lecombus.drive_state.readings import DriveState
 from lecombus.drives import StopAction
 from lecombus.fieldbus.reports import ResultKind
 from lecombus.parameters import Code
-from lecombus.readings import DriveState
 from lecombus.schedule import Outcome
 from lecombus.schedule.shares import LISTEN_S
 from support.rosters import roster_text

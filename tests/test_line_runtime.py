@@ -8,11 +8,11 @@ import anyio
 import pytest
 
 from lecombus.config import parse_roster
+from lecombus.drive_state.readings import DriveState, LineState, Quality
 from lecombus.drives import StopAction
 from lecombus.errors import ConfigError, OperationError
 from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.parameters import Code, Value
-from lecombus.readings import DriveState, LineState, Quality
 from lecombus.schedule import Outcome
 from support.rosters import roster_text
 from support.site_host import Plant, until, with_plant

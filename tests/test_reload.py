@@ -7,8 +7,8 @@ from itertools import pairwise
 import anyio
 import pytest
 
+from lecombus.drive_state.readings import DriveState, Quality
 from lecombus.parameters import Code
-from lecombus.readings import DriveState, Quality
 from lecombus.schedule import Priority
 from support.rosters import roster_text
 from support.site_host import Plant, until, with_plant

@@ -11,9 +11,9 @@ import pytest
 from lecombus.api.decimal_json import encode
 from lecombus.capacity.facts import roster_of as running
 from lecombus.capacity.plan import make_plan
+from lecombus.drive_state.readings import DriveState
 from lecombus.errors import OperationError
 from lecombus.parameters import Code
-from lecombus.readings import DriveState
 from support.rosters import roster_text
 from support.site_host import Plant, with_plant
 

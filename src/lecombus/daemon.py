@@ -36,9 +36,9 @@ from lecombus.errors import LecombusError
 from lecombus.line.devices import others_at
 from lecombus.line.loop import run as run_loop
 from lecombus.line_runtime import LineRuntime
-from lecombus.operations.reports import GroupReport
+from lecombus.operations.operation_reports import GroupReport
+from lecombus.saved_state import Keeping
 from lecombus.simulated import opener_for
-from lecombus.state import Keeping
 from lecombus.systemd import Notifier
 
 __all__ = ["Daemon", "plain_errors", "run"]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
-    from lecombus.drive_runtime import Drive
+    from lecombus.drive_state.drive_runtime import Drive
     from lecombus.drives import Family
     from lecombus.fieldbus.reports import ExchangeReport
     from lecombus.parameters import Code, Value

@@ -13,18 +13,18 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from lecombus.config import Roster, line_timing, with_address
-from lecombus.drive_runtime import LineDrives
+from lecombus.drive_state.drive_runtime import LineDrives
+from lecombus.drive_state.store import Store
 from lecombus.errors import ConfigError
 from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.port import PortOpener, PortSettings
 from lecombus.fieldbus.protocols import find
 from lecombus.line.worker import LineWorker, WorkerOptions
 from lecombus.metrics import Metrics
+from lecombus.operations.awaited_requests import Requests
 from lecombus.operations.facade import Operations
-from lecombus.operations.requests import Requests
+from lecombus.saved_state import State
 from lecombus.schedule import Schedule
-from lecombus.state import State
-from lecombus.store import Store
 from lecombus.supervision.drive_changes import Changes, DriveChanges
 from lecombus.supervision.drive_supervisor import DriveSupervisor
 from lecombus.supervision.exchange_recorder import ExchangeRecorder, follow_line

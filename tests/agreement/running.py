@@ -12,9 +12,9 @@ from agreement.hostile import hostile_line
 from lecombus.capacity.exchange_costs import watched_s
 from lecombus.capacity.plan import make_plan
 from lecombus.config import Roster
+from lecombus.drive_state.readings import DriveState
 from lecombus.drives import family
 from lecombus.line_runtime import LineRuntime
-from lecombus.readings import DriveState
 from lecombus.schedule.watchdog_deadline import HARD_PART
 from support.site_host import Plant, until
 from support.taps import running

@@ -20,7 +20,7 @@ import lecombus.api.answers
 from lecombus.api import serve
 from lecombus.api.connection import PENDING_LIMIT, Connection
 from lecombus.api.limits import CHUNKED_LIMIT, HEAD_LIMIT, HEADERS_LIMIT, TARGET_BYTES
-from lecombus.operations.reports import WriteReport
+from lecombus.operations.operation_reports import WriteReport
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome
 from support.api_line import Line

@@ -9,8 +9,8 @@ import httpx2
 import pytest
 
 from lecombus.api.read_routes import KEEPS_S, PageCache
+from lecombus.drive_state.readings import DriveState
 from lecombus.parameters import Value
-from lecombus.readings import DriveState
 from support.api_line import FREQUENCY, Line
 
 pytestmark = [pytest.mark.anyio, pytest.mark.clock]

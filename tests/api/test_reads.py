@@ -8,6 +8,7 @@ from decimal import Decimal
 import httpx2
 import pytest
 
+from lecombus.drive_state.store import DriveState
 from lecombus.drives import family
 from lecombus.errors import (
     CutReplyError,
@@ -23,7 +24,6 @@ from lecombus.errors import (
 )
 from lecombus.parameters import Code, Value
 from lecombus.schedule.request import Priority
-from lecombus.store import DriveState
 from openapi.answer_models import (
     DescribedDocument,
     DriveDocument,

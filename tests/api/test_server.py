@@ -16,7 +16,7 @@ import pytest
 from lecombus.api import Served, serve
 from lecombus.errors import OperationError
 from lecombus.operations.actions import ACTOR, Actor
-from lecombus.operations.reports import WriteReport
+from lecombus.operations.operation_reports import WriteReport
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome
 from support.api_line import Line

@@ -13,7 +13,7 @@ from starlette.routing import Route
 from lecombus.api.limits import is_stop
 from lecombus.drives import StopAction, Verb
 from lecombus.errors import LecombusError, LineLostError, OperationError
-from lecombus.operations.reports import WriteReport
+from lecombus.operations.operation_reports import WriteReport
 from lecombus.parameters import Code
 from lecombus.schedule.request import Outcome
 from openapi.answer_models import GroupOutcomeDocument

@@ -12,7 +12,7 @@ import pytest
 from lecombus.api.limits import RequestLimiter
 from lecombus.drives import Verb
 from lecombus.errors import OperationError
-from lecombus.operations.reports import WriteReport
+from lecombus.operations.operation_reports import WriteReport
 from lecombus.schedule.request import Outcome
 from openapi.answer_models import VerbDocument
 from support.api_line import Line

@@ -15,7 +15,7 @@ from lecombus.api.idempotency import KEEP_S, KEY_LIMIT, Idempotency
 from lecombus.api.limits import BODY_LIMIT
 from lecombus.drives import StopAction
 from lecombus.errors import CodeValueError, OperationError, QueueFullError
-from lecombus.operations.reports import WriteReport
+from lecombus.operations.operation_reports import WriteReport
 from lecombus.schedule.request import Outcome, Priority
 from openapi.answer_models import GroupOutcomeDocument, OutcomeDocument
 from support.api_line import FREQUENCY, Line

@@ -14,10 +14,10 @@ from lecombus.api.decimal_json import encode
 from lecombus.capacity.facts import facts_of, roster_of
 from lecombus.capacity.live import LOAD_ROOM, LivePlan, compare
 from lecombus.capacity.plan import make_plan
+from lecombus.drive_state.readings import DriveState
 from lecombus.drives import StopAction
 from lecombus.metrics.rolling_window import RollingWindow
 from lecombus.parameters import Code
-from lecombus.readings import DriveState
 from lecombus.schedule import Priority
 from support.rosters import make_roster, roster_text
 from support.site_host import Plant, until, with_plant

@@ -28,7 +28,7 @@ from lecombus.backups import (
     take,
     write_backup,
 )
-from lecombus.backups.plan import codes_to_read
+from lecombus.backups.restore_plan import codes_to_read
 from lecombus.cli.backup import read_drive
 from lecombus.cli.drive_access import HttpDrive
 from lecombus.drives import CodeInfo, Family, family, not_restored

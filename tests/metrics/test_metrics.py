@@ -13,6 +13,7 @@ from prometheus_client.openmetrics.parser import (
 )
 from prometheus_client.parser import text_string_to_metric_families as parse_text
 
+from lecombus.drive_state.store import DriveState, LineState, Store
 from lecombus.drives import family
 from lecombus.metrics import (
     TELEGRAM_KINDS,
@@ -24,7 +25,6 @@ from lecombus.metrics import (
 from lecombus.metrics.exposition import Block
 from lecombus.parameters import Code, Value
 from lecombus.schedule.request import Outcome, Priority
-from lecombus.store import DriveState, LineState, Store
 from support.real_parts import require
 
 FREQUENCY = Code(46)

@@ -26,8 +26,8 @@ from lecombus.operations.context import OperationContext
 from lecombus.operations.facade import Operations
 from lecombus.operations.group_writes import GroupWrites
 from lecombus.operations.identities import Identities
+from lecombus.operations.operation_reports import GroupReport, VerbReport, WriteReport
 from lecombus.operations.readdress import Readdress
-from lecombus.operations.reports import GroupReport, VerbReport, WriteReport
 from lecombus.operations.stop_requests import Stops
 from lecombus.operations.verb_operations import Verbs
 from lecombus.operations.writes import Writes

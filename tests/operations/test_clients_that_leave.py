@@ -9,7 +9,7 @@ import anyio
 import pytest
 
 from lecombus.drives import StopAction, Verb
-from lecombus.operations.requests import IS_GONE
+from lecombus.operations.awaited_requests import IS_GONE
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome
 from support.rosters import roster_text

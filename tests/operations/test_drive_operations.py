@@ -10,6 +10,7 @@ import anyio
 import anyio.lowlevel
 import pytest
 
+from lecombus.drive_state.readings import LineState, Quality
 from lecombus.drives import StopAction, Verb
 from lecombus.errors import (
     CutReplyError,
@@ -22,9 +23,8 @@ from lecombus.errors import (
     UnknownCodeError,
 )
 from lecombus.fieldbus.lecom.simulator.faults import Faults
-from lecombus.operations.reports import WriteReport
+from lecombus.operations.operation_reports import WriteReport
 from lecombus.parameters import Code
-from lecombus.readings import LineState, Quality
 from lecombus.schedule import Outcome, Priority
 from support.golden import Golden
 from support.rosters import roster_text

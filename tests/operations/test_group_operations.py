@@ -8,10 +8,10 @@ import anyio
 import anyio.lowlevel
 import pytest
 
+from lecombus.drive_state.readings import DriveState
 from lecombus.errors import OperationError, QueueFullError
 from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.parameters import Code
-from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority
 from operations.groups import (
     CAUTIOUS,

@@ -8,11 +8,11 @@ from itertools import permutations
 
 import pytest
 
+from lecombus.drive_state.readings import DriveState
 from lecombus.errors import ExchangeError
 from lecombus.fieldbus.station import StepKind
 from lecombus.operations.writes import Writes
 from lecombus.parameters import Code, Value
-from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority
 from lecombus.schedule.fan_out import least_order, took_s
 from support.rosters import roster_text

@@ -9,11 +9,11 @@ import anyio
 import pytest
 
 from lecombus.api.answers import problem_of, report_problem
+from lecombus.drive_state.readings import DriveState, Quality
 from lecombus.drives import StopAction
 from lecombus.errors import NakError, UnknownCodeError
-from lecombus.operations.reports import WriteReport
+from lecombus.operations.operation_reports import WriteReport
 from lecombus.parameters import Code
-from lecombus.readings import DriveState, Quality
 from lecombus.schedule import Outcome
 from support.golden import Golden
 from support.rosters import roster_text

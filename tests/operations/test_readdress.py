@@ -8,17 +8,17 @@ import anyio
 import pytest
 
 from lecombus.config import DriveEntry
+from lecombus.drive_state.readings import DriveState
 from lecombus.drives import StopAction
 from lecombus.errors import OperationError
 from lecombus.fieldbus.lecom.simulator.drive import SimDrive
 from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.fieldbus.lecom.simulator.receiver import ReceivedRequest
 from lecombus.fieldbus.station import Station
-from lecombus.operations.reports import WriteReport
+from lecombus.operations.operation_reports import WriteReport
 from lecombus.parameters import Code, Value
-from lecombus.readings import DriveState
+from lecombus.saved_state import State
 from lecombus.schedule import Outcome
-from lecombus.state import State
 from support.rosters import roster_text
 from support.site_host import Plant, until, with_plant
 

@@ -11,11 +11,11 @@ from decimal import Decimal
 import anyio
 import pytest
 
+from lecombus.drive_state.readings import LineState
 from lecombus.drives import StopAction
 from lecombus.fieldbus.lecom.simulator.faults import parse_faults
-from lecombus.operations.reports import GroupReport
+from lecombus.operations.operation_reports import GroupReport
 from lecombus.parameters import Code
-from lecombus.readings import LineState
 from lecombus.schedule import Outcome
 from support.rosters import roster_text
 from support.site_host import Plant, with_plant

@@ -13,7 +13,7 @@ import pytest
 
 from lecombus.daemon import tell_goodbye
 from lecombus.drives import StopAction, Verb
-from lecombus.operations.reports import GroupReport, VerbReport, WriteReport
+from lecombus.operations.operation_reports import GroupReport, VerbReport, WriteReport
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome
 from support.rosters import roster_text

@@ -8,12 +8,12 @@ import anyio
 import anyio.lowlevel
 import pytest
 
+from lecombus.drive_state.readings import DriveState
 from lecombus.drives import FAMILY_NAMES, StopAction
 from lecombus.errors import NoReplyError, OperationError
 from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.fieldbus.station import StepKind
 from lecombus.parameters import Code, Value
-from lecombus.readings import DriveState
 from lecombus.schedule import Outcome
 from operations.groups import (
     ENABLE,

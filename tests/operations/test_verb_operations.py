@@ -11,13 +11,13 @@ from typing import Any
 import anyio
 import pytest
 
+from lecombus.drive_state.readings import DriveState
 from lecombus.drives import FAMILY_NAMES, StopAction, Verb
 from lecombus.errors import ExchangeError, LineError, OperationError
 from lecombus.fieldbus.lecom.simulator.families.f82xx import Drive82XX
 from lecombus.fieldbus.lecom.simulator.faults import Faults
-from lecombus.operations.reports import VerbReport
+from lecombus.operations.operation_reports import VerbReport
 from lecombus.parameters import Code
-from lecombus.readings import DriveState
 from lecombus.schedule import Outcome
 from support.rosters import roster_text
 from support.site_host import Plant, until, with_plant

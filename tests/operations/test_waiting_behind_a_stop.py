@@ -10,8 +10,8 @@ import pytest
 
 from lecombus.drives import StopAction, Verb
 from lecombus.errors import OperationError
-from lecombus.operations.reports import VerbReport, WriteReport
-from lecombus.operations.requests import CAME_S
+from lecombus.operations.awaited_requests import CAME_S
+from lecombus.operations.operation_reports import VerbReport, WriteReport
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome, Priority
 from support.rosters import roster_text

@@ -11,11 +11,11 @@ from lecombus.drives import family
 from lecombus.errors import OperationError
 from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.fieldbus.lecom.simulator.receiver import ReceivedRequest
-from lecombus.operations.reports import WriteReport
+from lecombus.operations.operation_reports import WriteReport
 from lecombus.operations.wear import counts, wears
 from lecombus.parameters import Code
+from lecombus.saved_state import State
 from lecombus.schedule import Outcome
-from lecombus.state import State
 from support.rosters import roster_text
 from support.site_host import Plant, with_plant
 

@@ -9,14 +9,14 @@ from itertools import pairwise
 import anyio
 import pytest
 
+from lecombus.drive_state.motion import Doing
+from lecombus.drive_state.readings import DriveState
 from lecombus.drives import FAMILY_NAMES, Language, StopAction, Verb, family
 from lecombus.drives.faults.reasons import Weight, asked_codes, reasons
 from lecombus.errors import DescriptionError, OperationError
-from lecombus.motion import Doing
 from lecombus.operations.findings import WhyReport, lapse_finding
-from lecombus.operations.reports import VerbReport
+from lecombus.operations.operation_reports import VerbReport
 from lecombus.parameters import Code, Value
-from lecombus.readings import DriveState
 from lecombus.schedule import Outcome
 from support.rosters import roster_text
 from support.site_host import Plant, until, with_plant

@@ -17,6 +17,7 @@ import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from lecombus.drive_state.judging import Judge
 from lecombus.fieldbus.lecom.exchanges.exchange_loop import ExchangeLoop
 from lecombus.fieldbus.lecom.exchanges.jobs import ReadJob, WriteJob
 from lecombus.fieldbus.lecom.exchanges.late_replies import PendingLateReplies
@@ -24,7 +25,6 @@ from lecombus.fieldbus.lecom.exchanges.prepared_telegrams import TelegramPrepare
 from lecombus.fieldbus.lecom.exchanges.read_back_proof import ReadBackProof
 from lecombus.fieldbus.lecom.exchanges.stop_job import StopJob
 from lecombus.fieldbus.lecom.protocol.exchange import Exchange
-from lecombus.judging import Judge
 from lecombus.line.bus_idle import BusIdleTimer
 from lecombus.schedule.schedule import Schedule
 from lecombus.schedule.shares import Shares

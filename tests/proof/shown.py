@@ -18,6 +18,7 @@ import math
 from collections.abc import Callable
 from itertools import cycle
 
+from lecombus.drive_state.readings import DriveState, Quality
 from lecombus.fieldbus.lecom.protocol.telegrams import ValueAnswer
 from lecombus.fieldbus.lecom.simulator.drive import SimDrive
 from lecombus.fieldbus.lecom.simulator.line import SimLine
@@ -26,7 +27,6 @@ from lecombus.fieldbus.reports import ExchangeReport
 from lecombus.fieldbus.station import StepKind
 from lecombus.line_runtime import LineRuntime
 from lecombus.parameters import Code
-from lecombus.readings import DriveState, Quality
 from lecombus.schedule import Outcome, Priority
 from lecombus.supervision.watchdogs import REMARK
 from proof.lines import RandomLine

@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 
 from lecombus.drives import FAMILY_NAMES, CodeInfo, Family, family
-from lecombus.drives.codes import Storage
+from lecombus.drives.code_info import Storage
 from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
 from lecombus.fieldbus.lecom.simulator import MemoryEnd, SimDrive, SimLine, build
 from lecombus.fieldbus.lecom.simulator.families import MODELS

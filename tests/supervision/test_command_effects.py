@@ -7,11 +7,11 @@ from decimal import Decimal
 import anyio
 import pytest
 
+from lecombus.drive_state.motion import Doing
+from lecombus.drive_state.store import LineState, Store
 from lecombus.drives import StopAction, Verb, family
-from lecombus.motion import Doing
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome
-from lecombus.store import LineState, Store
 from lecombus.supervision.command_effects import ZERO_GAP_S, CommandEffects
 from support.rosters import roster_text
 from support.single_drives import AskedLine, drive_of, read_of

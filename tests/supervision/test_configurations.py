@@ -6,9 +6,9 @@ from decimal import Decimal
 
 import pytest
 
+from lecombus.drive_state.readings import DriveState
 from lecombus.fieldbus.reports import ResultKind
 from lecombus.parameters import Code
-from lecombus.readings import DriveState
 from lecombus.schedule import Outcome
 from lecombus.supervision.configurations import Configurations
 from support.rosters import roster_text

@@ -8,13 +8,13 @@ import random
 import anyio
 import pytest
 
-from lecombus.drive_runtime import Drive
+from lecombus.drive_state.drive_runtime import Drive
+from lecombus.drive_state.readings import DriveState
+from lecombus.drive_state.store import DriveChanged, LineState
 from lecombus.errors import LecombusError
 from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.fieldbus.lecom.simulator.parameters import CommError, ExtendedError, Refusal
 from lecombus.parameters import Code
-from lecombus.readings import DriveState
-from lecombus.store import DriveChanged, LineState
 from support.rosters import roster_text
 from support.site_host import Plant, plainly, until, with_plant
 

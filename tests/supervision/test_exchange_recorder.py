@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from lecombus.drive_runtime import LineDrives
+from lecombus.drive_state.drive_runtime import LineDrives
+from lecombus.drive_state.store import Store
 from lecombus.fieldbus.lecom.protocol.exchange import Result
 from lecombus.fieldbus.lecom.protocol.telegrams import (
     AckAnswer,
@@ -19,7 +20,6 @@ from lecombus.line_events import ExchangeEvent, LineChange
 from lecombus.metrics import Metrics
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Priority
-from lecombus.store import Store
 from lecombus.supervision.exchange_recorder import ExchangeRecorder
 from support.single_drives import drive_of
 

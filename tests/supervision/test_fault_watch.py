@@ -7,13 +7,13 @@ import logging
 import anyio
 import pytest
 
+from lecombus.drive_state.readings import ActiveFault
+from lecombus.drive_state.store import Store
 from lecombus.drives import family
 from lecombus.drives.faults.fault_tables import FaultKind
 from lecombus.fieldbus.lecom.simulator.families.smvector import SMVector
 from lecombus.parameters import Code, Value
-from lecombus.readings import ActiveFault
 from lecombus.schedule import Outcome
-from lecombus.store import Store
 from lecombus.supervision.fault_watch import TRIES, FaultWatch
 from support.golden import Golden
 from support.rosters import roster_text

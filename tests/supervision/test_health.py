@@ -6,13 +6,13 @@ from collections.abc import Callable
 
 import pytest
 
-from lecombus.drive_runtime import Drive, LineDrives
+from lecombus.drive_state.drive_runtime import Drive, LineDrives
+from lecombus.drive_state.readings import DriveState, LineState
+from lecombus.drive_state.store import Store
 from lecombus.drives import family
 from lecombus.fieldbus.reports import ResultKind
 from lecombus.line_events import LineChange
-from lecombus.readings import DriveState, LineState
 from lecombus.schedule import Outcome, Priority, Request, Schedule
-from lecombus.store import Store
 from lecombus.supervision.health import AuditQueue, Health
 from support.single_drives import drive_of
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from lecombus.drive_state.store import Store
 from lecombus.schedule.polling import STRETCH_WINDOW_S
-from lecombus.store import Store
 from lecombus.supervision.line_watch import PollOverload
 
 LONG = round(STRETCH_WINDOW_S) + 5

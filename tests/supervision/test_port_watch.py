@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from lecombus.config import LineEntry
-from lecombus.readings import LineState
-from lecombus.store import Store
+from lecombus.drive_state.readings import LineState
+from lecombus.drive_state.store import Store
 from lecombus.supervision.port_watch import LONGEST_PAUSE_S, SILENCE, PortWatch
 
 CAT = ("cat (pid 12)",)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import anyio
 import pytest
 
+from lecombus.drive_state.readings import DriveState
 from lecombus.parameters import Code
-from lecombus.readings import DriveState
 from lecombus.schedule import Priority
 from support.rosters import roster_text
 from support.site_host import Plant, until, with_plant

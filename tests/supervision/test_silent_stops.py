@@ -9,9 +9,9 @@ import anyio
 import pytest
 
 from lecombus.config import load_roster
+from lecombus.drive_state.readings import DriveState
 from lecombus.drives import StopAction
-from lecombus.operations.reports import GroupReport
-from lecombus.readings import DriveState
+from lecombus.operations.operation_reports import GroupReport
 from lecombus.schedule import Outcome
 from support.site_host import Plant, until, with_plant
 

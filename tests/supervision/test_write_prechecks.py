@@ -7,13 +7,13 @@ import logging
 import anyio
 import pytest
 
+from lecombus.drive_state.readings import DriveState, Quality
 from lecombus.drives import StopAction
 from lecombus.errors import OperationError
 from lecombus.fieldbus.lecom.simulator.parameters import CommError, ExtendedError, Refusal
 from lecombus.parameters import Code
-from lecombus.readings import DriveState, Quality
+from lecombus.saved_state import DriveFacts, State
 from lecombus.schedule import Outcome
-from lecombus.state import DriveFacts, State
 from support.rosters import roster_text
 from support.site_host import Plant, until, with_plant
 

@@ -12,16 +12,18 @@ import anyio
 from starlette.applications import Starlette
 
 from lecombus.api import create_app
+from lecombus.drive_state.store import DriveState, LineState, Reading, Store
 from lecombus.drives import OperatingState, StopAction, Text, Verb, family
 from lecombus.drives.faults.reasons import Weight
 from lecombus.drives.measured import AnswerRow
 from lecombus.errors import LecombusError
 from lecombus.metrics import Metrics
 from lecombus.operations.address_reads import Heard, HeardKind
+from lecombus.operations.awaited_requests import IS_GONE, refuse_for_gone_client
 from lecombus.operations.facade import Operations
 from lecombus.operations.findings import Finding, MemoryEntry, WhyReport
 from lecombus.operations.identities import IdentityReport
-from lecombus.operations.reports import (
+from lecombus.operations.operation_reports import (
     GroupInfo,
     GroupReport,
     RestoreRights,
@@ -29,11 +31,9 @@ from lecombus.operations.reports import (
     VerbReport,
     WriteReport,
 )
-from lecombus.operations.requests import IS_GONE, refuse_for_gone_client
 from lecombus.operations.wear import CodeWear, WearReport
 from lecombus.parameters import Code, Value
 from lecombus.schedule.request import Outcome, Priority
-from lecombus.store import DriveState, LineState, Reading, Store
 
 FREQUENCY = Code(46)
 STATUS = Code(150)

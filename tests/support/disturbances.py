@@ -16,11 +16,11 @@ from dataclasses import dataclass, field
 
 import anyio
 
+from lecombus.drive_state.readings import DriveState
 from lecombus.errors import LecombusError
 from lecombus.fieldbus.lecom.simulator.faults import Faults, parse_faults
 from lecombus.fieldbus.reports import ResultKind
 from lecombus.parameters import Code
-from lecombus.readings import DriveState
 from support.rosters import roster_text
 from support.site_host import Plant
 from support.virtual_loop import Machine, Paused, Starved

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from lecombus.drive_runtime import Drive
+from lecombus.drive_state.drive_runtime import Drive
 from lecombus.drives import Family, family
 from lecombus.errors import LineLostError
 from lecombus.fieldbus.lecom.protocol.exchange import Result

@@ -17,6 +17,7 @@ from typing import Any, Protocol
 import anyio
 
 from lecombus.config import Roster, parse_roster
+from lecombus.drive_state.readings import DriveState
 from lecombus.drives import StopAction, family
 from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.fieldbus import FIELDBUS
@@ -30,9 +31,8 @@ from lecombus.fieldbus.station import Station
 from lecombus.line.worker import LineWorker, WorkerOptions
 from lecombus.line_runtime import LineRuntime
 from lecombus.parameters import Code, Value
-from lecombus.readings import DriveState
+from lecombus.saved_state import State
 from lecombus.schedule import Outcome, Priority, Request, Schedule
-from lecombus.state import State
 from support.taps import STRIPPED, WALL_S, ObserverTap, PortTap, ReceiverTap, running
 from support.virtual_loop import run
 

@@ -18,6 +18,7 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from lecombus.api.decimal_json import encode, short
+from lecombus.drive_state.readings import Json
 from lecombus.errors import (
     CodeValueError,
     CutReplyError,
@@ -33,8 +34,7 @@ from lecombus.errors import (
     ScheduleError,
     UnknownCodeError,
 )
-from lecombus.operations.reports import GroupReport, VerbReport, WriteReport
-from lecombus.readings import Json
+from lecombus.operations.operation_reports import GroupReport, VerbReport, WriteReport
 from lecombus.schedule.request import Outcome
 
 __all__ = [

@@ -32,11 +32,11 @@ from lecombus.api.limits import is_stop
 from lecombus.api.read_routes import ReadRoutes
 from lecombus.api.stop_routes import StopRoutes
 from lecombus.api.write_routes import WriteRoutes
+from lecombus.drive_state.readings import Json
+from lecombus.drive_state.store import Store
 from lecombus.errors import LecombusError
 from lecombus.metrics import OPENMETRICS_TYPE, TEXT_TYPE, Metrics, wants_openmetrics
 from lecombus.operations.facade import Operations
-from lecombus.readings import Json
-from lecombus.store import Store
 
 __all__ = ["Check", "create_app"]
 

@@ -58,7 +58,7 @@ from lecombus.api.limits import (
     is_stop_verb,
 )
 from lecombus.operations.actions import ACTOR, Actor
-from lecombus.operations.requests import CAME_S, IS_GONE
+from lecombus.operations.awaited_requests import CAME_S, IS_GONE
 
 __all__ = ["PENDING_LIMIT", "SLICE", "Connection", "StartQueue"]
 

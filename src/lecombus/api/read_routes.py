@@ -31,9 +31,9 @@ from lecombus.api.request_checks import (
     refuse_query,
 )
 from lecombus.descriptions import code_document, family_document
+from lecombus.drive_state.readings import DriveInfo, Json, json_value
+from lecombus.drive_state.store import Store
 from lecombus.operations.facade import Operations
-from lecombus.readings import DriveInfo, Json, json_value
-from lecombus.store import Store
 
 __all__ = ["ADDRESSES_PATH", "KEEPS_S", "PageCache", "ReadRoutes"]
 

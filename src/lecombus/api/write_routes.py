@@ -31,8 +31,8 @@ from lecombus.api.request_checks import (
     refuse_query,
 )
 from lecombus.drives import Verb
+from lecombus.operations.awaited_requests import refuse_for_gone_client
 from lecombus.operations.facade import Operations
-from lecombus.operations.requests import refuse_for_gone_client
 
 __all__ = ["WriteRoutes"]
 

@@ -15,8 +15,8 @@ from lecombus.drives.access import ReadResult, WriteResult, is_passing
 from .backup_file import read_backup, write_backup
 from .compare import Comparison, Difference, compare
 from .document import Backup, BackupEntry, Head, Section, section_of, wanted_codes
-from .plan import RestorePlan, RestoreStep, Skip, make_plan
 from .progress import Progress, done_line, head_line, read_progress
+from .restore_plan import RestorePlan, RestoreStep, Skip, make_plan
 from .restoring import Restored, is_inhibited, restore
 from .taking import Listener, RestoreAccess, Taken, take
 

@@ -24,7 +24,7 @@ from lecombus.drives import Family, StopAction, confirm_codes, is_last, knows_st
 from lecombus.drives.access import DriveAccess, ReadResult, WriteResult, is_passing
 from lecombus.parameters import Code, Value
 
-from .plan import RestorePlan, RestoreStep
+from .restore_plan import RestorePlan, RestoreStep
 from .taking import Listener, RestoreAccess, take, wait_until_usable
 
 __all__ = ["Restored", "is_inhibited", "restore"]

@@ -22,10 +22,10 @@ from lecombus.cli.arguments import (
 from lecombus.cli.client import Answer, connect, path_of
 from lecombus.cli.document_rows import Document, show_outcomes, show_reading, status_of
 from lecombus.cli.exits import CommandError, Exit
+from lecombus.drive_state.readings import Json
 from lecombus.fieldbus.lecom.protocol.addressing import is_drive_address
 from lecombus.fieldbus.lecom.protocol.timing import BAUDS as ALL_BAUDS
 from lecombus.parameters import Code
-from lecombus.readings import Json
 
 __all__ = ["group_command", "read_command", "write_command", "write_document"]
 

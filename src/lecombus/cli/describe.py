@@ -14,7 +14,7 @@ from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.screen import on_terminal, show_rows
 from lecombus.descriptions import bits_document, code_document, family_document
 from lecombus.drives import CodeInfo, Family, Language, WriteClass, family
-from lecombus.drives.codes import BY_OWN_MANUAL, OTHERS
+from lecombus.drives.code_info import BY_OWN_MANUAL, OTHERS
 from lecombus.fieldbus.protocols import family_names
 from lecombus.parameters import Code
 

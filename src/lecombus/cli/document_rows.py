@@ -15,7 +15,7 @@ import click
 
 from lecombus.cli.exits import Exit
 from lecombus.cli.screen import age, on_terminal, show_rows, table_text
-from lecombus.readings import NOT_CYCLIC
+from lecombus.drive_state.readings import NOT_CYCLIC
 
 __all__ = [
     "Document",

@@ -17,7 +17,8 @@ from lecombus.api.decimal_json import encode
 from lecombus.cli.document_rows import Document
 from lecombus.cli.exits import CommandError, Exit
 from lecombus.config import LineEntry, line_timing
-from lecombus.drive_runtime import LineDrives
+from lecombus.drive_state.drive_runtime import LineDrives
+from lecombus.drive_state.readings import Quality, Reading
 from lecombus.drives import family
 from lecombus.errors import ExchangeError, LecombusError, LineLostError, NoReplyError
 from lecombus.fieldbus.costs import LineTiming
@@ -29,9 +30,8 @@ from lecombus.line.devices import END_IT, others_at, shared, unheard_remedy
 from lecombus.line.loop import run
 from lecombus.line.opening import open_port
 from lecombus.line.worker import LineWorker, WorkerOptions
-from lecombus.operations.requests import Requests
+from lecombus.operations.awaited_requests import Requests
 from lecombus.parameters import Code, Value
-from lecombus.readings import Quality, Reading
 from lecombus.schedule import Outcome, Priority, Schedule
 
 __all__ = ["OwnLine", "OwnPort", "own_line", "own_port", "read_directly"]

@@ -46,8 +46,8 @@ from lecombus.fieldbus.station import Station
 from lecombus.line.loop import run
 from lecombus.line_runtime import options_of
 from lecombus.parameters import AddressForm, Code, Value
+from lecombus.saved_state import State
 from lecombus.schedule import Priority
-from lecombus.state import State
 
 __all__ = ["carry_out", "rebaud_command"]
 

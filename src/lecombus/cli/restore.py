@@ -26,7 +26,7 @@ from lecombus.backups import (
     restore,
     take,
 )
-from lecombus.backups.plan import codes_to_read
+from lecombus.backups.restore_plan import codes_to_read
 from lecombus.cli.arguments import DaemonOptions, daemon_options, wait_option
 from lecombus.cli.backup import incomplete
 from lecombus.cli.backup_files import Notes, digest_of, read_text
@@ -34,9 +34,9 @@ from lecombus.cli.client import connect_async
 from lecombus.cli.drive_access import HttpDrive, RestorePermission, Whose
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.screen import counted, make_sure, on_terminal, progress, show_rows
+from lecombus.drive_state.readings import Json
 from lecombus.fieldbus.protocols import family_of_any_protocol
 from lecombus.parameters import Code, Value
-from lecombus.readings import Json
 
 __all__ = ["restore_command", "result_json", "show_result"]
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from lecombus.config import Roster
+from lecombus.drive_state.readings import Quality, Reading
 from lecombus.line_runtime import LineRuntime
 from lecombus.parameters import Code
-from lecombus.readings import Quality, Reading
 
 if TYPE_CHECKING:
     from rich.console import Group

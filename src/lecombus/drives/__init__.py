@@ -11,8 +11,8 @@ that were read from a drive.
 
 from __future__ import annotations
 
-from .codes import CodeInfo, Storage, WriteClass
-from .commands import ControlWordInfo
+from .code_info import CodeInfo, Storage, WriteClass
+from .control_words import ControlWordInfo
 from .encoding import check_allowed, encode_for
 from .family import Family, SoftwareGate, WatchdogTraits
 from .family_files import FAMILY_NAMES, add_families, family, read_family_file

@@ -23,7 +23,7 @@ from lecombus.parameters import (
     Value,
 )
 
-from .codes import RANGE, CodeInfo, Storage
+from .code_info import RANGE, CodeInfo, Storage
 from .field_types import Flag, read_number, whole, whole_number
 from .yaml_models import KEY, ReadAs, context_of, mistake, without_keys
 

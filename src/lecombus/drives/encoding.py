@@ -21,7 +21,7 @@ from typing import Final
 from lecombus.errors import CodeValueError
 from lecombus.parameters import Code, DecimalLimits, Format, Value, rules_of
 
-from .codes import CodeInfo
+from .code_info import CodeInfo
 from .family import Family
 
 __all__ = ["check_allowed", "encode_for"]

@@ -16,8 +16,8 @@ from pydantic import BeforeValidator, Field
 
 from lecombus.parameters import AddressForm, Code, Value
 
-from .codes import CodeInfo, WriteClass
-from .commands import ControlWordInfo
+from .code_info import CodeInfo, WriteClass
+from .control_words import ControlWordInfo
 from .faults.fault_tables import NO_FAULT, Fault, FaultKind, FaultTable, fault_table
 from .field_types import (
     DescribedCode,

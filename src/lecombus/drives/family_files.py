@@ -20,8 +20,8 @@ from lecombus.errors import ConfigError, meant
 from lecombus.parameters import AddressForm, Code, rules_of
 
 from .code_entries import ALL_CODES
-from .codes import CodeInfo, WriteClass
-from .commands import ControlWordInfo
+from .code_info import CodeInfo, WriteClass
+from .control_words import ControlWordInfo
 from .family import AnswerTime, Family, SoftwareGate, WatchdogTraits
 from .field_types import (
     CodeNumber,

@@ -21,7 +21,7 @@ from pydantic import Field, ValidationInfo
 
 from lecombus.parameters import Code
 
-from .codes import CodeInfo, Storage, WriteClass
+from .code_info import CodeInfo, Storage, WriteClass
 from .field_types import DescribedCode, Source, WordNumber, Words
 from .yaml_models import FILE_TABLE, ReadAs, context_of, mistake
 

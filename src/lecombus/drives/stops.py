@@ -25,7 +25,7 @@ from pydantic import Field
 from lecombus.errors import OperationError
 from lecombus.parameters import Code, Value
 
-from .commands import INHIBIT
+from .control_words import INHIBIT
 from .field_types import WORD_MAX, DescribedCode, Source, WordNumber, WordValue, WritableCode, whole
 from .yaml_models import FILE_TABLE, ReadAs, by_key, mistake, without_keys
 

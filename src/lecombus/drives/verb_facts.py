@@ -13,7 +13,7 @@ from decimal import Decimal
 from lecombus.errors import OperationError
 from lecombus.parameters import Code, Value
 
-from .commands import DIRECTION, INHIBIT, JOG, QUICK_STOP, TRIP_RESET
+from .control_words import DIRECTION, INHIBIT, JOG, QUICK_STOP, TRIP_RESET
 from .family import Family
 from .operating import OperatingState
 from .stops import usable_word

@@ -16,7 +16,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo
 
 from lecombus.parameters import Code, Value
 
-from .commands import INHIBIT, QUICK_STOP
+from .control_words import INHIBIT, QUICK_STOP
 from .field_types import (
     DescribedCode,
     Number,

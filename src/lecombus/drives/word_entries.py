@@ -17,7 +17,7 @@ from pydantic import BeforeValidator, Discriminator, Tag, ValidationInfo
 
 from lecombus.parameters import Code
 
-from .commands import ControlWordInfo
+from .control_words import ControlWordInfo
 from .field_types import Source, WordCode, Words, numbered, read_words
 from .operating import OperatingState, StateRule
 from .words import Bit, WordField, WordFieldEntry, WordInfo

@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from lecombus.drive_state.store import DriveState, LineState, Quality, Reading, Store
 from lecombus.drives import Family
 from lecombus.errors import OperationError
 from lecombus.metrics.counters import label_of
 from lecombus.metrics.exposition import Block, escape
 from lecombus.schedule.request import Priority
-from lecombus.store import DriveState, LineState, Quality, Reading, Store
 
 __all__ = ["DriveGauges", "LineGauges", "LineSnapshot"]
 

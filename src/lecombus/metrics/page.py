@@ -19,11 +19,11 @@ import anyio.lowlevel
 from prometheus_client import ProcessCollector
 
 from lecombus import __version__
+from lecombus.drive_state.store import Store
 from lecombus.metrics.counters import Counters
 from lecombus.metrics.exposition import Block, escape, join_blocks, sample_lines
 from lecombus.metrics.gauges import DriveGauges, LineGauges, LineSnapshot
 from lecombus.metrics.rolling_window import RollingWindow
-from lecombus.store import Store
 
 __all__ = ["PAGE_KEEPS_S", "PIECE_BUDGET_S", "WINDOW_WAIT_S", "Metrics"]
 

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 from lecombus.errors import LecombusError
-from lecombus.operations.reports import GroupReport, VerbReport, WriteReport
+from lecombus.operations.operation_reports import GroupReport, VerbReport, WriteReport
 from lecombus.schedule import Outcome
 
 __all__ = ["ACTOR", "SECRET", "Actions", "Actor"]

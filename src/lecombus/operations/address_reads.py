@@ -27,7 +27,7 @@ from lecombus.errors import (
 )
 from lecombus.fieldbus.protocols import Fieldbus
 from lecombus.fieldbus.station import Station
-from lecombus.operations.requests import Requests
+from lecombus.operations.awaited_requests import Requests
 from lecombus.parameters import AddressForm, Code, Value
 from lecombus.schedule import Priority
 

@@ -8,22 +8,22 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 from lecombus.config import DriveEntry, GroupEntry
-from lecombus.control_word import ControlWord
-from lecombus.drive_runtime import LastingRecord
+from lecombus.drive_state.control_word import ControlWord
+from lecombus.drive_state.drive_runtime import LastingRecord
+from lecombus.drive_state.readings import DriveState
+from lecombus.drive_state.store import Store
 from lecombus.drives.stops import asks_to_stop
 from lecombus.errors import OperationError, meant
 from lecombus.fieldbus.station import Station
 from lecombus.line_events import LineRequests
+from lecombus.operations.awaited_requests import Requests
 from lecombus.operations.nak_diagnosis import NakDiagnosis
 from lecombus.operations.permissions import Permissions
-from lecombus.operations.requests import Requests
 from lecombus.operations.wear import Wear
 from lecombus.operations.why import Why
 from lecombus.parameters import Code, Value
-from lecombus.readings import DriveState
+from lecombus.saved_state import State
 from lecombus.schedule.request import STOPPED
-from lecombus.state import State
-from lecombus.store import Store
 
 __all__ = ["OperationContext"]
 

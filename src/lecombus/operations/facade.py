@@ -9,24 +9,24 @@ from collections.abc import Callable, Mapping
 from decimal import Decimal
 from typing import Final
 
+from lecombus.drive_state.store import Store
 from lecombus.drives import StopAction, Verb
 from lecombus.line_events import LineRequests
 from lecombus.operations.actions import SECRET, Actions
+from lecombus.operations.awaited_requests import Requests
 from lecombus.operations.context import OperationContext
 from lecombus.operations.findings import WhyReport
 from lecombus.operations.group_writes import GroupWrites
 from lecombus.operations.identities import Identities, IdentityReport
+from lecombus.operations.operation_reports import GroupReport, TimesReport, VerbReport, WriteReport
 from lecombus.operations.readdress import Readdress
 from lecombus.operations.reads import Reads
-from lecombus.operations.reports import GroupReport, TimesReport, VerbReport, WriteReport
-from lecombus.operations.requests import Requests
 from lecombus.operations.stop_requests import Stops
 from lecombus.operations.verb_operations import Verbs
 from lecombus.operations.writes import Writes
 from lecombus.parameters import Code
+from lecombus.saved_state import State
 from lecombus.schedule import Priority
-from lecombus.state import State
-from lecombus.store import Store
 
 __all__ = ["Operations"]
 

@@ -12,13 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from lecombus.drive_runtime import LastEnable
-from lecombus.drives import Family, Language, Text
-from lecombus.drives.faults.fault_tables import Fault
-from lecombus.drives.faults.reasons import Reason, Weight
-from lecombus.drives.operating import OperatingState
-from lecombus.parameters import Code, Value
-from lecombus.readings import (
+from lecombus.drive_state.drive_runtime import LastEnable
+from lecombus.drive_state.readings import (
     ActiveFault,
     DriveInfo,
     DriveState,
@@ -31,6 +26,11 @@ from lecombus.readings import (
     rfc3339,
     seconds,
 )
+from lecombus.drives import Family, Language, Text
+from lecombus.drives.faults.fault_tables import Fault
+from lecombus.drives.faults.reasons import Reason, Weight
+from lecombus.drives.operating import OperatingState
+from lecombus.parameters import Code, Value
 
 __all__ = [
     "Finding",

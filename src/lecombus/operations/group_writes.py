@@ -12,7 +12,7 @@ import asyncio
 from collections.abc import Mapping, Sequence
 from decimal import Decimal
 
-from lecombus.control_word import unknown_until_ended
+from lecombus.drive_state.control_word import unknown_until_ended
 from lecombus.drives import WriteClass
 from lecombus.drives.stops import asks_to_stop, stops_every_drive
 from lecombus.errors import (
@@ -24,8 +24,9 @@ from lecombus.errors import (
     ScheduleError,
 )
 from lecombus.fieldbus.station import Station
+from lecombus.operations.awaited_requests import Ending, client_check, refuse_for_gone_client
 from lecombus.operations.context import OperationContext
-from lecombus.operations.reports import (
+from lecombus.operations.operation_reports import (
     REMEDIES,
     GroupInfo,
     GroupReport,
@@ -34,7 +35,6 @@ from lecombus.operations.reports import (
     group_report,
     stopped_first,
 )
-from lecombus.operations.requests import Ending, client_check, refuse_for_gone_client
 from lecombus.operations.wear import wears
 from lecombus.operations.writes import Writes
 from lecombus.parameters import Code, Value

@@ -21,6 +21,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Final
 
+from lecombus.drive_state.readings import Quality
+from lecombus.drive_state.store import Store
 from lecombus.drives.faults.causes import (
     Cause,
     FailedExchange,
@@ -38,12 +40,10 @@ from lecombus.errors import (
     UnknownCodeError,
 )
 from lecombus.fieldbus.station import Station
-from lecombus.operations.reports import WriteReport
-from lecombus.operations.requests import Requests
+from lecombus.operations.awaited_requests import Requests
+from lecombus.operations.operation_reports import WriteReport
 from lecombus.parameters import Code, Value
-from lecombus.readings import Quality
 from lecombus.schedule import Outcome, Priority
-from lecombus.store import Store
 
 __all__ = ["NakDiagnosis"]
 

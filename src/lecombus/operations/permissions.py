@@ -16,15 +16,15 @@ from collections.abc import Collection
 from decimal import Decimal
 
 from lecombus.config import DriveEntry
+from lecombus.drive_state.readings import DriveState, LineState
+from lecombus.drive_state.store import Store
 from lecombus.drives import Family, check_allowed, encode_for, not_restored, saving_rule
 from lecombus.errors import CodeValueError, LineClosedError, OperationError
 from lecombus.fieldbus.protocols import find
 from lecombus.fieldbus.station import Station
-from lecombus.operations.reports import RestoreRights
-from lecombus.operations.requests import Requests
+from lecombus.operations.awaited_requests import Requests
+from lecombus.operations.operation_reports import RestoreRights
 from lecombus.parameters import Code, Value
-from lecombus.readings import DriveState, LineState
-from lecombus.store import Store
 
 __all__ = ["Permissions"]
 

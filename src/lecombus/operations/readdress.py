@@ -31,7 +31,9 @@ from contextlib import asynccontextmanager
 
 import anyio
 
-from lecombus.drive_runtime import Drive
+from lecombus.drive_state.drive_runtime import Drive
+from lecombus.drive_state.readings import DriveState, rfc3339
+from lecombus.drive_state.store import Store
 from lecombus.drives import Family
 from lecombus.drives.identity import text_of
 from lecombus.drives.restore_rules import saving_rule
@@ -39,14 +41,12 @@ from lecombus.drives.standstill import ask_standstill
 from lecombus.errors import ExchangeError, NoReplyError, OperationError
 from lecombus.fieldbus.protocols import find
 from lecombus.fieldbus.station import Station
+from lecombus.operations.awaited_requests import Requests
 from lecombus.operations.identities import Identities
-from lecombus.operations.reports import WriteReport, stopped_first
-from lecombus.operations.requests import Requests
+from lecombus.operations.operation_reports import WriteReport, stopped_first
 from lecombus.parameters import Code, Value
-from lecombus.readings import DriveState, rfc3339
+from lecombus.saved_state import Moved, State
 from lecombus.schedule import Outcome, Priority
-from lecombus.state import Moved, State
-from lecombus.store import Store
 
 __all__ = ["Readdress"]
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from lecombus.config.mistakes import one_of
+from lecombus.drive_state.readings import Reading
 from lecombus.errors import OperationError, RefusedError
 from lecombus.operations.address_reads import Heard, check_address, read_address
 from lecombus.operations.context import OperationContext
 from lecombus.parameters import AddressForm, Code, ParameterRules
-from lecombus.readings import Reading
 from lecombus.schedule import Priority
 
 __all__ = ["READ_WITHIN_S", "Reads"]

@@ -10,17 +10,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from lecombus.drive_state.readings import DriveState
 from lecombus.drives import StopAction, knows_stop, needs_control_word, stop_value
 from lecombus.drives.stops import STOP_PATIENCE_S, usable_word
 from lecombus.errors import OperationError
 from lecombus.fieldbus.requests import MulticastWork, StopWork
 from lecombus.fieldbus.station import JobStep, Station
+from lecombus.operations.awaited_requests import Ending
 from lecombus.operations.context import OperationContext
-from lecombus.operations.reports import GroupReport, Proof, WriteReport, group_report
-from lecombus.operations.requests import Ending
+from lecombus.operations.operation_reports import GroupReport, Proof, WriteReport, group_report
 from lecombus.operations.writes import Writes
 from lecombus.parameters import Code, Value
-from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority, Request, ignore_end
 
 __all__ = ["STOP_REMEDY", "Stops"]

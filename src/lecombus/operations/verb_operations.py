@@ -33,9 +33,9 @@ from lecombus.drives.verbs import (
     stop_words,
 )
 from lecombus.errors import OperationError
+from lecombus.operations.awaited_requests import refuse_for_gone_client
 from lecombus.operations.context import OperationContext
-from lecombus.operations.reports import VerbReport, WriteReport
-from lecombus.operations.requests import refuse_for_gone_client
+from lecombus.operations.operation_reports import VerbReport, WriteReport
 from lecombus.operations.stop_requests import STOP_REMEDY, Stops
 from lecombus.operations.verb_reports import (
     Run,

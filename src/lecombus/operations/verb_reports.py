@@ -7,14 +7,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from lecombus.drive_state.readings import Reading
 from lecombus.drives import OperatingState, StopAction, Verb
 from lecombus.drives.verb_facts import Known, rules_of
 from lecombus.drives.verbs import fault_number, has_fault, shown_stops
 from lecombus.errors import LineError
 from lecombus.fieldbus.station import Station
-from lecombus.operations.reports import Proof, VerbReport, WriteReport
+from lecombus.operations.operation_reports import Proof, VerbReport, WriteReport
 from lecombus.parameters import Code
-from lecombus.readings import Reading
 from lecombus.schedule import Outcome
 
 __all__ = [

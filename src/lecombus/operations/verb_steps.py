@@ -18,6 +18,7 @@ from typing import TypeVar
 
 import anyio
 
+from lecombus.drive_state.readings import DriveState
 from lecombus.drives import OperatingState, StopAction, Verb
 from lecombus.drives.verb_facts import Known
 from lecombus.drives.verb_rules import (
@@ -38,7 +39,7 @@ from lecombus.errors import (
 )
 from lecombus.fieldbus.station import Station
 from lecombus.operations.context import OperationContext
-from lecombus.operations.reports import WriteReport
+from lecombus.operations.operation_reports import WriteReport
 from lecombus.operations.stop_requests import Stops
 from lecombus.operations.verb_reports import (
     Run,
@@ -48,7 +49,6 @@ from lecombus.operations.verb_reports import (
 )
 from lecombus.operations.writes import Writes
 from lecombus.parameters import Code, Value
-from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority
 
 __all__ = ["TROUBLE", "StoppedError", "VerbSteps", "words_of"]

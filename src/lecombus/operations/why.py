@@ -16,7 +16,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Final
 
-from lecombus.drive_runtime import LastEnable
+from lecombus.drive_state.drive_runtime import LastEnable
+from lecombus.drive_state.motion import overtaken_commands
+from lecombus.drive_state.readings import (
+    NO_SUCH_CODE,
+    WRITE_LOCKS,
+    WRITTEN_SINCE,
+    DriveInfo,
+    DriveState,
+    Quality,
+    Reading,
+)
+from lecombus.drive_state.store import Store
 from lecombus.drives import Family, Verb
 from lecombus.drives.faults.fault_tables import NO_FAULT
 from lecombus.drives.faults.reasons import Weight, asked_codes, holding
@@ -24,7 +35,7 @@ from lecombus.drives.operating import OperatingState, join_states
 from lecombus.drives.verb_facts import Known
 from lecombus.drives.verbs import is_enabled, status_shows_quick_stop
 from lecombus.errors import LecombusError, LineError, OperationError, UnknownCodeError
-from lecombus.motion import overtaken_commands
+from lecombus.operations.awaited_requests import Requests
 from lecombus.operations.findings import (
     Finding,
     MemoryEntry,
@@ -39,20 +50,9 @@ from lecombus.operations.findings import (
     silence_finding,
     state_finding,
 )
-from lecombus.operations.reports import VerbReport
-from lecombus.operations.requests import Requests
+from lecombus.operations.operation_reports import VerbReport
 from lecombus.parameters import Code
-from lecombus.readings import (
-    NO_SUCH_CODE,
-    WRITE_LOCKS,
-    WRITTEN_SINCE,
-    DriveInfo,
-    DriveState,
-    Quality,
-    Reading,
-)
 from lecombus.schedule import Outcome, Priority
-from lecombus.store import Store
 
 __all__ = ["Why"]
 

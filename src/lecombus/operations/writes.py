@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from decimal import Decimal
 
-from lecombus.control_word import unknown_until_ended
+from lecombus.drive_state.control_word import unknown_until_ended
 from lecombus.drives import (
     WriteClass,
 )
@@ -16,9 +16,9 @@ from lecombus.errors import (
 )
 from lecombus.fieldbus.requests import WriteWork
 from lecombus.fieldbus.station import Station
+from lecombus.operations.awaited_requests import Ending, client_check, refuse_for_gone_client
 from lecombus.operations.context import OperationContext
-from lecombus.operations.reads import READ_WITHIN_S
-from lecombus.operations.reports import (
+from lecombus.operations.operation_reports import (
     CUT_REMEDY,
     READ_REMEDY,
     REMEDIES,
@@ -28,11 +28,7 @@ from lecombus.operations.reports import (
     WriteReport,
     stopped_first,
 )
-from lecombus.operations.requests import (
-    Ending,
-    client_check,
-    refuse_for_gone_client,
-)
+from lecombus.operations.reads import READ_WITHIN_S
 from lecombus.operations.wear import wears
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Priority

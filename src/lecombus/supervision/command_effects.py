@@ -20,7 +20,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from lecombus.drive_runtime import Drive
+from lecombus.drive_state.drive_runtime import Drive
+from lecombus.drive_state.store import Store
 from lecombus.drives import OperatingState
 from lecombus.drives.stops import shown_after
 from lecombus.drives.verbs import status_shows_quick_stop
@@ -28,7 +29,6 @@ from lecombus.errors import LecombusError
 from lecombus.line_events import ExchangeEvent, LineRequests
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Settle
-from lecombus.store import Store
 
 __all__ = ["ZERO_GAP_S", "CommandEffects"]
 

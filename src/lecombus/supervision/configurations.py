@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import logging
 
-from lecombus.drive_runtime import Drive
+from lecombus.drive_state.drive_runtime import Drive
 from lecombus.errors import LecombusError
 from lecombus.line_events import ExchangeEvent, LineRequests
 from lecombus.parameters import Code, Value

@@ -13,14 +13,14 @@ from dataclasses import dataclass
 
 from lecombus.capacity.watchdog_demand import faults_of
 from lecombus.config import DriveEntry, Roster
-from lecombus.drive_runtime import Drive
+from lecombus.drive_state.drive_runtime import Drive
+from lecombus.drive_state.store import Store
 from lecombus.drives import family
 from lecombus.drives.measured import MeasuredTimes
 from lecombus.fieldbus.station import Station
 from lecombus.metrics import Metrics
-from lecombus.operations.requests import Requests
+from lecombus.operations.awaited_requests import Requests
 from lecombus.schedule import Cyclic, WatchdogDeadline
-from lecombus.store import Store
 from lecombus.supervision.drive_supervisor import DriveSupervisor
 from lecombus.supervision.health import Health
 

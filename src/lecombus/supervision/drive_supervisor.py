@@ -27,15 +27,15 @@ from contextlib import AbstractAsyncContextManager
 
 import anyio
 
-from lecombus.drive_runtime import Drive, RunningAudit
+from lecombus.drive_state.drive_runtime import Drive, RunningAudit
+from lecombus.drive_state.motion import learnt_setpoint
+from lecombus.drive_state.readings import DriveState
+from lecombus.drive_state.store import Store
 from lecombus.errors import LecombusError, RefusedError
 from lecombus.fieldbus.station import Station
-from lecombus.motion import learnt_setpoint
+from lecombus.operations.awaited_requests import Requests, is_of_the_line
 from lecombus.operations.facade import Operations
-from lecombus.operations.requests import Requests, is_of_the_line
-from lecombus.readings import DriveState
 from lecombus.schedule import Priority, WatchdogFeeding
-from lecombus.store import Store
 from lecombus.supervision.health import Health
 from lecombus.supervision.watchdogs import PATIENCE_S, Rechecks, WatchdogAudit
 from lecombus.supervision.write_prechecks import WritePrechecks

@@ -10,15 +10,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Final
 
-from lecombus.drive_runtime import LineDrives
+from lecombus.drive_state.drive_runtime import LineDrives
+from lecombus.drive_state.readings import NO_SUCH_CODE, DriveState, LineState
+from lecombus.drive_state.store import Store
 from lecombus.fieldbus.reports import AnswerKind, ExchangeReport, ExchangeResult, ResultKind
 from lecombus.fieldbus.station import StepKind
 from lecombus.line_events import ExchangeEvent, LineChange
 from lecombus.metrics import Metrics
 from lecombus.operations.facade import Operations
-from lecombus.readings import NO_SUCH_CODE, DriveState, LineState
 from lecombus.schedule import Priority
-from lecombus.store import Store
 from lecombus.supervision.command_effects import CommandEffects
 from lecombus.supervision.configurations import Configurations
 from lecombus.supervision.fault_watch import FaultWatch

@@ -20,15 +20,15 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 
-from lecombus.drive_runtime import Drive
+from lecombus.drive_state.drive_runtime import Drive
+from lecombus.drive_state.readings import ActiveFault
+from lecombus.drive_state.store import Store
 from lecombus.drives import Family
 from lecombus.drives.faults.fault_tables import NO_FAULT, FaultKind, FaultTable, fits_digit
 from lecombus.errors import LecombusError
 from lecombus.line_events import ExchangeEvent, LineRequests
 from lecombus.parameters import Code, Value
-from lecombus.readings import ActiveFault
 from lecombus.schedule import Outcome, Settle, ignore_end
-from lecombus.store import Store
 
 __all__ = ["FAULT_REMARK", "FaultWatch"]
 

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
-from lecombus.drive_runtime import Drive
+from lecombus.drive_state.drive_runtime import Drive
+from lecombus.drive_state.store import Store
 from lecombus.drives import Family
 from lecombus.drives.measured import AnswerRow
-from lecombus.operations.requests import Requests
+from lecombus.operations.awaited_requests import Requests
 from lecombus.parameters import Code
 from lecombus.schedule import Priority, Settle
-from lecombus.store import Store
 from lecombus.supervision.health import Health
 
 __all__ = ["RequestsToLine"]

@@ -15,17 +15,17 @@ from typing import Final
 
 from lecombus.capacity.facts import answers_of, facts_of
 from lecombus.config import LineEntry, Roster
-from lecombus.drive_runtime import LineDrives
+from lecombus.drive_state.drive_runtime import LineDrives
+from lecombus.drive_state.readings import DriveState, Json
+from lecombus.drive_state.store import Store
 from lecombus.fieldbus.loop import SecondAnswerCount
 from lecombus.metrics import LineSnapshot, Metrics
 from lecombus.metrics.rolling_window import LATELY_S
+from lecombus.operations.awaited_requests import Requests
 from lecombus.operations.facade import Operations
-from lecombus.operations.requests import Requests
-from lecombus.readings import DriveState, Json
 from lecombus.schedule import WatchdogStats
 from lecombus.schedule.polling import STRETCH_WINDOW_S
 from lecombus.schedule.stats import ScheduleStats
-from lecombus.store import Store
 from lecombus.supervision.exchange_recorder import ExchangeRecorder
 from lecombus.supervision.line_requests import RequestsToLine
 from lecombus.supervision.port_watch import PortWatch

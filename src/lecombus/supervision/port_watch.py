@@ -18,8 +18,8 @@ from collections.abc import Sequence
 from typing import Final
 
 from lecombus.config import LineEntry
+from lecombus.drive_state.store import Store
 from lecombus.line.devices import END_IT, shared, unheard_remedy
-from lecombus.store import Store
 
 __all__ = ["SILENCE", "PortWatch"]
 

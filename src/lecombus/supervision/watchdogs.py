@@ -21,15 +21,15 @@ from collections.abc import Callable, Iterator
 
 import anyio
 
-from lecombus.drive_runtime import Drive, WatchdogSetting
+from lecombus.drive_state.drive_runtime import Drive, WatchdogSetting
+from lecombus.drive_state.readings import DriveState
+from lecombus.drive_state.store import Store
 from lecombus.drives import WatchdogTraits
 from lecombus.errors import LecombusError, OperationError, UnknownCodeError
 from lecombus.fieldbus.station import Station
-from lecombus.operations.requests import Requests
+from lecombus.operations.awaited_requests import Requests
 from lecombus.parameters import Code, Value
-from lecombus.readings import DriveState
 from lecombus.schedule import Outcome, Priority
-from lecombus.store import Store
 from lecombus.supervision.health import Health
 
 __all__ = ["DOES_NOT_FIT", "PATIENCE_S", "AuditError", "Rechecks", "WatchdogAudit"]

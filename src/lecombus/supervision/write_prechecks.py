@@ -22,19 +22,19 @@ import dataclasses
 import logging
 from collections.abc import Iterable
 
-from lecombus.drive_runtime import Drive
+from lecombus.drive_state.drive_runtime import Drive
+from lecombus.drive_state.readings import ADDRESSING_LOCK, SOFTWARE_LOCK
+from lecombus.drive_state.store import Store
 from lecombus.drives import SoftwareGate
 from lecombus.drives.identity import identity_codes
 from lecombus.errors import OperationError
 from lecombus.fieldbus.protocols import find
 from lecombus.fieldbus.station import Station
+from lecombus.operations.awaited_requests import Requests
 from lecombus.operations.identities import Identities
 from lecombus.operations.readdress import Readdress
-from lecombus.operations.requests import Requests
 from lecombus.parameters import Code, Value
-from lecombus.readings import ADDRESSING_LOCK, SOFTWARE_LOCK
 from lecombus.schedule import Priority
-from lecombus.store import Store
 from lecombus.supervision.watchdogs import DOES_NOT_FIT, PATIENCE_S
 
 __all__ = ["WritePrechecks"]

@@ -16,9 +16,9 @@ from typing import Annotated, Final
 
 from pydantic import Field
 
+from lecombus.drives.code_info import CodeInfo, Storage
 from lecombus.parameters import Code, Value
 
-from ..codes import CodeInfo, Storage
 from ..field_types import BothLanguages, CodeNumber, Flag, Words, whole
 from ..yaml_models import FILE_TABLE, ReadFile, open_data_file
 from .fault_tables import LinkReport, link_report

@@ -20,7 +20,7 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Final
 
-from lecombus.drives.codes import CodeInfo
+from lecombus.drives.code_info import CodeInfo
 from lecombus.drives.family import Family
 from lecombus.drives.measured import LATENESS_S
 from lecombus.fieldbus.costs import Cost, LineTiming

@@ -16,13 +16,13 @@ from pathlib import Path
 import anyio
 import pytest
 
-from lecombus.state import Keeping, State, StateFile
-from lecombus.state.counts import Counts
+from lecombus.saved_state import Keeping, State, StateFile
+from lecombus.saved_state.counts import Counts
 
 COUNTING = """
 import os, signal, sys, time
 from pathlib import Path
-from lecombus.state import Keeping
+from lecombus.saved_state import Keeping
 keeping = Keeping(Path(sys.argv[1]))
 for number in range(20):
     keeping.state.count("feeder", "C0012")
@@ -136,7 +136,7 @@ def test_what_is_no_regular_file_is_neither_waited_for_nor_given_another_name(
                 tasks.cancel_scope.cancel()
 
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("lecombus.state.keeping.EVERY_S", 0.01)
+            patch.setattr("lecombus.saved_state.keeping.EVERY_S", 0.01)
             anyio.run(main)
         keeping.close()
         assert place.lstat() == before or stat.S_ISDIR(before.st_mode)
@@ -175,8 +175,8 @@ def test_a_disk_that_hangs_while_saving_is_remarked_and_holds_up_nothing(
         plain(descriptor)
 
     monkeypatch.setattr(os, "fsync", fsync)
-    monkeypatch.setattr("lecombus.state.keeping.EVERY_S", 0.01)
-    monkeypatch.setattr("lecombus.state.keeping.HANGS_AFTER_S", 0.05)
+    monkeypatch.setattr("lecombus.saved_state.keeping.EVERY_S", 0.01)
+    monkeypatch.setattr("lecombus.saved_state.keeping.HANGS_AFTER_S", 0.05)
     path = tmp_path / "hall.json"
     told: list[str | None] = [None]
 
@@ -205,7 +205,7 @@ def test_the_end_does_not_wait_for_a_disk_that_hangs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hung: threading.Event
 ) -> None:
     monkeypatch.setattr(os, "fsync", lambda descriptor: hung.wait())
-    monkeypatch.setattr("lecombus.state.keeping.END_S", 0.05)
+    monkeypatch.setattr("lecombus.saved_state.keeping.END_S", 0.05)
     keeping = Keeping(tmp_path / "hall.json")
     keeping.state.touch()
     keeping.close()
@@ -216,7 +216,7 @@ HANGING = """
 import os, sys, threading
 from pathlib import Path
 import anyio
-from lecombus.state import keeping as module
+from lecombus.saved_state import keeping as module
 
 module.EVERY_S = module.END_S = 0.01
 reached = threading.Event()
@@ -260,7 +260,7 @@ def test_a_disk_that_hangs_at_the_start_is_remarked_and_nothing_is_kept(
         return plain(file)
 
     monkeypatch.setattr(StateFile, "load", load)
-    monkeypatch.setattr("lecombus.state.keeping.HANGS_AFTER_S", 0.05)
+    monkeypatch.setattr("lecombus.saved_state.keeping.HANGS_AFTER_S", 0.05)
     told: list[str | None] = []
 
     async def main() -> None:

@@ -21,7 +21,7 @@ import stat
 from pathlib import Path
 from typing import Final
 
-from lecombus.state.document import NewerStateError, State, StateFormatError
+from lecombus.saved_state.state import NewerStateError, State, StateFormatError
 
 __all__ = ["StateFile", "open_regular"]
 

@@ -17,9 +17,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Final
 
-from lecombus.drives import Family, OperatingState, believed_states
-from lecombus.parameters import Code, Value
-from lecombus.readings import (
+from lecombus.drive_state.readings import (
     WRITTEN_SINCE,
     ActiveFault,
     Json,
@@ -28,6 +26,8 @@ from lecombus.readings import (
     json_value,
     seconds,
 )
+from lecombus.drives import Family, OperatingState, believed_states
+from lecombus.parameters import Code, Value
 
 __all__ = [
     "Doing",

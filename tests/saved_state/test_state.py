@@ -11,8 +11,8 @@ import anyio
 import anyio.lowlevel
 import pytest
 
-from lecombus.state import DriveFacts, Keeping, Moved, State, StateFile
-from lecombus.state.document import FORMER_MOST, VERSION, NewerStateError, StateFormatError
+from lecombus.saved_state import DriveFacts, Keeping, Moved, State, StateFile
+from lecombus.saved_state.state import FORMER_MOST, VERSION, NewerStateError, StateFormatError
 
 
 def filled() -> State:
@@ -191,7 +191,7 @@ def test_changes_are_written_beside_the_line_and_at_the_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "hall.json"
-    monkeypatch.setattr("lecombus.state.keeping.EVERY_S", 0.01)
+    monkeypatch.setattr("lecombus.saved_state.keeping.EVERY_S", 0.01)
 
     async def main() -> None:
         keeping = Keeping(path)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lecombus.control_word import ControlWord, unknown_until_ended
+from lecombus.drive_state.control_word import ControlWord, unknown_until_ended
 from lecombus.drives import family
 from lecombus.drives.stops import StopProof, inhibit_proofs
 from lecombus.parameters import Code, Value

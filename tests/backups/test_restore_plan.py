@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from backups.backups import DRIVE, TEXT, answers, backup_of
 from lecombus.backups import ReadResult, RestorePlan, make_plan
-from lecombus.backups.plan import codes_to_read
+from lecombus.backups.restore_plan import codes_to_read
 from lecombus.drives import family
 from lecombus.drives.family_files import load_family
 from lecombus.parameters import Code

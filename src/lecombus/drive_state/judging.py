@@ -21,9 +21,7 @@ from collections.abc import Callable
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
-from lecombus.drives import OperatingState, believed_states, join_states
-from lecombus.parameters import Code
-from lecombus.readings import (
+from lecombus.drive_state.readings import (
     ADDRESSING_LOCK,
     NOT_CYCLIC,
     DriveInfo,
@@ -33,7 +31,9 @@ from lecombus.readings import (
     Quality,
     Reading,
 )
-from lecombus.records import Cell, DriveRecord, LineRecord
+from lecombus.drive_state.records import Cell, DriveRecord, LineRecord
+from lecombus.drives import OperatingState, believed_states, join_states
+from lecombus.parameters import Code
 
 if TYPE_CHECKING:
     from lecombus.drives import CodeInfo

@@ -23,9 +23,9 @@ from typing import TYPE_CHECKING
 import anyio
 
 from lecombus.capacity.exchange_costs import watched_s
-from lecombus.control_word import ControlWord, control_word_of
+from lecombus.drive_state.control_word import ControlWord, control_word_of
+from lecombus.drive_state.readings import DriveState, Json, rfc3339
 from lecombus.errors import OperationError, meant
-from lecombus.readings import DriveState, Json, rfc3339
 
 if TYPE_CHECKING:
     from lecombus.config import DriveEntry

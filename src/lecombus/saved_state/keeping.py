@@ -20,9 +20,9 @@ from typing import Final, TypeVar
 
 import anyio
 
-from lecombus.state.counts import Counts
-from lecombus.state.document import State
-from lecombus.state.file import StateFile
+from lecombus.saved_state.counts import Counts
+from lecombus.saved_state.file import StateFile
+from lecombus.saved_state.state import State
 
 __all__ = ["Keeping"]
 

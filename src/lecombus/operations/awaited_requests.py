@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable
 from contextvars import ContextVar
 from typing import Final
 
-from lecombus.drive_runtime import LineDrives
+from lecombus.drive_state.drive_runtime import LineDrives
 from lecombus.drives.stops import asks_to_stop
 from lecombus.errors import (
     CutReplyError,

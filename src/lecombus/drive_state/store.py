@@ -16,10 +16,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
-from lecombus.errors import OperationError, meant
-from lecombus.judging import ON_DEMAND_FRESH_S, Judge, is_before_command
-from lecombus.motion import Doing, Motion, motion_of, setpoint_codes
-from lecombus.readings import (
+from lecombus.drive_state.judging import ON_DEMAND_FRESH_S, Judge, is_before_command
+from lecombus.drive_state.motion import Doing, Motion, motion_of, setpoint_codes
+from lecombus.drive_state.readings import (
     ADDRESSING_LOCK,
     WRITTEN_SINCE,
     ActiveFault,
@@ -30,7 +29,8 @@ from lecombus.readings import (
     Quality,
     Reading,
 )
-from lecombus.records import Cell, DriveRecord, LineRecord, make_cell, set_remark
+from lecombus.drive_state.records import Cell, DriveRecord, LineRecord, make_cell, set_remark
+from lecombus.errors import OperationError, meant
 
 if TYPE_CHECKING:
     from lecombus.drives import Family

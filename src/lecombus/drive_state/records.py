@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from lecombus.readings import ActiveFault, DriveState, LineState
+from lecombus.drive_state.readings import ActiveFault, DriveState, LineState
 
 if TYPE_CHECKING:
     from lecombus.drives import CodeInfo, Family

@@ -7,8 +7,8 @@ leaves the old or the new one, never half of one. `keeping` writes it every few 
 What must not live here: what any of it means. That is `operations` (identities, wear, readdress).
 """
 
-from lecombus.state.document import DriveFacts, Moved, State
-from lecombus.state.file import StateFile
-from lecombus.state.keeping import Keeping
+from lecombus.saved_state.file import StateFile
+from lecombus.saved_state.keeping import Keeping
+from lecombus.saved_state.state import DriveFacts, Moved, State
 
 __all__ = ["DriveFacts", "Keeping", "Moved", "State", "StateFile"]

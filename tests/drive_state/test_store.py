@@ -6,12 +6,9 @@ from decimal import Decimal
 
 import pytest
 
-from lecombus.drives import Family, OperatingState, family
-from lecombus.errors import OperationError
-from lecombus.motion import Doing
-from lecombus.parameters import Code, Value
-from lecombus.readings import rfc3339
-from lecombus.store import (
+from lecombus.drive_state.motion import Doing
+from lecombus.drive_state.readings import rfc3339
+from lecombus.drive_state.store import (
     ON_DEMAND_LIMIT,
     DriveChanged,
     DriveState,
@@ -22,6 +19,9 @@ from lecombus.store import (
     Store,
     ValueChanged,
 )
+from lecombus.drives import Family, OperatingState, family
+from lecombus.errors import OperationError
+from lecombus.parameters import Code, Value
 from support.golden import Golden
 
 FREQUENCY = Code(46)

@@ -20,8 +20,8 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Final
 
-from lecombus.state.document import State
-from lecombus.state.file import open_regular
+from lecombus.saved_state.file import open_regular
+from lecombus.saved_state.state import State
 
 __all__ = ["Counts"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import anyio
 import pytest
 
-from lecombus.drive_runtime import LineDrives
+from lecombus.drive_state.drive_runtime import LineDrives
 from lecombus.errors import (
     ExchangeError,
     LineClosedError,
@@ -14,7 +14,7 @@ from lecombus.errors import (
     QueueFullError,
 )
 from lecombus.fieldbus.lecom.simulator.faults import Faults
-from lecombus.operations.requests import Requests, never_sent
+from lecombus.operations.awaited_requests import Requests, never_sent
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Priority
 from support.single_drives import drive_of

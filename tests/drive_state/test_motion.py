@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import pytest
 
+from lecombus.drive_state.motion import Doing, Motion, learnt_setpoint, motion_of
+from lecombus.drive_state.readings import WRITTEN_SINCE, ActiveFault, Quality, Reading
 from lecombus.drives import family
 from lecombus.drives.faults.fault_tables import FaultKind
-from lecombus.motion import Doing, Motion, learnt_setpoint, motion_of
 from lecombus.parameters import Code, Value
-from lecombus.readings import WRITTEN_SINCE, ActiveFault, Quality, Reading
 
 ENABLED = "H0600"
 
