@@ -1,8 +1,8 @@
 """Backups of drives: the file, what two of them differ in, and how one is put back.
 
-`document` is a backup in memory, `backup_file` its file. `compare` finds differences, `plan` says
-what a restore would do. `taking` reads a drive whole, and has what is asked of it, `restoring`
-carries a plan out, `progress` remembers how far that came.
+`document` is a backup in memory, `backup_file` its file. `compare` finds differences,
+`restore_plan` says what a restore would do. `taking` reads a drive whole, and has what is asked of
+it, `restoring` carries a plan out, `progress` remembers how far that came.
 
 Pure: coroutines here await nothing but `RestoreAccess`, so that they run over HTTP and on a virtual
 clock alike. Files, terminals and HTTP are the command line's.

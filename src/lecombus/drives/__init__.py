@@ -1,9 +1,10 @@
 """Families of drives from data files, and what follows from them.
 
-`family` and `codes` are the models, `families/*.yaml` the data with the sections of the manuals,
-`family_files` reads them (`yaml_models` and `field_types` serve all data files). `words` decodes
-status words, `commands` control words, `faults` explains fault numbers, `stops` and `verbs` make
-the writes that stop, enable, set and reset a drive, `encoding` makes a value of what a user gives.
+`family` and `code_info` are the models, `families/*.yaml` the data with the sections of the
+manuals, `family_files` reads them (`yaml_models` and `field_types` serve all data files). `words`
+decodes status words, `control_words` control words, `faults` explains fault numbers, `stops` and
+`verbs` make the writes that stop, enable, set and reset a drive, `encoding` makes a value of what a
+user gives.
 
 What must not live here: input and output but for the packaged data files, clocks, the line, values
 that were read from a drive.

@@ -1,6 +1,6 @@
 """State: the little that must outlive the process, in one file a line.
 
-`document` is what is kept of each drive: its accepted identity, how often its stored parameters
+`state` is what is kept of each drive: its accepted identity, how often its stored parameters
 were written, and where it was moved to. `file` reads it and puts it on disk so that a power failure
 leaves the old or the new one, never half of one. `keeping` writes it every few seconds.
 
