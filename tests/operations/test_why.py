@@ -12,8 +12,9 @@ import pytest
 from lecombus.drive_state.motion import Doing
 from lecombus.drive_state.readings import DriveState
 from lecombus.drives import FAMILY_NAMES, Language, StopAction, Verb, family
-from lecombus.drives.faults.reasons import Weight, asked_codes, reasons
+from lecombus.drives.faults.reasons import Reason, Weight, asked_codes, reasons
 from lecombus.errors import DescriptionError, OperationError
+from lecombus.fieldbus.lecom.protocol.controls import STX
 from lecombus.operations.findings import WhyReport, lapse_finding
 from lecombus.operations.operation_reports import VerbReport
 from lecombus.parameters import Code, Value
@@ -609,3 +610,63 @@ def test_a_group_is_no_drive_and_the_answer_says_so(verb: Verb) -> None:
             await plant.site.operations.why("all")
 
     at("belt", test)
+
+
+TOLD = "the roster does not let it write"
+
+
+@pytest.mark.parametrize(
+    ("drive", "writable", "lacking"),
+    [("vector", "[C0046]", "C0040, C0135"), ("belt", "[C0046, C0135]", "C0040"),
+     ("vector", "[C0046, C0040]", "C0135")],
+)  # fmt: skip
+def test_an_enable_that_the_roster_takes_away_is_advised_with_all_that_it_needs(
+    drive: str, writable: str, lacking: str
+) -> None:
+    """What `check` says is missing, `why` and the refusal say too, before anything is sent."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        operations = plant.site.operations
+        await operations.stop(StopAction.INHIBIT, drive)
+        why = await operations.why(drive, fresh=True)
+        advice = [one.remedy for one in why.findings if "lecombus enable" in one.remedy.en]
+        assert advice
+        for one in advice:
+            assert f"{TOLD} {lacking}: first add" in one.en
+            assert lacking in one.de
+        began_s = plant.now_s
+        with pytest.raises(OperationError) as refused:
+            await operations.verb(drive, Verb.ENABLE)
+        assert refused.value.kind == "not-writable"
+        assert f"`also_writable: [{lacking}]`" in refused.value.remedy
+        sent = plant.sent_to(plant.line[drive].address, began_s)
+        assert [one for one in sent if one.data[3] == STX] == []
+        why = await operations.why(drive)
+        assert any(f"`also_writable: [{lacking}]`" in one.remedy.en for one in why.findings)
+
+    chosen = [one for one in FAMILIES if one[0] == drive]
+    with_plant(test, roster_text(chosen, drive=f"writable: {writable}"))
+
+
+def test_a_setpoint_and_a_reset_that_the_roster_takes_away_are_advised_so() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await plant.site.operations.verb("vector", Verb.ENABLE)
+        await anyio.sleep(3.0)
+        why = await plant.site.operations.why("vector", fresh=True)
+        (advice,) = [one.remedy for one in why.findings if "set-speed" in one.remedy.en]
+        assert f"{TOLD} C0046: first add" in advice.en
+        plant.line["vector"].trip(50)
+        await until(lambda: named(plant, "vector"), within_s=5.0)
+        why = await plant.site.operations.why("vector", fresh=True)
+        assert f"{TOLD} C0043: first add" in why.findings[0].remedy.en
+
+    with_plant(test, roster_text(FAMILIES[:1], drive="writable: [C0040, C0135]"))
+
+
+@pytest.mark.parametrize("reason", reasons(), ids=lambda one: one.name)
+def test_a_reason_that_advises_a_verb_names_it(reason: Reason) -> None:
+    for remedy in (reason.remedy.en, reason.remedy.de):
+        advised = [verb for verb in Verb if f"lecombus {verb}" in remedy]
+        assert advised == ([] if reason.verb is None else [reason.verb])

@@ -38,6 +38,7 @@ __all__ = ["counted", "cyclic_load", "find_warnings"]
 _LATE_ANSWER_SAFE_S: Final = 0.5
 """Longest processing time of the 2102 module. Source: EDB2102EN 3.5 (C1920..C1923, 500 ms)."""
 _first = itemgetter(0)
+_WRITING: Final = (Verb.ENABLE, Verb.RESET_FAULT, Verb.SET_SPEED)
 _UNSTABLE: Final = ("/dev/ttyUSB", "/dev/ttyACM")
 
 
@@ -298,17 +299,7 @@ def _verbs(drive: DriveEntry) -> Iterator[tuple[str, str]]:
     rules = family(drive.family).verbs
     if rules is None or not drive.writable:
         return
-    setpoints = [rule.code for rule in rules.setpoints]
-    needs = {
-        Verb.ENABLE: [rules.enable.code, rules.control],
-        Verb.RESET_FAULT: [rules.reset.code or rules.control],
-        # One way to give a speed is enough: which one it takes follows from the drive's settings.
-        Verb.SET_SPEED: [] if drive.writable & set(setpoints) else setpoints,
-    }
-    missing = {
-        verb: [code for code in codes if code not in drive.writable]
-        for verb, codes in needs.items()
-    }
+    missing = {verb: rules.not_writable(verb, drive.writable) for verb in _WRITING}
     without = [
         f"{verb} ({(' or ' if verb is Verb.SET_SPEED else ', ').join(map(str, codes))})"
         for verb, codes in missing.items() if codes

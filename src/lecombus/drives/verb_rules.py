@@ -8,6 +8,7 @@ where a setpoint goes in which unit. `verbs` and `speeds` make steps of them.
 
 from __future__ import annotations
 
+from collections.abc import Container
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated, Final, Literal
@@ -246,6 +247,27 @@ class VerbRules:
     enable: EnableRule
     reset: Annotated[ResetRule, AfterValidator(_check_reset)]
     setpoints: tuple[Annotated[SetpointRule, RANGE, AfterValidator(_check_setpoint)], ...]
+
+    def not_writable(self, verb: Verb, writable: Container[Code]) -> tuple[Code, ...]:
+        """Return the codes that a verb writes and that may not be written; stops need none.
+
+        Of several ways to give a speed one is enough: which one it takes follows from the drive's
+        settings. Where none may be written, all are returned.
+
+        Args:
+            verb: The verb.
+            writable: The codes that may be written.
+        """
+        needed: tuple[Code, ...] = ()
+        if verb is Verb.ENABLE:
+            needed = (self.enable.code, self.control)
+        elif verb is Verb.RESET_FAULT:
+            needed = (self.reset.code or self.control,)
+        elif verb is Verb.SET_SPEED:
+            needed = tuple(rule.code for rule in self.setpoints)
+            if any(code in writable for code in needed):
+                return ()
+        return tuple(dict.fromkeys(code for code in needed if code not in writable))
 
 
 def check_control(rules: VerbRules, info: ValidationInfo) -> VerbRules:

@@ -8,8 +8,8 @@ What must not live here: reading anything.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 from lecombus.drive_state.drive_runtime import LastEnable
@@ -26,7 +26,7 @@ from lecombus.drive_state.readings import (
     rfc3339,
     seconds,
 )
-from lecombus.drives import Family, Language, Text
+from lecombus.drives import Family, Language, Text, Verb
 from lecombus.drives.faults.fault_tables import Fault
 from lecombus.drives.faults.reasons import Reason, Weight
 from lecombus.drives.operating import OperatingState
@@ -60,6 +60,7 @@ class Finding:
         shown_by: What shows it, such as `C0150 reads H0380`.
         age_s: Age of the oldest value it rests on, seconds; None where it rests on none.
         stale: One of these values is not fresh.
+        verb: The verb that it advises, where it advises one.
     """
 
     name: str
@@ -69,6 +70,18 @@ class Finding:
     shown_by: str = ""
     age_s: float | None = None
     stale: bool = False
+    verb: Verb | None = None
+
+    def with_codes_opened(self, codes: Sequence[str]) -> Finding:
+        """Advise that the roster must let codes be written before the verb can be used."""
+        named, remedy = ", ".join(codes), self.remedy
+        opened = Text(
+            f"{remedy.en}; the roster does not let it write {named}: first add `also_writable: "
+            f"[{named}]` to this drive and reload the roster",
+            f"{remedy.de}; das Roster lässt {named} nicht schreiben: vorher `also_writable: "
+            f"[{named}]` bei diesem Antrieb eintragen und das Roster neu laden",
+        )
+        return replace(self, remedy=opened)
 
     def as_json(self, language: Language) -> dict[str, Json]:
         """Return the JSON form."""
@@ -258,7 +271,8 @@ def fault_finding(info: DriveInfo) -> Finding | None:
     weight = Weight.HINT if fault.kind == "warning" else Weight.REASON
     stale = info.state is DriveState.OFFLINE
     text, remedy = fault_text(fault), fault_remedy(fault)
-    return Finding(str(fault.kind), weight, text, remedy, fault.shown_by, stale=stale)
+    verb = Verb.RESET_FAULT if fault.known is not None and fault.kind == "trip" else None
+    return Finding(str(fault.kind), weight, text, remedy, fault.shown_by, stale=stale, verb=verb)
 
 
 def lock_finding(remark: str) -> Finding:
@@ -290,7 +304,8 @@ def enable_finding(last: LastEnable, *, stopped_since: bool) -> Finding:
     # A setting that is still in the way is a separate reason.
     weight = Weight.REASON if last.by_drive and not stopped_since else Weight.HINT
     name = "enable-taken-back" if last.taken_back else "enable-refused"
-    return Finding(name, weight, text, Text(last.remedy, last.remedy))
+    verb = Verb.ENABLE if last.taken_back else None
+    return Finding(name, weight, text, Text(last.remedy, last.remedy), verb=verb)
 
 
 def lapse_finding(lapses: int, *, unseen: bool) -> Finding:
@@ -308,7 +323,8 @@ def lapse_finding(lapses: int, *, unseen: bool) -> Finding:
     )
     if unseen:
         text = Text(f"{text.en}; {UNSEEN_STOP.en}", f"{text.de}; {UNSEEN_STOP.de}")
-    return Finding("watchdog-lapsed", Weight.HINT, text, LAPSE_REMEDY)
+    verb = Verb.ENABLE if unseen else None
+    return Finding("watchdog-lapsed", Weight.HINT, text, LAPSE_REMEDY, verb=verb)
 
 
 def fault_text(fault: ActiveFault) -> Text:
@@ -345,7 +361,7 @@ def finding_of(reason: Reason, family: Family, values: Mapping[Code, Reading]) -
     stale = any(one.quality is not Quality.GOOD for one in rests)
     return Finding(
         reason.name, reason.weight, reason.text, reason.remedy, shown_by,
-        max(ages, default=None), stale,
+        max(ages, default=None), stale, reason.verb,
     )  # fmt: skip
 
 

@@ -12,13 +12,13 @@ and nothing that lecombus itself sets from the roster.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Sequence
 from decimal import Decimal
 
 from lecombus.config import DriveEntry
 from lecombus.drive_state.readings import DriveState, LineState
 from lecombus.drive_state.store import Store
-from lecombus.drives import Family, check_allowed, encode_for, not_restored, saving_rule
+from lecombus.drives import Family, Verb, check_allowed, encode_for, not_restored, saving_rule
 from lecombus.errors import CodeValueError, LineClosedError, OperationError
 from lecombus.fieldbus.protocols import find
 from lecombus.fieldbus.station import Station
@@ -138,14 +138,49 @@ class Permissions:
         info = family.info(code)
         named = family.spoken(code)
         text = f"{named} of {drive} is not writable"
-        remedy = (
-            f"write `also_writable: [{named}]` for this drive into the roster and reload it; now "
-            f"{listed(writable, family)}"
-        )
+        remedy = _remedy([code], writable, family)
         if info is not None and not info.writable:
             text = f"{named} of {drive} is read only: {info.name}"
             remedy = f"`lecombus describe {family.name}` lists what can be written"
         raise OperationError(text, kind="not-writable", drive=drive, code=str(code), remedy=remedy)
+
+    def check_verb(self, drive: str, verb: Verb, codes: Iterable[Code]) -> None:
+        """Refuse a verb that writes a code which the roster does not let be written.
+
+        The refusal names all that the verb may need, not only what is in the way this time.
+
+        Args:
+            drive: The drive's name.
+            verb: The verb.
+            codes: What it writes this time.
+
+        Raises:
+            OperationError: `not-writable`.
+        """
+        writable = self._entry(drive).writable
+        lacking = [code for code in dict.fromkeys(codes) if code not in writable]
+        if not lacking:
+            return
+        family = self._requests.station(drive).family
+        rules = family.verbs
+        all_lacking = rules.not_writable(verb, writable) if rules is not None else ()
+        named = ", ".join(map(family.spoken, lacking))
+        are = "is" if len(lacking) == 1 else "are"
+        raise OperationError(
+            f"{verb} writes {named} of {drive}, which {are} not writable: nothing was sent",
+            kind="not-writable",
+            drive=drive,
+            code=str(lacking[0]),
+            remedy=_remedy(all_lacking or lacking, writable, family),
+        )
+
+
+def _remedy(codes: Sequence[Code], writable: Collection[Code], family: Family) -> str:
+    named = ", ".join(map(family.spoken, codes))
+    return (
+        f"write `also_writable: [{named}]` for this drive into the roster and reload it; now "
+        f"{listed(writable, family)}"
+    )
 
 
 def refuse_moving(drive: str, family: Family, code: Code) -> None:

@@ -13,12 +13,14 @@ refused to no drive.
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Iterable
 from dataclasses import replace
 from decimal import Decimal
 
 from lecombus.drives import OperatingState, StopAction, Verb
 from lecombus.drives.speeds import speed_step
 from lecombus.drives.verb_facts import Known, rules_of
+from lecombus.drives.verb_rules import InhibitStep, VerbStep
 from lecombus.drives.verbs import (
     enable_objection,
     enable_shown,
@@ -159,6 +161,7 @@ class Verbs:
         further = await self._steps.learn(run, further_questions(known))
         known = replace(known, values={**known.values, **further.values})
         step = speed_step(known, value, unit)
+        self._check_writable(run, (step,))
         report = await self._steps.take(run, step)
         shown = await self._steps.states(run) if report.outcome.is_good else ()
         return verb_report(
@@ -175,6 +178,7 @@ class Verbs:
                 text, remedy = f"{text}, and not by the line: {objection}", objection.remedy
             report = replace(enabled(known), reason=text, remedy=remedy)
             return verb_report(run, report, states=states(known))
+        self._check_writable(run, steps)
         failed = await self._steps.carry_out(run, steps)
         if failed is not None and not run.written:
             return verb_report(run, failed)
@@ -185,6 +189,11 @@ class Verbs:
         if is_enabled(known):
             return verb_report(run, enabled(known), states=states(known))
         return await self._take_back(run, failed or not_shown(known))
+
+    def _check_writable(self, run: Run, steps: Iterable[VerbStep]) -> None:
+        """Refuse a verb before its first step where the roster closes any of its writes."""
+        codes = [step.code for step in steps if not isinstance(step, InhibitStep)]
+        self._context.permissions.check_verb(run.station.name, run.verb, codes)
 
     async def _take_back(self, run: Run, report: WriteReport) -> VerbReport:
         """Stop a drive that did not show its enable, so that it does not start by itself.
@@ -212,6 +221,7 @@ class Verbs:
         if not steps:
             report = without_fault(known, "no fault is active: nothing was sent")
             return verb_report(run, report, states=await self._steps.states(run))
+        self._check_writable(run, steps)
         name = fault_text(known)
         failed = await self._steps.carry_out(run, steps)
         if failed is not None and not may_have_happened(failed):

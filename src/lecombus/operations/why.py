@@ -156,6 +156,7 @@ class Why:
             for reason in holding(family.name, frozenset(states), known, absent)
         ]
         findings += self._more(info)
+        findings = [self._with_permission(drive, one) for one in findings]
         order = {weight: place for place, weight in enumerate(Weight)}
         findings.sort(key=lambda one: order[one.weight])  # stable: keeps the order of importance
         history, is_known = self._history(drive, family)
@@ -274,6 +275,16 @@ class Why:
             seen = status_shows_quick_stop(self._store.family(info.name))
             found.append(lapse_finding(lapses, unseen=since and not seen))
         return found
+
+    def _with_permission(self, drive: str, finding: Finding) -> Finding:
+        """Say also what the roster must open first for the verb that a finding advises."""
+        family = self._store.family(drive)
+        if finding.verb is None or family.verbs is None:
+            return finding
+        codes = family.verbs.not_writable(finding.verb, self._drives.get(drive).entry.writable)
+        return (
+            finding.with_codes_opened([family.spoken(one) for one in codes]) if codes else finding
+        )
 
     def _lapses(self, drive: str) -> int:
         feed = self._requests.worker.schedule.stats(self._clock()).feeds.get(drive)

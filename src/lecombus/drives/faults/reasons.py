@@ -16,6 +16,7 @@ from lecombus.parameters import Code, Value
 
 from ..field_types import BothLanguages, Words
 from ..operating import OperatingState
+from ..verb_rules import Verb
 from ..yaml_models import FILE_TABLE, ReadFile, open_data_file
 from .rules import Condition, Families, each_once
 
@@ -48,6 +49,7 @@ class Reason:
         text: What it is.
         remedy: What to do next.
         source: Manual and section.
+        verb: The verb that the remedy advises, where it advises one.
         unless: Reasons that say the same more exactly: where one of them holds, this is left out.
     """
 
@@ -63,6 +65,7 @@ class Reason:
     text: BothLanguages
     remedy: BothLanguages
     source: Words
+    verb: Verb | None = None
     unless: frozenset[Words] = frozenset()
 
     def holds(
