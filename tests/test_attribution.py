@@ -17,7 +17,7 @@ import anyio
 import pytest
 
 from lecombus.fieldbus.lecom.protocol.telegrams import ValueAnswer
-from lecombus.fieldbus.reports import ExchangeReport
+from lecombus.fieldbus.loop_interface import ExchangeReport
 from lecombus.line.worker import WorkerOptions
 from lecombus.parameters import Format
 from lecombus.schedule import Outcome

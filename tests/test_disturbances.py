@@ -12,7 +12,7 @@ import pytest
 from lecombus.drive_state.readings import DriveState
 from lecombus.fieldbus.lecom.protocol.timing import MAX_ANSWER_CHARS
 from lecombus.fieldbus.lecom.simulator.faults import Faults
-from lecombus.fieldbus.reports import ResultKind
+from lecombus.fieldbus.loop_interface import ResultKind
 from lecombus.parameters import Code
 from support.disturbances import AFTER_S, LINES, PATTERNS, Picture, look, mixed_roster
 from support.rosters import roster_text

@@ -7,7 +7,7 @@ import pytest
 
 from lecombus.drive_state.readings import DriveState
 from lecombus.drives import StopAction
-from lecombus.fieldbus.reports import ResultKind
+from lecombus.fieldbus.loop_interface import ResultKind
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome
 from lecombus.schedule.shares import LISTEN_S

@@ -34,7 +34,7 @@ from lecombus.config import Roster, RosterError, load_roster
 from lecombus.drives import StopAction
 from lecombus.errors import LecombusError
 from lecombus.line.devices import others_at
-from lecombus.line.loop import run as run_loop
+from lecombus.line.event_loop import run as run_loop
 from lecombus.line_runtime import LineRuntime
 from lecombus.operations.operation_reports import GroupReport
 from lecombus.saved_state import Keeping

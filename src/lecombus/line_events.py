@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 if TYPE_CHECKING:
     from lecombus.drive_state.drive_runtime import Drive
     from lecombus.drives import Family
-    from lecombus.fieldbus.reports import ExchangeReport
+    from lecombus.fieldbus.loop_interface import ExchangeReport
     from lecombus.parameters import Code, Value
     from lecombus.schedule import Settle
 

@@ -22,7 +22,7 @@ from agreement.hostile import Drip, HostileLine
 from lecombus.capacity.work_ahead import Longest, work_ahead_on
 from lecombus.config import line_timing
 from lecombus.drives import StopAction
-from lecombus.fieldbus.reports import ExchangeReport, Observer, ResultKind
+from lecombus.fieldbus.loop_interface import ExchangeReport, Observer, ResultKind
 from lecombus.line_runtime import LineRuntime
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Priority, Request

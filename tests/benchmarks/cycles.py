@@ -20,8 +20,8 @@ from statistics import median
 
 from lecombus.drives import family
 from lecombus.fieldbus.costs import LineTiming
-from lecombus.fieldbus.lecom.costs import read_cost
 from lecombus.fieldbus.lecom.protocol.addressing import Form
+from lecombus.fieldbus.lecom.telegram_costs import read_cost
 from lecombus.parameters import Code
 from support.children import MASTER_CORE, OTHER_CORE, Child, child
 from support.paced_line import ADDRESSES, FAMILY

@@ -24,7 +24,7 @@ from lecombus.config import line_timing, load_roster
 from lecombus.daemon import SWITCH_INTERVAL_S, Daemon
 from lecombus.drive_state.readings import DriveState
 from lecombus.drives import StopAction
-from lecombus.line.loop import run as run_loop
+from lecombus.line.event_loop import run as run_loop
 from lecombus.line_runtime import LineRuntime
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome, Priority

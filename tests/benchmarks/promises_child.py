@@ -23,7 +23,7 @@ from agreement.hostile import hostile_line
 from agreement.running import agree, as_measured, attacked
 from lecombus.daemon import SWITCH_INTERVAL_S
 from lecombus.fieldbus.lecom.simulator import PtyEnd
-from lecombus.line.loop import run as run_loop
+from lecombus.line.event_loop import run as run_loop
 from lecombus.line_runtime import LineRuntime
 from lecombus.simulated import opener_for
 

@@ -11,7 +11,7 @@ from lecombus.capacity.plan import make_plan
 from lecombus.config import line_timing
 from lecombus.drives import StopAction, family
 from lecombus.drives.stops import STOP_PATIENCE_S
-from lecombus.fieldbus.lecom.request_maker import RequestMaker
+from lecombus.fieldbus.lecom.request_maker import LecomRequestMaker
 from lecombus.fieldbus.station import Station
 from lecombus.schedule import ignore_end
 from lecombus.schedule.watchdog_deadline import WatchdogDeadline, WatchdogFeeding
@@ -25,7 +25,7 @@ def test_an_attempt_is_as_long_as_the_request_says(kind: str) -> None:
     roster = line_of(1, only=kind)
     timing = line_timing(roster.line)
     drive, of = roster.drives[0], family(kind)
-    maker = RequestMaker(timing, 2, lambda priority, outcome: None)
+    maker = LecomRequestMaker(timing, 2, lambda priority, outcome: None)
     made = [
         maker.stop(
             Station("a", 1, of, drive.forms), action, word=lambda: None, said=False,
@@ -49,7 +49,7 @@ def test_it_waits_for_one_round_of_feeds_and_the_exchange_under_way() -> None:
 def test_the_round_is_that_of_the_running_schedule() -> None:
     roster = line_of(7, time="4s", baud=19200)
     timing = line_timing(roster.line)
-    maker = RequestMaker(timing, 2, lambda priority, outcome: None)
+    maker = LecomRequestMaker(timing, 2, lambda priority, outcome: None)
     feeds = WatchdogSet()
     for drive in roster.drives:
         of = family(drive.family)

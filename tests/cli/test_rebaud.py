@@ -23,7 +23,7 @@ from lecombus.cli.rebaud import carry_out
 from lecombus.config import Roster, parse_roster
 from lecombus.errors import LineLostError
 from lecombus.fieldbus.lecom.rebaud import LineAccess, Subject
-from lecombus.line.loop import run as run_loop
+from lecombus.line.event_loop import run as run_loop
 from support.golden import Golden
 from support.rebauding import RebaudLine, Step, Write
 from support.rosters import roster_text

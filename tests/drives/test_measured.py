@@ -22,8 +22,8 @@ from lecombus.drives.measured import (
     manual_s,
 )
 from lecombus.fieldbus.costs import LineTiming
-from lecombus.fieldbus.lecom.costs import read_cost
 from lecombus.fieldbus.lecom.protocol.addressing import Form
+from lecombus.fieldbus.lecom.telegram_costs import read_cost
 from lecombus.parameters import Code
 
 FAMILY = family("8200vector")

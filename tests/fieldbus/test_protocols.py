@@ -57,7 +57,7 @@ def test_what_is_wrong_with_an_address_is_said_by_the_protocol(
 BOXED = """\
 from pathlib import Path
 from toy_fieldbus.toy import Toy
-from lecombus.fieldbus.boxed.parameters import RULES
+from lecombus.fieldbus.boxed.parameter_rules import RULES
 
 
 class Boxed(Toy):
@@ -91,7 +91,7 @@ def boxed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     (room / "families").mkdir(parents=True)
     (room / "__init__.py").touch()
     (room / "fieldbus.py").write_text(BOXED)
-    (room / "parameters.py").write_text(BOXED_RULES)
+    (room / "parameter_rules.py").write_text(BOXED_RULES)
     motor = Path(__file__).parents[1] / "toy_fieldbus" / "toymotor.yaml"
     text = motor.read_text().replace("toymotor", "boxedmotor")
     text = text.replace("protocol: toy", "protocol: boxed")
@@ -99,7 +99,7 @@ def boxed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     known_protocols_kept(monkeypatch)
     monkeypatch.setattr(lecombus.fieldbus, "__path__", [*lecombus.fieldbus.__path__, str(tmp_path)])
     monkeypatch.setattr(protocols, "PACKAGED", (*protocols.PACKAGED, "boxed"))
-    for module in ("boxed", "boxed.fieldbus", "boxed.parameters"):
+    for module in ("boxed", "boxed.fieldbus", "boxed.parameter_rules"):
         monkeypatch.delitem(sys.modules, f"lecombus.fieldbus.{module}", raising=False)
     return "boxed"
 

@@ -7,7 +7,7 @@ import pytest
 
 from lecombus.drives import StopAction
 from lecombus.errors import LineLostError
-from lecombus.fieldbus.reports import ExchangeReport
+from lecombus.fieldbus.loop_interface import ExchangeReport
 from lecombus.line.worker import WorkerOptions
 from lecombus.parameters import Code
 from lecombus.schedule import Cyclic, Outcome, Priority

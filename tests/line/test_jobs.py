@@ -23,7 +23,7 @@ from lecombus.fieldbus.lecom.protocol.telegrams import (
     UnknownCodeAnswer,
     ValueAnswer,
 )
-from lecombus.fieldbus.reports import ResultKind
+from lecombus.fieldbus.loop_interface import ResultKind
 from lecombus.fieldbus.station import Job, JobStep, Station, StepKind
 from lecombus.parameters import Code, Value
 from lecombus.schedule.request import Outcome

@@ -9,7 +9,7 @@ import pytest
 
 from lecombus.errors import LineLostError
 from lecombus.fieldbus.port import PortSettings
-from lecombus.line.loop import run
+from lecombus.line.event_loop import run
 from lecombus.line.opening import open_port, url_mistake
 from lecombus.line.serial_port import SerialPort
 from lecombus.line.tcp_port import TcpPort

@@ -6,13 +6,13 @@ import pytest
 
 from lecombus.drives import StopAction, WriteClass, family
 from lecombus.fieldbus.costs import LineTiming
-from lecombus.fieldbus.lecom.costs import read_cost
 from lecombus.fieldbus.lecom.exchanges.jobs import MulticastJob, ReadJob, WriteJob
 from lecombus.fieldbus.lecom.exchanges.late_replies import PendingLateReplies
 from lecombus.fieldbus.lecom.exchanges.prepared_telegrams import PreparedTelegram, TelegramPreparer
 from lecombus.fieldbus.lecom.exchanges.stop_job import StopJob
 from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
 from lecombus.fieldbus.lecom.protocol.exchange import ACK_FIELD
+from lecombus.fieldbus.lecom.telegram_costs import read_cost
 from lecombus.fieldbus.station import Job, Station
 from lecombus.parameters import Code, Value
 

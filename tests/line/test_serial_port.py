@@ -26,7 +26,7 @@ import serial
 from lecombus.errors import LineLostError
 from lecombus.fieldbus.port import Direction, Parity, Port, PortSettings
 from lecombus.line import devices, serial_device, serial_port
-from lecombus.line.loop import run
+from lecombus.line.event_loop import run
 from lecombus.line.serial_port import PseudoPort, RtsSerialPort, SerialPort, open_serial
 from support.heard import Heard
 

@@ -17,7 +17,7 @@ import pytest
 from lecombus.errors import LineLostError
 from lecombus.fieldbus.port import Parity, PortSettings
 from lecombus.line import tcp_port
-from lecombus.line.loop import run
+from lecombus.line.event_loop import run
 from lecombus.line.tcp_port import TcpPort, host_and_port, open_tcp
 from support.heard import Heard
 

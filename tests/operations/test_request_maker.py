@@ -9,7 +9,7 @@ from lecombus.errors import OperationError
 from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.exchanges.jobs import MulticastJob, ReadJob, WriteJob
 from lecombus.fieldbus.lecom.protocol.addressing import Form
-from lecombus.fieldbus.lecom.request_maker import RequestMaker, form_of
+from lecombus.fieldbus.lecom.request_maker import LecomRequestMaker, form_of
 from lecombus.fieldbus.station import Station
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Priority, Request, ignore_end
@@ -18,9 +18,11 @@ COUNTED: list[tuple[Priority, Outcome]] = []
 TIMING = LineTiming(9600, adapter_latency_s=0.016, quarantine_s=0.05)
 
 
-def maker() -> RequestMaker:
+def maker() -> LecomRequestMaker:
     COUNTED.clear()
-    return RequestMaker(TIMING, 2, lambda priority, outcome: COUNTED.append((priority, outcome)))
+    return LecomRequestMaker(
+        TIMING, 2, lambda priority, outcome: COUNTED.append((priority, outcome))
+    )
 
 
 def station(kind: str = "8200vector", **more: object) -> Station:

@@ -15,7 +15,7 @@ from typing import Any
 
 from lecombus.capacity.plan import Promises, make_promises
 from lecombus.config import Roster
-from lecombus.fieldbus.lecom.exchanges.exchange_loop import ExchangeLoop
+from lecombus.fieldbus.lecom.exchanges.exchange_loop import LecomExchangeLoop
 from lecombus.fieldbus.lecom.protocol.exchange import Ask, Exchange, Result
 from lecombus.fieldbus.lecom.protocol.telegrams import ValueAnswer
 from lecombus.line.bus_idle import BusIdleTimer
@@ -68,16 +68,16 @@ def _impatient() -> list[Patch]:
 
 def _twice() -> list[Patch]:
     """Says a second telegram while an exchange is open."""
-    begin = ExchangeLoop._begin
+    begin = LecomExchangeLoop._begin
 
-    def begin_twice(self: ExchangeLoop, prepared: Any, now: float, loss: Any) -> None:
+    def begin_twice(self: LecomExchangeLoop, prepared: Any, now: float, loss: Any) -> None:
         begin(self, prepared, now, loss)
         if self.exchanges % EVERY == 0 and self._connection.port is not None:
             asyncio.get_running_loop().call_later(
                 prepared.ask.request_s + IMPATIENCE_S, self._connection.say, prepared.ask.sent
             )
 
-    return [(ExchangeLoop, "_begin", begin_twice)]
+    return [(LecomExchangeLoop, "_begin", begin_twice)]
 
 
 def _old_answers() -> list[Patch]:

@@ -23,7 +23,7 @@ from collections.abc import Callable
 from lecombus.capacity.plan import make_promises
 from lecombus.fieldbus.lecom.simulator.line import SimLine
 from lecombus.fieldbus.lecom.simulator.receiver import ReceivedRequest
-from lecombus.fieldbus.reports import ExchangeReport
+from lecombus.fieldbus.loop_interface import ExchangeReport
 from lecombus.line_runtime import LineRuntime
 from proof.lines import RandomLine
 from proof.losses import Losses, TolerantLine

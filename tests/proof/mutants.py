@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from lecombus.drive_state.judging import Judge
-from lecombus.fieldbus.lecom.exchanges.exchange_loop import ExchangeLoop
+from lecombus.fieldbus.lecom.exchanges.exchange_loop import LecomExchangeLoop
 from lecombus.fieldbus.lecom.exchanges.jobs import ReadJob, WriteJob
 from lecombus.fieldbus.lecom.exchanges.late_replies import PendingLateReplies
 from lecombus.fieldbus.lecom.exchanges.prepared_telegrams import TelegramPreparer
@@ -192,7 +192,7 @@ MUTANTS: dict[str, Mutant] = {
         quick=True,
     ),
     "the turnaround is forgotten where the next telegram is ready": Mutant(
-        ExchangeLoop,
+        LecomExchangeLoop,
         "_follow",
         "result.ended_s + self._options.turnaround_s",
         "result.ended_s",
@@ -207,7 +207,7 @@ MUTANTS: dict[str, Mutant] = {
         quick=True,
     ),
     "no hold after a write": Mutant(
-        ExchangeLoop,
+        LecomExchangeLoop,
         "_conclude",
         "if prepared.hold_s and result.kind is not ResultKind.LOST:",
         "if False:",

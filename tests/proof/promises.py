@@ -24,7 +24,7 @@ from lecombus.config import line_timing
 from lecombus.drives import family
 from lecombus.fieldbus.lecom.protocol.telegrams import ValueAnswer
 from lecombus.fieldbus.lecom.simulator.line import SimLine
-from lecombus.fieldbus.reports import ExchangeReport, ResultKind
+from lecombus.fieldbus.loop_interface import ExchangeReport, ResultKind
 from lecombus.fieldbus.station import StepKind
 from lecombus.parameters import Code
 from lecombus.schedule import Priority

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 from lecombus.capacity.plan import Promises, make_promises
 from lecombus.drives.stops import STOP_PAUSE_S
-from lecombus.fieldbus.reports import ExchangeReport, ResultKind
+from lecombus.fieldbus.loop_interface import ExchangeReport, ResultKind
 from lecombus.line_runtime import LineRuntime
 from lecombus.schedule import Priority
 from proof.lines import RandomLine

@@ -16,7 +16,7 @@ from lecombus.fieldbus.lecom.simulator.drive import SimDrive
 from lecombus.fieldbus.lecom.simulator.line import SimLine
 from lecombus.fieldbus.lecom.simulator.receiver import RequestReceiver
 from lecombus.fieldbus.lecom.simulator.wire import read_code_field
-from lecombus.fieldbus.reports import ExchangeReport, ResultKind
+from lecombus.fieldbus.loop_interface import ExchangeReport, ResultKind
 from lecombus.schedule import Priority
 
 __all__ = ["Telegram", "Telegrams"]

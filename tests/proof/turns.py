@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Callable
 
 from lecombus.capacity.plan import Promises
-from lecombus.fieldbus.reports import ExchangeReport, ResultKind
+from lecombus.fieldbus.loop_interface import ExchangeReport, ResultKind
 from lecombus.schedule import Priority
 from proof.lines import RandomLine
 

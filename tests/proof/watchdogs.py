@@ -14,7 +14,7 @@ from collections.abc import Callable
 from lecombus.capacity.exchange_costs import watched_s
 from lecombus.capacity.plan import Promises
 from lecombus.fieldbus.lecom.simulator.line import SimLine
-from lecombus.fieldbus.reports import ExchangeReport, ResultKind
+from lecombus.fieldbus.loop_interface import ExchangeReport, ResultKind
 from lecombus.schedule import Priority
 from proof.lines import RandomLine
 

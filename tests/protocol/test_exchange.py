@@ -17,7 +17,7 @@ from lecombus.fieldbus.lecom.protocol.telegrams import (
     ValueAnswer,
     read_telegram,
 )
-from lecombus.fieldbus.reports import ResultKind
+from lecombus.fieldbus.loop_interface import ResultKind
 from lecombus.parameters import Code, Value
 from support.answers import ACK_ANSWER, NAK_ANSWER, unknown_code_answer, value_answer
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lecombus.fieldbus.lecom.scanning import Finding, FoundWatchdog
+from lecombus.fieldbus.lecom.scanning import FoundDrive, FoundWatchdog
 from lecombus.fieldbus.lecom.scanning.identifying import identify
 from lecombus.fieldbus.lecom.simulator import SimDrive, SimLine, build
 from lecombus.parameters import Code
@@ -14,12 +14,12 @@ from support.scanning import ScannedLine
 ADDRESS = 23
 
 
-def identified(family: str, overrides: dict[int, str] | None = None, **late: bool) -> Finding:
+def identified(family: str, overrides: dict[int, str] | None = None, **late: bool) -> FoundDrive:
     line = build([("x", ADDRESS, family)], baud=9600, overrides={"x": overrides or {}})
     return look(line, **late)
 
 
-def look(line: SimLine, **late: bool) -> Finding:
+def look(line: SimLine, **late: bool) -> FoundDrive:
     scanned = ScannedLine(line)
     found = scanned.run(identify(scanned, 9600, ADDRESS, **late))
     assert scanned.writes == 0

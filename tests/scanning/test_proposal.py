@@ -10,7 +10,7 @@ from lecombus.config import RosterError, WatchdogEntry, parse_roster
 from lecombus.drives import FAMILY_NAMES, family
 from lecombus.fieldbus.lecom.protocol.addressing import is_drive_address
 from lecombus.fieldbus.lecom.scanning import (
-    Finding,
+    FoundDrive,
     FoundWatchdog,
     ProposedLine,
     Unclear,
@@ -22,8 +22,8 @@ from lecombus.parameters import Code
 PLACE = ProposedLine("hall-3", "/dev/serial/by-id/usb-x")
 
 
-def finding(address: int, name: str = "822x", **more: object) -> Finding:
-    return Finding(address, 9600, name, True, "why", **more)  # type: ignore[arg-type]
+def finding(address: int, name: str = "822x", **more: object) -> FoundDrive:
+    return FoundDrive(address, 9600, name, True, "why", **more)  # type: ignore[arg-type]
 
 
 def test_drives_stand_in_the_order_of_their_addresses_with_what_they_said() -> None:
@@ -84,7 +84,7 @@ def test_the_suggested_watchdog_may_be_taken_as_it_stands() -> None:
 
 
 def test_what_cannot_be_in_this_roster_is_told_in_it() -> None:
-    other = Finding(21, 19200, "93xx", True, "why")
+    other = FoundDrive(21, 19200, "93xx", True, "why")
     text, roster = propose(PLACE, 9600, [finding(11), other], [Unclear(17, 9600, b"\x02")])
     assert [one.address for one in roster.drives] == [11]
     assert "# At 19200 baud, and so out of this line's reach: address 21, 93xx." in text
@@ -101,7 +101,7 @@ def test_parity_direction_and_socket_are_kept_and_late_drives_given_time() -> No
     place = ProposedLine(
         "x", "socket://192.0.2.7:4001", "port", "adapter", "/tmp/x.sock", "/tmp/x.json"
     )
-    _, roster = propose(place, 1200, [Finding(11, 1200, "822x", True, "", late=True)])
+    _, roster = propose(place, 1200, [FoundDrive(11, 1200, "822x", True, "", late=True)])
     assert (roster.line.parity, roster.api.socket) == ("port", "/tmp/x.sock")
     assert roster.state == "/tmp/x.json"
     assert roster.drives[0].answer_time_s == 0.3
@@ -109,7 +109,7 @@ def test_parity_direction_and_socket_are_kept_and_late_drives_given_time() -> No
 
 @given(st.text(max_size=30), st.text(max_size=30), st.sampled_from(FAMILY_NAMES))
 def test_whatever_a_drive_says_stays_in_its_comment(label: str, why: str, name: str) -> None:
-    one = Finding(11, 9600, name, False, why, ((Code(200), label),), None, (label,))
+    one = FoundDrive(11, 9600, name, False, why, ((Code(200), label),), None, (label,))
     _, roster = propose(PLACE, 9600, [one])
     assert [drive.family for drive in roster.drives] == [name]
 

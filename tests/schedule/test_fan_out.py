@@ -9,7 +9,7 @@ import pytest
 
 from lecombus.drives import family
 from lecombus.fieldbus.costs import LineTiming
-from lecombus.fieldbus.lecom.request_maker import RequestMaker
+from lecombus.fieldbus.lecom.request_maker import LecomRequestMaker
 from lecombus.fieldbus.station import Station
 from lecombus.parameters import Code, Value
 from lecombus.schedule.fan_out import Part, least_order, took_s
@@ -29,7 +29,7 @@ def least_s(parts: Sequence[Part]) -> float:
 
 def kinds_of(code: Code, baud: int) -> list[Part]:
     """What a write of a code takes of every family, its response time shortened and not."""
-    maker = RequestMaker(LineTiming(baud), 2, lambda priority, outcome: None)
+    maker = LecomRequestMaker(LineTiming(baud), 2, lambda priority, outcome: None)
     parts = []
     for name in ("820x", "822x", "93xx"):
         kind = family(name)

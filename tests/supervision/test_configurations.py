@@ -7,7 +7,7 @@ from decimal import Decimal
 import pytest
 
 from lecombus.drive_state.readings import DriveState
-from lecombus.fieldbus.reports import ResultKind
+from lecombus.fieldbus.loop_interface import ResultKind
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome
 from lecombus.supervision.configurations import Configurations

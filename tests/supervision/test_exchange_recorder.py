@@ -14,7 +14,7 @@ from lecombus.fieldbus.lecom.protocol.telegrams import (
     UnknownCodeAnswer,
     ValueAnswer,
 )
-from lecombus.fieldbus.reports import ExchangeReport, ResultKind
+from lecombus.fieldbus.loop_interface import ExchangeReport, ResultKind
 from lecombus.fieldbus.station import JobStep, StepKind
 from lecombus.line_events import ExchangeEvent, LineChange
 from lecombus.metrics import Metrics

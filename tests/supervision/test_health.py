@@ -10,7 +10,7 @@ from lecombus.drive_state.drive_runtime import Drive, LineDrives
 from lecombus.drive_state.readings import DriveState, LineState
 from lecombus.drive_state.store import Store
 from lecombus.drives import family
-from lecombus.fieldbus.reports import ResultKind
+from lecombus.fieldbus.loop_interface import ResultKind
 from lecombus.line_events import LineChange
 from lecombus.schedule import Outcome, Priority, Request, Schedule
 from lecombus.supervision.health import AuditQueue, Health

@@ -19,7 +19,7 @@ import anyio
 from lecombus.drive_state.readings import DriveState
 from lecombus.errors import LecombusError
 from lecombus.fieldbus.lecom.simulator.faults import Faults, parse_faults
-from lecombus.fieldbus.reports import ResultKind
+from lecombus.fieldbus.loop_interface import ResultKind
 from lecombus.parameters import Code
 from support.rosters import roster_text
 from support.site_host import Plant

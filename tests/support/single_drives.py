@@ -9,7 +9,7 @@ from lecombus.drives import Family, family
 from lecombus.errors import LineLostError
 from lecombus.fieldbus.lecom.protocol.exchange import Result
 from lecombus.fieldbus.lecom.protocol.telegrams import ValueAnswer
-from lecombus.fieldbus.reports import ExchangeReport, ResultKind
+from lecombus.fieldbus.loop_interface import ExchangeReport, ResultKind
 from lecombus.fieldbus.station import JobStep, Station, StepKind
 from lecombus.line_events import ExchangeEvent
 from lecombus.parameters import Code, Value

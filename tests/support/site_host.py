@@ -21,12 +21,12 @@ from lecombus.drive_state.readings import DriveState
 from lecombus.drives import StopAction, family
 from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.fieldbus import FIELDBUS
-from lecombus.fieldbus.lecom.request_maker import RequestMaker
+from lecombus.fieldbus.lecom.request_maker import LecomRequestMaker
 from lecombus.fieldbus.lecom.simulator.drive import SimDrive
 from lecombus.fieldbus.lecom.simulator.line import SimLine, build
 from lecombus.fieldbus.lecom.simulator.memory import MemoryEnd
+from lecombus.fieldbus.loop_interface import ExchangeReport, ResultKind
 from lecombus.fieldbus.port import Port, PortSettings, Receiver
-from lecombus.fieldbus.reports import ExchangeReport, ResultKind
 from lecombus.fieldbus.station import Station
 from lecombus.line.worker import LineWorker, WorkerOptions
 from lecombus.line_runtime import LineRuntime
@@ -195,7 +195,7 @@ class Rig:
             baud, turnaround_s=self.options.turnaround_s, adapter_latency_s=0.005,
             quarantine_s=0.04,
         )  # fmt: skip
-        self.maker = RequestMaker(self.timing, retries, lambda priority, outcome: None)
+        self.maker = LecomRequestMaker(self.timing, retries, lambda priority, outcome: None)
         self.stations: dict[str, Station] = {}
         self.schedule = Schedule()
         for name, address, kind in self._drives:

@@ -11,8 +11,8 @@ from collections.abc import AsyncIterator, Callable
 
 import anyio
 
+from lecombus.fieldbus.loop_interface import ExchangeReport, Observer
 from lecombus.fieldbus.port import Port, Receiver
-from lecombus.fieldbus.reports import ExchangeReport, Observer
 from lecombus.line_runtime import LineRuntime
 
 __all__ = ["STRIPPED", "WALL_S", "ObserverTap", "PortTap", "ReceiverTap", "running"]

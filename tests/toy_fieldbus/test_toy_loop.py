@@ -10,10 +10,9 @@ import pytest
 from lecombus.drives import family
 from lecombus.errors import LineLostError
 from lecombus.fieldbus.costs import LineTiming
-from lecombus.fieldbus.loop import OpenConnection
+from lecombus.fieldbus.loop_interface import ExchangeReport, Observer, OpenConnection
 from lecombus.fieldbus.port import Port
 from lecombus.fieldbus.protocols import register
-from lecombus.fieldbus.reports import ExchangeReport, Observer
 from lecombus.fieldbus.station import Station
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Priority, Request, Schedule

@@ -18,10 +18,17 @@ from typing import Any
 from lecombus.drives import Family, StopAction, stop_value
 from lecombus.errors import ExchangeError, ExchangeRecord, NakError, NoReplyError, UnknownCodeError
 from lecombus.fieldbus.costs import Cost, ExchangeCosts, LineTiming
-from lecombus.fieldbus.loop import LateWakes, OpenConnection, WorkerOptions
+from lecombus.fieldbus.loop_interface import (
+    AnswerKind,
+    ExchangeReport,
+    LateWakes,
+    Observer,
+    OpenConnection,
+    ResultKind,
+    WorkerOptions,
+)
 from lecombus.fieldbus.port import Framing, Parity, Port, PortOpener, PortSettings, Receiver
-from lecombus.fieldbus.reports import AnswerKind, ExchangeReport, Observer, ResultKind
-from lecombus.fieldbus.requests import ReadWork, StopWork, WriteWork
+from lecombus.fieldbus.request_interface import ReadWork, StopWork, WriteWork
 from lecombus.fieldbus.station import Job, JobStep, Station, StepKind, Verdict
 from lecombus.parameters import AddressForm, Code, DecimalLimits, ParameterRules, Value
 from lecombus.roster import DriveEntry, Roster
@@ -146,7 +153,7 @@ class StopJob(_Written, StopWork):
 
 
 class ToyLoop:
-    """One exchange after the other; see `lecombus.fieldbus.loop` for what it owes the schedule."""
+    """One exchange after the other; `fieldbus.loop_interface` says what it owes the schedule."""
 
     def __init__(self, schedule: Schedule, port: OpenConnection, observer: Observer) -> None:
         self.observer, self.exchanges, self.rests = observer, 0, 0

@@ -22,12 +22,12 @@ from lecombus.drive_state.readings import Quality, Reading
 from lecombus.drives import family
 from lecombus.errors import ExchangeError, LecombusError, LineLostError, NoReplyError
 from lecombus.fieldbus.costs import LineTiming
+from lecombus.fieldbus.loop_interface import ExchangeReport
 from lecombus.fieldbus.port import Port, PortSettings, Receiver
 from lecombus.fieldbus.protocols import find
-from lecombus.fieldbus.reports import ExchangeReport
 from lecombus.fieldbus.station import Station
 from lecombus.line.devices import END_IT, others_at, shared, unheard_remedy
-from lecombus.line.loop import run
+from lecombus.line.event_loop import run
 from lecombus.line.opening import open_port
 from lecombus.line.worker import LineWorker, WorkerOptions
 from lecombus.operations.awaited_requests import Requests

@@ -43,7 +43,7 @@ from lecombus.fieldbus.lecom.rebaud import (
     what_to_do,
 )
 from lecombus.fieldbus.station import Station
-from lecombus.line.loop import run
+from lecombus.line.event_loop import run
 from lecombus.line_runtime import options_of
 from lecombus.parameters import AddressForm, Code, Value
 from lecombus.saved_state import State

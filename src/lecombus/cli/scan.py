@@ -25,11 +25,10 @@ from lecombus.cli.screen import Bar, on_terminal, progress, show_rows
 from lecombus.config import LineEntry, line_timing
 from lecombus.config.building import STATE_DIR
 from lecombus.drives import family
-from lecombus.fieldbus.lecom.costs import read_cost
 from lecombus.fieldbus.lecom.protocol.addressing import Form, is_drive_address
 from lecombus.fieldbus.lecom.protocol.timing import BAUDS
 from lecombus.fieldbus.lecom.scanning import (
-    Finding,
+    FoundDrive,
     Heard,
     HeardKind,
     ProposedLine,
@@ -41,8 +40,9 @@ from lecombus.fieldbus.lecom.scanning import (
     propose,
     why_nothing,
 )
+from lecombus.fieldbus.lecom.telegram_costs import read_cost
 from lecombus.line.devices import END_IT, others_at, shared
-from lecombus.line.loop import run
+from lecombus.line.event_loop import run
 from lecombus.operations.address_reads import read_address
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Priority
@@ -280,7 +280,7 @@ class _ScanProgress:
         return f"about {self._scan.looks_left * per_look_s:.0f} s left"
 
 
-def _found_line(one: Finding) -> str:
+def _found_line(one: FoundDrive) -> str:
     sure = "" if one.certain or one.family == "generic" else " (probably)"
     labels = f" ({', '.join(text for _, text in one.labels)})" if one.labels else ""
     return f"{one.address} at {one.baud} baud: {one.family}{sure}{labels}"
@@ -302,7 +302,7 @@ def _look_s(line: LineEntry, baud: int) -> float:
     return cost.first_byte_s + timing.quarantine_s + timing.turnaround_s
 
 
-def _commonest(found: list[Finding]) -> int:
+def _commonest(found: list[FoundDrive]) -> int:
     """Return the baud rate at which most drives were found; the first of several."""
     rates = [one.baud for one in found]
     return max(dict.fromkeys(rates), key=rates.count)
@@ -373,11 +373,11 @@ def _give(options: ScanOptions, scan: Scan, text: str, line: dict[str, Any]) -> 
         )
 
 
-def _software(one: Finding) -> str:
+def _software(one: FoundDrive) -> str:
     return ", ".join(f"{code} {text}" for code, text in one.labels)
 
 
-def _as_json(one: Finding) -> dict[str, Any]:
+def _as_json(one: FoundDrive) -> dict[str, Any]:
     dog = one.watchdog
     return {
         "drive": one.name,

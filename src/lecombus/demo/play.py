@@ -20,7 +20,7 @@ from lecombus.config import Roster, parse_roster
 from lecombus.daemon import Daemon, plain_errors
 from lecombus.demo.view import View
 from lecombus.errors import LecombusError, OperationError
-from lecombus.line.loop import run as run_loop
+from lecombus.line.event_loop import run as run_loop
 from lecombus.parameters import Code
 
 __all__ = ["run_demo"]

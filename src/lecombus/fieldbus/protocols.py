@@ -14,10 +14,15 @@ from typing import Any, Final, Protocol
 from lecombus.drives import Family, add_families, family
 from lecombus.errors import ConfigError
 from lecombus.fieldbus.costs import ExchangeCosts, LineTiming
-from lecombus.fieldbus.loop import ExchangeLoop, LateWakes, OpenConnection, WorkerOptions
+from lecombus.fieldbus.loop_interface import (
+    ExchangeLoop,
+    LateWakes,
+    Observer,
+    OpenConnection,
+    WorkerOptions,
+)
 from lecombus.fieldbus.port import Framing, Parity, PortOpener
-from lecombus.fieldbus.reports import Observer
-from lecombus.fieldbus.requests import RequestMaker
+from lecombus.fieldbus.request_interface import RequestMaker
 from lecombus.parameters import AddressForm, Code
 from lecombus.parameters.rules import ParameterRules, register_rules
 from lecombus.roster import Roster

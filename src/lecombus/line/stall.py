@@ -7,7 +7,7 @@ reopened less and less often.
 
 from __future__ import annotations
 
-from lecombus.fieldbus.reports import ExchangeResult, ResultKind
+from lecombus.fieldbus.loop_interface import ExchangeResult, ResultKind
 
 __all__ = ["StallWatch"]
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
-from lecombus.fieldbus.loop import LateWakes
+from lecombus.fieldbus.loop_interface import LateWakes
 
 __all__ = ["Deadline", "Lateness", "WakeableSleep", "WakeableTimer"]
 

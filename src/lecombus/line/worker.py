@@ -15,10 +15,9 @@ import asyncio
 import anyio
 
 from lecombus.fieldbus.costs import LineTiming
-from lecombus.fieldbus.loop import ExchangeLoop, WorkerOptions
+from lecombus.fieldbus.loop_interface import ExchangeLoop, ExchangeReport, Observer, WorkerOptions
 from lecombus.fieldbus.port import PortOpener, PortSettings
 from lecombus.fieldbus.protocols import Fieldbus
-from lecombus.fieldbus.reports import ExchangeReport, Observer
 
 from ..errors import LineClosedError, LineLostError
 from ..schedule import Priority, Request, Schedule

@@ -25,7 +25,7 @@ from lecombus.errors import (
     OperationError,
     UnknownCodeError,
 )
-from lecombus.fieldbus.requests import ReadWork, RequestMaker
+from lecombus.fieldbus.request_interface import ReadWork, RequestMaker
 from lecombus.fieldbus.station import Station
 from lecombus.line.worker import LineWorker
 from lecombus.parameters import Code, Value

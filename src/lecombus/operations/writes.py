@@ -14,7 +14,7 @@ from lecombus.errors import (
     ExchangeError,
     OperationError,
 )
-from lecombus.fieldbus.requests import WriteWork
+from lecombus.fieldbus.request_interface import WriteWork
 from lecombus.fieldbus.station import Station
 from lecombus.operations.awaited_requests import Ending, client_check, refuse_for_gone_client
 from lecombus.operations.context import OperationContext

@@ -73,9 +73,9 @@ def rules_of(protocol: str) -> ParameterRules:
     if found is None:
         name = f"lecombus.fieldbus.{protocol}"
         try:
-            module = importlib.import_module(f"{name}.parameters")
+            module = importlib.import_module(f"{name}.parameter_rules")
         except ModuleNotFoundError as exc:
-            if exc.name not in (name, f"{name}.parameters"):
+            if exc.name not in (name, f"{name}.parameter_rules"):
                 raise
             raise ConfigError(f"there is no line protocol {protocol}") from exc
         found = _KNOWN[protocol] = module.RULES

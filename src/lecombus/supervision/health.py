@@ -24,7 +24,7 @@ from collections.abc import Callable
 from lecombus.drive_state.drive_runtime import Drive, LineDrives, RunningAudit
 from lecombus.drive_state.readings import DriveState
 from lecombus.drive_state.store import Store
-from lecombus.fieldbus.reports import ResultKind
+from lecombus.fieldbus.loop_interface import ResultKind
 from lecombus.fieldbus.station import StepKind
 from lecombus.line_events import ExchangeEvent, LineChange
 from lecombus.schedule import Schedule

@@ -18,7 +18,7 @@ from lecombus.config import LineEntry, Roster
 from lecombus.drive_state.drive_runtime import LineDrives
 from lecombus.drive_state.readings import DriveState, Json
 from lecombus.drive_state.store import Store
-from lecombus.fieldbus.loop import SecondAnswerCount
+from lecombus.fieldbus.loop_interface import SecondAnswerCount
 from lecombus.metrics import LineSnapshot, Metrics
 from lecombus.metrics.rolling_window import LATELY_S
 from lecombus.operations.awaited_requests import Requests

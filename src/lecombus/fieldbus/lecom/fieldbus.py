@@ -8,8 +8,8 @@ from typing import Any, Final
 from lecombus.drives import FAMILY_NAMES, Family, read_family_file
 from lecombus.fieldbus.costs import ExchangeCosts, LineTiming
 from lecombus.fieldbus.lecom import address_codes
-from lecombus.fieldbus.lecom.exchanges.exchange_loop import ExchangeLoop
-from lecombus.fieldbus.lecom.parameters import RULES
+from lecombus.fieldbus.lecom.exchanges.exchange_loop import LecomExchangeLoop
+from lecombus.fieldbus.lecom.parameter_rules import RULES
 from lecombus.fieldbus.lecom.protocol.addressing import (
     Form,
     group_reach,
@@ -17,13 +17,17 @@ from lecombus.fieldbus.lecom.protocol.addressing import (
     multicast_address,
 )
 from lecombus.fieldbus.lecom.protocol.timing import BAUDS, BITS_PER_CHAR
-from lecombus.fieldbus.lecom.request_maker import RequestMaker
-from lecombus.fieldbus.lecom.roster_costs import RosterCosts
-from lecombus.fieldbus.loop import ExchangeLoop as AnyLoop
-from lecombus.fieldbus.loop import LateWakes, OpenConnection, WorkerOptions
+from lecombus.fieldbus.lecom.request_maker import LecomRequestMaker
+from lecombus.fieldbus.lecom.telegram_costs import RosterCosts
+from lecombus.fieldbus.loop_interface import (
+    ExchangeLoop,
+    LateWakes,
+    Observer,
+    OpenConnection,
+    WorkerOptions,
+)
 from lecombus.fieldbus.port import Framing, Parity, PortOpener
 from lecombus.fieldbus.protocols import Fieldbus
-from lecombus.fieldbus.reports import Observer
 from lecombus.parameters import AddressForm, Code, ParameterRules
 from lecombus.roster import Roster
 from lecombus.schedule import Outcome, Priority, Schedule
@@ -117,20 +121,20 @@ class Lecom:
         line: str,
         observer: Observer,
         lateness: LateWakes,
-    ) -> ExchangeLoop:
+    ) -> LecomExchangeLoop:
         """Make the loop that runs exchanges on the line's port."""
-        return ExchangeLoop(schedule, timing, options, connection, line, observer, lateness)
+        return LecomExchangeLoop(schedule, timing, options, connection, line, observer, lateness)
 
     def request_maker(
         self,
         timing: LineTiming,
         retries: int,
         count: Callable[[Priority, Outcome], None],
-        loop: AnyLoop,
-    ) -> RequestMaker:
+        loop: ExchangeLoop,
+    ) -> LecomRequestMaker:
         """Make what makes requests; it shares what the loop knows of second answers."""
-        assert isinstance(loop, ExchangeLoop)
-        return RequestMaker(timing, retries, count, loop.duplicates)
+        assert isinstance(loop, LecomExchangeLoop)
+        return LecomRequestMaker(timing, retries, count, loop.duplicates)
 
     def simulator(self, roster: Roster) -> PortOpener:
         """Give what opens the port `sim:`; loaded here, for a real line does without."""

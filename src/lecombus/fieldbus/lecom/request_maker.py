@@ -19,18 +19,18 @@ from lecombus.drives.stops import STOP_PATIENCE_S
 from lecombus.errors import OperationError
 from lecombus.fieldbus.costs import Cost, LineTiming
 from lecombus.fieldbus.lecom.address_codes import address_code
-from lecombus.fieldbus.lecom.costs import read_cost, write_cost
 from lecombus.fieldbus.lecom.exchanges.duplicates import Duplicates
 from lecombus.fieldbus.lecom.exchanges.jobs import MulticastJob, ReadBackJob, ReadJob, WriteJob
 from lecombus.fieldbus.lecom.exchanges.read_back_proof import WrittenValue
 from lecombus.fieldbus.lecom.exchanges.stop_job import StopJob
 from lecombus.fieldbus.lecom.protocol.timing import ACK_CHARS, write_request_chars
+from lecombus.fieldbus.lecom.telegram_costs import read_cost, write_cost
 from lecombus.fieldbus.station import Station
 from lecombus.parameters import AddressForm, Code, Value
 from lecombus.schedule import Outcome, Priority, Request, Settle, ignore_end
 from lecombus.schedule.fan_out import Part
 
-__all__ = ["RequestMaker"]
+__all__ = ["LecomRequestMaker"]
 
 
 MAX_KEPT: Final = 8192
@@ -56,7 +56,7 @@ class _FeedCost(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class RequestMaker:
+class LecomRequestMaker:
     """Makes requests with their costs.
 
     Args:

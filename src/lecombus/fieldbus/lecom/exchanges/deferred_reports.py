@@ -11,7 +11,7 @@ sent next. The observer is called in the order of the exchanges, each time after
 from __future__ import annotations
 
 from lecombus.fieldbus.lecom.protocol.exchange import Result
-from lecombus.fieldbus.reports import ExchangeReport, Observer, ResultKind
+from lecombus.fieldbus.loop_interface import ExchangeReport, Observer, ResultKind
 from lecombus.fieldbus.station import Job, StepKind
 from lecombus.schedule import Request
 

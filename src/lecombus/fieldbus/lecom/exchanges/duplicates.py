@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Final
 
-from lecombus.fieldbus.loop import SecondAnswerCount
+from lecombus.fieldbus.loop_interface import SecondAnswerCount
 
 __all__ = ["COPY_S", "Duplicates"]
 

@@ -33,9 +33,14 @@ from typing import Final
 from lecombus.errors import LineLostError
 from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.protocol.exchange import Exchange, Result
-from lecombus.fieldbus.loop import LateWakes, OpenConnection, WorkerOptions
+from lecombus.fieldbus.loop_interface import (
+    LateWakes,
+    Observer,
+    OpenConnection,
+    ResultKind,
+    WorkerOptions,
+)
 from lecombus.fieldbus.port import Port
-from lecombus.fieldbus.reports import Observer, ResultKind
 from lecombus.fieldbus.station import Job
 from lecombus.line.bus_idle import BusIdleTimer
 from lecombus.line.stall import StallWatch
@@ -53,7 +58,7 @@ from .prepared_telegrams import PreparedTelegram, TelegramPreparer
 from .stop_job import StopJob
 from .telegram_log import TelegramLog
 
-__all__ = ["ExchangeLoop"]
+__all__ = ["LecomExchangeLoop"]
 
 logger = logging.getLogger("lecombus.line.exchange_loop")  # as in the log of any protocol
 
@@ -72,7 +77,7 @@ def _loop_time() -> float:
     return asyncio.get_running_loop().time()
 
 
-class ExchangeLoop:
+class LecomExchangeLoop:
     """Sends telegrams and receives answers on the port of one line.
 
     Args:

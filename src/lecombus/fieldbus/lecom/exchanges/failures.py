@@ -19,7 +19,7 @@ from lecombus.errors import (
     UnknownCodeError,
 )
 from lecombus.fieldbus.lecom.protocol.exchange import Result
-from lecombus.fieldbus.reports import ResultKind
+from lecombus.fieldbus.loop_interface import ResultKind
 from lecombus.fieldbus.station import JobStep, Station, StepKind
 
 from ..protocol.telegrams import NakAnswer, TransmissionErrorAnswer, UnknownCodeAnswer

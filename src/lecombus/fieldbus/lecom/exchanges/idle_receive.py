@@ -38,7 +38,7 @@ from lecombus.fieldbus.lecom.protocol.telegrams import (
     ValueAnswer,
 )
 from lecombus.fieldbus.lecom.protocol.timing import MAX_ANSWER_CHARS
-from lecombus.fieldbus.reports import ResultKind
+from lecombus.fieldbus.loop_interface import ResultKind
 from lecombus.fieldbus.station import Station
 from lecombus.line.bus_idle import BusIdleTimer
 from lecombus.parameters import Code

@@ -22,8 +22,8 @@ from lecombus.drives import WriteClass
 from lecombus.drives.stops import usable_word
 from lecombus.errors import ExchangeError, NakError
 from lecombus.fieldbus.lecom.protocol.exchange import Result
-from lecombus.fieldbus.reports import ResultKind
-from lecombus.fieldbus.requests import MulticastWork, ReadWork, WriteWork
+from lecombus.fieldbus.loop_interface import ResultKind
+from lecombus.fieldbus.request_interface import MulticastWork, ReadWork, WriteWork
 from lecombus.fieldbus.station import JobStep, Station, StepKind, Verdict
 from lecombus.parameters import AddressForm, Code, Value
 from lecombus.schedule.request import Outcome

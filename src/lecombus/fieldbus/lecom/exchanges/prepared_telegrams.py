@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 from lecombus.drives.measured import SlowAnswers, slow_from_s
 from lecombus.fieldbus.costs import Cost, LineTiming
-from lecombus.fieldbus.lecom.costs import read_cost, write_cost
+from lecombus.fieldbus.lecom.telegram_costs import read_cost, write_cost
 from lecombus.fieldbus.station import Job, JobStep, Station, StepKind
 from lecombus.parameters import AddressForm, Code
 

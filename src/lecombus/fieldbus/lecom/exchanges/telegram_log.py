@@ -10,7 +10,7 @@ import logging
 from typing import Final
 
 from lecombus.fieldbus.lecom.protocol.exchange import Result
-from lecombus.fieldbus.reports import ResultKind
+from lecombus.fieldbus.loop_interface import ResultKind
 from lecombus.fieldbus.station import Job
 
 from ..protocol.telegrams import (

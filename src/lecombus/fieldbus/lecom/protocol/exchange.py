@@ -42,7 +42,7 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
-from lecombus.fieldbus.reports import ResultKind
+from lecombus.fieldbus.loop_interface import ResultKind
 
 from .parser import AnswerParser
 from .telegrams import (

@@ -25,7 +25,7 @@ from typing import ClassVar, Final
 from lecombus.errors import CodeValueError
 from lecombus.fieldbus.lecom.protocol.addressing import encode_address, encode_code
 from lecombus.fieldbus.lecom.protocol.controls import ENQ, EOT, ETX, STX, bcc
-from lecombus.fieldbus.reports import AnswerKind
+from lecombus.fieldbus.loop_interface import AnswerKind
 from lecombus.parameters import SENDABLE_STRING_CHARS, AddressForm, Code, Format, Value
 
 __all__ = [

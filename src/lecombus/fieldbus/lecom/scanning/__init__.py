@@ -13,13 +13,13 @@ from __future__ import annotations
 
 from .asking import Heard, HeardKind, Question
 from .diagnosis import why_nothing
-from .identifying import Finding, FoundWatchdog, Unclear
+from .identifying import FoundDrive, FoundWatchdog, Unclear
 from .proposal import ProposedLine, check_place, entries, propose
 from .search import ForeignTalkError, Scan, ScanPlan
 
 __all__ = [
-    "Finding",
     "ForeignTalkError",
+    "FoundDrive",
     "FoundWatchdog",
     "Heard",
     "HeardKind",

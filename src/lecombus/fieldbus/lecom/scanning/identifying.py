@@ -39,7 +39,7 @@ from .asking import (
     read_surely,
 )
 
-__all__ = ["Finding", "FoundWatchdog", "Unclear", "identify"]
+__all__ = ["FoundDrive", "FoundWatchdog", "Unclear", "identify"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class FoundWatchdog:
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class FoundDrive:
     """A drive.
 
     Args:
@@ -161,9 +161,9 @@ class DriveQuestions:
 
     def finding(
         self, name: str, why: str, *, certain: bool = True, watchdog: FoundWatchdog | None = None
-    ) -> Finding:
+    ) -> FoundDrive:
         """Say what it is."""
-        return Finding(
+        return FoundDrive(
             self.address,
             self.baud,
             name,
@@ -175,14 +175,14 @@ class DriveQuestions:
             self.patient,
         )
 
-    def generic(self, why: str) -> Finding:
+    def generic(self, why: str) -> FoundDrive:
         """Say that its family is not known."""
         return self.finding("generic", why)
 
 
 async def identify(
     access: AddressAccess, baud: int, address: int, *, patient: bool = False
-) -> Finding:
+) -> FoundDrive:
     """Find out what answers at an address.
 
     Args:
@@ -204,7 +204,7 @@ async def identify(
     return await _smvector_or_other(drive)
 
 
-async def _without_extended_addressing(drive: DriveQuestions) -> Finding:
+async def _without_extended_addressing(drive: DriveQuestions) -> FoundDrive:
     """Another maker's device; what it says in place of a software label may help people."""
     heard = await drive.read(SOFTWARE, Form.STANDARD)
     if heard.value is not None and heard.value.format is Format.VS:
@@ -226,7 +226,7 @@ async def _redirection(drive: DriveQuestions) -> None:
 # ---- 2102 fieldbus module -----------------------------------------------------------------------
 
 
-async def _behind_a_module(drive: DriveQuestions, own: Heard, module: Heard) -> Finding:
+async def _behind_a_module(drive: DriveQuestions, own: Heard, module: Heard) -> FoundDrive:
     await drive.label(Code(1811))
     software = await drive.label(SOFTWARE)
     await drive.label(Code(201))
@@ -295,7 +295,7 @@ async def _setpoint_source(drive: DriveQuestions, name: str) -> None:
 # ---- SMVector -----------------------------------------------------------------------------------
 
 
-async def _smvector_or_other(drive: DriveQuestions) -> Finding:
+async def _smvector_or_other(drive: DriveQuestions) -> FoundDrive:
     protocol = await drive.read(PROTOCOL)
     network = await drive.read(NETWORK_ADDRESS)
     await drive.label(SOFTWARE)

@@ -17,7 +17,7 @@ from lecombus.config import Roster, WatchdogEntry, parse_roster
 from lecombus.drives import family
 from lecombus.durations import format_duration
 
-from .identifying import Finding, Unclear
+from .identifying import FoundDrive, Unclear
 
 __all__ = ["ProposedLine", "check_place", "entries", "propose"]
 
@@ -55,12 +55,12 @@ def check_place(place: ProposedLine) -> None:
     Raises:
         RosterError: It cannot; says what would be right.
     """
-    drive = Finding(1, 9600, "generic", False, "")
+    drive = FoundDrive(1, 9600, "generic", False, "")
     parse_roster("\n".join(_lines(place, 9600, [drive], [], {})), "the roster")
 
 
 def propose(
-    place: ProposedLine, baud: int, found: Sequence[Finding], unclear: Sequence[Unclear] = ()
+    place: ProposedLine, baud: int, found: Sequence[FoundDrive], unclear: Sequence[Unclear] = ()
 ) -> tuple[str, Roster]:
     """Write a roster for the drives found at a baud rate.
 
@@ -78,7 +78,7 @@ def propose(
     return text, parse_roster(text, "the proposed roster")
 
 
-def _unheld(place: ProposedLine, baud: int, found: Sequence[Finding]) -> dict[str, str]:
+def _unheld(place: ProposedLine, baud: int, found: Sequence[FoundDrive]) -> dict[str, str]:
     """Find the watchdogs that this line cannot hold: they are named, and not proposed.
 
     Returns:
@@ -108,7 +108,7 @@ def _unheld(place: ProposedLine, baud: int, found: Sequence[Finding]) -> dict[st
 def _lines(
     place: ProposedLine,
     baud: int,
-    found: Sequence[Finding],
+    found: Sequence[FoundDrive],
     unclear: Sequence[Unclear],
     unheld: Mapping[str, str],
 ) -> Iterator[str]:
@@ -136,7 +136,7 @@ def _lines(
         yield f"state: {_quoted(place.state)}"
 
 
-def entries(found: Sequence[Finding], unheld: Mapping[str, str]) -> Iterator[str]:
+def entries(found: Sequence[FoundDrive], unheld: Mapping[str, str]) -> Iterator[str]:
     """Write drives as they stand under `drives:`.
 
     Args:
@@ -157,7 +157,7 @@ def entries(found: Sequence[Finding], unheld: Mapping[str, str]) -> Iterator[str
         yield from _watchdog(one, unheld.get(one.name))
 
 
-def _acts(one: Finding) -> bool:
+def _acts(one: FoundDrive) -> bool:
     """Whether a drive's watchdog acts, at a time that can be set."""
     traits, found = family(one.family).watchdog, one.watchdog
     if traits is None or found is None or found.action == "none":
@@ -165,7 +165,7 @@ def _acts(one: Finding) -> bool:
     return bool(found.time_s) and traits.low_s <= found.time_s <= traits.high_s
 
 
-def _watchdog(one: Finding, unheld: str | None) -> Iterator[str]:
+def _watchdog(one: FoundDrive, unheld: str | None) -> Iterator[str]:
     """Write the watchdog as found: fed if it acts, else as a comment to be thought about."""
     traits, found = family(one.family).watchdog, one.watchdog
     if traits is None:
@@ -183,7 +183,7 @@ def _watchdog(one: Finding, unheld: str | None) -> Iterator[str]:
     yield "    # watchdog: {time: 3s, action: quick-stop, configure: true}"
 
 
-def _elsewhere(baud: int, found: Sequence[Finding], unclear: Sequence[Unclear]) -> Iterator[str]:
+def _elsewhere(baud: int, found: Sequence[FoundDrive], unclear: Sequence[Unclear]) -> Iterator[str]:
     """Name in comments what is on the line and cannot be in this roster."""
     for one in found:
         if one.baud != baud:

@@ -32,7 +32,7 @@ from lecombus.fieldbus.lecom.protocol.telegrams import ReadRequest, WriteRequest
 from lecombus.parameters import Code
 
 from .asking import AddressAccess, Heard, HeardKind, Question
-from .identifying import Finding, Unclear, identify
+from .identifying import FoundDrive, Unclear, identify
 
 __all__ = ["ForeignTalkError", "Scan", "ScanPlan"]
 
@@ -90,7 +90,7 @@ class Scan:
 
     def __init__(self, plan: ScanPlan) -> None:
         self.plan = plan
-        self.found: list[Finding] = []
+        self.found: list[FoundDrive] = []
         self.unclear: list[Unclear] = []
         self.samples: deque[tuple[int, bytes]] = deque(maxlen=SAMPLES)
         self.baud = plan.bauds[0]

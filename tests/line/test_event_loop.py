@@ -13,7 +13,7 @@ from pathlib import Path
 import anyio
 import pytest
 
-from lecombus.line.loop import FineSelector, new_event_loop, run
+from lecombus.line.event_loop import FineSelector, new_event_loop, run
 
 pytestmark = pytest.mark.clock
 
