@@ -7,6 +7,10 @@ are logged in `WINDOW_S`; what is beyond is counted and logged as one sum after 
 `LINES_PER_S` lines a second are logged in all, and as many of stops.
 
 Texts that a client chose are cut, and what could pass for another field is removed.
+
+`followers` get every operation whole, at its begin and at its end: the journal and the event
+stream. An operation that is no stop waits until they have it, and one of them may refuse it; a
+stop that comes in that time ends it (`CAME_S`). A stop waits for nothing and is refused by nothing.
 """
 
 from __future__ import annotations
@@ -19,9 +23,10 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Final, Protocol, TypeVar
 
 from lecombus.errors import LecombusError
+from lecombus.operations.awaited_requests import CAME_S
 from lecombus.operations.operation_reports import GroupReport, VerbReport, WriteReport
 from lecombus.schedule import Outcome
 
@@ -94,6 +99,51 @@ class Actor:
 ACTOR: Final[ContextVar[Actor]] = ContextVar("ACTOR", default=Actor())  # noqa: B039 - never changed
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Act:
+    """An operation that was asked for.
+
+    Args:
+        event: What: `write`, `group-write`, `verb`, `stop`, `readdress-asked` and the like.
+        target: The drive or group.
+        said: What was asked, in words; a password is masked.
+        actor: Who asked.
+        old: The value that was known before; empty where none was, or for a password.
+        is_stop: It stops its drives: it must wait for nothing.
+    """
+
+    event: str
+    target: str
+    said: Mapping[str, str]
+    actor: Actor
+    old: str = ""
+    is_stop: bool = False
+
+
+class ActionFollower(Protocol):
+    """Gets every operation at its begin and at its end; neither call may take long or fail."""
+
+    def begun(self, act: Act) -> Awaitable[None] | None:
+        """Take an operation that is about to begin.
+
+        Returns:
+            What the operation waits for before anything is sent; None: nothing, as for a stop.
+
+        Raises:
+            OperationError: It must not be carried out; never for a stop. The awaitable may
+                raise it too.
+        """
+
+    def ended(self, act: Act, outcome: str, fields: Mapping[str, str]) -> None:
+        """Take the end of an operation; one that asks nothing of the line has no begin.
+
+        Args:
+            act: The operation.
+            outcome: How it ended.
+            fields: What was asked and what came of it, in words.
+        """
+
+
 @dataclass(slots=True)
 class Window:
     """What one client did to one drive lately."""
@@ -110,6 +160,9 @@ class Actions:
 
     Args:
         clock: A monotonic clock, seconds.
+
+    Attributes:
+        followers: Who gets every operation, in this order.
     """
 
     def __init__(self, clock: Callable[[], float]) -> None:
@@ -117,6 +170,7 @@ class Actions:
         self._windows: dict[tuple[str, str, str], Window] = {}
         self._second = 0
         self._lines: Counter[bool] = Counter()
+        self.followers: tuple[ActionFollower, ...] = ()
 
     def log(self, event: str, target: str, outcome: str, fields: Mapping[str, str]) -> None:
         """Log that something was done, or count it.
@@ -143,12 +197,30 @@ class Actions:
             window.last = place.get("value", "")
 
     async def log_end(
-        self, event: str, target: str, said: Mapping[str, str], work: Awaitable[R]
+        self,
+        event: str,
+        target: str,
+        said: Mapping[str, str],
+        work: Callable[[float], Awaitable[R]],
+        *,
+        old: str = "",
+        is_stop: bool = False,
     ) -> R:
-        """Wait for the end of an operation and log it; when cancelled its outcome is unknown."""
+        """Carry out an operation and log its end; when cancelled its outcome is unknown.
+
+        Args:
+            event: What, as in `Act`.
+            target: The drive or group.
+            said: What was asked, in words.
+            work: Carries it out; given how long it has waited for the followers, seconds.
+            old: The value that was known before.
+            is_stop: It waits for no follower.
+        """
+        act = Act(event, target, said, ACTOR.get(), old, is_stop)
         outcome, more = Outcome.UNKNOWN.value, dict(said)
+        came = CAME_S.set(CAME_S.get())
         try:
-            report = await work
+            report = await work(await self._begin(act))
             outcome = report.outcome.value
             more |= details(report)
             return report
@@ -156,19 +228,38 @@ class Actions:
             outcome, more["reason"] = Outcome.REFUSED.value, str(exc)
             raise
         finally:
+            CAME_S.reset(came)
             if more.get("value") == SECRET:
                 more.pop("reason", None)  # it may quote the value
-            self.log(event, target, outcome, more)
+            self._end(act, outcome, more)
 
     @contextmanager
     def logged(self, event: str, target: str) -> Iterator[None]:
-        """Log an operation that does not wait for the line."""
+        """Log an operation that does not wait for the line, and for no follower."""
+        act = Act(event, target, {}, ACTOR.get())
         try:
             yield
         except LecombusError as exc:
-            self.log(event, target, Outcome.REFUSED.value, {"reason": str(exc)})
+            self._end(act, Outcome.REFUSED.value, {"reason": str(exc)})
             raise
-        self.log(event, target, Outcome.DONE.value, {})
+        self._end(act, Outcome.DONE.value, {})
+
+    async def _begin(self, act: Act) -> float:
+        """Give an operation to the followers; return how long it waited for them, seconds."""
+        waits = [one for follower in self.followers if (one := follower.begun(act)) is not None]
+        if not waits:
+            return 0.0
+        asked_s = self._clock()
+        if CAME_S.get() is None:  # a stop that comes while it waits ends it
+            CAME_S.set(asked_s)
+        for one in waits:
+            await one
+        return self._clock() - asked_s
+
+    def _end(self, act: Act, outcome: str, fields: Mapping[str, str]) -> None:
+        self.log(act.event, act.target, outcome, fields)
+        for follower in self.followers:
+            follower.ended(act, outcome, fields)
 
     def look(self, *, at_end: bool = False) -> None:
         """Log the sums of what was kept back; once a second, and at the end."""

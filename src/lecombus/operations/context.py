@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import secrets
 from collections.abc import Callable, Mapping, Sequence
+from decimal import Decimal
 from typing import Final
 
 from lecombus.config import DriveEntry, GroupEntry
@@ -12,8 +13,9 @@ from lecombus.drive_state.control_word import ControlWord
 from lecombus.drive_state.drive_runtime import LastingRecord
 from lecombus.drive_state.readings import DriveState
 from lecombus.drive_state.store import Store
+from lecombus.drives import encode_for
 from lecombus.drives.stops import asks_to_stop
-from lecombus.errors import OperationError, meant
+from lecombus.errors import CodeValueError, OperationError, meant
 from lecombus.fieldbus.station import Station
 from lecombus.line_events import LineRequests
 from lecombus.operations.awaited_requests import Requests
@@ -140,6 +142,20 @@ class OperationContext:
         drives = filter(None, map(self.requests.drives.find, names))
         infos = (drive.family.info(code) for drive in drives)
         return any(info is not None and info.secret for info in infos)
+
+    def means_stop(self, target: str, code: Code, value: Decimal | int | str) -> bool:
+        """Whether a plain write would stop a drive, or each of a group."""
+        group = self.groups.get(target)
+        names = (target,) if group is None else group.members
+        drives = [self.requests.drives.find(name) for name in names]
+        try:
+            return all(
+                one is not None
+                and asks_to_stop(one.family, code, encode_for(one.family, code, value))
+                for one in drives
+            )
+        except CodeValueError:
+            return False  # the write will be refused with the reason
 
     def control_word(self, drive: str) -> ControlWord:
         """Return the control word of a drive; one that left the roster has none that is known."""

@@ -104,11 +104,14 @@ class Operations:
         said = {"code": str(code), "value": self._shown(drive, code, value)}
         if restoring:
             said["restore"] = "yes"
-        work = self._writes.write(
-            drive, code, value, expires_s=expires_s, verify=verify, urgency=urgency,
-            restoring=restoring, unless_stopped_since=unless_stopped_since,
+        return await self.actions.log_end(
+            "write", drive, said,
+            lambda waited_s: self._writes.write(
+                drive, code, value, expires_s=left(expires_s, waited_s), verify=verify,
+                urgency=urgency, restoring=restoring, unless_stopped_since=unless_stopped_since,
+            ),
+            old=self._old(drive, code), is_stop=self._means_stop(drive, code, value),
         )  # fmt: skip
-        return await self.actions.log_end("write", drive, said, work)
 
     async def write_group(
         self,
@@ -121,13 +124,20 @@ class Operations:
     ) -> GroupReport:
         """Write a code of every member of a group (`GroupWrites.write_group`)."""
         said = {"code": str(code), "value": self._shown(group, code, value)}
-        work = self._groups.write_group(group, code, value, expires_s=expires_s, verify=verify)
-        return await self.actions.log_end("group-write", group, said, work)
+        return await self.actions.log_end(
+            "group-write", group, said,
+            lambda waited_s: self._groups.write_group(
+                group, code, value, expires_s=left(expires_s, waited_s), verify=verify
+            ),
+            old=self._old(group, code), is_stop=self._means_stop(group, code, value),
+        )  # fmt: skip
 
     async def stop(self, action: StopAction, target: str) -> GroupReport:
         """Stop a drive, a group or all, ahead of everything else (`Stops.stop`)."""
-        work = self._stops.stop(action, target)
-        return await self.actions.log_end("stop", target, {"action": action.value}, work)
+        return await self.actions.log_end(
+            "stop", target, {"action": action.value},
+            lambda _: self._stops.stop(action, target), is_stop=True,
+        )  # fmt: skip
 
     async def verb(
         self,
@@ -144,15 +154,21 @@ class Operations:
         said = {"action" if is_stop else "verb": verb.value}
         if value is not None:
             said["value"] = f"{value}{unit}"
-        work = self._verbs.verb(
-            drive, verb, value=value, unit=unit, expires_s=expires_s, verify=verify
-        )
-        return await self.actions.log_end("stop" if is_stop else "verb", drive, said, work)
+        return await self.actions.log_end(
+            "stop" if is_stop else "verb", drive, said,
+            lambda waited_s: self._verbs.verb(
+                drive, verb, value=value, unit=unit, expires_s=left(expires_s, waited_s),
+                verify=verify,
+            ),
+            is_stop=is_stop,
+        )  # fmt: skip
 
     async def readdress(self, drive: str, address: int) -> WriteReport:
         """Give a drive another address and follow it there (`Readdress.change`)."""
-        work = self.readdressing.change(drive, address)
-        return await self.actions.log_end("readdress-asked", drive, {"value": str(address)}, work)
+        return await self.actions.log_end(
+            "readdress-asked", drive, {"value": str(address)},
+            lambda _: self.readdressing.change(drive, address),
+        )  # fmt: skip
 
     def accept(self, drive: str, shown: Mapping[str, str]) -> IdentityReport:
         """Take the drive that is there for the drive of this name (`Identities.accept`).
@@ -182,3 +198,30 @@ class Operations:
 
     def _shown(self, target: str, code: Code, value: Decimal | int | str) -> str:
         return SECRET if self.context.is_secret(target, code) else str(value)
+
+    def _means_stop(self, target: str, code: Code, value: Decimal | int | str) -> bool:
+        """Whether a plain write is a stop, which no follower of operations may delay."""
+        return bool(self.actions.followers) and self.context.means_stop(target, code, value)
+
+    def _old(self, target: str, code: Code) -> str:
+        """Return what a drive, or each of a group, was last read to hold, as on the wire."""
+        if not self.actions.followers or self.context.is_secret(target, code):
+            return ""
+        group = self.context.groups.get(target)
+        found = {
+            name: reading.value.raw
+            for name in ((target,) if group is None else group.members)
+            if name in self.context.entries
+            and (reading := self.context.store.reading(name, code)) is not None
+            and reading.value is not None
+        }
+        return (
+            found.get(target, "")
+            if group is None
+            else ",".join(f"{name}:{raw}" for name, raw in found.items())
+        )
+
+
+def left(expires_s: float | None, waited_s: float) -> float | None:
+    """Return the time that is left for a write that has waited, seconds."""
+    return None if expires_s is None else expires_s - waited_s
