@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from lecombus.drive_state.motion import Doing, Motion, learnt_setpoint, motion_of
+from lecombus.drive_state.motion import Doing, Lapse, Motion, learnt_setpoint, motion_of
 from lecombus.drive_state.readings import WRITTEN_SINCE, ActiveFault, Quality, Reading
 from lecombus.drives import family
 from lecombus.drives.faults.fault_tables import FaultKind
@@ -21,12 +21,14 @@ def read(text: str, value: str, *, age_s: float = 0.5, quality: Quality = Qualit
     return Reading("d", code, "", None, None, wire, quality, None, 0.0, age_s)
 
 
-def motion(name: str, *readings: Reading, fault: ActiveFault | None = None) -> Motion:
+def motion(
+    name: str, *readings: Reading, fault: ActiveFault | None = None, lapse: Lapse | None = None
+) -> Motion:
     known = {one.code: one for one in readings}
     kind = family(name)
     if kind.configured_by is not None:
         kind = kind.configured(1011)
-    return motion_of(kind, fault, known.get, ())
+    return motion_of(kind, fault, known.get, (), lapse)
 
 
 @pytest.mark.parametrize(
@@ -217,3 +219,47 @@ def test_the_setpoint_of_every_family_can_be_learnt(name: str, code: str) -> Non
 
 def test_a_device_of_which_nothing_is_described_has_no_setpoint() -> None:
     assert learnt_setpoint(family("generic")) is None
+
+
+RUNS, STANDS, QUICK_STOP = ("C0050", "35.4", 0.1), ("C0050", "0", 0.1), ("C0135", "H0008", 0.1)
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "may_quick_stop", "doing", "stops"),
+    [
+        # No status word shows the quick stop that a watchdog may have set, whatever C0135 reads.
+        ("8200vector", [("C0150", ENABLED, 0.1), STANDS], True, Doing.UNKNOWN, ["watchdog"]),
+        (
+            "8200vector",
+            [("C0150", ENABLED, 0.1), STANDS, ("C0135", "H0000", 0.1)],
+            True,
+            Doing.UNKNOWN,
+            ["watchdog"],
+        ),
+        ("93xx", [("C0150", "H0640", 0.1)], True, Doing.UNKNOWN, ["watchdog"]),
+        ("8200vector", [("C0150", ENABLED, 0.1), STANDS, QUICK_STOP], True, Doing.STOPPED,
+         ["quick-stop"]),
+        ("8200vector", [("C0150", ENABLED, 0.1), STANDS], False, Doing.ENABLED, []),
+        ("8200vector", [("C0150", ENABLED, 0.1), RUNS], True, Doing.RUNNING, []),
+        # C0068 shows one, but only where it was read since.
+        ("821x", [("C0150", ENABLED, 0.1), STANDS, ("C0068", "H0140", 9.0)], True, Doing.UNKNOWN,
+         ["watchdog"]),
+        ("821x", [("C0150", ENABLED, 0.1), STANDS, ("C0068", "H0140", 0.9)], True, Doing.ENABLED,
+         []),
+        # What was read before says nothing of an inhibit or a trip either.
+        ("821x", [("C0150", ENABLED, 1.5), STANDS], False, Doing.UNKNOWN, ["watchdog"]),
+        ("821x", [("C0150", ENABLED, 0.1), ("C0050", "35.4", 1.5)], False, Doing.UNKNOWN,
+         ["watchdog"]),
+        ("821x", [("C0150", "H0680", 1.5), STANDS], False, Doing.STOPPED, ["inhibited"]),
+    ],
+)  # fmt: skip
+def test_after_a_lapse_only_words_that_were_read_since_show_an_enabled_drive(
+    name: str,
+    words: list[tuple[str, str, float]],
+    may_quick_stop: bool,
+    doing: Doing,
+    stops: list[str],
+) -> None:
+    readings = [read(code, value, age_s=age_s) for code, value, age_s in words]
+    seen = motion(name, *readings, lapse=Lapse(1.0, may_quick_stop=may_quick_stop))
+    assert (seen.doing, [one.name for one in seen.stops]) == (doing, stops)

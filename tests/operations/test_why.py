@@ -513,11 +513,16 @@ def test_a_quick_stop_of_the_watchdog_that_no_word_shows_is_a_hint_until_an_enab
         await anyio.sleep(4.0)
         plant.end.replug()
         await plant.online(within_s=60.0)
+        motion = plant.site.store.motion
+        assert motion(drive).doing is Doing.UNKNOWN
+        await anyio.sleep(12.0)
+        assert motion(drive).doing is (Doing.UNKNOWN if unseen else Doing.STOPPED)
         for told in (unseen, False):
             why = await plant.site.operations.why(drive, fresh=True)
             (lapse,) = [one for one in why.findings if one.name == "watchdog-lapsed"]
             assert ("no status word of this family shows one" in lapse.text.en) is told
             assert (await enable(plant, drive)).outcome is Outcome.VERIFIED
+            assert motion(drive).doing is Doing.ENABLED
 
     chosen = [one for one in FAMILIES if one[0] == drive]
     watchdog = "{time: 2s, action: quick-stop, configure: true}"

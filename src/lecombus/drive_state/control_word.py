@@ -86,10 +86,14 @@ class ControlWord:
     # ---- what happens -------------------------------------------------------------------------
 
     def heard(self, at_s: float) -> None:
-        """The drive answered: any telegram to it fed its watchdog."""
-        before, self._heard_at_s = self._heard_at_s, at_s
-        if self._watchdog_s and before is not None and at_s - before >= self._watchdog_s:
+        """The drive answered: any telegram to it fed its watchdog.
+
+        Args:
+            at_s: When the telegram to it began, monotonic seconds.
+        """
+        if self.watchdog_may_have_acted(at_s):
             self._free_at_s = None
+        self._heard_at_s = at_s
 
     def seen(self, code: Code, value: Value) -> None:
         """Take a value that was read.
@@ -175,6 +179,11 @@ class ControlWord:
         self._shown.clear()
 
     # ---- what is known ------------------------------------------------------------------------
+
+    def watchdog_may_have_acted(self, at_s: float) -> bool:
+        """Say whether the drive has been silent for its watchdog's time, up to a moment."""
+        watchdog_s, heard_at_s = self._watchdog_s, self._heard_at_s
+        return watchdog_s is not None and heard_at_s is not None and at_s - heard_at_s >= watchdog_s
 
     def moves(self, code: Code) -> bool:
         """Say whether a write to a code changes bits of the control word."""

@@ -373,6 +373,11 @@ class Drive:
         """Its family, as its signal configuration makes it."""
         return self.station.family
 
+    @property
+    def watchdog_quick_stops(self) -> bool:
+        """Whether its watchdog stops it by a quick stop."""
+        return self.entry.watchdog is not None and self.entry.watchdog.action == "quick-stop"
+
 
 class LineDrives:
     """The drives of one line by name."""

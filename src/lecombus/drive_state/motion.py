@@ -6,8 +6,10 @@ is fresh only fresh values count, and what a newer status word denies does not, 
 cannot contradict a new one; otherwise all is reported as last known, and marked so. An old word
 that no newer one denies and that showed a stop makes it unknown whether the drive is enabled: many
 drives show a quick stop in no word that is read often. What was read before the last command to
-stop or to run does not count at all. "Stopped" means that something keeps the drive from driving
-its motor. The shaft may turn all the same, as that of a coasting motor does.
+stop or to run does not count at all. After a silence in which its watchdog may have acted a drive
+is not said to be enabled until a status word that can show a quick stop shows none, or the drive
+has acknowledged a write of the code of its quick stop. "Stopped" means that something keeps the
+drive from driving its motor. The shaft may turn all the same, as that of a coasting motor does.
 """
 
 from __future__ import annotations
@@ -31,6 +33,7 @@ from lecombus.parameters import Code, Value
 
 __all__ = [
     "Doing",
+    "Lapse",
     "Motion",
     "Speed",
     "Stop",
@@ -157,6 +160,24 @@ class Motion:
         }
 
 
+@dataclass(frozen=True, slots=True)
+class Lapse:
+    """The last silence in which a drive's watchdog may have acted.
+
+    Args:
+        age_s: How long ago it ended, seconds: what is older was read before that.
+        may_quick_stop: It may have set a quick stop, and the drive has acknowledged no write of the
+            code of its quick stop since.
+    """
+
+    age_s: float
+    may_quick_stop: bool = True
+
+
+WATCHDOG: Final = Stop("watchdog", "its watchdog may have acted", ())
+"""What may stop a drive that was silent for its watchdog's time."""
+
+
 def setpoint_codes(family: Family) -> tuple[Code, ...]:
     """Name the codes that hold a family's speed setpoint."""
     codes = [rule.code for rule in family.verbs.setpoints] if family.verbs is not None else []
@@ -176,6 +197,7 @@ def motion_of(
     fault: ActiveFault | None,
     known: Callable[[Code], Reading | None],
     written: Iterable[Reading],
+    lapse: Lapse | None = None,
 ) -> Motion:
     """Say what a drive does.
 
@@ -184,6 +206,7 @@ def motion_of(
         fault: The fault it has.
         known: Gives what is known of a code, with its quality; None: never asked for.
         written: The setpoints that were written and acknowledged.
+        lapse: The last silence in which its watchdog may have acted.
     """
     speed = known(OUTPUT) if _has_unit(family, OUTPUT) else None
     actual = None if speed is None or speed.value is None else Speed(speed)
@@ -206,6 +229,8 @@ def motion_of(
     is_free = doing in (Doing.ENABLED, Doing.UNKNOWN)
     if is_free and (old := _stops(_states(family, last_known), None)):
         doing, stops, words, stale = Doing.UNKNOWN, old, last_known, True
+    elif lapse is not None and not _runs_since(lapse, family, doing, words, actual):
+        doing, stops = Doing.UNKNOWN, (WATCHDOG,)
     return Motion(
         doing,
         stops,
@@ -215,6 +240,26 @@ def motion_of(
         max((one.age_s or 0.0 for one in words), default=first.age_s),
         stale,
     )
+
+
+def _runs_since(
+    lapse: Lapse, family: Family, doing: Doing, words: list[Reading], speed: Speed | None
+) -> bool:
+    """Return whether what was read since a lapse shows what a drive does; a stop is a stop anyway.
+
+    A control word that reads no quick stop shows nothing: a drive may give back what was last
+    written to it, and not what its watchdog set (ADR 38).
+    """
+    if doing not in (Doing.RUNNING, Doing.ENABLED):
+        return True
+    since = {one.code for one in words if (one.age_s or 0.0) <= lapse.age_s}
+    if next(iter(family.words)) not in since:
+        return False
+    if doing is Doing.RUNNING:
+        return speed is None or (speed.reading.age_s or 0.0) <= lapse.age_s
+    possible = {state for code in since & family.words.keys()
+                for state in family.words[code].possible_states}  # fmt: skip
+    return not lapse.may_quick_stop or OperatingState.QUICK_STOP in possible
 
 
 def overtaken_commands(family: Family, known: Callable[[Code], Reading | None]) -> frozenset[Code]:

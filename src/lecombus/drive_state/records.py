@@ -52,6 +52,12 @@ class DriveRecord:
     """Setpoints that were written and acknowledged, and when, monotonic seconds."""
     commanded_s: float | None = None
     """When something was last written that may stop the drive or let it go, monotonic seconds."""
+    lapsed_s: float | None = None
+    """Up to when the drive was silent for its watchdog's time, monotonic seconds."""
+    lapse_quick_stops: bool = False
+    """What its watchdog does then is a quick stop."""
+    quick_stop_taken_s: float | None = None
+    """When the drive last acknowledged a write of the code of its quick stop, monotonic seconds."""
 
 
 @dataclass(slots=True, eq=False)

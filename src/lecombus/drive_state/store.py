@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 from lecombus.drive_state.judging import ON_DEMAND_FRESH_S, Judge, is_before_command
-from lecombus.drive_state.motion import Doing, Motion, motion_of, setpoint_codes
+from lecombus.drive_state.motion import Doing, Lapse, Motion, motion_of, setpoint_codes
 from lecombus.drive_state.readings import (
     ADDRESSING_LOCK,
     WRITTEN_SINCE,
@@ -30,6 +30,7 @@ from lecombus.drive_state.readings import (
     Reading,
 )
 from lecombus.drive_state.records import Cell, DriveRecord, LineRecord, make_cell, set_remark
+from lecombus.drives import StopAction
 from lecombus.errors import OperationError, meant
 
 if TYPE_CHECKING:
@@ -219,11 +220,29 @@ class Store:
             return True
         return cell.failure == WRITTEN_SINCE or is_before_command(record, cell)
 
-    def setpoint_taken(self, drive: str, code: Code, value: Value, at_s: float) -> None:
-        """Keep a setpoint that the drive has acknowledged; other codes are ignored."""
+    def write_taken(self, drive: str, code: Code, value: Value, at_s: float) -> None:
+        """Keep a write that the drive has acknowledged: of a setpoint, or of its quick stop."""
         record = self._drives[drive]
         if code in setpoint_codes(record.family):
             record.setpoints[code] = (value, at_s)
+        rule = record.family.stops.get(StopAction.QUICK_STOP)
+        if rule is not None and rule.code == code:
+            record.quick_stop_taken_s = at_s
+
+    def watchdog_lapsed(self, drive: str, at_s: float, *, quick_stops: bool) -> None:
+        """Keep that the drive was silent for its watchdog's time, which may have acted.
+
+        Args:
+            drive: The drive's name.
+            at_s: What was read before is from before that, monotonic seconds.
+            quick_stops: What its watchdog does is a quick stop.
+
+        Raises:
+            KeyError: The drive was never added: a programming error.
+        """
+        record = self._drives[drive]
+        record.lapsed_s, record.lapse_quick_stops = at_s, quick_stops
+        self.changes += 1
 
     def drive_state(self, drive: str, state: DriveState, reason: str = "") -> None:
         """Set how a drive is doing; `since` moves only when the state changes."""
@@ -359,7 +378,12 @@ class Store:
                                                 at_s=at_s), now_s)
             for code, (value, at_s) in record.setpoints.items()
         ]  # fmt: skip
-        return motion_of(record.family, record.fault, known, written)
+        lapse = None
+        if record.lapsed_s is not None:
+            is_written = (record.quick_stop_taken_s or 0.0) > record.lapsed_s
+            may_quick_stop = record.lapse_quick_stops and not is_written
+            lapse = Lapse(max(0.0, now_s - record.lapsed_s), may_quick_stop=may_quick_stop)
+        return motion_of(record.family, record.fault, known, written, lapse)
 
     def drives(self) -> list[DriveInfo]:
         """Return how every drive is doing, in the order they were added."""

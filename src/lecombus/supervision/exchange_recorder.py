@@ -168,6 +168,10 @@ class StoreRecord:
     def exchange_ended(self, event: ExchangeEvent) -> None:
         """Keep what was read, and what is not true any more because it was written."""
         store, code = self._store, event.code
+        if event.answered and event.drives:
+            drive, began_s = event.drives[0], event.report.result.started_s
+            if drive.control_word.watchdog_may_have_acted(began_s):
+                store.watchdog_lapsed(drive.name, began_s, quick_stops=drive.watchdog_quick_stops)
         if event.is_write:
             for drive in event.drives:
                 store.value_written(drive.name, code, event.ended_s)
@@ -176,7 +180,7 @@ class StoreRecord:
         elif event.read_failure is not None:
             store.value_failed(event.drives[0].name, code, event.read_failure)
         elif event.acknowledged and event.written is not None:
-            store.setpoint_taken(event.drives[0].name, code, event.written, event.ended_s)
+            store.write_taken(event.drives[0].name, code, event.written, event.ended_s)
 
     def line_changed(self, change: LineChange) -> None:
         """Keep how the line is doing."""
@@ -200,7 +204,7 @@ def record_control_words(event: ExchangeEvent) -> None:
     if event.read is not None:
         event.drives[0].control_word.seen(event.code, event.read)
     if event.answered and event.drives:
-        event.drives[0].control_word.heard(event.ended_s)
+        event.drives[0].control_word.heard(event.report.result.started_s)
 
 
 class MetricsRecord:

@@ -103,6 +103,7 @@ class LineWatch:
         remark_second_answers(found, self._drives, self._store)
         self._line.health.check_overdue()
         self._log_lapses(stats.feeds)
+        self._keep_lapses(now_s)
         starting = any(drive.health.state is DriveState.STARTING for drive in self._drives)
         is_open = self._worker.is_open
         stopping = bool(self._worker.schedule.stops())
@@ -170,6 +171,13 @@ class LineWatch:
             if not math.isinf(feed.margin_since_s):
                 window.margin(name, feed.margin_since_s, now_s)
         return stats
+
+    def _keep_lapses(self, now_s: float) -> None:
+        """Keep for each drive that is silent now that its watchdog may have acted."""
+        for drive in self._drives:
+            if drive.control_word.watchdog_may_have_acted(now_s):
+                quick_stops = drive.watchdog_quick_stops
+                self._store.watchdog_lapsed(drive.name, now_s, quick_stops=quick_stops)
 
     def _log_lapses(self, feeds: Mapping[str, WatchdogStats]) -> None:
         """Log each watchdog whose time ran out unfed, once per lapse that was counted."""
