@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lecombus.line.bus_idle import LONGEST_CHATTER_S, BusIdleTimer
+from lecombus.fieldbus.lecom.exchanges.idle_receive import LONGEST_CHATTER_S, BusIdleTimer
 
 GAP_S = 0.02
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lecombus.line.link_flap_limiter import (
+from lecombus.line.port_connection import (
     FEW,
     LONGEST_PAUSE_S,
     WHILE_S,

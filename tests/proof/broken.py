@@ -16,9 +16,9 @@ from typing import Any
 from lecombus.capacity.plan import Promises, make_promises
 from lecombus.config import Roster
 from lecombus.fieldbus.lecom.exchanges.exchange_loop import LecomExchangeLoop
+from lecombus.fieldbus.lecom.exchanges.idle_receive import BusIdleTimer
 from lecombus.fieldbus.lecom.protocol.exchange import Ask, Exchange, Result
 from lecombus.fieldbus.lecom.protocol.telegrams import ValueAnswer
-from lecombus.line.bus_idle import BusIdleTimer
 from lecombus.parameters import Value
 from lecombus.schedule import (
     Cyclic,

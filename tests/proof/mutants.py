@@ -19,13 +19,13 @@ from dataclasses import dataclass
 
 from lecombus.drive_state.judging import Judge
 from lecombus.fieldbus.lecom.exchanges.exchange_loop import LecomExchangeLoop
+from lecombus.fieldbus.lecom.exchanges.idle_receive import BusIdleTimer
 from lecombus.fieldbus.lecom.exchanges.jobs import ReadJob, WriteJob
 from lecombus.fieldbus.lecom.exchanges.late_replies import PendingLateReplies
 from lecombus.fieldbus.lecom.exchanges.prepared_telegrams import TelegramPreparer
 from lecombus.fieldbus.lecom.exchanges.read_back_proof import ReadBackProof
 from lecombus.fieldbus.lecom.exchanges.stop_job import StopJob
 from lecombus.fieldbus.lecom.protocol.exchange import Exchange
-from lecombus.line.bus_idle import BusIdleTimer
 from lecombus.schedule.schedule import Schedule
 from lecombus.schedule.shares import Shares
 from lecombus.schedule.silent_stops import SilentStops

@@ -7,8 +7,7 @@ from itertools import pairwise
 import pytest
 
 from lecombus.schedule import Priority, Request
-from lecombus.schedule.fault_hypothesis import FaultHypothesis
-from lecombus.schedule.watchdog_deadline import HARD_PART
+from lecombus.schedule.watchdog_deadline import HARD_PART, FaultHypothesis
 from schedule.world import COST_S, WORST_S, World
 
 P = Priority

@@ -11,8 +11,12 @@ from random import Random
 import pytest
 
 from lecombus.schedule import Outcome, Priority, Request
-from lecombus.schedule.fault_hypothesis import FaultHypothesis
-from lecombus.schedule.watchdog_deadline import HARD_PART, WatchdogDeadline, WatchdogFeeding
+from lecombus.schedule.watchdog_deadline import (
+    HARD_PART,
+    FaultHypothesis,
+    WatchdogDeadline,
+    WatchdogFeeding,
+)
 from lecombus.schedule.watchdog_set import WatchdogSet
 from schedule.world import COST_S, WORST_S, World
 

@@ -14,7 +14,7 @@ feed too, because the failed attempt does not feed it. Everything is counted in 
 addressing form, which is used while the lost answer may still come. Stops, and the time for which a
 lost answer of a stop holds the line longer, may use the last tenth of a watchdog time as well: the
 running schedule, which cannot foresee them, keeps room only for what that tenth does not hold
-(`schedule.fault_hypothesis`). A roster that does not hold that is refused, too. `check` warns
+(`schedule.FaultHypothesis`). A roster that does not hold that is refused, too. `check` warns
 of one in which one more lost answer makes a watchdog act.
 Source: H. Aydin: Exact Fault-Sensitive Feasibility Analysis of Real-Time Tasks, IEEE Trans. on
 Computers 56 (10), 2007: recovery from at most k faults, of any tasks, added to the demand of work
@@ -54,8 +54,7 @@ from lecombus.capacity.exchange_costs import (
 from lecombus.drives import family
 from lecombus.fieldbus.costs import LineTiming
 from lecombus.roster import DriveEntry, Roster
-from lecombus.schedule.fault_hypothesis import FaultHypothesis
-from lecombus.schedule.watchdog_deadline import HARD_PART
+from lecombus.schedule.watchdog_deadline import HARD_PART, FaultHypothesis
 
 __all__ = [
     "LONGEST_S",

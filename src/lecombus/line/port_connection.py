@@ -1,21 +1,109 @@
 """The port's coming and going: opening with backoff, and the reason it is not there.
 
 Opened always by the name the roster gives (a stable one, if its writer was wise), never by the
-device number it happened to have. Its changes are logged as far as `link_flap_limiter` says. What a
-loss means for requests is the worker's business.
+device number it happened to have. Its changes are logged as far as `LinkFlapLimiter` says. A port
+that is open and dead is given up and opened again (`StallWatch`). What a loss means for requests is
+the worker's business.
 """
 
 from __future__ import annotations
 
 import asyncio
 import logging
+from collections import deque
+from enum import StrEnum
+from typing import Final
 
+from lecombus.fieldbus.loop_interface import ExchangeResult, ResultKind
 from lecombus.fieldbus.port import Port, PortOpener, PortSettings, Receiver
 
 from ..errors import LineLostError
-from .link_flap_limiter import FlapMessage, LinkFlapLimiter
 
-__all__ = ["PortConnection"]
+__all__ = ["FlapMessage", "LinkFlapLimiter", "PortConnection", "StallWatch"]
+
+FEW: Final = 3
+"""So many losses within `WHILE_S` make the port unsteady."""
+
+WHILE_S: Final = 60.0
+"""Losses are counted over this time; so long without a change is steady again, seconds."""
+
+FIRST_PAUSE_S: Final = 60.0
+LONGEST_PAUSE_S: Final = 3600.0
+
+
+class FlapMessage(StrEnum):
+    """What to log for a change."""
+
+    NOTHING = "nothing"
+    CHANGE = "change"
+    SUM = "sum"
+    STEADY = "steady"
+    """The port is steady again, after losses that were only counted."""
+
+
+class LinkFlapLimiter:
+    """Limits log messages of a port that flaps. Times are in seconds of a monotonic clock.
+
+    ::
+
+        steady ──third loss in a minute──▶ unsteady: logged as sums, after 1, 2, 4 .. 60 minutes
+           ▲                                   │
+           └──── a minute without a change ────┘  logged, with the number of losses
+
+    Each change of a steady port is logged immediately. The state of the line in the store does not
+    depend on this: it always follows the port.
+
+    Attributes:
+        losses: In this time of unsteadiness, or in the one that has just ended.
+        since_s: When it began.
+        pause_s: How long nothing is logged after the sum that is due.
+    """
+
+    def __init__(self) -> None:
+        self.losses = 0
+        self.since_s = 0.0
+        self.pause_s = FIRST_PAUSE_S
+        self.is_steady = True
+        self._latest: deque[float] = deque(maxlen=FEW)
+        self._changed_s = 0.0
+        self._next_s = 0.0
+
+    def lost(self, now_s: float) -> FlapMessage:
+        """Record a loss of the port."""
+        self._changed_s = now_s
+        self._latest.append(now_s)
+        self.losses += 1
+        if not self.is_steady:
+            return self._sum(now_s)
+        if len(self._latest) < FEW or now_s - self._latest[0] > WHILE_S:
+            return FlapMessage.CHANGE
+        self.is_steady = False
+        self.since_s, self.losses = self._latest[0], FEW
+        self._next_s, self.pause_s = now_s, FIRST_PAUSE_S / 2.0
+        return self._sum(now_s)
+
+    def opened(self, now_s: float) -> FlapMessage:
+        """Record that the port was opened."""
+        self._changed_s = now_s
+        return FlapMessage.CHANGE if self.is_steady else self._sum(now_s)
+
+    def looked(self, now_s: float) -> FlapMessage:
+        """Record that the port has not changed since the last call."""
+        if self.is_steady:
+            return FlapMessage.CHANGE
+        if now_s - self._changed_s < WHILE_S:
+            return self._sum(now_s)
+        self.is_steady = True
+        self._latest.clear()
+        return FlapMessage.STEADY
+
+    def _sum(self, now_s: float) -> FlapMessage:
+        if now_s < self._next_s:
+            return FlapMessage.NOTHING
+        self.pause_s = min(2.0 * self.pause_s, LONGEST_PAUSE_S)
+        self._next_s = now_s + self.pause_s
+        return FlapMessage.SUM
+
 
 logger = logging.getLogger(__name__)
 
@@ -157,3 +245,64 @@ class PortConnection:
 def now_s() -> float:
     """The loop's time, seconds."""
     return asyncio.get_running_loop().time()
+
+
+LONGEST_FACTOR = 20.0
+"""The time between reopenings grows to this many times the roster's `stall`."""
+
+
+class StallWatch:
+    """Notices a port that is open and dead: some adapters stall for hours without an error.
+
+    Only time in which drives were asked counts: an idle line is no fault. If nothing answers after
+    a reopening either, the drives are probably switched off, and the port is reopened less and less
+    often.
+
+    Args:
+        stall_s: Silence from all drives after which the port is reopened, seconds; 0: never.
+    """
+
+    def __init__(self, stall_s: float) -> None:
+        self._configured_s = stall_s
+        self._stall_s = stall_s
+        self._unheard_from_s: float | None = None
+        self.answered_since_open = False
+
+    def opened(self) -> None:
+        """The port was opened: start counting again."""
+        self._unheard_from_s = None
+        self.answered_since_open = False
+
+    def answered(self) -> bool:
+        """A drive answered; True: for the first time since the port was opened."""
+        self._unheard_from_s = None
+        if self.answered_since_open:
+            return False
+        self.answered_since_open = True
+        self._stall_s = self._configured_s
+        return True
+
+    def excuse(self, for_s: float) -> None:
+        """Take out of the count a time in which the process did not run."""
+        if self._unheard_from_s is not None:
+            self._unheard_from_s += for_s
+
+    def failed(self, result: ExchangeResult) -> float | None:
+        """An exchange had no answer.
+
+        Returns:
+            How long nothing has come, seconds, when that is too long; None while it is not.
+        """
+        if result.kind is ResultKind.GARBLED:
+            self._unheard_from_s = None
+            return None
+        if self._unheard_from_s is None:
+            self._unheard_from_s = result.started_s
+        self._unheard_from_s += result.overdue_s
+        silent_s = result.ended_s - self._unheard_from_s
+        if not self._stall_s or silent_s < self._stall_s:
+            return None
+        if not self.answered_since_open:
+            longest_s = LONGEST_FACTOR * self._configured_s
+            self._stall_s = min(self._stall_s * 2.0, longest_s)
+        return silent_s

@@ -7,12 +7,11 @@ What must not live here: terms of a line protocol. A request is a drive, a piece
 seconds and a deadline.
 """
 
-from lecombus.schedule.fault_hypothesis import FaultHypothesis
 from lecombus.schedule.polling import Cyclic, PollingEntry
 from lecombus.schedule.request import Outcome, Priority, Request, Settle, ignore_end
 from lecombus.schedule.schedule import Schedule
 from lecombus.schedule.stats import ScheduleStats, WatchdogStats
-from lecombus.schedule.watchdog_deadline import WatchdogDeadline, WatchdogFeeding
+from lecombus.schedule.watchdog_deadline import FaultHypothesis, WatchdogDeadline, WatchdogFeeding
 
 __all__ = [
     "Cyclic",

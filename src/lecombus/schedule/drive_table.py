@@ -17,12 +17,11 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 
-from lecombus.schedule.fault_hypothesis import FaultHypothesis
 from lecombus.schedule.polling import Cyclic, Polling, PollingEntry
 from lecombus.schedule.request import Outcome, Priority, Request
 from lecombus.schedule.shares import Probe, Probes
 from lecombus.schedule.waiting import QueuedDrive, Waiting
-from lecombus.schedule.watchdog_deadline import WatchdogDeadline, WatchdogFeeding
+from lecombus.schedule.watchdog_deadline import FaultHypothesis, WatchdogDeadline, WatchdogFeeding
 from lecombus.schedule.watchdog_set import WatchdogSet
 
 __all__ = ["DriveTable"]

@@ -11,8 +11,8 @@ Each choice except a stop must pass the slack check (watchdog_set.py): it is beg
 watchdog can still be fed in time should it take its longest. If it does not, the feed that stands
 in its way runs first, due or not. If it never could, it is refused, with the figures.
 
-Which telegram feeds a drive stands in watchdog_arbiter.py. While an answer is coming in the choice
-can be made beforehand (lookahead.py); each change of the schedule invalidates it.
+Which telegram feeds a drive stands in arbiter.py, too. While an answer is coming in the choice can
+be made beforehand (`arbiter.Lookahead`); each change of the schedule invalidates it.
 
 Deferred requests, holds and slots put off share one heap of times. Expired requests are
 ended in batches, so that a hundred thousand of them do not block the line; one that comes to the
@@ -28,9 +28,8 @@ import math
 from collections.abc import Mapping
 from typing import Final
 
-from lecombus.schedule.arbiter import Arbiter, to_feed
+from lecombus.schedule.arbiter import Arbiter, Lookahead, PlannedChoice, WatchdogArbiter, to_feed
 from lecombus.schedule.drive_table import DriveTable
-from lecombus.schedule.lookahead import Lookahead, PlannedChoice
 from lecombus.schedule.polling import Polling, PollingEntry
 from lecombus.schedule.request import (
     OUT,
@@ -44,7 +43,6 @@ from lecombus.schedule.request import (
 from lecombus.schedule.shares import Probe, Shares
 from lecombus.schedule.silent_stops import SilentStops
 from lecombus.schedule.stats import ScheduleStats, snapshot
-from lecombus.schedule.watchdog_arbiter import WatchdogArbiter
 from lecombus.schedule.watchdog_set import WatchdogSet
 
 __all__ = ["Schedule"]

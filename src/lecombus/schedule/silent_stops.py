@@ -14,7 +14,7 @@ few of them in a row other drives act by their own watchdogs. So:
   expire, because it may be the one telegram that is received. A drive that is left alone for a
   moment (a hold) is waited for if its feed is in the way, and fed.
 * The wait must not make the stopped drive's own watchdog act: that drive may be there, and may have
-  missed no more than the lost answers that are tolerated (fault_hypothesis.py). Its own feed does
+  missed no more than the lost answers that are tolerated (`FaultHypothesis`). Its own feed does
   not go before its stop; if the next feed is due after its own and would make it late, the stop
   goes first. But where the stop, although answered, would take so long that others act (an 820X:
   0.2 s), the drive's feed goes in its place, and the stop when there is room or after that time.
@@ -30,9 +30,9 @@ from __future__ import annotations
 
 import math
 
+from lecombus.schedule.arbiter import WatchdogArbiter
 from lecombus.schedule.request import Request
 from lecombus.schedule.waiting import Waiting
-from lecombus.schedule.watchdog_arbiter import WatchdogArbiter
 from lecombus.schedule.watchdog_deadline import WatchdogDeadline
 from lecombus.schedule.watchdog_set import ROUNDING_S, WatchdogSet
 

@@ -34,9 +34,13 @@ from collections.abc import Collection
 from operator import attrgetter, itemgetter
 from typing import Final
 
-from lecombus.schedule.fault_hypothesis import FaultHypothesis
 from lecombus.schedule.request import Request
-from lecombus.schedule.watchdog_deadline import HARD_PART, SPARE_ATTEMPTS, WatchdogDeadline
+from lecombus.schedule.watchdog_deadline import (
+    HARD_PART,
+    SPARE_ATTEMPTS,
+    FaultHypothesis,
+    WatchdogDeadline,
+)
 
 __all__ = ["WatchdogSet"]
 

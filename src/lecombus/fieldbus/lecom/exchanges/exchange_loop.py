@@ -6,10 +6,11 @@ starts the next telegram, until the port is lost or `end` was called. When no ex
 it); which request does the schedule give. If nothing may or need be sent, a timer is set for the
 time when that changes; `nudge` ends it early.
 
-The result of an exchange is published only after the next telegram was sent: bookkeeping then runs
-while a drive prepares its answer, and costs no time on the line. In the same time the next request
-is chosen and its telegram prepared (`_look_ahead`). After a read that returned its value that
-telegram is sent first (`_follow`). After any other result, that result is evaluated first.
+The result of an exchange is published only after the next telegram was sent (`DeferredReports`):
+bookkeeping then runs while a drive prepares its answer, and costs no time on the line. In the same
+time the next request is chosen and its telegram prepared (`_look_ahead`). After a read that
+returned its value that telegram is sent first (`_follow`). After any other result, that result is
+evaluated first.
 
 * An exchange receives the bytes and has one timer. When the timer fires, the port is read before
   the exchange is judged: the process may have been suspended, and an answer that lies in the kernel
@@ -34,6 +35,7 @@ from lecombus.errors import LineLostError
 from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.protocol.exchange import Exchange, Result
 from lecombus.fieldbus.loop_interface import (
+    ExchangeReport,
     LateWakes,
     Observer,
     OpenConnection,
@@ -41,24 +43,106 @@ from lecombus.fieldbus.loop_interface import (
     WorkerOptions,
 )
 from lecombus.fieldbus.port import Port
-from lecombus.fieldbus.station import Job
-from lecombus.line.bus_idle import BusIdleTimer
-from lecombus.line.stall import StallWatch
+from lecombus.fieldbus.station import Job, StepKind
+from lecombus.line.port_connection import StallWatch
 from lecombus.line.timers import Deadline, WakeableTimer
 from lecombus.schedule import Outcome, Priority, Request, Schedule
 from lecombus.schedule.request import CLIENT_GONE
 
 from ..protocol.telegrams import NakAnswer, ValueAnswer
-from .deferred_reports import DeferredReports
-from .duplicates import Duplicates
-from .idle_receive import IdleReceive
+from .idle_receive import BusIdleTimer, IdleReceive
 from .jobs import MulticastJob, ReadJob
-from .late_replies import PendingLateReplies, UnansweredRead
+from .late_replies import Duplicates, PendingLateReplies, UnansweredRead
 from .prepared_telegrams import PreparedTelegram, TelegramPreparer
 from .stop_job import StopJob
 from .telegram_log import TelegramLog
 
-__all__ = ["LecomExchangeLoop"]
+__all__ = ["DeferredReports", "LecomExchangeLoop"]
+
+
+class DeferredReports:
+    """Keeps the reports of exchanges until they are published, after the next telegram was sent.
+
+    A read that returned its value is settled only then, too. No client, stop or audit runs in
+    between: sending and `publish` are one step of the event loop. At most one read is postponed,
+    because only a read that returned its value cannot change what is sent next. The observer is
+    called in the order of the exchanges, each time after the request ended.
+    """
+
+    __slots__ = ("_unsettled", "reports")
+
+    def __init__(self) -> None:
+        self.reports: list[ExchangeReport] = []
+        self._unsettled: tuple[Request, Job, PreparedTelegram, Result] | None = None
+
+    def report(
+        self,
+        request: Request,
+        job: Job,
+        prepared: PreparedTelegram,
+        result: Result,
+        quarantined_s: float,
+    ) -> None:
+        """Keep the report of an exchange whose request is handled by the caller."""
+        self._settle()
+        self._keep(request, job, prepared, result, quarantined_s)
+
+    def put_off(
+        self, request: Request, job: Job, prepared: PreparedTelegram, result: Result
+    ) -> None:
+        """Keep a read that returned its value; `publish` settles it."""
+        self._settle()
+        self._unsettled = (request, job, prepared, result)
+
+    def publish(self, observer: Observer) -> None:
+        """Settle the postponed read and report each exchange to the observer."""
+        self._settle()
+        if not self.reports:
+            return
+        reports, self.reports = self.reports, []
+        for report in reports:
+            observer.exchange_ended(report)
+
+    def _settle(self) -> None:
+        if self._unsettled is None:
+            return
+        request, job, prepared, result = self._unsettled
+        self._unsettled = None
+        self._keep(request, job, prepared, result, 0.0)
+        outcome = job.advance(result)
+        assert outcome is not None, "a value ends a read"
+        request.end(*outcome)
+
+    def _keep(
+        self,
+        request: Request,
+        job: Job,
+        prepared: PreparedTelegram,
+        result: Result,
+        quarantined_s: float,
+    ) -> None:
+        station, step = job.station, job.step
+        is_write = step.kind is StepKind.WRITE
+        if result.thought_s is not None and result.clean:
+            station.measured.note(
+                step.code, prepared.documented_s, result.thought_s, result.ended_s, write=is_write
+            )
+        elif result.kind is ResultKind.NO_REPLY:
+            station.measured.missed(step.code, result.ended_s, write=is_write)
+        self.reports.append(
+            ExchangeReport(
+                request.drive,
+                step,
+                result,
+                request.priority,
+                result.started_s - request.submitted_at_s,
+                quarantined_s,
+                request.members,
+                station.address,
+                request.attempts,
+            )
+        )
+
 
 logger = logging.getLogger("lecombus.line.exchange_loop")  # as in the log of any protocol
 

@@ -1,12 +1,17 @@
-"""Receives between exchanges, and decides how long the line stays quiet for a late answer.
+"""Between two exchanges: when the bus may be used again, and what is received.
+
+After each answer the turnaround is kept. After an exchange without its answer nothing is sent for
+30 ms and twice the adapter's latency (quarantine): an adapter gives on what it still holds. An
+answer may come later than that; `late_replies` deals with it. Bytes received during the quarantine
+extend it, up to a limit: otherwise a line with constant noise would never send again
+(`BusIdleTimer`).
 
 What comes then (`UnsolicitedBytes`: late answers, noise, another device) is never used as a value.
 A complete read answer that was pending ends that wait: a request with the same answer may be sent
 again. If it was the only pending one, it also measures how slow its drive is (`drives.measured`).
 
-After an exchange without its answer there is always a quarantine (`bus_idle`). A drive far slower
-than its manual would never be received on a busy line: the next telegram cancels its answer before
-it begins. So after a cyclic read or a probe without answer, several times in a row
+A drive far slower than its manual would never be received on a busy line: the next telegram cancels
+its answer before it begins. So after a cyclic read or a probe without answer, several times in a row
 (`ExtendedListen`), the quarantine is extended for up to a second, until such an answer would have
 come. That delays cyclic reads of other drives, and nothing else. The extension begins only if every
 watchdog can still be fed in time after it. It ends when anything but cyclic and background work
@@ -17,6 +22,8 @@ stay pending, and the quarantine lasts, as long as without the extension.
 Limits: once a minute for a line, once in five minutes for a code of a drive, and less often while
 nothing arrives, because the drive is usually absent. A second time in the same minute is allowed
 after a late answer, because one late answer alone proves nothing.
+
+Source: EDB2102EN 8.3.5 (time monitoring).
 """
 
 from __future__ import annotations
@@ -25,9 +32,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from lecombus.fieldbus.lecom.exchanges.duplicates import Duplicates
 from lecombus.fieldbus.lecom.exchanges.jobs import ReadJob
-from lecombus.fieldbus.lecom.exchanges.late_replies import PendingLateReplies, UnansweredRead
+from lecombus.fieldbus.lecom.exchanges.late_replies import (
+    Duplicates,
+    PendingLateReplies,
+    UnansweredRead,
+)
 from lecombus.fieldbus.lecom.exchanges.prepared_telegrams import PreparedTelegram
 from lecombus.fieldbus.lecom.protocol.exchange import ACK_FIELD, Result
 from lecombus.fieldbus.lecom.protocol.parser import AnswerParser
@@ -40,12 +50,93 @@ from lecombus.fieldbus.lecom.protocol.telegrams import (
 from lecombus.fieldbus.lecom.protocol.timing import MAX_ANSWER_CHARS
 from lecombus.fieldbus.loop_interface import ResultKind
 from lecombus.fieldbus.station import Station
-from lecombus.line.bus_idle import BusIdleTimer
 from lecombus.parameters import Code
 from lecombus.schedule import Priority, Request, Schedule
 from lecombus.schedule.shares import LISTEN_EVERY_S, LISTEN_S
 
-__all__ = ["ExtendedListen", "IdleReceive", "UnsolicitedBytes"]
+__all__ = ["BusIdleTimer", "ExtendedListen", "IdleReceive", "UnsolicitedBytes"]
+
+AFTER_OPEN_S = 0.05
+"""Quarantine after opening a port, seconds: bytes that an adapter had buffered are dropped."""
+
+LONGEST_CHATTER_S = 1.0
+"""Limit of the delay by unsolicited bytes, seconds; longer than any late answer."""
+
+
+class BusIdleTimer:
+    """Calculates when one line may send; times are arguments.
+
+    Args:
+        turnaround_s: Least pause between the end of an answer and the next telegram, seconds.
+
+    Attributes:
+        free_at_s: End of the turnaround; nothing is sent before it.
+        quiet_until_s: End of the quarantine; only a stop is sent before it.
+    """
+
+    def __init__(self, turnaround_s: float) -> None:
+        self._turnaround_s = turnaround_s
+        self._chatter_ends_s = 0.0
+        self._least_until_s = 0.0  # without extended listen
+        self._heard_s = self._gave_up_s = -LONGEST_CHATTER_S
+        self.free_at_s = 0.0
+        self.quiet_until_s = 0.0
+
+    def is_over(self, now_s: float) -> bool:
+        """Whether there is no quarantine; the turnaround may still run."""
+        return now_s >= self.quiet_until_s
+
+    def opened(self, now_s: float) -> None:
+        """A port was opened."""
+        self._quarantine(now_s, AFTER_OPEN_S)
+
+    def exchange_ended(self, ended_s: float) -> None:
+        """An exchange ended, with or without its answer."""
+        self.free_at_s = ended_s + self._turnaround_s
+
+    def answer_missing(self, ended_s: float, quarantine_s: float) -> None:
+        """It ended without its answer."""
+        self._quarantine(ended_s, quarantine_s)
+
+    def draw_out(self, until_s: float) -> None:
+        """Extend the quarantine, to receive an answer that is very late."""
+        self.quiet_until_s = until_s
+        self._chatter_ends_s = until_s + LONGEST_CHATTER_S
+
+    def cut_short(self, at_s: float) -> None:
+        """End the extension at this time at the latest."""
+        self.quiet_until_s = min(self.quiet_until_s, max(at_s, self._least_until_s))
+
+    def give_up(self, now_s: float) -> None:
+        """End the quarantine although bytes still come: they are longer than any answer.
+
+        The EOT of the next telegram stops the drive that sends them (EDB2102EN 8.3). If that was
+        tried within the last second, the drive does not receive it, and the quarantine is kept.
+        """
+        if now_s - self._gave_up_s < LONGEST_CHATTER_S:
+            return
+        self._gave_up_s = now_s
+        self.quiet_until_s = self._least_until_s = self._chatter_ends_s = now_s
+
+    def _quarantine(self, from_s: float, for_s: float) -> None:
+        self.quiet_until_s = self._least_until_s = from_s + for_s
+        self._chatter_ends_s = self.quiet_until_s + LONGEST_CHATTER_S
+
+    def heard(self, now_s: float, gap_s: float, *, nothing_in_doubt: bool) -> None:
+        """Bytes came outside an exchange.
+
+        Args:
+            now_s: When.
+            gap_s: They end with a gap of this length, seconds.
+            nothing_in_doubt: They completed the last late answer: the quarantine may end.
+        """
+        if now_s - self._heard_s > gap_s:
+            self._chatter_ends_s = max(self._chatter_ends_s, now_s + LONGEST_CHATTER_S)
+        self._heard_s = now_s
+        over_s = now_s + gap_s
+        wanted_s = over_s if nothing_in_doubt else max(self.quiet_until_s, over_s)
+        self.quiet_until_s = min(wanted_s, self._chatter_ends_s)
+        self._least_until_s = min(max(self._least_until_s, over_s), self.quiet_until_s)
 
 
 class UnsolicitedBytes:

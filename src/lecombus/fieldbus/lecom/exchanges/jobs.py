@@ -1,4 +1,4 @@
-"""The steps of one request: a read, a write with its verification, a multicast.
+"""The steps of one request: a read, a write with its verification, a multicast; and its error.
 
 Rules (EDB2102EN 8.3.5; CMVLC401A 6):
 
@@ -20,7 +20,18 @@ from typing import Final
 
 from lecombus.drives import WriteClass
 from lecombus.drives.stops import usable_word
-from lecombus.errors import ExchangeError, NakError
+from lecombus.errors import (
+    ChecksumReportedError,
+    CutReplyError,
+    EchoError,
+    ExchangeError,
+    ExchangeRecord,
+    GarbledReplyError,
+    NakError,
+    NoReplyError,
+    UnexpectedReplyError,
+    UnknownCodeError,
+)
 from lecombus.fieldbus.lecom.protocol.exchange import Result
 from lecombus.fieldbus.loop_interface import ResultKind
 from lecombus.fieldbus.request_interface import MulticastWork, ReadWork, WriteWork
@@ -29,12 +40,68 @@ from lecombus.parameters import AddressForm, Code, Value
 from lecombus.schedule.request import Outcome
 
 from ..protocol.exchange import ACK_FIELD
-from ..protocol.telegrams import AckAnswer, Answer, NakAnswer, UnknownCodeAnswer, ValueAnswer
-from .duplicates import Duplicates
-from .failures import error_of
+from ..protocol.telegrams import (
+    AckAnswer,
+    Answer,
+    NakAnswer,
+    TransmissionErrorAnswer,
+    UnknownCodeAnswer,
+    ValueAnswer,
+)
+from .late_replies import Duplicates
 from .read_back_proof import ReadBackProof, WrittenValue
 
-__all__ = ["MulticastJob", "ReadBackJob", "ReadJob", "WriteJob"]
+__all__ = ["MulticastJob", "ReadBackJob", "ReadJob", "WriteJob", "error_of"]
+
+_BY_ANSWER: dict[type, tuple[type[ExchangeError], str]] = {
+    NakAnswer: (NakError, "the drive refused it (NAK)"),
+    TransmissionErrorAnswer: (
+        ChecksumReportedError,
+        "the drive saw a transmission error in the request",
+    ),
+    UnknownCodeAnswer: (UnknownCodeError, "the drive has no such code"),
+}
+
+REFUSED_WRITE = "the drive refused the write (NAK): nothing was changed"
+REFUSED_READ = "the drive refused the read (NAK)"
+
+_BY_KIND: dict[ResultKind, type[ExchangeError]] = {
+    ResultKind.NO_REPLY: NoReplyError,
+    ResultKind.GARBLED: GarbledReplyError,
+    ResultKind.ECHO: EchoError,
+    ResultKind.LOST: CutReplyError,
+}
+
+
+def error_of(station: Station, step: JobStep, result: Result, attempt: int) -> ExchangeError:
+    """Make the error for an exchange that did not give what was asked for.
+
+    Valid but unwelcome answers (NAK, `?`, unknown code) are answers in the protocol room; from here
+    on they are errors that carry what was on the wire.
+
+    Args:
+        station: The drive.
+        step: What was sent.
+        result: How it ended, anything but the wished-for answer.
+        attempt: Which attempt it was, 1 upwards.
+    """
+    cls, text = _BY_ANSWER.get(type(result.answer), (UnexpectedReplyError, ""))
+    if cls is NakError:
+        text = REFUSED_READ if step.kind is StepKind.READ else REFUSED_WRITE
+    if result.answer is None:
+        cls, text = _BY_KIND[result.kind], result.fault
+    record = ExchangeRecord(
+        address=station.address,
+        code=step.code.number,
+        subcode=step.code.subcode,
+        attempt=attempt,
+        elapsed_s=result.ended_s - result.started_s,
+        received=result.received,
+    )
+    code = station.family.spoken(step.code)
+    where = f"{station.name} (address {station.address}), {code}"
+    return cls(f"{where}: {text} (attempt {attempt})", record)
+
 
 MOST_READINGS = 10
 """Reading back ends after so many: two of the value, the others of the drive's own address."""

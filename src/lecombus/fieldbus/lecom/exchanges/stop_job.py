@@ -45,8 +45,8 @@ from lecombus.parameters import Code, Value
 from lecombus.schedule.request import Outcome
 
 from ..protocol.telegrams import AckAnswer, NakAnswer, UnknownCodeAnswer, ValueAnswer
-from .duplicates import Duplicates
-from .failures import error_of
+from .jobs import error_of
+from .late_replies import Duplicates
 from .read_back_proof import ReadBackProof
 
 __all__ = ["StopJob"]

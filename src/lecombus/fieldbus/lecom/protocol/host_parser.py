@@ -15,9 +15,9 @@ from lecombus.fieldbus.lecom.protocol.telegrams import (
     HostRequest,
     ReadRequest,
     TelegramFault,
+    TelegramText,
     WriteRequest,
 )
-from lecombus.fieldbus.lecom.protocol.text import TelegramText
 from lecombus.parameters import Value, ValueFormatError
 
 __all__ = ["RequestParser"]

@@ -39,11 +39,11 @@ from lecombus.fieldbus.lecom.protocol.telegrams import (
     BadAnswer,
     NakAnswer,
     TelegramFault,
+    TelegramText,
     TransmissionErrorAnswer,
     UnknownCodeAnswer,
     ValueAnswer,
 )
-from lecombus.fieldbus.lecom.protocol.text import TelegramText
 from lecombus.fieldbus.lecom.protocol.timing import MAX_ANSWER_CHARS
 from lecombus.parameters import Value, ValueFormatError
 

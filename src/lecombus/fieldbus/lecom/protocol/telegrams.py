@@ -23,10 +23,22 @@ from functools import lru_cache
 from typing import ClassVar, Final
 
 from lecombus.errors import CodeValueError
-from lecombus.fieldbus.lecom.protocol.addressing import encode_address, encode_code
+from lecombus.fieldbus.lecom.protocol.addressing import (
+    encode_address,
+    encode_code,
+    field_length,
+    fits_field,
+)
 from lecombus.fieldbus.lecom.protocol.controls import ENQ, EOT, ETX, STX, bcc
 from lecombus.fieldbus.loop_interface import AnswerKind
-from lecombus.parameters import SENDABLE_STRING_CHARS, AddressForm, Code, Format, Value
+from lecombus.parameters import (
+    HIGHEST_VALUE_CHARS,
+    SENDABLE_STRING_CHARS,
+    AddressForm,
+    Code,
+    Format,
+    Value,
+)
 
 __all__ = [
     "AckAnswer",
@@ -37,6 +49,7 @@ __all__ = [
     "NakAnswer",
     "ReadRequest",
     "TelegramFault",
+    "TelegramText",
     "TransmissionErrorAnswer",
     "UnknownCodeAnswer",
     "ValueAnswer",
@@ -228,3 +241,64 @@ def write_telegram(address: int, code: Code, value: Value, form: AddressForm) ->
 def _text(field: bytes, value: bytes) -> bytes:
     body = b"%b%b%c" % (field, value, ETX)
     return b"%c%b%c" % (STX, body, bcc(body))
+
+
+class TelegramText:
+    """What stands after STX in the telegram under way: code field, value, ETX.
+
+    It is the same in both directions. The rules which character may stand where in a text are here
+    and nowhere else; `parser` (what drives say) and `host_parser` (what hosts say) feed it one
+    character at a time. The code field's length is known from its first character, so nothing is
+    ever searched for. The BCC is not part of the text: it may be any character, and the parsers
+    compare it. Bounded: a text ends, or has a fault, after a code field, 241 characters and one
+    more.
+
+    Attributes:
+        body: Every character after STX so far; with ETX, what the BCC is taken of.
+        field_chars: How long the code field is; 0 before its first character.
+        ended: ETX has come, so that the next character is the BCC.
+    """
+
+    __slots__ = ("body", "ended", "field_chars")
+
+    def __init__(self) -> None:
+        self.body = bytearray()
+        self.field_chars = 0
+        self.ended = False
+
+    def clear(self) -> None:
+        """Begin a new text."""
+        self.body.clear()
+        self.field_chars = 0
+        self.ended = False
+
+    def take(self, char: int) -> TelegramFault | None:
+        """Take the next character before the BCC; return what is wrong with it."""
+        body = self.body
+        body.append(char)
+        if len(body) == 1:
+            self.field_chars = field_length(char)
+        if len(body) <= self.field_chars:
+            return None if fits_field(body) else TelegramFault.UNEXPECTED
+        if char == ETX:
+            self.ended = True
+            return None
+        if not 0x20 <= char < 0x7F:
+            return TelegramFault.UNEXPECTED
+        return (
+            TelegramFault.TOO_LONG if len(body) - self.field_chars > HIGHEST_VALUE_CHARS else None
+        )
+
+    def at_value(self) -> bool:
+        """Return whether the code field is complete and no value has begun."""
+        return len(self.body) == self.field_chars > 0
+
+    @property
+    def field(self) -> bytes:
+        """The code field."""
+        return bytes(self.body[: self.field_chars])
+
+    @property
+    def value(self) -> bytes:
+        """The text between code field and ETX."""
+        return bytes(self.body[self.field_chars : -1])
