@@ -11,13 +11,13 @@ A complete read answer that was pending ends that wait: a request with the same 
 again. If it was the only pending one, it also measures how slow its drive is (`drives.measured`).
 
 A drive far slower than its manual would never be received on a busy line: the next telegram cancels
-its answer before it begins. So after a cyclic read or a probe without answer, several times in a row
-(`ExtendedListen`), the quarantine is extended for up to a second, until such an answer would have
-come. That delays cyclic reads of other drives, and nothing else. The extension begins only if every
-watchdog can still be fed in time after it. It ends when anything but cyclic and background work
-needs the line: a stop, a control word, an urgent feed, a client's request. The next telegram begins
-with EOT, which makes a drive drop an answer that it has not sent yet (EDB2102EN 8.3). Late replies
-stay pending, and the quarantine lasts, as long as without the extension.
+its answer before it begins. So after a cyclic read or a probe without answer, several times in a
+row (`ExtendedListen`), the quarantine is extended for up to a second, until such an answer would
+have come. That delays cyclic reads of other drives, and nothing else. The extension begins only if
+every watchdog can still be fed in time after it. It ends when anything but cyclic and background
+work needs the line: a stop, a control word, an urgent feed, a client's request. The next telegram
+begins with EOT, which makes a drive drop an answer that it has not sent yet (EDB2102EN 8.3). Late
+replies stay pending, and the quarantine lasts, as long as without the extension.
 
 Limits: once a minute for a line, once in five minutes for a code of a drive, and less often while
 nothing arrives, because the drive is usually absent. A second time in the same minute is allowed
