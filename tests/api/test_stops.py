@@ -242,6 +242,8 @@ async def test_a_byte_order_mark_before_a_stop_is_skipped(line: Line) -> None:
         (b'{"action": "inhibit", "\\u0061ction": "quick-stop", "target": "a"}', "key action"),
         (b'{"action": "inhibit", "target": %s}' % (b"7" * 5000), "target takes the name"),
         (b'{"action": "inhibit", "target": NaN}', "not NaN"),
+        (b'{"action": "inhibit", "target": ""}', 'target takes the name of a drive or a group, or'),
+        (b'{"action": "inhibit"}', "key target is missing"),
         (b'{"action": 1e99999999999999999999, "target": "all"}', "action takes"),
         (b'{"action": {"k": 1, "k": 2}, "target": "all"}', "not an object"),
         (b'{"k": 1, "k": 2, "target": "all"}', "key action is missing"),

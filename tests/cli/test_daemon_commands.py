@@ -304,6 +304,14 @@ def test_on_a_terminal_the_alarm_is_red_and_alike_reasons_stand_once(
     assert "like b" in ran.out
 
 
+def test_a_stop_of_one_drive_that_reached_no_drive_names_it(run: Run, daemon: DaemonStub) -> None:
+    daemon.answers["POST /v1/stop"] = problem("line-lost", 503)
+    for words in (["stop", "feeder"], ["quick-stop", "feeder"]):
+        first, *rest = run(*words).err.splitlines()
+        assert first.startswith("feeder has not confirmed the quick stop: motors may still turn")
+        assert rest == ["what happened; what to do"]
+
+
 @pytest.mark.parametrize("status", [404, 503])
 def test_a_stop_that_reached_no_drive_says_so_first(
     run: Run, daemon: DaemonStub, status: int, golden: Golden
@@ -318,6 +326,20 @@ def test_a_stop_that_reached_no_drive_says_so_first(
 
 def test_stop_refuses_to_guess_between_a_target_and_all(run: Run, daemon: DaemonStub) -> None:
     assert run("stop", "feeder", "--all").status == 2
+
+    assert run("stop", "", "--all").status == 2
+
+
+@pytest.mark.parametrize("words", [["stop"], ["quick-stop"], ["inhibit"]])
+@pytest.mark.parametrize("empty", ["", "  "])
+def test_an_empty_target_is_no_stop_of_all_drives(
+    run: Run, daemon: DaemonStub, words: list[str], empty: str
+) -> None:
+    """A script whose variable is empty must not stop the line, nor believe that it did."""
+    ran = run(*words, empty)
+    assert (ran.status, ran.out, daemon.asked) == (2, "", [])
+    assert "no drive has confirmed" in ran.err
+    assert "TARGET is empty: nothing was stopped; name a drive, a group or all" in ran.err
     assert daemon.asked == []
 
 

@@ -53,11 +53,16 @@ def _send_stop(target: str, action: str, daemon: DaemonOptions) -> Exit:
         CommandError: No drive was reached, or none is meant.
     """
     try:
+        if not target.strip():
+            raise CommandError(
+                Exit.USAGE, "TARGET is empty: nothing was stopped", "name a drive, a group or all"
+            )
         with connect(daemon) as client:
             answer = client.post("/v1/stop", {"action": action, "target": target})
     except (CommandError, KeyboardInterrupt):
         if not daemon.as_json:
-            _alarm(f"no drive has confirmed the {_words(action)}: motors may still turn")
+            who = f"{target} has not" if target.strip() and target != "all" else "no drive has"
+            _alarm(f"{who} confirmed the {_words(action)}: motors may still turn")
         raise
     answer.show(lambda report: _show_stop(report, action), as_json=daemon.as_json)
     return status_of(answer.data)
@@ -201,13 +206,13 @@ def stop_command(
     """Stop TARGET, a drive or a group, before everything else that waits.
 
     Without TARGET all drives of the line are stopped: there is no question, because a stop may
-    be urgent. It is read back from every drive. It is not a safety function.
+    be urgent. An empty TARGET is refused. It is read back from every drive. It is not a safety function.
 
     Exit status 0 only if every drive is known to have taken the stop. If not, the first line, on
     standard error, says how many drives did not confirm it, that motors may still turn, and to use
     the emergency stop circuit. In a pipe: one line a drive with drive, code, outcome, value read
     back, reason. With --json: the daemon's document, as for group.
     """
-    if target and everything:
+    if target is not None and everything:
         raise CommandError(Exit.USAGE, "a target and --all are both given", "leave one of them out")
-    return _send_stop(target or "all", action, daemon)
+    return _send_stop("all" if target is None else target, action, daemon)
