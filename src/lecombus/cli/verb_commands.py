@@ -206,7 +206,8 @@ def stop_command(
     """Stop TARGET, a drive or a group, before everything else that waits.
 
     Without TARGET all drives of the line are stopped: there is no question, because a stop may
-    be urgent. An empty TARGET is refused. It is read back from every drive. It is not a safety function.
+    be urgent. An empty TARGET is refused. It is read back from every drive. It is not a safety
+    function.
 
     Exit status 0 only if every drive is known to have taken the stop. If not, the first line, on
     standard error, says how many drives did not confirm it, that motors may still turn, and to use
