@@ -114,6 +114,30 @@ def test_a_drive_found_slow_is_given_longer_at_its_next_read() -> None:
     assert after.documented_s == before.documented_s == one.documented_s(STATUS)
 
 
+def test_what_is_cut_off_a_slow_drive_s_patience_leaves_what_its_manual_allows() -> None:
+    """Seed 31111 of the proof: a feed of a slow code read another code, and waited for no time."""
+    one, where = station(), preparer()
+    before = ask(where, ReadJob(one, STATUS, 0))
+    write = WriteJob(one, SETPOINT, Value.decimal(20), write_class=WriteClass.PLAIN, retries=2)
+    written = ask(where, write)
+    for at_s in (1.0, 2.0):
+        one.measured.note(STATUS, before.documented_s, before.documented_s + 0.4, at_s, write=False)
+        one.measured.note(
+            SETPOINT, written.documented_s, written.documented_s + 0.4, at_s, write=True
+        )
+    quick = ask(where, ReadJob(one, Code(1923), 0))
+    assert quick.cut_by(0.7) == quick, "nothing was measured of this code"
+    for slow, manual in (
+        (ask(where, ReadJob(one, STATUS, 0)), before), (ask(where, write), written),
+    ):  # fmt: skip
+        least, whole = manual.ask.first_byte_s, manual.ask.whole_s
+        cut = slow.cut_by(0.1).ask
+        assert cut.first_byte_s == pytest.approx(slow.ask.first_byte_s - 0.1)
+        assert cut.first_byte_s > least
+        cut = slow.cut_by(5.0).ask
+        assert (cut.first_byte_s, cut.whole_s) == (least, whole)
+
+
 def test_a_device_with_one_form_waits_at_once() -> None:
     where = preparer(field(STATUS))
     assert where.ask(ReadJob(station("generic"), STATUS, 0), 0.1, urgent=False) == 0.5

@@ -237,6 +237,29 @@ def test_a_drive_made_late_by_a_stop_is_fed_before_one_that_has_its_last_tenth_y
     assert sum(feed.lapses for feed in stats) == 0
 
 
+@pytest.mark.parametrize("lost", [2, 3])
+@pytest.mark.parametrize("fed_s", [0.06, 0.3])
+def test_a_drive_that_no_longer_answers_goes_behind_those_that_are_late(
+    lost: int, fed_s: float
+) -> None:
+    """Seed 30346 of the proof: it was asked again ahead of them, and room was made for that."""
+    world = World().drives("gone", "late", "others")
+    world.schedule.expect(FaultHypothesis(1))
+    world.feed("gone", 1.0)
+    world.now_s = 0.03
+    world.feed("late", 1.0)
+    world.now_s = fed_s
+    world.feed("others", 1.0)
+    world.silent.add("gone")
+    for _ in range(lost):
+        world.schedule.watchdogs.by_drive["gone"].failed(0.7, 1)
+    world.now_s = 0.93  # behind nine tenths; its watchdog acts at 1.03 s
+    world.run(1.2)
+    feeds = world.schedule.stats(world.now_s).feeds
+    assert (feeds["late"].lapses, feeds["others"].lapses) == (0, 0)
+    assert feeds["gone"].lapses == 1
+
+
 def test_room_for_a_drive_is_not_made_until_its_own_lost_answer_would_make_it_late() -> None:
     names = [f"d{number}" for number in range(20)]
     world = World().drives("a", *names)

@@ -86,11 +86,17 @@ class WatchdogArbiter:
 
         When time is short it is the one with the earliest deadline of all, due or not. A drive
         that never answers may take its longest: it waits until that fits, or, if it never will,
-        is tried all the same, at its own slow pace.
+        is tried all the same, at its own slow pace. A drive that lost more answers than are
+        tolerated goes behind those that are late and whose watchdogs can still be kept.
         """
         feeds = self._watchdogs
+        most = min(feeds.faults.tolerate, SPARE_ATTEMPTS - 1)
         for feed in feeds.due(now_s):
-            if feeds.fits(now_s, feed.worst_s, feed.drive):
+            fits = feeds.fits(now_s, feed.worst_s, feed.drive)
+            late = feeds.late(now_s, but=(feed.drive,)) if feed.failures > most else None
+            if late is not None:
+                return self.telegram(late, now_s)
+            if fits:
                 return self.telegram(feed, now_s)
             if feed.failures < SPARE_ATTEMPTS:  # a lost answer or two: the spare is kept for it
                 if not feeds.fits(now_s, feed.cost_s, feed.drive):

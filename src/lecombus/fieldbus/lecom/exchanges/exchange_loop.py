@@ -258,8 +258,10 @@ class LecomExchangeLoop:
             self._look_ahead(self._time())
 
     def _hasten(self, request: Request, job: Job, prepared: PreparedTelegram) -> None:
-        """Shorten the time-out of a slow drive to that of its manual: a stop is waiting."""
-        if prepared.documented_ask is not None and request.priority is not Priority.STOP:
+        """Shorten the time-out of a slow drive's reading to its manual's: a stop is waiting."""
+        if prepared.documented_ask is None or job.step.kind is not StepKind.READ:
+            return
+        if request.priority is not Priority.STOP:
             self.exchange.hasten(prepared.documented_ask)
             self._deadline.set(self.exchange.deadline_s())
 

@@ -44,8 +44,8 @@ class PreparedTelegram:
         hold_s: How long the drive is left alone after it, seconds.
         thinking_s: For how long nothing can arrive after it was handed over, seconds.
         documented_s: The longest that manual and roster let the drive think, seconds.
-        documented_ask: A read of a drive that is slower than documented, with the time-outs of one
-            that is not: a stop need not wait for a slow drive's reading.
+        documented_ask: For a drive that is slower than documented, the same with the time-outs of
+            one that is not; else None.
     """
 
     ask: Ask
@@ -56,9 +56,16 @@ class PreparedTelegram:
     documented_ask: Ask | None = None
 
     def cut_by(self, time_s: float) -> PreparedTelegram:
-        """Wait for the answer for so much less: watchdogs leave no more (`Request.shorten`)."""
-        ask = self.ask
-        first_byte_s, whole_s = ask.first_byte_s - time_s, ask.whole_s - time_s
+        """Wait for the answer for so much less: watchdogs leave no more (`Request.shorten`).
+
+        It is never given up before manual and roster let the drive answer: what is cut off was
+        measured, and this telegram may be of a code that is no slower than documented.
+        """
+        ask, least = self.ask, self.documented_ask
+        if least is None:
+            return self
+        first_byte_s = max(ask.first_byte_s - time_s, least.first_byte_s)
+        whole_s = max(ask.whole_s - time_s, least.whole_s)
         return replace(self, ask=replace(ask, first_byte_s=first_byte_s, whole_s=whole_s))
 
 
@@ -163,27 +170,21 @@ class TelegramPreparer:
             sent, encode_code(code, form), cost, hold_s=0.0, documented_s=documented_s
         )
         by_manual = read_cost(self._timing, station.family, code, form, station.answer_time_s)
-        if by_manual.first_byte_s >= cost.first_byte_s:
-            return made
-        ask = replace(made.ask, first_byte_s=by_manual.first_byte_s, whole_s=by_manual.whole_s)
-        return replace(made, documented_ask=ask)
+        return _with_documented(made, cost, by_manual)
 
     def _write(self, station: Station, step: JobStep) -> PreparedTelegram:
         assert step.value is not None
         form = next(form for form in station.forms if form.carries(step.code))
-        cost = write_cost(
-            self._timing,
-            station.family,
-            step.code,
-            step.value,
-            form,
-            station.answer_s(step.code, write=True),
+        cost, by_manual = (
+            write_cost(self._timing, station.family, step.code, step.value, form, answer_s)
+            for answer_s in (station.answer_s(step.code, write=True), station.answer_time_s)
         )
         telegram = write_telegram(station.address, step.code, step.value, form)
-        return self._prepared(
+        made = self._prepared(
             self._on_the_wire(telegram), ACK_FIELD, cost,
             hold_s=station.hold_s, documented_s=station.documented_s(step.code, write=True),
         )  # fmt: skip
+        return _with_documented(made, cost, by_manual)
 
     def _multicast(self, job: MulticastJob, step: JobStep) -> PreparedTelegram:
         """The slowest member is left its processing time before anything else is sent."""
@@ -210,3 +211,11 @@ class TelegramPreparer:
 
     def _on_the_wire(self, telegram: bytes) -> bytes:
         return with_parity(telegram) if self._parity else telegram
+
+
+def _with_documented(made: PreparedTelegram, cost: Cost, by_manual: Cost) -> PreparedTelegram:
+    """Add the time-outs by manual and roster where the drive was measured to be slower."""
+    if by_manual.first_byte_s >= cost.first_byte_s:
+        return made
+    ask = replace(made.ask, first_byte_s=by_manual.first_byte_s, whole_s=by_manual.whole_s)
+    return replace(made, documented_ask=ask)
