@@ -8,8 +8,8 @@ class: a slow client must not keep a motor running; then the interfaces end with
 way; then the worker ends after its telegram, and the port is closed. An error in any task ends the
 daemon, which the service manager starts again: no error is hidden.
 
-SIGTERM and SIGINT end it. SIGHUP reads the roster again, in a thread, and applies it; a wrong
-one is reported and the old one kept.
+SIGTERM and SIGINT end it. SIGHUP and `POST /v1/reload` read the roster again, in a thread, and
+apply it; a wrong one is reported and the old one kept.
 """
 
 from __future__ import annotations
@@ -30,12 +30,13 @@ import anyio.to_thread
 
 from lecombus import __version__
 from lecombus.api import create_app, serve
-from lecombus.config import Roster, RosterError, load_roster
+from lecombus.config import Roster, RosterChanges, RosterError, load_roster
 from lecombus.drives import StopAction
-from lecombus.errors import LecombusError
+from lecombus.errors import LecombusError, LineClosedError, OperationError
 from lecombus.line.devices import others_at
 from lecombus.line.event_loop import run as run_loop
 from lecombus.line_runtime import LineRuntime
+from lecombus.operations.actions import ACTOR
 from lecombus.operations.operation_reports import GroupReport
 from lecombus.saved_state import Keeping
 from lecombus.simulated import opener_for
@@ -121,7 +122,7 @@ class Daemon:
 
     Args:
         roster: The line and its drives.
-        path: Where the roster is read from again on SIGHUP; None: it is not.
+        path: Where the roster is read from again at a reload; None: it is not.
     """
 
     def __init__(self, roster: Roster, path: Path | None) -> None:
@@ -129,6 +130,7 @@ class Daemon:
         self._path = path
         self._notifier = Notifier()
         self._end = anyio.Event()
+        self._reloading = anyio.Lock()
         self._ready = False
         self._looking = False
         self._progress = (-1, -1)
@@ -158,7 +160,7 @@ class Daemon:
         )  # fmt: skip
         async with anyio.create_task_group() as line:
             async with anyio.create_task_group() as faces:
-                faces.start_soon(self._watch_signals)
+                faces.start_soon(self._watch_signals, faces)
                 await self._serve(faces, runtime)
                 gc.freeze()  # what lives by now lives to the end
                 gc.enable()
@@ -192,6 +194,7 @@ class Daemon:
             baud=self._roster.line.baud,
             ready=self.ready,
             healthy=self.healthy,
+            reload=self.reload,
             version=__version__,
             clock=anyio.current_time,
         )
@@ -201,41 +204,71 @@ class Daemon:
 
     # ---- signals and the service manager ----------------------------------------------------
 
-    async def _watch_signals(self) -> None:
+    async def _watch_signals(self, faces: anyio.abc.TaskGroup) -> None:
         with anyio.open_signal_receiver(signal.SIGTERM, signal.SIGINT, signal.SIGHUP) as signals:
             async for number in signals:
                 if number == signal.SIGHUP:
-                    await self._reload()
+                    faces.start_soon(self._reload_by_signal)
                 else:
                     self.end()
 
-    async def _reload(self) -> None:
-        """Read the roster again; a wrong one changes nothing."""
-        if self._path is None or self.runtime is None:
-            return
-        self._notifier.tell("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
-        try:
-            roster = await anyio.to_thread.run_sync(load_roster, self._path)
-            changes = self.runtime.apply(roster)
-        except RosterError as exc:
-            self._refuse_reload(self.runtime, [str(mistake) for mistake in exc.mistakes])
-        except LecombusError as exc:
-            self._refuse_reload(self.runtime, [str(exc)])
-        else:
-            self._roster = roster
-            self.runtime.store.note_line(RELOAD, None)
-            logger.info("event=reloaded drives=%d %s", len(roster.drives), changes)
-        finally:
-            self._notifier.tell("READY=1")
+    async def _reload_by_signal(self) -> None:
+        with contextlib.suppress(LecombusError):  # what is wrong stands in the log
+            await self.reload()
 
-    def _refuse_reload(self, runtime: LineRuntime, mistakes: list[str]) -> None:
+    async def reload(self) -> RosterChanges:
+        """Read the roster again and apply it; a wrong one changes nothing.
+
+        Two reloads run one after the other.
+
+        Returns:
+            What differs from the roster before.
+
+        Raises:
+            RosterError: The roster is refused; carries every mistake.
+            OperationError: This daemon has no roster file, or it is ending.
+        """
+        async with self._reloading:
+            if self._path is None or self.runtime is None:
+                raise OperationError(
+                    "this daemon has no roster file to read again",
+                    kind="no-roster",
+                    remedy="start it with `lecombus run -c ROSTER`",
+                )
+            if self._end.is_set():
+                raise LineClosedError("lecombus is ending; the roster is not read again")
+            self._notifier.tell("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
+            try:
+                return await self._apply_file(self.runtime, self._path)
+            finally:
+                self._notifier.tell("READY=1")
+
+    async def _apply_file(self, runtime: LineRuntime, path: Path) -> RosterChanges:
+        """Read a roster in a thread and apply it; log how that ended, and who asked for it."""
+        who = " ".join(f"{key}={text}" for key, text in ACTOR.get().fields().items())
+        running = runtime.roster
+        try:
+            roster = await anyio.to_thread.run_sync(
+                load_roster, path, running, abandon_on_cancel=True
+            )
+            changes = runtime.apply(roster)
+        except RosterError as exc:
+            self._refuse_reload(runtime, exc, who)
+            raise
+        self._roster = roster
+        runtime.store.note_line(RELOAD, None)
+        logger.info("event=reloaded drives=%d %s %s", len(roster.drives), changes, who)
+        return changes
+
+    def _refuse_reload(self, runtime: LineRuntime, refused: RosterError, who: str) -> None:
         """Say that the old roster stays, in the log and until a reload is good."""
-        for mistake in mistakes:
-            logger.error("event=reload-refused mistake=%s", mistake)
-        more = ""
-        if len(mistakes) > 1:
-            more = f" (and {len(mistakes) - 1} more: `lecombus check -c {self._path}`)"
-        text = f"the last reload was refused, the old roster is used: {mistakes[0]}{more}"
+        for mistake in refused.mistakes:
+            logger.error("event=reload-refused %s mistake=%s", who, mistake)
+        more, count = "", len(refused.mistakes)
+        if count > 1:
+            more = f" (and {count - 1} more: `lecombus reload` lists them)"
+        first = refused.mistakes[0]
+        text = f"the last reload was refused, the old roster is used: {first}{more}"
         runtime.store.note_line(RELOAD, text)
 
     async def _tick(self, faces: anyio.abc.TaskGroup, runtime: LineRuntime) -> None:

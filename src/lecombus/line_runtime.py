@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from lecombus.config import Roster, line_timing, with_address
+from lecombus.config import Roster, RosterChanges, line_timing, roster_changes, with_address
 from lecombus.drive_state.drive_runtime import LineDrives
 from lecombus.drive_state.store import Store
 from lecombus.errors import ConfigError
@@ -25,7 +25,7 @@ from lecombus.operations.awaited_requests import Requests
 from lecombus.operations.facade import Operations
 from lecombus.saved_state import State
 from lecombus.schedule import Schedule
-from lecombus.supervision.drive_changes import Changes, DriveChanges
+from lecombus.supervision.drive_changes import DriveChanges
 from lecombus.supervision.drive_supervisor import DriveSupervisor
 from lecombus.supervision.exchange_recorder import ExchangeRecorder, follow_line
 from lecombus.supervision.line_requests import RequestsToLine
@@ -98,11 +98,11 @@ class LineRuntime:
         self.watch = LineWatch(requests, store, metrics, recorder, asked, operations, line, clock)
         self.apply(roster)
 
-    def apply(self, roster: Roster) -> Changes:
+    def apply(self, roster: Roster) -> RosterChanges:
         """Take a roster's drives and groups; drives that did not change are left alone.
 
         Returns:
-            The drives that were added, removed and changed.
+            What differs from the roster before; nothing at the start.
 
         Raises:
             ConfigError: The line itself differs: that needs a restart. Nothing was changed.
@@ -114,7 +114,8 @@ class LineRuntime:
                 "put them back; the old roster is kept",
                 file=roster.file,
             )
-        changes = self._changes.apply(self.roster, roster)
+        changes = roster_changes(self.roster, roster)
+        self._changes.apply(self.roster, roster)
         self.state.bound(entry.name for entry in roster.drives)
         self.operations.set_roster(roster.drives, roster.groups)
         self.operations.readdressing.roster_changed()

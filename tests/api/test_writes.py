@@ -13,11 +13,12 @@ from starlette.responses import Response
 from lecombus.api.answers import ProblemError
 from lecombus.api.idempotency import KEEP_S, KEY_LIMIT, Idempotency
 from lecombus.api.limits import BODY_LIMIT
+from lecombus.config import Mistake, RosterChanges, RosterError
 from lecombus.drives import StopAction
 from lecombus.errors import CodeValueError, OperationError, QueueFullError
 from lecombus.operations.operation_reports import WriteReport
 from lecombus.schedule.request import Outcome, Priority
-from openapi.answer_models import GroupOutcomeDocument, OutcomeDocument
+from openapi.answer_models import GroupOutcomeDocument, OutcomeDocument, ReloadDocument
 from support.api_line import FREQUENCY, Line
 from support.golden import Golden
 
@@ -500,3 +501,37 @@ async def test_more_keys_under_way_than_fit_are_refused() -> None:
 async def test_codes_in_group_paths_are_checked_too(client: httpx2.AsyncClient) -> None:
     answer = await put(client, '{"value": 1}', "/v1/groups/conveyors/codes/C0040/999")
     assert (answer.status_code, answer.json()["code"]) == (404, "C0040/999")
+
+
+async def test_a_reload_says_what_changed(client: httpx2.AsyncClient, line: Line) -> None:
+    async def reload() -> RosterChanges:
+        return RosterChanges("hall.yaml", 2, ("fan",), (), {"belt": ("cyclic",)}, ("all",), ())
+
+    line.reload = reload
+    answer = await client.post("/v1/reload")
+    assert answer.status_code == 200
+    told = ReloadDocument.model_validate(answer.json())
+    assert (told.outcome, told.added, told.groups) == ("done", ["fan"], ["all"])
+    assert [(one.drive, one.keys) for one in told.changed] == [("belt", ["cyclic"])]
+
+
+async def test_a_refused_reload_lists_every_mistake(client: httpx2.AsyncClient, line: Line) -> None:
+    async def reload() -> RosterChanges:
+        raise RosterError(Mistake("hall.yaml", row, 3, "wrong", "right") for row in (7, 4))
+
+    line.reload = reload
+    answer = await client.post("/v1/reload", headers={"Idempotency-Key": "x"})
+    assert (answer.status_code, answer.json()["outcome"]) == (409, "refused")
+    assert [one["line"] for one in answer.json()["mistakes"]] == [4, 7]
+    assert answer.json()["detail"] == "hall.yaml has 2 mistakes: hall.yaml:4:3: wrong, right"
+
+
+async def test_a_daemon_without_a_roster_file_says_so(client: httpx2.AsyncClient) -> None:
+    answer = await client.post("/v1/reload", content=b"{}")
+    assert (answer.status_code, answer.json()["type"]) == (409, "urn:lecombus:problem:no-roster")
+
+
+@pytest.mark.parametrize("more", ["?x=1", ""])
+async def test_a_reload_takes_no_keys(client: httpx2.AsyncClient, more: str) -> None:
+    answer = await client.post(f"/v1/reload{more}", content=b"" if more else b'{"file": "x"}')
+    assert answer.status_code == 422

@@ -35,6 +35,7 @@ from lecombus.drives import CodeInfo, Family, family, not_restored
 from lecombus.fieldbus.lecom.simulator.parameters import Refusal
 from lecombus.parameters import Code
 from lecombus.schedule import Priority, Request
+from support.api_line import no_reload
 from support.fake_drive import Ear
 from support.rosters import roster_text
 from support.site_host import Plant, with_plant
@@ -51,7 +52,7 @@ async def behind_http(plant: Plant, name: str = "a") -> AsyncIterator[HttpDrive]
         plant.site.operations, plant.site.store, plant.site.metrics,
         plan_facts=lambda: plant.site.watch.plan_facts(plant.site.roster),
         line_name="t", ready=lambda: (True, ""), healthy=lambda: (True, ""),
-        clock=anyio.current_time,
+        reload=no_reload, clock=anyio.current_time,
     )  # fmt: skip
     transport = httpx2.ASGITransport(app)
     async with httpx2.AsyncClient(transport=transport, base_url="http://localhost") as client:

@@ -18,11 +18,10 @@ from compare.rosters import RIGHT, WRONG, written
 from compare.trees import ROOT, Side
 
 FAMILIES = ("820x", "821x", "822x", "824x", "8200vector", "93xx", "smvector", "generic")
-COMMANDS = ("demo", "run", "check", "plan", "simulate", "read", "write", "group", "enable",
-            "set-speed",
-            "reset-fault", "quick-stop", "inhibit", "stop", "readdress", "rebaud", "wear", "accept",
-            "forget-times", "describe", "backup", "diff", "restore", "status", "scan",
-            "why")  # fmt: skip
+COMMANDS = ("demo", "run", "check", "plan", "reload", "simulate", "read", "write", "group",
+            "enable", "set-speed", "reset-fault", "quick-stop", "inhibit", "stop", "readdress",
+            "rebaud", "wear", "accept", "forget-times", "describe", "backup", "diff", "restore",
+            "status", "scan", "why")  # fmt: skip
 LINES = """\
 
 --version
@@ -43,6 +42,8 @@ plan
 plan -c nowhere.yaml --json
 plan --live
 plan --live --socket /nowhere.sock --json
+reload more
+reload --socket /nowhere.sock
 simulate
 simulate -c config/small.yaml
 simulate -c config/small.yaml --pty x --tcp 0

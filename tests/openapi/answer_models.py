@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema
 __all__ = [
     "AnswerTimeDocument",
     "BitDocument",
+    "ChangedDriveDocument",
     "CodeDocument",
     "CodeWearDocument",
     "DescribedDocument",
@@ -40,6 +41,7 @@ __all__ = [
     "ProblemDocument",
     "ProofDocument",
     "ReadingDocument",
+    "ReloadDocument",
     "RestoreDocument",
     "SpeedDocument",
     "StatusDocument",
@@ -358,6 +360,26 @@ class ForgottenTimesDocument(Document):
     forgotten: list[AnswerTimeDocument]
 
 
+class ChangedDriveDocument(Document):
+    """A drive that a reload changed, and the keys that differ."""
+
+    drive: str
+    keys: Annotated[list[str], Field(examples=[["cyclic", "watchdog"]])]
+
+
+class ReloadDocument(Document):
+    """What a reload changed."""
+
+    outcome: Annotated[str, Field(description="done; a refused reload is a problem document")]
+    file: str
+    drives: int
+    added: list[str]
+    removed: list[str]
+    changed: list[ChangedDriveDocument]
+    groups: Annotated[list[str], Field(description="New, gone, or with other members")]
+    keys: Annotated[list[str], Field(description="Other keys that differ, such as on_shutdown")]
+
+
 class MeaningDocument(Document):
     """What one value means."""
 
@@ -508,7 +530,10 @@ class PlanDocument(Document):
 
 
 class ProblemDocument(BaseModel):
-    """A problem document (RFC 9457); group problems also carry `target`, `how` and `members`."""
+    """A problem document (RFC 9457).
+
+    Group problems also carry `target`, `how` and `members`, a refused roster `mistakes`.
+    """
 
     type: Annotated[str, Field(examples=["urn:lecombus:problem:no-answer"])]
     title: str

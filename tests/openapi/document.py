@@ -124,6 +124,9 @@ OPERATIONS: Final[Mapping[tuple[str, str], Operation]] = {
     ("post", f"{DRIVE}/forget-times"): writing(
         answer_models.ForgottenTimesDocument, bodies.NoKeysBody
     ),
+    ("post", "/v1/reload"): Operation(
+        answer_models.ReloadDocument, REFUSALS, body=bodies.NoKeysBody, body_required=False
+    ),
     ("get", f"{DRIVE}/why"): Operation(answer_models.WhyDocument, (404, 422), bodies.WhyQuery),
     ("get", "/v1/plan"): Operation(answer_models.PlanDocument, (422,)),
     ("get", "/healthz"): Operation(answer_models.StatusDocument, (503,)),

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import anyio
+import httpx2
 import pytest
 
 from lecombus import daemon as daemon_module
@@ -184,7 +185,7 @@ def test_a_wrong_roster_is_refused_at_sighup_with_every_mistake_and_the_old_one_
         assert daemon.states() == {"belt": "online", "winder": "online"}
         remark = daemon.get("/v1/line")["remarks"]["reload"]
         assert remark.startswith("the last reload was refused, the old roster is used: ")
-        assert "1 more: `lecombus check" in remark
+        assert "1 more: `lecombus reload` lists them" in remark
         reloading = manager.told.index("RELOADING=1")
         assert manager.told[reloading + 1].startswith("MONOTONIC_USEC=")
         assert "READY=1" in manager.told[reloading:]
@@ -196,6 +197,64 @@ def test_a_wrong_roster_is_refused_at_sighup_with_every_mistake_and_the_old_one_
         )
         assert daemon.end() == 0
         assert fired(end) == {"belt": 0, "winder": 0, "fan": 0}
+
+
+def test_a_reload_by_a_command_says_what_changed_or_every_mistake() -> None:
+    with managed() as (daemon, manager, end):
+        daemon.until_online()
+        good = daemon.roster.read_text()
+        with_fan = roster_text(
+            (*DRIVES, FAN), port=end.path, folder=daemon.folder, watchdog=WATCHDOG
+        )
+        daemon.roster.write_text(with_fan + "on_shutdown: inhibit\n")
+        changed = daemon.cli("reload")
+        assert (changed.status, changed.err) == (0, "")
+        assert changed.out == "drive\tfan\tadded\t\nkey\ton_shutdown\tchanged\t\n"
+        since = daemon.get("/v1/drives/winder")["since"]
+        daemon.roster.write_text(good.replace("baud: 19200", "baud: 9600, echo: yes"))
+        refused = daemon.cli("reload")
+        assert refused.status == 2
+        assert [row.split(": ")[1] for row in refused.err.splitlines()] == [
+            "`line.baud` cannot change while lecombus runs, restart lecombus, or put the old value "
+            "back",
+            "`line.echo` cannot change while lecombus runs, restart lecombus, or put the old value "
+            "back",
+        ]
+        assert "reload" in daemon.get("/v1/line")["remarks"]
+        as_json = daemon.cli("reload", "--json")
+        assert (as_json.status, len(as_json.json()["mistakes"])) == (2, 2)
+        assert set(daemon.states()) == {"belt", "winder", "fan"}
+        assert daemon.get("/v1/drives/winder")["since"] == since
+        daemon.roster.write_text(good)
+        assert daemon.cli("reload", "--json").json()["removed"] == ["fan"]
+        assert "reload" not in daemon.get("/v1/line")["remarks"]
+        assert manager.told.count("RELOADING=1") == 4
+
+
+def test_reloads_at_the_same_time_run_one_after_the_other() -> None:
+    with managed() as (daemon, manager, end):
+        daemon.until_online()
+        folder = daemon.folder
+        with_fan = roster_text((*DRIVES, FAN), port=end.path, folder=folder, watchdog=WATCHDOG)
+        daemon.roster.write_text(with_fan)
+        answers: list[httpx2.Response] = []
+        askers = [
+            threading.Thread(target=lambda: answers.append(daemon.client.post("/v1/reload")))
+            for _ in range(4)
+        ]
+        for asker in askers:
+            asker.start()
+        daemon.tell(signal.SIGHUP)
+        for asker in askers:
+            asker.join()
+        until(lambda: manager.told.count("RELOADING=1") == 5, "five reloads")
+        until(lambda: manager.told.count("READY=1") == 6, "all of them are over")
+        assert {one.status_code for one in answers} == {200}
+        added = [one.json()["added"] for one in answers]
+        assert added.count(["fan"]) + added.count([]) == 4
+        assert daemon.log().count("added=fan") == 1
+        told = [one for one in manager.told if one in ("RELOADING=1", "READY=1")]
+        assert told[told.index("RELOADING=1") :] == ["RELOADING=1", "READY=1"] * 5
 
 
 @pytest.mark.slow

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
 from typing import cast
@@ -12,11 +12,12 @@ import anyio
 from starlette.applications import Starlette
 
 from lecombus.api import create_app
+from lecombus.config import RosterChanges
 from lecombus.drive_state.store import DriveState, LineState, Reading, Store
 from lecombus.drives import OperatingState, StopAction, Text, Verb, family
 from lecombus.drives.faults.reasons import Weight
 from lecombus.drives.measured import AnswerRow
-from lecombus.errors import LecombusError
+from lecombus.errors import LecombusError, OperationError
 from lecombus.metrics import Metrics
 from lecombus.operations.address_reads import Heard, HeardKind
 from lecombus.operations.awaited_requests import IS_GONE, refuse_for_gone_client
@@ -175,6 +176,11 @@ class FakeOperations:
         return IdentityReport(drive, shown, shown, {}, "2026-11-22T00:00:00.000Z", "")
 
 
+async def no_reload() -> RosterChanges:
+    """What a daemon without a roster file says."""
+    raise OperationError("there is no roster file", kind="no-roster")
+
+
 @dataclass
 class Line:
     """Everything a test of the API holds."""
@@ -185,6 +191,7 @@ class Line:
     now_s: float = 0.0
     ready: tuple[bool, str] = (True, "31 of 31 drives tried")
     healthy: tuple[bool, str] = (True, "")
+    reload: Callable[[], Awaitable[RosterChanges]] = no_reload
 
 
 def make_line() -> Line:
@@ -214,6 +221,7 @@ def make_line() -> Line:
         line_name="hall-3",
         ready=lambda: line.ready,
         healthy=lambda: line.healthy,
+        reload=lambda: line.reload(),
         clock=lambda: line.now_s,
     )
     line = Line(store, ops, app)

@@ -18,6 +18,7 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from lecombus.api.decimal_json import encode, short
+from lecombus.config import RosterError
 from lecombus.drive_state.readings import Json
 from lecombus.errors import (
     CodeValueError,
@@ -49,6 +50,7 @@ __all__ = [
     "problem_of",
     "report_problem",
     "report_response",
+    "roster_problem",
     "status_response",
     "text_response",
 ]
@@ -89,6 +91,8 @@ STATUS_BY_KIND: Final[Mapping[str, tuple[int, str]]] = {
     "address-taken": (409, "Address in use"),
     "not-stopped": (409, "The drive is not stopped"),
     "no-control-word": (409, "Control word not known"),
+    "roster-refused": (409, "Roster refused"),
+    "no-roster": (409, "No roster file"),
     "too-big": (413, "Body too big"),
     "target-too-long": (414, "Path and query too long"),
     "foreign-host": (421, "Wrong host"),
@@ -319,6 +323,28 @@ def group_problem(report: GroupReport) -> ProblemDocument | None:
         remedy=worst.remedy if worst else "",
         outcome=report.outcome.value,
         more={key: document[key] for key in ("target", "how", "members")},
+    )
+
+
+def roster_problem(error: RosterError) -> ProblemDocument:
+    """Return the problem of a roster that was refused, with every mistake in its place."""
+    mistakes: list[Json] = [
+        {
+            "file": one.file,
+            "line": one.line,
+            "column": one.column,
+            "what": one.what,
+            "right": one.right,
+        }
+        for one in error.mistakes
+    ]
+    count = f"{len(mistakes)} mistakes" if len(mistakes) > 1 else "a mistake"
+    return ProblemDocument(
+        "roster-refused",
+        f"{error.file} has {count}: {error.mistakes[0]}",
+        remedy="correct the file and reload; until then the old roster is used",
+        outcome="refused",
+        more={"mistakes": mistakes},
     )
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,6 +32,7 @@ from lecombus.api.limits import is_stop
 from lecombus.api.read_routes import ReadRoutes
 from lecombus.api.stop_routes import StopRoutes
 from lecombus.api.write_routes import WriteRoutes
+from lecombus.config import RosterChanges
 from lecombus.drive_state.readings import Json
 from lecombus.drive_state.store import Store
 from lecombus.errors import LecombusError
@@ -53,6 +54,7 @@ def create_app(
     line_name: str,
     ready: Check,
     healthy: Check,
+    reload: Callable[[], Awaitable[RosterChanges]],
     port: str = "",
     baud: int = 9600,
     version: str = "",
@@ -68,6 +70,7 @@ def create_app(
         line_name: The line's name.
         ready: Whether the line is open and every drive was tried once.
         healthy: Whether the line task makes progress.
+        reload: Reads the roster again and applies it.
         port: The line's port, as the roster has it.
         baud: Its baud rate, bit/s.
         version: lecombus' version, for the OpenAPI document.
@@ -78,7 +81,7 @@ def create_app(
         routes=[
             *StopRoutes(ops).routes(),
             *ReadRoutes(ops, store, facts, plan_facts, clock).routes(),
-            *WriteRoutes(ops, Idempotency(clock)).routes(),
+            *WriteRoutes(ops, Idempotency(clock), reload).routes(),
             *ServiceRoutes(metrics, ready, healthy, version or "0").routes(),
         ],
         middleware=[Middleware(with_plain_stop_paths)],

@@ -1,13 +1,14 @@
 """The routes that write: codes of a drive or a group, verbs that are no stop, address, acceptance.
 
-Each request is carried out once per `Idempotency-Key` (`idempotency`).
+The reload of the roster is one of them. Each request is carried out once per `Idempotency-Key`
+(`idempotency`).
 
 What must not live here: stops (`stop_routes`), what a write or a verb means (`operations`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from decimal import Decimal
 from typing import Final
 
@@ -15,7 +16,13 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from lecombus.api.answers import ProblemDocument, ProblemError, json_response, report_response
+from lecombus.api.answers import (
+    ProblemDocument,
+    ProblemError,
+    json_response,
+    report_response,
+    roster_problem,
+)
 from lecombus.api.decimal_json import short
 from lecombus.api.idempotency import Idempotency
 from lecombus.api.request_checks import (
@@ -30,6 +37,7 @@ from lecombus.api.request_checks import (
     read_body,
     refuse_query,
 )
+from lecombus.config import RosterChanges, RosterError
 from lecombus.drives import Verb
 from lecombus.operations.awaited_requests import refuse_for_gone_client
 from lecombus.operations.facade import Operations
@@ -50,11 +58,15 @@ class WriteRoutes:
     Args:
         ops: What writes to drives.
         keys: The idempotency keys used.
+        reload: Reads the roster again and applies it.
     """
 
-    def __init__(self, ops: Operations, keys: Idempotency) -> None:
+    def __init__(
+        self, ops: Operations, keys: Idempotency, reload: Callable[[], Awaitable[RosterChanges]]
+    ) -> None:
         self._ops = ops
         self._keys = keys
+        self._reload = reload
 
     def routes(self) -> list[Route]:
         """Return the routes."""
@@ -69,6 +81,7 @@ class WriteRoutes:
             Route(f"{drive}/address", self.address, methods=["POST"]),
             Route(f"{drive}/accept", self.accept, methods=["POST"]),
             Route(f"{drive}/forget-times", self.forget_times, methods=["POST"]),
+            Route("/v1/reload", self.reload, methods=["POST"]),
         ]
 
     async def write_code(self, request: Request) -> Response:
@@ -172,6 +185,23 @@ class WriteRoutes:
 
         async def act() -> Response:
             return json_response(self._ops.forget_times(drive).as_json())
+
+        return await self._keys.run(request, raw, act)
+
+    async def reload(self, request: Request) -> Response:
+        """Read the roster again and apply it; answers what changed, or every mistake.
+
+        A wrong roster is refused whole and the old one stays, as a remark on the line says until
+        a reload is good. Two reloads run one after the other. Unix socket only.
+        """
+        refuse_query(request)
+        _, raw = await read_body(request, NoKeysBody, may_be_empty=True)
+
+        async def act() -> Response:
+            try:
+                return json_response((await self._reload()).as_json())
+            except RosterError as exc:
+                return roster_problem(exc).response()
 
         return await self._keys.run(request, raw, act)
 

@@ -35,6 +35,7 @@ COMMANDS: Final[Mapping[str, tuple[str, str]]] = {
     "run": ("run", "Run the line that a roster describes."),
     "check": ("check", "List the mistakes of a roster, or show what it means."),
     "plan": ("line_plan", "Say what a line can hold and how long requests wait, before it runs."),
+    "reload": ("reload", "Have the running daemon read its roster again."),
     "simulate": ("simulate", "Simulate a roster's drives, on a pty or a TCP port."),
     "read": ("code_commands", "Read one code of one drive."),
     "write": ("code_commands", "Write one code of one drive."),

@@ -34,7 +34,7 @@ def run_command(roster: Path, log_level: str, log_format: str) -> int:
     """Run the line that a roster describes, until SIGTERM or Ctrl-C.
 
     Logs go to standard error, one event a line; nothing goes to standard output. SIGHUP reads the
-    roster again, or says what is wrong with it and keeps the old one.
+    roster again, as `lecombus reload` does.
     """
     set_up_logging(log_level, log_format)
     gc.disable()  # next to nothing that is made at the start is garbage; the daemon enables it

@@ -6,6 +6,7 @@
 """
 
 from lecombus.capacity.exchange_costs import line_timing
+from lecombus.config.changes import RosterChanges, roster_changes
 from lecombus.config.describing import describe
 from lecombus.config.keys import roster_json_schema
 from lecombus.config.loading import load_roster, parse_roster
@@ -27,12 +28,14 @@ __all__ = [
     "LineEntry",
     "Mistake",
     "Roster",
+    "RosterChanges",
     "RosterError",
     "WatchdogEntry",
     "describe",
     "line_timing",
     "load_roster",
     "parse_roster",
+    "roster_changes",
     "roster_json_schema",
     "with_address",
 ]

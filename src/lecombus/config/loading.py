@@ -1,9 +1,9 @@
 """The entry point: a file or a text becomes a `Roster`, or one `RosterError` with all mistakes.
 
 Steps, each in its own module: text to nodes (`yaml_nodes`), nodes to values (`keys`), rules between
-values (`checks`), values to models (`building`), and whether the line can hold the watchdogs
-(`capacity.watchdog_feasibility`). Only a file that cannot be read and text that is no YAML end it
-early.
+values (`checks`), values to models (`building`), whether the line can hold the watchdogs
+(`capacity.watchdog_feasibility`), and at a reload what only a restart changes (`changes`). Only a
+file that cannot be read and text that is no YAML end it early.
 
 What must not live here: any rule of the roster.
 """
@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Final
 
 from lecombus.config.building import build_roster
+from lecombus.config.changes import check_restart
 from lecombus.config.checks import check_feasibility, check_roster
 from lecombus.config.container_types import Fields
 from lecombus.config.keys import roster_table
@@ -30,11 +31,12 @@ LARGEST: Final = 1024 * 1024
 """Largest file read, in bytes; 90 drives with everything spelled out take about 60,000."""
 
 
-def load_roster(path: Path) -> Roster:
+def load_roster(path: Path, running: Roster | None = None) -> Roster:
     """Read a roster.
 
     Args:
         path: The file; mistakes name it as it is given here.
+        running: The roster in use: what of it only a restart changes must be the same.
 
     Raises:
         RosterError: It cannot be read or used; carries every mistake.
@@ -50,15 +52,16 @@ def load_roster(path: Path) -> Roster:
         spot = Spot(before.count(b"\n") + 1, column)
         what = f"the byte {data[exc.start]:02X}h is not UTF-8"
         raise mistakes.fatal(spot, what, "save the file as UTF-8") from exc
-    return parse_roster(text, file)
+    return parse_roster(text, file, running)
 
 
-def parse_roster(text: str, file: str) -> Roster:
+def parse_roster(text: str, file: str, running: Roster | None = None) -> Roster:
     """Read a roster from its text.
 
     Args:
         text: The whole file.
         file: What to call it in mistakes.
+        running: The roster in use, if there is one (`load_roster`).
 
     Raises:
         RosterError: It cannot be used; carries every mistake.
@@ -81,6 +84,8 @@ def parse_roster(text: str, file: str) -> Roster:
         raise mistakes.error()
     built = build_roster(roster, file)
     check_feasibility(roster, built, mistakes)
+    if running is not None:
+        check_restart(node, built, running, mistakes)
     if mistakes:
         raise mistakes.error()
     return built

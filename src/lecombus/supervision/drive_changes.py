@@ -24,7 +24,7 @@ from lecombus.schedule import Cyclic, WatchdogDeadline
 from lecombus.supervision.drive_supervisor import DriveSupervisor
 from lecombus.supervision.health import Health
 
-__all__ = ["Changes", "DriveChanges"]
+__all__ = ["DriveChanges"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,26 +40,6 @@ class _Left:
     drive: Drive
     entry: DriveEntry
     feed: WatchdogDeadline | None
-
-
-@dataclass(frozen=True, slots=True)
-class Changes:
-    """The drives that a new roster changed, by name and in its order.
-
-    Args:
-        added: They are new.
-        removed: They are gone.
-        changed: Something is different about them.
-    """
-
-    added: tuple[str, ...]
-    removed: tuple[str, ...]
-    changed: tuple[str, ...]
-
-    def __str__(self) -> str:
-        """Write it for the log: `added=c,d removed=none changed=a`."""
-        parts = {"added": self.added, "removed": self.removed, "changed": self.changed}
-        return " ".join(f"{key}={','.join(names) or 'none'}" for key, names in parts.items())
 
 
 class DriveChanges:
@@ -92,12 +72,11 @@ class DriveChanges:
         self._supervisor = supervisor
         self._clock = clock
 
-    def apply(self, old: Roster, roster: Roster) -> Changes:
+    def apply(self, old: Roster, roster: Roster) -> None:
         """Make the line's drives and groups those of a roster.
 
         Drives leave before others come, because these may have their addresses.
         """
-        before = self._drives.entries()
         wanted = {entry.name: entry for entry in roster.drives}
         left: dict[str, _Left] = {}
         for drive in tuple(self._drives):
@@ -118,11 +97,6 @@ class DriveChanges:
         for name in roster.groups:
             self._metrics.counters.add_group(name)
         self._schedule.expect(faults_of(roster, self._requests.maker.timing))
-        return Changes(
-            added=tuple(name for name in wanted if name not in before),
-            removed=tuple(name for name in before if name not in wanted),
-            changed=tuple(name for name, now in wanted.items() if before.get(name, now) != now),
-        )
 
     def add(self, entry: DriveEntry) -> None:
         """Add a drive."""

@@ -1,0 +1,135 @@
+"""What two rosters of one line differ in, by drive and by key, as a reload reports it.
+
+Pure: two rosters go in, names of drives, groups and keys come out. Keys are named as in the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+from pydantic import BaseModel
+
+from lecombus.config.mistakes import Mistakes, Position, Spot
+from lecombus.config.yaml_nodes import MappingNode
+from lecombus.roster import Roster
+
+__all__ = ["FIXED", "RosterChanges", "check_restart", "roster_changes"]
+
+FIXED: Final = ("line", "api", "state")
+"""The parts of a roster that only a restart changes."""
+
+_WITHOUT_KEY: Final = ("file", "not_yet_used", "slow")
+"""Fields that no key gives."""
+
+_RENAMED: Final[Mapping[str, str]] = {"forms": "addressing"}
+"""Keys whose field has another name, beyond the unit behind it."""
+
+
+@dataclass(frozen=True, slots=True)
+class RosterChanges:
+    """What a new roster changed; drives in its order, those removed in the order of the old one.
+
+    Args:
+        file: The new roster's file.
+        drives: How many drives it has.
+        added: Drives that are new.
+        removed: Drives that are gone.
+        changed: Drives that are described otherwise, each with the keys that differ.
+        groups: Groups that are new, gone, have other members or are sent to otherwise.
+        keys: Other keys of the roster that differ, such as `on_shutdown`.
+    """
+
+    file: str
+    drives: int
+    added: tuple[str, ...]
+    removed: tuple[str, ...]
+    changed: Mapping[str, tuple[str, ...]]
+    groups: tuple[str, ...]
+    keys: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """Write it for the log: `added=c,d removed=none changed=a`."""
+        parts = {"added": self.added, "removed": self.removed, "changed": tuple(self.changed)}
+        return " ".join(f"{key}={','.join(names) or 'none'}" for key, names in parts.items())
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the JSON form."""
+        changed = [{"drive": name, "keys": list(keys)} for name, keys in self.changed.items()]
+        return {
+            "outcome": "done",
+            "file": self.file,
+            "drives": self.drives,
+            "added": list(self.added),
+            "removed": list(self.removed),
+            "changed": changed,
+            "groups": list(self.groups),
+            "keys": list(self.keys),
+        }
+
+
+def roster_changes(old: Roster, new: Roster) -> RosterChanges:
+    """Compare two rosters of one line."""
+    before = {entry.name: entry for entry in old.drives}
+    after = {entry.name: entry for entry in new.drives}
+    pairs = {name: (before[name], entry) for name, entry in after.items() if name in before}
+    differing = {name: tuple(differing_keys(*pair)) for name, pair in pairs.items()}
+    own = [key for key in differing_keys(old, new) if key not in ("drives", "groups")]
+    return RosterChanges(
+        file=new.file,
+        drives=len(new.drives),
+        added=tuple(name for name in after if name not in before),
+        removed=tuple(name for name in before if name not in after),
+        changed={name: keys for name, keys in differing.items() if keys},
+        groups=tuple(
+            name for name in dict.fromkeys((*new.groups, *old.groups))
+            if groups_differ(old, new, name)
+        ),
+        keys=tuple(own),
+    )  # fmt: skip
+
+
+def groups_differ(old: Roster, new: Roster, name: str) -> bool:
+    """Whether a group differs; `all` has every drive, so only how it is sent to counts."""
+    was, now = old.groups.get(name), new.groups.get(name)
+    if name != "all" or was is None or now is None:
+        return was != now
+    return (was.multicast_address, was.multicast) != (now.multicast_address, now.multicast)
+
+
+def differing_keys(old: BaseModel, new: BaseModel) -> Iterator[str]:
+    """Yield the keys by which two entries of one kind differ."""
+    for field in type(new).model_fields:
+        if field not in _WITHOUT_KEY and getattr(old, field) != getattr(new, field):
+            yield _RENAMED.get(field, field.removesuffix("_s"))
+
+
+def check_restart(node: MappingNode, new: Roster, running: Roster, mistakes: Mistakes) -> None:
+    """Note the keys that only a restart changes, each at its place.
+
+    Args:
+        node: The new roster's file.
+        new: What it says.
+        running: The roster in use.
+        mistakes: Where the keys are noted.
+    """
+    for part in FIXED:
+        was, now = getattr(running, part), getattr(new, part)
+        if was == now:
+            continue
+        keys = list(differing_keys(was, now)) if isinstance(now, BaseModel) else [""]
+        for key in keys:
+            what = f"`{part}{key and '.'}{key}` cannot change while lecombus runs"
+            right = "restart lecombus, or put the old value back"
+            mistakes.note(place_of(node, part, key), what, right)
+
+
+def place_of(node: MappingNode, part: str, key: str) -> Position:
+    """Return where a key stands; without it, where the part stands, or the file begins."""
+    if part not in node.items:
+        return Spot()
+    name, value = node.items[part]
+    if isinstance(value, MappingNode) and key in value.items:
+        return value.items[key][0]
+    return name

@@ -1,0 +1,131 @@
+"""What a reload says that changed: drives, keys of drives, groups, and what needs a restart."""
+
+from __future__ import annotations
+
+import pytest
+
+from lecombus.config import Roster, RosterChanges, RosterError, parse_roster, roster_changes
+from lecombus.config.changes import FIXED, differing_keys
+from lecombus.config.container_types import ListOf, Table
+from lecombus.config.keys import roster_table
+from lecombus.roster import ApiEntry, DriveEntry, LineEntry
+
+DRIVES = {
+    "feeder": "address: 11, family: 8200vector",
+    "belt": "address: 12, family: smvector",
+    "winder": "address: 21, family: 93xx",
+}
+
+
+def text(drives: dict[str, str], *, line: str = "", sections: str = "") -> str:
+    rows = [f"  - {{name: {name}, {keys}}}" for name, keys in drives.items()]
+    return "\n".join(["line:", "  name: hall", f"  port: 'sim:'{line}", "drives:", *rows, sections])
+
+
+def roster(drives: dict[str, str] = DRIVES, *, sections: str = "") -> Roster:
+    return parse_roster(text(drives, sections=sections), "hall.yaml")
+
+
+def compared(drives: dict[str, str] = DRIVES, *, sections: str = "") -> RosterChanges:
+    return roster_changes(roster(), roster(drives, sections=sections))
+
+
+def test_the_same_roster_changed_nothing() -> None:
+    assert compared() == RosterChanges("hall.yaml", 3, (), (), {}, (), ())
+
+
+def test_drives_that_are_new_gone_and_described_otherwise_are_named_with_their_keys() -> None:
+    after = {
+        "fan": "address: 13, family: smvector",
+        "winder": "address: 22, family: 93xx, addressing: standard, answer_time: 30ms, cyclic: []",
+        "feeder": DRIVES["feeder"],
+    }
+    found = compared(after)
+    assert (found.added, found.removed) == (("fan",), ("belt",))
+    assert found.changed == {"winder": ("address", "addressing", "cyclic", "answer_time")}
+    assert str(found) == "added=fan removed=belt changed=winder"
+    assert found.as_json()["changed"] == [
+        {"drive": "winder", "keys": ["address", "addressing", "cyclic", "answer_time"]}
+    ]
+
+
+@pytest.mark.parametrize(
+    ("key", "named"),
+    [
+        ("watchdog: {time: 2s, action: quick-stop}", "watchdog"),
+        ("also_writable: [C0012]", "writable"),
+        ("lease: {time: 3s}", "lease"),
+        ("stop_fallback: none", "stop_fallback"),
+        ("stored_writes: {burst: 2}", "stored_writes"),
+    ],
+)
+def test_a_key_of_a_drive_is_named(key: str, named: str) -> None:
+    found = compared(DRIVES | {"feeder": f"{DRIVES['feeder']}, {key}"})
+    assert found.changed == {"feeder": (named,)}
+
+
+def test_a_default_for_all_drives_is_named_with_the_drives_that_have_it() -> None:
+    found = compared(sections="lease: {time: 3s}\non_shutdown: inhibit")
+    assert found.keys == ("lease", "on_shutdown")
+    assert found.changed == dict.fromkeys(DRIVES, ("lease",))
+
+
+def test_a_group_is_named_when_its_members_or_its_telegram_differ() -> None:
+    before = roster(sections="groups: {one: {members: [feeder, belt]}, two: {members: [winder]}}")
+    after = roster(
+        DRIVES | {"belt": "address: 22, family: smvector"},
+        sections="groups: {one: {members: [feeder, belt]}, three: {members: [winder]}}",
+    )
+    assert before.groups["one"].multicast_address == 10
+    assert after.groups["one"].multicast_address is None
+    assert roster_changes(before, after).groups == ("one", "three", "two")
+
+
+def test_the_group_of_all_drives_is_named_only_when_it_is_sent_to_otherwise() -> None:
+    fan = DRIVES | {"fan": "address: 31, family: smvector"}
+    assert compared(fan).groups == ()
+    assert compared(sections="groups: {all: {multicast: true}}").groups == ("all",)
+
+
+def test_what_only_a_restart_changes_is_a_mistake_at_its_place() -> None:
+    running = parse_roster(text(DRIVES, sections="api: {http: 127.0.0.1:9740}"), "hall.yaml")
+    after = text(DRIVES, line="\n  baud: 19200", sections="state: /tmp/x.json")
+    with pytest.raises(RosterError) as refused:
+        parse_roster(after, "hall.yaml", running)
+    right = "restart lecombus, or put the old value back"
+    assert [str(one) for one in refused.value.mistakes] == [
+        f"hall.yaml:1:1: `api.http` cannot change while lecombus runs, {right}",
+        f"hall.yaml:4:3: `line.baud` cannot change while lecombus runs, {right}",
+        f"hall.yaml:9:1: `state` cannot change while lecombus runs, {right}",
+    ]
+    parse_roster(after, "hall.yaml")
+
+
+def test_a_key_that_was_taken_out_has_the_place_of_its_part() -> None:
+    running = parse_roster(text(DRIVES, line="\n  retries: 1"), "hall.yaml")
+    with pytest.raises(RosterError, match=r"^hall.yaml:1:1: `line.retries` cannot change"):
+        parse_roster(text(DRIVES), "hall.yaml", running)
+
+
+def test_other_mistakes_are_listed_with_it_as_far_as_they_are_found_then() -> None:
+    running = roster()
+    with pytest.raises(RosterError, match="8200x"):
+        parse_roster(
+            text(DRIVES | {"fan": "address: 31, family: 8200x"}, line="\n  retries: 1"),
+            "hall.yaml", running,
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize(("title", "model"), [("line", LineEntry), ("api", ApiEntry),
+                                              ("drives", DriveEntry)])  # fmt: skip
+def test_every_field_is_named_by_a_key_of_the_file(title: str, model: type) -> None:
+    table = roster_table("lecom").keys[title].type
+    table = table.of if isinstance(table, ListOf) else table
+    assert isinstance(table, Table)
+    unlike = model.model_construct(**dict.fromkeys(model.model_fields))  # type: ignore[attr-defined]
+    like = model.model_construct(**dict.fromkeys(model.model_fields, 1))  # type: ignore[attr-defined]
+    assert set(differing_keys(unlike, like)) <= set(table.keys)
+
+
+def test_every_part_that_needs_a_restart_is_a_key() -> None:
+    assert set(FIXED) <= set(roster_table("lecom").keys)
