@@ -150,6 +150,9 @@ class FakeOperations:
         output = self.store.reading(drive, FREQUENCY)
         return WhyReport(self.store.drive(drive), text, (finding,), (), output, (entry,), True)
 
+    def is_command(self, drive: str, code: Code) -> bool:
+        return family("8200vector").is_command(code)
+
     def groups(self) -> Sequence[GroupInfo]:
         return (GroupInfo("conveyors", ("feeder", "belt"), None), GroupInfo("all", ("feeder",), 0))
 

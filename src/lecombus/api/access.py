@@ -20,7 +20,9 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from lecombus.api.answers import ProblemDocument
 from lecombus.api.decimal_json import short
 from lecombus.api.read_routes import ADDRESSES_PATH
+from lecombus.operations.actions import ACTOR
 from lecombus.roster import is_loopback
+from lecombus.tokens import grants
 
 __all__ = ["ReadOnlyAccess"]
 
@@ -32,6 +34,8 @@ OWN_SITES: Final = (b"none", b"same-origin")
 """What `Sec-Fetch-Site` says where a person typed the address, or a page of this server asks."""
 
 CLOSE: Final = {"Connection": "close"}
+
+LOCAL_READS: Final = grants.granted([grants.Scope.READ])
 
 
 class ReadOnlyAccess:
@@ -50,6 +54,7 @@ class ReadOnlyAccess:
         """Pass a request on, or answer with what is wrong with it."""
         problem = self._objection(scope) if scope["type"] == "http" else None
         if problem is None:
+            ACTOR.set(replace(ACTOR.get(), grant=LOCAL_READS))
             await self._app(scope, receive, send)
         else:
             await replace(problem, headers=CLOSE).response()(scope, receive, send)

@@ -30,6 +30,7 @@ from lecombus.api.decimal_json import short
 from lecombus.api.idempotency import Idempotency
 from lecombus.api.limits import is_stop
 from lecombus.api.read_routes import ReadRoutes
+from lecombus.api.scopes import guarded
 from lecombus.api.stop_routes import StopRoutes
 from lecombus.api.write_routes import WriteRoutes
 from lecombus.config import RosterChanges
@@ -57,6 +58,7 @@ def create_app(
     reload: Callable[[], Awaitable[RosterChanges]],
     port: str = "",
     baud: int = 9600,
+    read_only: bool = False,
     version: str = "",
     clock: Callable[[], float] = time.monotonic,
 ) -> Starlette:
@@ -73,17 +75,19 @@ def create_app(
         reload: Reads the roster again and applies it.
         port: The line's port, as the roster has it.
         baud: Its baud rate, bit/s.
+        read_only: Whether all but reads and stops are refused.
         version: lecombus' version, for the OpenAPI document.
         clock: A monotonic clock for idempotency keys, seconds.
     """
     facts: dict[str, Json] = {"line": line_name, "port": port, "baud": baud}
+    routes = [
+        *StopRoutes(ops).routes(),
+        *ReadRoutes(ops, store, facts, plan_facts, clock).routes(),
+        *WriteRoutes(ops, Idempotency(clock), reload).routes(),
+        *ServiceRoutes(metrics, ready, healthy, version or "0").routes(),
+    ]
     app = Starlette(
-        routes=[
-            *StopRoutes(ops).routes(),
-            *ReadRoutes(ops, store, facts, plan_facts, clock).routes(),
-            *WriteRoutes(ops, Idempotency(clock), reload).routes(),
-            *ServiceRoutes(metrics, ready, healthy, version or "0").routes(),
-        ],
+        routes=guarded(routes, ops, read_only=read_only),
         middleware=[Middleware(with_plain_stop_paths)],
         exception_handlers={
             LecombusError: known_error,

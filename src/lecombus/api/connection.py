@@ -59,6 +59,7 @@ from lecombus.api.limits import (
 )
 from lecombus.operations.actions import ACTOR, Actor
 from lecombus.operations.awaited_requests import CAME_S, IS_GONE
+from lecombus.tokens.grants import EVERYTHING
 
 __all__ = ["PENDING_LIMIT", "SLICE", "Connection", "StartQueue"]
 
@@ -151,9 +152,9 @@ class Connection(HttpToolsProtocol):
         try:
             said = peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, CREDENTIALS.size)
         except OSError:  # the client is gone already
-            return Actor("socket")
+            return Actor("socket", grant=EVERYTHING)
         pid, uid, _ = CREDENTIALS.unpack(said)
-        return Actor("socket", uid, pid)
+        return Actor("socket", uid, pid, grant=EVERYTHING)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Give the place back; called by the loop."""

@@ -30,9 +30,11 @@ from lecombus.api.request_checks import (
     read_query,
     refuse_query,
 )
+from lecombus.api.scopes import reaches
 from lecombus.descriptions import code_document, family_document
 from lecombus.drive_state.readings import DriveInfo, Json, json_value
 from lecombus.drive_state.store import Store
+from lecombus.operations.actions import ACTOR
 from lecombus.operations.facade import Operations
 
 __all__ = ["ADDRESSES_PATH", "KEEPS_S", "PageCache", "ReadRoutes"]
@@ -98,7 +100,7 @@ class ReadRoutes:
     async def line(self, request: Request) -> Response:
         """The line: its state, and how many drives are in which state."""
         refuse_query(request)
-        states = Counter(info.state.value for info in self._store.drives())
+        states = Counter(info.state.value for info in self._visible())
         line = self._store.line().as_json()
         return json_response({**self._facts, **line, "drives": {**states}})
 
@@ -116,7 +118,8 @@ class ReadRoutes:
     async def groups(self, request: Request) -> Response:
         """Every group, its members and whether it is spoken to by multicast."""
         refuse_query(request)
-        return json_response({"groups": [one.as_json() for one in self._ops.groups()]})
+        found = [one for one in self._ops.groups() if reaches(one.members, self._ops)]
+        return json_response({"groups": [one.as_json() for one in found]})
 
     async def drives(self, request: Request) -> Response:
         """Every drive with its state and every value known, with age and quality.
@@ -124,7 +127,9 @@ class ReadRoutes:
         Values and ages may be 0.1 s behind; states, failures and writes never are.
         """
         refuse_query(request)
-        return text_response(await self._every_drive.get())
+        if ACTOR.get().grant.is_whole:
+            return text_response(await self._every_drive.get())
+        return text_response(await self._drives_text())
 
     async def described_codes(self, request: Request) -> Response:
         """What is known of a drive's codes: names, ranges, selections, where they are stored."""
@@ -199,8 +204,12 @@ class ReadRoutes:
         refuse_query(request)
         return json_response(self._plan_facts())
 
+    def _visible(self) -> list[DriveInfo]:
+        """Return the drives that the request may see."""
+        return [info for info in self._store.drives() if reaches((info.name,), self._ops)]
+
     async def _drives_text(self) -> bytes:
-        texts = [await self._drive_text(info) for info in self._store.drives()]
+        texts = [await self._drive_text(info) for info in self._visible()]
         return ('{"drives": [' + ", ".join(texts) + "]}").encode()
 
     async def _drive_text(self, info: DriveInfo) -> str:

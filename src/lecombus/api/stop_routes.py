@@ -18,6 +18,7 @@ from lecombus.api.decimal_json import short
 from lecombus.api.idempotency import SharedStops, key_mistake, keys_of
 from lecombus.api.limits import STOP_PATH
 from lecombus.api.request_checks import read_stop
+from lecombus.api.scopes import require_target
 from lecombus.drives import Verb
 from lecombus.operations.facade import Operations
 
@@ -50,6 +51,7 @@ class StopRoutes:
         it stops again. What is superfluous in the request is ignored and told in `ignored`.
         """
         body, raw, superfluous = await read_stop(request)
+        require_target(body.target, self._ops)
         ignored = (*ignored_of(request), *superfluous)
 
         async def act() -> Response:

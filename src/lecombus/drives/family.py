@@ -290,6 +290,16 @@ class Family:
             return WriteClass.PLAIN
         return info.write_class
 
+    def is_command(self, code: Code) -> bool:
+        """Return whether writing a code can move the drive, or does more than change a setting.
+
+        True of a code that nothing is known of.
+        """
+        info = self.codes.get(code)
+        if info is None or info.motion:
+            return True
+        return info.write_class not in (WriteClass.PLAIN, WriteClass.SAVE)
+
     def status_bits(self, code: Code, value: int) -> dict[str, bool]:
         """Return the bits of a status word; empty for a code that is none."""
         word = self.words.get(code)

@@ -29,6 +29,7 @@ from lecombus.errors import LecombusError
 from lecombus.operations.awaited_requests import CAME_S
 from lecombus.operations.operation_reports import GroupReport, VerbReport, WriteReport
 from lecombus.schedule import Outcome
+from lecombus.tokens.grants import EVERYTHING, NOTHING, Grant
 
 __all__ = ["ACTOR", "SECRET", "Actions", "Actor"]
 
@@ -62,12 +63,18 @@ class Actor:
         uid: Of the process at the other end of the socket.
         pid: Of the same process; 0: it is in another container.
         client: Address and port of a TCP client.
+        token: The name of its bearer token; empty without one.
+        subject: Who its TLS certificate says it is; empty without one.
+        grant: What it may do over HTTP; nothing, unless the door says more.
     """
 
     who: str = "lecombus"
     uid: int | None = None
     pid: int = 0
     client: str = ""
+    token: str = ""
+    subject: str = ""
+    grant: Grant = NOTHING
     _process: str = ""
 
     def find_process(self) -> str:
@@ -84,19 +91,22 @@ class Actor:
 
     def kind(self) -> str:
         """Return what it has in common with others like it: a script starts many processes."""
-        return self.who if self.uid is None else f"{self.uid} {self.find_process()}"
+        if self.uid is None:
+            return f"{self.who} {self.token}" if self.token else self.who
+        return f"{self.uid} {self.find_process()}"
 
     def fields(self) -> dict[str, str]:
         """Return what is logged of it."""
         found = {"who": self.who}
         if self.uid is not None:
             found |= {"uid": str(self.uid), "pid": str(self.pid), "process": self.find_process()}
-        if self.client:
-            found["client"] = clean(self.client)
+        for key in ("token", "subject", "client"):
+            if text := getattr(self, key):
+                found[key] = clean(text)
         return found
 
 
-ACTOR: Final[ContextVar[Actor]] = ContextVar("ACTOR", default=Actor())  # noqa: B039 - never changed
+ACTOR: Final[ContextVar[Actor]] = ContextVar("ACTOR", default=Actor(grant=EVERYTHING))  # noqa: B039 - never changed
 
 
 @dataclass(frozen=True, slots=True, eq=False)

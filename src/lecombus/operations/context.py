@@ -157,6 +157,11 @@ class OperationContext:
         except CodeValueError:
             return False  # the write will be refused with the reason
 
+    def is_command(self, drive: str, code: Code) -> bool:
+        """Whether writing a code of a drive can move it; also if nothing is known of it."""
+        found = self.requests.drives.find(drive)
+        return found is None or found.family.is_command(code)
+
     def control_word(self, drive: str) -> ControlWord:
         """Return the control word of a drive; one that left the roster has none that is known."""
         found = self.requests.drives.find(drive)

@@ -71,6 +71,7 @@ class Operations:
         self._groups = GroupWrites(context, self._writes)
         self._verbs = Verbs(context, self._writes, self._stops)
         self.set_roster: Final = context.set_roster
+        self.is_command: Final = context.is_command
         self.close: Final = context.permissions.close
         self.read: Final = reads.read
         self.read_address: Final = reads.read_address

@@ -1,0 +1,248 @@
+"""The file of tokens: names, digests, scopes, targets, times; never a token itself.
+
+One JSON document, written again as a whole: a reader finds the old one or the new one. Only its
+owner may write it, and its owner is root or the user that reads it: whoever could write it could
+give themselves any right. A file that breaks one of these rules, or is no such document, is refused
+as a whole.
+
+Times are those of the computer's clock (Unix seconds in the program, RFC 3339 in the file).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import grp
+import hmac
+import json
+import os
+import stat
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from lecombus.errors import OperationError
+from lecombus.tokens.grants import Grant, Scope, granted
+from lecombus.tokens.secret import digest_of, is_well_formed
+
+__all__ = ["MOST_TOKENS", "NAME", "TokenEntry", "Tokens", "read_tokens", "write_tokens"]
+
+LARGEST: Final = 256 * 1024
+"""Bytes of a file that is read."""
+
+MOST_TOKENS: Final = 100
+"""Each request is compared with all of them."""
+
+NAME: Final = r"[A-Za-z0-9][A-Za-z0-9_.@-]{0,39}"
+"""A token's name: it stands in logs and in the journal."""
+
+MODE: Final = 0o640
+GROUP: Final = "lecombus"
+"""The daemon's group, where root writes the file."""
+
+
+class TokenEntry(BaseModel):
+    """One token, without its secret.
+
+    Args:
+        name: Who or what uses it.
+        sha256: Digest of the secret, in hexadecimal.
+        scopes: What it is for.
+        targets: Drives and groups; none: all.
+        created: When it was made.
+        expires: From when it is not valid; None: it does not expire.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: Annotated[str, Field(pattern=f"^{NAME}$")]
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+    scopes: Annotated[tuple[Scope, ...], Field(min_length=1)]
+    targets: tuple[Annotated[str, Field(min_length=1, max_length=64)], ...] = ()
+    created: datetime
+    expires: datetime | None = None
+
+    @field_validator("created", "expires")
+    @classmethod
+    def _zoned(cls, value: datetime | None) -> datetime | None:
+        if value is not None and value.tzinfo is None:
+            raise ValueError("a time needs its zone, such as Z")
+        return value
+
+    @property
+    def grant(self) -> Grant:
+        """What it allows."""
+        return granted(self.scopes, self.targets)
+
+    def is_expired(self, now_s: float) -> bool:
+        """Return whether its time is over at a time of the wall clock, Unix seconds."""
+        return self.expires is not None and now_s >= self.expires.timestamp()
+
+
+class _Document(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    version: Annotated[int, Field(ge=1, le=1)]
+    tokens: Annotated[tuple[TokenEntry, ...], Field(max_length=MOST_TOKENS)]
+
+    @field_validator("tokens")
+    @classmethod
+    def _differ(cls, value: tuple[TokenEntry, ...]) -> tuple[TokenEntry, ...]:
+        for kind in ("name", "sha256"):
+            if len({getattr(one, kind) for one in value}) < len(value):
+                raise ValueError(f"two tokens have the same {kind}")
+        return value
+
+
+@dataclass(frozen=True, slots=True)
+class Tokens:
+    """The tokens of a file.
+
+    Args:
+        entries: The tokens, in the order of the file.
+    """
+
+    entries: tuple[TokenEntry, ...] = ()
+
+    def __iter__(self) -> Iterator[TokenEntry]:
+        """Give the tokens in order."""
+        return iter(self.entries)
+
+    def find(self, secret: str, now_s: float) -> TokenEntry | None:
+        """Return the valid token with a secret; the time that takes says nothing about secrets.
+
+        Args:
+            secret: What a client sent.
+            now_s: The wall clock, Unix seconds.
+        """
+        if not is_well_formed(secret):
+            return None
+        digest, found = digest_of(secret), None
+        for entry in self.entries:
+            if hmac.compare_digest(entry.sha256, digest):
+                found = entry
+        return None if found is None or found.is_expired(now_s) else found
+
+    def holds(self, entry: TokenEntry, now_s: float) -> bool:
+        """Return whether a token that was valid still is, with the same rights."""
+        return entry in self.entries and not entry.is_expired(now_s)
+
+    def named(self, name: str) -> TokenEntry | None:
+        """Return the token of a name."""
+        return next((one for one in self.entries if one.name == name), None)
+
+
+def read_tokens(path: Path) -> Tokens:
+    """Return the tokens of a file; none if there is no file.
+
+    Raises:
+        OperationError: `tokens`: it cannot be read, others may write it, or it is not such a file.
+    """
+    try:
+        data = _read(path)
+    except FileNotFoundError:
+        return Tokens()
+    except OSError as exc:
+        remedy = "let the daemon's user read it: owner root, group lecombus, mode 0640"
+        raise refused(path, f"it cannot be read ({exc.strerror})", remedy) from exc
+    try:
+        return Tokens(_Document.model_validate(json.loads(data)).tokens)
+    except ValidationError as exc:
+        first = exc.errors(include_url=False, include_input=False)[0]
+        where = ".".join(str(part) for part in first["loc"]) or "the document"
+        raise refused(path, f"{where}: {first['msg']}", "make tokens by `lecombus token`") from None
+    except ValueError as exc:
+        raise refused(path, f"it is no JSON ({exc})", "make tokens by `lecombus token`") from None
+
+
+def _read(path: Path) -> bytes:
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    with os.fdopen(descriptor, "rb") as file:
+        found = os.fstat(descriptor)
+        if not stat.S_ISREG(found.st_mode):
+            raise refused(path, "it is no regular file", "name the file of tokens")
+        if found.st_mode & 0o022:
+            mode = f"its mode is {stat.S_IMODE(found.st_mode):04o}"
+            raise refused(path, f"others may write it: {mode}", f"chmod 0640 {path}")
+        if found.st_uid not in (0, os.geteuid()):
+            what = f"it belongs to user {found.st_uid}"
+            raise refused(path, what, f"give it to root or to the daemon's user: chown root {path}")
+        data = file.read(LARGEST + 1)
+    if len(data) > LARGEST:
+        raise refused(path, f"it is longer than {LARGEST} bytes", "make tokens by `lecombus token`")
+    return data
+
+
+def refused(path: Path, what: str, remedy: str) -> OperationError:
+    """Return the error for a file that is not used."""
+    return OperationError(f"{path}: the tokens are not used: {what}", kind="tokens", remedy=remedy)
+
+
+def write_tokens(path: Path, tokens: Sequence[TokenEntry]) -> None:
+    """Write a file of tokens again, as a whole; owner, group and mode stay as they were.
+
+    A new file has mode 0640, and where root makes it the group `lecombus` if there is one.
+
+    Raises:
+        OSError: It cannot be written; the old file is there as before.
+    """
+    document = _Document(version=1, tokens=tuple(tokens))
+    text = json.dumps(document.model_dump(mode="json"), indent=1) + "\n"
+    mode, owner, group = _kept(path)
+    descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        with os.fdopen(descriptor, "w") as file:
+            if os.geteuid() == 0 or group in os.getgroups():
+                os.fchown(descriptor, owner, group)
+            os.fchmod(descriptor, mode)
+            file.write(text)
+            file.flush()
+            os.fsync(descriptor)
+        Path(name).replace(path)
+    except BaseException:
+        with contextlib.suppress(FileNotFoundError):
+            Path(name).unlink()
+        raise
+    _sync_folder(path.parent)
+
+
+def _kept(path: Path) -> tuple[int, int, int]:
+    """Return mode, owner and group for the file; -1: as they come."""
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        return MODE, -1, _group()
+    return stat.S_IMODE(found.st_mode) & ~0o022 & 0o777, found.st_uid, found.st_gid
+
+
+def _group() -> int:
+    if os.geteuid() != 0:
+        return -1
+    try:
+        return grp.getgrnam(GROUP).gr_gid
+    except KeyError:
+        return -1
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def now_rounded() -> datetime:
+    """Return the time now in whole seconds, as it stands in the file."""
+    return datetime.now(UTC).replace(microsecond=0)
+
+
+def as_json(entry: TokenEntry) -> dict[str, Any]:
+    """Return what is shown of a token: all but its digest."""
+    document = entry.model_dump(mode="json")
+    del document["sha256"]
+    return document
