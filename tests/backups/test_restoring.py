@@ -55,7 +55,7 @@ def test_a_drive_that_somebody_enables_is_no_longer_written_to() -> None:
     one = drive(after_write=lambda one, code: one.enable_it())
     result = restored(one)
     assert [code for code, _ in one.writes] == ["C0001"]
-    assert "enabled from elsewhere" in result.stopped
+    assert "lifted from elsewhere" in result.stopped
     assert not result.complete
     assert result.inhibited_now is False
 
@@ -88,7 +88,7 @@ def test_a_stop_keeps_it_from_saving() -> None:
 
 def test_an_enable_after_the_last_write_is_found_out_too() -> None:
     one = drive(after_write=lambda one, code: one.enable_it() if code.number == 2011 else None)
-    assert "enabled from elsewhere" in restored(one).stopped
+    assert "lifted from elsewhere" in restored(one).stopped
 
 
 def test_after_a_loss_the_drive_is_inhibited_again_and_the_code_written() -> None:

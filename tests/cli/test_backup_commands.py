@@ -12,12 +12,12 @@ from pathlib import Path
 import anyio
 import pytest
 
-from backups.backups import backup_of
+from backups.backups import answers, backup_of
 from cli.conftest import Run
 from cli.daemon_stub import DaemonStub
 from lecombus.backups import Restored, make_plan, wanted_codes
 from lecombus.cli.backup_files import Notes
-from lecombus.cli.restore import result_json, show_result
+from lecombus.cli.restore import result_json, show_plan, show_result
 from lecombus.drives import family
 from lecombus.parameters import Code, Value
 from support.golden import Golden
@@ -408,3 +408,16 @@ def test_a_restore_says_of_the_inhibit_what_the_drive_shows_in_the_end(
     shown = capsys.readouterr()
     golden(shown.out + shown.err)
     assert result_json(plan, result, "feeder")["inhibited"] is (inhibited is True)
+
+
+@pytest.mark.parametrize("enable", [False, True])
+def test_a_drive_that_is_not_inhibited_is_not_called_enabled(
+    capsys: pytest.CaptureFixture[str], enable: bool
+) -> None:
+    """A quick stop may hold it: the plan rests on its inhibit alone."""
+    was = answers({"C0011": "50"})
+    plan = make_plan(backup_of("8200vector", {"C0011": "60"}), family("8200vector"), was)
+    show_plan(plan, "feeder", enabled=True, enable=enable)
+    after = "the inhibit is lifted at the end: the motor may turn" if enable else "stays so"
+    said = f"feeder is not inhibited: it will be inhibited, and {after}"
+    assert said in capsys.readouterr().err.splitlines()

@@ -164,10 +164,15 @@ def test_a_running_simulator_is_told_from_another_terminal(
         two = run(*words, "trip feeder 50", "--tell", "reset feeder", "--json")
         assert json.loads(two.out)[0]["told"] == "trip feeder 50"
         none = run(*words, "trip feedr 50", "--json")
-        assert (none.status, json.loads(none.out)) == (1, [])
+        assert (none.status, none.out, json.loads(none.err)["status"]) == (1, "", 1)
+        some = run(*words, "trip feeder 50", "--tell", "trip feedr 50", "--json")
+        assert (some.status, len(json.loads(some.out))) == (1, 1)
     gone = run("simulate", "--control", str(tmp_path / "nothing"), "--tell", "drives")
     assert gone.status == 3
     assert "no simulator answers at" in gone.err
+    gone = run("simulate", "--control", str(tmp_path / "nothing"), "--tell", "drives", "--json")
+    assert (gone.status, gone.out) == (3, "")
+    assert "no simulator answers at" in json.loads(gone.err)["problem"]
     nobody = run("simulate", "--tell", "drives")
     assert (nobody.status, "whom to tell" in nobody.err) == (2, True)
 

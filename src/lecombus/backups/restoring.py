@@ -32,7 +32,7 @@ __all__ = ["Restored", "is_inhibited", "restore"]
 TRIES: Final = 4
 """How often one code is written while the line comes and goes."""
 
-NOT_INHIBITED: Final = "the drive was enabled from elsewhere: nothing more is written to it"
+NOT_INHIBITED: Final = "its inhibit was lifted from elsewhere: nothing more is written to it"
 
 
 @dataclass(slots=True)
@@ -43,7 +43,7 @@ class Restored:
         written: What was written and read back.
         refused: What the drive did not take, and why.
         changed: What reads otherwise in the end: wanted and found.
-        inhibited_here: The drive was enabled before, and was inhibited by this restore.
+        inhibited_here: The drive was not inhibited before, and was inhibited by this restore.
         inhibited_now: It reports its inhibit in the very end; None: it does not say.
         saved: The parameters were saved at the end; None where nothing needs saving.
         stopped: Why it ended before its end; empty when it did not.
@@ -145,7 +145,7 @@ class Work:
             said = await self._access.inhibit()
             if said.done:
                 self.result.inhibited_here = True
-                self._listener.say("the drive was enabled and is inhibited now")
+                self._listener.say("the drive was not inhibited, and is now")
                 return
             if not is_passing(said.kind):
                 break

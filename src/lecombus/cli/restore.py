@@ -51,7 +51,7 @@ class RestoreOptions:
         drive: The drive.
         other_drive: It is known to be another one.
         yes: Do not ask the user.
-        enable: Lift the inhibit at the end if it was enabled before.
+        enable: Lift the inhibit at the end if it was not inhibited before.
         patience_s: How long to wait for what is away, seconds.
         daemon: The drive's daemon; whether JSON is printed.
     """
@@ -74,7 +74,8 @@ class Seen:
         whose: The drive.
         rights: Whether it may be restored.
         plan: The plan.
-        enabled: It is enabled now; None where it does not say.
+        enabled: It is not inhibited now, though a quick stop may hold it; None where it does not
+            say.
     """
 
     whose: Whose
@@ -97,7 +98,7 @@ class Seen:
 @click.option(
     "--enable",
     is_flag=True,
-    help="Enable it at the end if it was enabled before: the motor may turn.",
+    help="Lift the inhibit at the end if it was not inhibited before: the motor may turn.",
 )
 @wait_option
 @daemon_options
@@ -308,8 +309,9 @@ def show_plan(plan: RestorePlan, drive: str, *, enabled: bool | None, enable: bo
     Args:
         plan: The plan.
         drive: The drive's name.
-        enabled: It is enabled now; None where it does not say.
-        enable: It shall be enabled again at the end.
+        enabled: It is not inhibited now, though a quick stop may hold it; None where it does not
+            say.
+        enable: Its inhibit shall be lifted at the end.
     """
     if on_terminal():
         click.echo(headline(plan, drive))
@@ -330,8 +332,10 @@ def show_plan(plan: RestorePlan, drive: str, *, enabled: bool | None, enable: bo
     for remark in plan.remarks:
         click.echo(remark, err=True)
     if plan.steps and enabled:
-        after = "enabled again at the end: the motor may turn" if enable else "stays so"
-        click.echo(f"{drive} is enabled: it will be inhibited, and {after}", err=True)
+        after = "and stays so"
+        if enable:
+            after = "and the inhibit is lifted at the end: the motor may turn"
+        click.echo(f"{drive} is not inhibited: it will be inhibited, {after}", err=True)
     if plan.save is not None and plan.steps:
         click.echo(f"at the end {plan.save[0]} = {plan.save[1]} saves it all", err=True)
 
@@ -381,7 +385,7 @@ def show_result(plan: RestorePlan, result: Restored, drive: str, *, enabled: boo
         if result.saved is False:
             click.echo("not saved: what was written is lost at power-off", err=True)
     if enabled:
-        click.echo(f"{drive} is enabled again")
+        click.echo(f"{drive} is not inhibited any more")
     elif result.inhibited_here and result.inhibited_now:
         click.echo(f"{drive} is inhibited: enable it yourself, when it may move")
     elif result.inhibited_now is not True:

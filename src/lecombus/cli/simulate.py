@@ -205,7 +205,7 @@ def _control_path(pty: Path | None, control: Path | None) -> Path | None:
 def _tell_simulator(path: Path | None, lines: tuple[str, ...], *, as_json: bool) -> None:
     """Send lines to a running simulator, one after another, and print its answers.
 
-    As JSON it is printed when all of them are done, or when one is wrong.
+    As JSON they are printed when all lines are done, or when one is wrong and others are done.
 
     Raises:
         CommandError: It is not there, or says that a line is wrong.
@@ -221,7 +221,7 @@ def _tell_simulator(path: Path | None, lines: tuple[str, ...], *, as_json: bool)
             if answer and not as_json:
                 click.echo(answer)
     finally:
-        if as_json:
+        if as_json and sent:
             click.echo(json.dumps(sent, ensure_ascii=False))
 
 
