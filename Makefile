@@ -8,11 +8,12 @@
 # make wheel   dist/lecombus-*.whl, built offline from the lock
 # make golden  what the program says in tests, written again: tests/*/golden.txt (ARGS="tests/cli")
 # make openapi the description of the HTTP interface, from the routes and the answer models
+# make schema  config/roster.schema.json, for editors, from the keys of a roster
 # make lock    requirements/*.txt anew from *.in (make lock ARGS=--upgrade for newer versions)
 
 ARGS ?=
 
-.PHONY: demo test test-long proof compare check bench golden openapi wheel lock format clean
+.PHONY: demo test test-long proof compare check bench golden openapi schema wheel lock format clean
 
 demo:
 	@scripts/venv runtime
@@ -53,6 +54,10 @@ golden:
 openapi:
 	@scripts/venv dev
 	@PYTHONPATH=src:tests .venv/bin/python -m openapi.document
+
+schema:
+	@scripts/venv dev
+	@PYTHONPATH=src .venv/bin/python scripts/schema
 
 wheel:
 	@scripts/venv runtime

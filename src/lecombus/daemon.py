@@ -17,12 +17,15 @@ from __future__ import annotations
 import contextlib
 import gc
 import logging
+import os
 import signal
+import socket
 import sys
 import time
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
+from typing import Final
 
 import anyio
 import anyio.lowlevel
@@ -33,16 +36,17 @@ from lecombus.api import create_app, serve
 from lecombus.config import Roster, RosterChanges, RosterError, load_roster
 from lecombus.drives import StopAction
 from lecombus.errors import LecombusError, LineClosedError, OperationError
+from lecombus.fieldbus.port import PortOpener
+from lecombus.fieldbus.protocols import find
 from lecombus.line.devices import others_at
 from lecombus.line.event_loop import run as run_loop
+from lecombus.line.opening import open_port
 from lecombus.line_runtime import LineRuntime
 from lecombus.operations.actions import ACTOR
 from lecombus.operations.operation_reports import GroupReport
 from lecombus.saved_state import Keeping
-from lecombus.simulated import opener_for
-from lecombus.systemd import Notifier
 
-__all__ = ["Daemon", "plain_errors", "run"]
+__all__ = ["SIM_URL", "Daemon", "Notifier", "opener_for", "plain_errors", "run"]
 
 logger = logging.getLogger(__name__)
 
@@ -337,3 +341,51 @@ class Daemon:
                 tell_goodbye(action, report)
         if scope.cancelled_caught:
             logger.error("event=shutdown-stop-failed action=%s reason=too slow", action)
+
+
+class Notifier:
+    """Sends states to the service manager; does nothing where there is none.
+
+    The protocol is one datagram to the socket named in NOTIFY_SOCKET (sd_notify(3)). It is twenty
+    lines here because the Python bindings for it are either unmaintained or need a compiler and
+    LGPL headers on the user's machine.
+    """
+
+    def __init__(self) -> None:
+        address = os.environ.get("NOTIFY_SOCKET", "")
+        self._address = "\0" + address[1:] if address.startswith("@") else address
+        self.watchdog_s = _watchdog_s()
+
+    def tell(self, *states: str) -> None:
+        """Send states such as `READY=1`; a manager that does not listen is not our trouble."""
+        if not self._address:
+            return
+        with (
+            contextlib.suppress(OSError),
+            socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sock,
+        ):
+            sock.connect(self._address)
+            sock.sendall("\n".join(states).encode())
+
+
+def _watchdog_s() -> float | None:
+    """The time after which systemd restarts us without a ping, seconds; None when it does not."""
+    usec = os.environ.get("WATCHDOG_USEC", "")
+    pid = os.environ.get("WATCHDOG_PID", "")
+    if not usec.isdigit() or (pid and pid != str(os.getpid())):
+        return None
+    return int(usec) / 1e6 or None
+
+
+SIM_URL: Final = "sim:"
+
+
+def opener_for(roster: Roster) -> PortOpener:
+    """Give what opens the roster's port: a real one, or `sim:`, its own drives simulated here.
+
+    The simulator is the protocol's, and loaded where it is used: a daemon that starts again has
+    watchdogs to feed.
+    """
+    if roster.line.port != SIM_URL:
+        return open_port
+    return find(roster.line.protocol).simulator(roster)

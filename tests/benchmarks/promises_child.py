@@ -21,11 +21,10 @@ from agreement.adversary import Adversary
 from agreement.cases import CASES
 from agreement.hostile import hostile_line
 from agreement.running import agree, as_measured, attacked
-from lecombus.daemon import SWITCH_INTERVAL_S
+from lecombus.daemon import SWITCH_INTERVAL_S, opener_for
 from lecombus.fieldbus.lecom.simulator import PtyEnd
 from lecombus.line.event_loop import run as run_loop
 from lecombus.line_runtime import LineRuntime
-from lecombus.simulated import opener_for
 
 __all__ = ["main"]
 

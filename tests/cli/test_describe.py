@@ -7,7 +7,7 @@ import json
 import pytest
 
 from cli.conftest import Run
-from lecombus.backups.document import wanted_codes
+from lecombus.backups.backup_file import wanted_codes
 from lecombus.cli import describe
 from lecombus.cli.describe import GERMAN
 from lecombus.drives import FAMILY_NAMES, family

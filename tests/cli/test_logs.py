@@ -12,7 +12,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from lecombus.cli.logs import (
+from lecombus.cli.run import (
     QUEUE_LIMIT,
     BackgroundHandler,
     EventFormatter,
@@ -107,7 +107,7 @@ def test_only_lecombus_is_as_talkative_as_asked(capsys: pytest.CaptureFixture[st
 
 TALKS_WITHOUT_END = """
 import logging
-from lecombus.cli.logs import set_up_logging
+from lecombus.cli.run import set_up_logging
 set_up_logging("info", "logfmt")
 for number in range(5000):
     logging.getLogger("lecombus.x").info("event=%s", "x" * 200)

@@ -9,7 +9,7 @@ import pytest
 
 import lecombus.fieldbus
 from lecombus.backups import read_backup, write_backup
-from lecombus.backups.document import Backup, Head
+from lecombus.backups.backup_file import Backup, Head
 from lecombus.config import parse_roster
 from lecombus.drives import FAMILY_NAMES, family, family_files
 from lecombus.errors import ConfigError

@@ -6,8 +6,8 @@ import prometheus_client
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lecombus.metrics.counters import Counter, Histogram
 from lecombus.metrics.exposition import sample_lines
-from lecombus.metrics.instruments import Counter, Histogram
 
 BOUNDS = (0.005, 0.1, 1.0, 10.0)
 LABELS = {"line": 'hall "3"', "kind": "read"}

@@ -9,8 +9,7 @@ from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 
 from lecombus.drives import family
-from lecombus.drives.access import ReadResult, WriteResult
-from lecombus.drives.identity import identity_codes
+from lecombus.drives.procedures import ReadResult, WriteResult, identity_codes
 from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.fieldbus.lecom.protocol.controls import with_parity
 from lecombus.fieldbus.lecom.rebaud import LineAccess, Rebaud, Subject

@@ -31,8 +31,7 @@ from lecombus.api.idempotency import Idempotency
 from lecombus.api.limits import is_stop
 from lecombus.api.read_routes import ReadRoutes
 from lecombus.api.scopes import guarded
-from lecombus.api.stop_routes import StopRoutes
-from lecombus.api.write_routes import WriteRoutes
+from lecombus.api.write_routes import StopRoutes, WriteRoutes
 from lecombus.config import RosterChanges
 from lecombus.drive_state.readings import Json
 from lecombus.drive_state.store import Store

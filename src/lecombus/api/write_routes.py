@@ -1,9 +1,15 @@
-"""The routes that write: codes of a drive or a group, verbs that are no stop, address, acceptance.
+"""The routes that write: codes of a drive or a group, verbs, address, acceptance, and stops.
 
-The reload of the roster is one of them. Each request is carried out once per `Idempotency-Key`
+The reload of the roster is one of them. A write is carried out once per `Idempotency-Key`
 (`idempotency`).
 
-What must not live here: stops (`stop_routes`), what a write or a verb means (`operations`).
+Stops (`POST /v1/stop` and the verbs `inhibit` and `quick-stop`) are the first routes of the
+application, so a stop passes no other. It is refused only for what cannot be guessed: no way to
+stop, no target, a body that is no JSON object. The rest is ignored, and the answer lists it in
+`ignored`: a query, unknown keys of the body, an `Idempotency-Key` that cannot be kept. A person who
+misspelt a key reads so after the drives have stopped. The body of such a verb is not read at all.
+
+What must not live here: what a write or a verb means (`operations`).
 """
 
 from __future__ import annotations
@@ -24,7 +30,8 @@ from lecombus.api.answers import (
     roster_problem,
 )
 from lecombus.api.decimal_json import short
-from lecombus.api.idempotency import Idempotency
+from lecombus.api.idempotency import Idempotency, SharedStops, key_mistake, keys_of
+from lecombus.api.limits import STOP_PATH
 from lecombus.api.request_checks import (
     AcceptBody,
     AddressBody,
@@ -35,14 +42,16 @@ from lecombus.api.request_checks import (
     WriteBody,
     code_of,
     read_body,
+    read_stop,
     refuse_query,
 )
+from lecombus.api.scopes import require_target
 from lecombus.config import RosterChanges, RosterError
 from lecombus.drives import Verb
 from lecombus.operations.awaited_requests import refuse_for_gone_client
 from lecombus.operations.facade import Operations
 
-__all__ = ["WriteRoutes"]
+__all__ = ["StopRoutes", "WriteRoutes"]
 
 BODIES: Final[Mapping[Verb, type[VerbBody]]] = {
     Verb.ENABLE: VerbBody,
@@ -219,3 +228,64 @@ def verb_of(word: str) -> Verb:
         raise ProblemError(
             ProblemDocument("no-such-path", f"there is no verb {short(word)}", remedy=remedy)
         ) from None
+
+
+class StopRoutes:
+    """The routes of stops.
+
+    Args:
+        ops: What stops.
+    """
+
+    def __init__(self, ops: Operations) -> None:
+        self._ops = ops
+        self._shared = SharedStops()
+
+    def routes(self) -> list[Route]:
+        """Return the routes; they go before all others."""
+        verbs = [
+            Route(f"/v1/drives/{{drive}}/verbs/{verb}", endpoint, methods=["POST"])
+            for verb, endpoint in ((Verb.INHIBIT, self.inhibit), (Verb.QUICK_STOP, self.quick_stop))
+        ]
+        return [Route(STOP_PATH, self.stop, methods=["POST"]), *verbs]
+
+    async def stop(self, request: Request) -> Response:
+        """Stop a drive, a group or all, before everything else on the line.
+
+        A repeat with the same key shares the result only while the first is under way; after that
+        it stops again. What is superfluous in the request is ignored and told in `ignored`.
+        """
+        body, raw, superfluous = await read_stop(request)
+        require_target(body.target, self._ops)
+        ignored = (*ignored_of(request), *superfluous)
+
+        async def act() -> Response:
+            return report_response(await self._ops.stop(body.action, body.target), ignored)
+
+        return await self._shared.run(request, raw, act)
+
+    async def inhibit(self, request: Request) -> Response:
+        """Inhibit a drive; its motor coasts."""
+        return await self._verb(request, Verb.INHIBIT)
+
+    async def quick_stop(self, request: Request) -> Response:
+        """Stop a drive along its ramp."""
+        return await self._verb(request, Verb.QUICK_STOP)
+
+    async def _verb(self, request: Request, verb: Verb) -> Response:
+        drive, ignored = request.path_params["drive"], ignored_of(request)
+
+        async def act() -> Response:
+            return report_response(await self._ops.verb(drive, verb), ignored)
+
+        return await self._shared.run(request, b"", act)
+
+
+def ignored_of(request: Request) -> tuple[str, ...]:
+    """Return what is ignored of a stop besides its body: its query, and a wrong key."""
+    query = request.scope["query_string"].decode("latin-1")
+    said = (
+        f"a stop takes no query: {short(query)}" if query else "",
+        key_mistake(keys_of(request)),
+    )
+    return tuple(one for one in said if one)

@@ -1,8 +1,8 @@
 """Backups of drives: the file, what two of them differ in, and how one is put back.
 
-`document` is a backup in memory, `backup_file` its file. `compare` finds differences,
-`restore_plan` says what a restore would do. `taking` reads a drive whole, and has what is asked of
-it, `restoring` carries a plan out, `progress` remembers how far that came.
+`backup_file` is a backup in memory and its file. `compare` finds differences, `restore_plan` says
+what a restore would do. `taking` reads a drive whole, and has what is asked of it, `restoring`
+carries a plan out and remembers how far it came.
 
 Pure: coroutines here await nothing but `RestoreAccess`, so that they run over HTTP and on a virtual
 clock alike. Files, terminals and HTTP are the command line's.
@@ -10,14 +10,29 @@ clock alike. Files, terminals and HTTP are the command line's.
 
 from __future__ import annotations
 
-from lecombus.drives.access import ReadResult, WriteResult, is_passing
+from lecombus.drives.procedures import ReadResult, WriteResult, is_passing
 
-from .backup_file import read_backup, write_backup
+from .backup_file import (
+    Backup,
+    BackupEntry,
+    Head,
+    Section,
+    read_backup,
+    section_of,
+    wanted_codes,
+    write_backup,
+)
 from .compare import Comparison, Difference, compare
-from .document import Backup, BackupEntry, Head, Section, section_of, wanted_codes
-from .progress import Progress, done_line, head_line, read_progress
 from .restore_plan import RestorePlan, RestoreStep, Skip, make_plan
-from .restoring import Restored, is_inhibited, restore
+from .restoring import (
+    Progress,
+    Restored,
+    done_line,
+    head_line,
+    is_inhibited,
+    read_progress,
+    restore,
+)
 from .taking import Listener, RestoreAccess, Taken, take
 
 __all__ = [

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 
 from lecombus.parameters import Code
 
-from .backup_file import meaning_of
-from .document import Backup, BackupEntry, Section, is_own, section_of
+from .backup_file import Backup, BackupEntry, Section, is_own, meaning_of, section_of
 
 __all__ = ["Comparison", "Difference", "compare"]
 

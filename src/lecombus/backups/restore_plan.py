@@ -22,12 +22,11 @@ from lecombus.drives import (
     restore_rule,
     saving_rule,
 )
-from lecombus.drives.access import ReadResult
+from lecombus.drives.procedures import ReadResult
 from lecombus.errors import CodeValueError
 from lecombus.parameters import Code, Value
 
-from .backup_file import meaning_of
-from .document import Backup, BackupEntry, Section, section_of
+from .backup_file import Backup, BackupEntry, Section, meaning_of, section_of
 
 __all__ = ["RestorePlan", "RestoreStep", "Skip", "codes_to_read", "make_plan"]
 

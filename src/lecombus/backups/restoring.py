@@ -12,22 +12,39 @@
 4. Only then, and only if all is as wanted, it is saved where the family needs that.
 
 A stop of the drive ends a restore at any place. It never enables a drive.
+
+How far it came is written as lines of a file (`Progress`). The first line says what is restored
+into which drive, every further line names a code that was written and read back. Lines are only
+added, so that a restore that is killed in the middle leaves whole lines and at most one torn one,
+which is ignored. What stands there is never taken for the drive's word: a restore that goes on
+reads everything again. It is needed for what the drive does not report: that values were written
+and not saved yet, and that it was enabled before. Where the file is, the command line knows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import json
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 from lecombus.drives import Family, StopAction, confirm_codes, is_last, knows_stop, stop_confirmed
-from lecombus.drives.access import DriveAccess, ReadResult, WriteResult, is_passing
+from lecombus.drives.procedures import DriveAccess, ReadResult, WriteResult, is_passing
+from lecombus.errors import CodeValueError
 from lecombus.parameters import Code, Value
 
 from .restore_plan import RestorePlan, RestoreStep
 from .taking import Listener, RestoreAccess, take, wait_until_usable
 
-__all__ = ["Restored", "is_inhibited", "restore"]
+__all__ = [
+    "Progress",
+    "Restored",
+    "done_line",
+    "head_line",
+    "is_inhibited",
+    "read_progress",
+    "restore",
+]
 
 TRIES: Final = 4
 """How often one code is written while the line comes and goes."""
@@ -297,3 +314,66 @@ async def is_inhibited(access: DriveAccess, family: Family) -> bool | None:
         if is_passing(answer.kind):
             return None
     return None
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """What an unfinished restore left behind.
+
+    Args:
+        file: The backup that was being restored.
+        digest: Its content's digest, to recognize an edited file.
+        begun: When it began, RFC 3339.
+        enabled: The drive was enabled when it began.
+        done: What was written and read back.
+    """
+
+    file: str
+    digest: str
+    begun: str
+    enabled: bool
+    done: Mapping[Code, str] = field(default_factory=dict)
+
+
+def head_line(progress: Progress) -> str:
+    """Return the first line."""
+    document = {
+        "restore": progress.file, "digest": progress.digest, "begun": progress.begun,
+        "enabled": progress.enabled,
+    }  # fmt: skip
+    return json.dumps(document) + "\n"
+
+
+def done_line(code: Code, value: Value) -> str:
+    """Return the line for a code that was written and read back."""
+    return json.dumps({"code": str(code), "value": value.raw}) + "\n"
+
+
+def read_progress(text: str) -> Progress | None:
+    """Read what an unfinished restore left behind; None where nothing usable is."""
+    documents = [one for line in text.splitlines() if (one := _document(line)) is not None]
+    if not documents or "restore" not in documents[0]:
+        return None
+    head, *rest = documents
+    done: dict[Code, str] = {}
+    for one in rest:
+        try:
+            done[Code.parse(str(one.get("code")))] = Value.parse(str(one.get("value"))).raw
+        except CodeValueError:
+            continue
+    return Progress(
+        str(head["restore"]),
+        str(head.get("digest")),
+        str(head.get("begun")),
+        head.get("enabled") is True,
+        done,
+    )
+
+
+def _document(line: str) -> dict[str, Any] | None:
+    """Read one line; a torn one is none."""
+    try:
+        found = json.loads(line)
+    except ValueError:
+        return None
+    return found if isinstance(found, dict) else None

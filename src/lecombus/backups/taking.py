@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol
 
-from lecombus.drives.access import DriveAccess, ReadResult, WriteResult, is_passing
+from lecombus.drives.procedures import DriveAccess, ReadResult, WriteResult, is_passing
 from lecombus.parameters import Code
 
 __all__ = ["Listener", "RestoreAccess", "Taken", "take", "wait_until_usable"]

@@ -20,8 +20,7 @@ from lecombus.cli.own_line import OwnPort, own_port
 from lecombus.cli.screen import can_ask, make_sure, on_terminal, progress, show_rows
 from lecombus.config import DriveEntry, Roster, load_roster
 from lecombus.drives import family, saving_rule
-from lecombus.drives.access import ReadResult, WriteResult
-from lecombus.drives.identity import identity_codes
+from lecombus.drives.procedures import ReadResult, WriteResult, identity_codes
 from lecombus.errors import (
     CutReplyError,
     ExchangeError,

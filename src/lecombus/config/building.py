@@ -15,7 +15,7 @@ from lecombus.config.keys import ALL
 from lecombus.drives import Family, family
 from lecombus.fieldbus.protocols import find
 from lecombus.parameters import AddressForm, Code, rules_of
-from lecombus.parameters.rules import forms_of
+from lecombus.parameters.codes import forms_of
 from lecombus.roster import (
     ApiEntry,
     CyclicEntry,

@@ -16,7 +16,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
-from lecombus.drive_state.judging import ON_DEMAND_FRESH_S, Judge, is_before_command
+from lecombus.drive_state.judging import (
+    ON_DEMAND_FRESH_S,
+    Cell,
+    DriveRecord,
+    Judge,
+    LineRecord,
+    is_before_command,
+    make_cell,
+    set_remark,
+)
 from lecombus.drive_state.motion import Doing, Lapse, Motion, motion_of, setpoint_codes
 from lecombus.drive_state.readings import (
     ADDRESSING_LOCK,
@@ -29,7 +38,6 @@ from lecombus.drive_state.readings import (
     Quality,
     Reading,
 )
-from lecombus.drive_state.records import Cell, DriveRecord, LineRecord, make_cell, set_remark
 from lecombus.drives import StopAction
 from lecombus.errors import OperationError, meant
 

@@ -18,6 +18,7 @@ from .encoding import check_allowed, encode_for
 from .family import Family, SoftwareGate, WatchdogTraits
 from .family_files import FAMILY_NAMES, add_families, family, read_family_file
 from .faults.fault_tables import Fault, FaultKind
+from .field_types import Language, Text
 from .operating import OperatingState, believed_states, join_states
 from .restore_rules import (
     is_last,
@@ -36,7 +37,6 @@ from .stops import (
     stop_steps,
     stop_value,
 )
-from .texts import Language, Text
 from .verb_rules import Verb
 from .words import WordInfo, german_name
 

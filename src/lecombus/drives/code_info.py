@@ -21,15 +21,16 @@ from .field_types import (
     BothLanguages,
     CodeNumber,
     Flag,
+    Language,
     Number,
     Source,
+    Text,
     WordNumber,
     Words,
     ends,
     numbered,
     whole,
 )
-from .texts import Language, Text
 from .yaml_models import FILE_TABLE, NOT_A_KEY
 
 __all__ = ["BY_OWN_MANUAL", "OTHERS", "CodeInfo", "PlainWhen", "Storage", "WriteClass"]

@@ -2,12 +2,15 @@
 
 Each is `Annotated` with the function that reads it, so that a dataclass with such fields is both
 the grammar of a file's table and the object that the program works with.
+Texts for people (`Text`) stand in every file in English and German.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from decimal import Decimal
+from enum import StrEnum
 from typing import Annotated, Any, Final
 
 from pydantic import AliasPath, BeforeValidator, Field, WrapValidator
@@ -16,18 +19,20 @@ from pydantic.fields import FieldInfo
 from lecombus.errors import CodeValueError
 from lecombus.parameters import HIGHEST_DECIMAL, LOWEST_DECIMAL, Code, Value
 
-from .texts import Text
 from .yaml_models import KEY, LIST_RIGHT, TEXT_RIGHT, FileContext, Quoted, ReadBy, mistake
 
 __all__ = [
+    "NOTHING",
     "WORD_MAX",
     "BothLanguages",
     "CodeNumber",
     "DescribedCode",
     "Flag",
+    "Language",
     "Number",
     "ShownCode",
     "Source",
+    "Text",
     "WordCode",
     "WordNumber",
     "WordValue",
@@ -42,6 +47,38 @@ __all__ = [
     "whole",
     "whole_number",
 ]
+
+
+class Language(StrEnum):
+    """A language that texts can be asked for in."""
+
+    EN = "en"
+    DE = "de"
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """One text in both languages.
+
+    Args:
+        en: English.
+        de: German.
+    """
+
+    en: str
+    de: str
+
+    def __str__(self) -> str:
+        """Return the English text: logs and errors are in English."""
+        return self.en
+
+    def in_language(self, language: Language) -> str:
+        """Return the text in a language."""
+        return self.de if language is Language.DE else self.en
+
+
+NOTHING: Final = Text("", "")
+
 
 WORD_MAX: Final = 0xFFFF
 LONGEST_MS: Final = 600_000

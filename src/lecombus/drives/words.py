@@ -16,9 +16,8 @@ from typing import Annotated
 
 from pydantic import AfterValidator
 
-from .field_types import BothLanguages, Words, ends, numbered, whole
+from .field_types import NOTHING, BothLanguages, Text, Words, ends, numbered, whole
 from .operating import OperatingState, StateRule
-from .texts import NOTHING, Text
 from .yaml_models import FILE_TABLE, ReadFile, mistake, open_data_file
 
 __all__ = [

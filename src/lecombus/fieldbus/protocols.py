@@ -24,7 +24,7 @@ from lecombus.fieldbus.loop_interface import (
 from lecombus.fieldbus.port import Framing, Parity, PortOpener
 from lecombus.fieldbus.request_interface import RequestMaker
 from lecombus.parameters import AddressForm, Code
-from lecombus.parameters.rules import ParameterRules, register_rules
+from lecombus.parameters.codes import ParameterRules, register_rules
 from lecombus.roster import Roster
 from lecombus.schedule import Outcome, Priority, Schedule
 

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from lecombus.drive_state.drive_runtime import Drive, LineDrives
 from lecombus.drive_state.readings import IDENTITY_LOCK, DriveState, Json, rfc3339
 from lecombus.drive_state.store import Store
-from lecombus.drives.identity import is_identity, is_same_text, text_of
+from lecombus.drives.procedures import is_identity, is_same_text, text_of
 from lecombus.errors import OperationError
 from lecombus.line_events import ExchangeEvent, LineRequests
 from lecombus.parameters import Code, Value

@@ -35,9 +35,8 @@ from lecombus.drive_state.drive_runtime import Drive
 from lecombus.drive_state.readings import DriveState, rfc3339
 from lecombus.drive_state.store import Store
 from lecombus.drives import Family
-from lecombus.drives.identity import text_of
+from lecombus.drives.procedures import ask_standstill, text_of
 from lecombus.drives.restore_rules import saving_rule
-from lecombus.drives.standstill import ask_standstill
 from lecombus.errors import ExchangeError, NoReplyError, OperationError
 from lecombus.fieldbus.protocols import find
 from lecombus.fieldbus.station import Station

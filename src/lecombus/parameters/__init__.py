@@ -6,8 +6,14 @@ What must not live here: how a code or a value stands in a telegram (`protocol`)
 
 from __future__ import annotations
 
-from lecombus.parameters.codes import HIGHEST_CODE, HIGHEST_SUBCODE, Code
-from lecombus.parameters.rules import AddressForm, ParameterRules, rules_of
+from lecombus.parameters.codes import (
+    HIGHEST_CODE,
+    HIGHEST_SUBCODE,
+    AddressForm,
+    Code,
+    ParameterRules,
+    rules_of,
+)
 from lecombus.parameters.values import (
     HIGHEST_DECIMAL,
     HIGHEST_VALUE_CHARS,

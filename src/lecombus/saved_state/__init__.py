@@ -1,14 +1,13 @@
 """State: the little that must outlive the process, in one file a line.
 
-`state` is what is kept of each drive: its accepted identity, how often its stored parameters
-were written, and where it was moved to. `file` reads it and puts it on disk so that a power failure
+`state` is what is kept of each drive: its accepted identity, how often its stored parameters were
+written, and where it was moved to. It reads its file and puts it on disk so that a power failure
 leaves the old or the new one, never half of one. `keeping` writes it every few seconds.
 
 What must not live here: what any of it means. That is `operations` (identities, wear, readdress).
 """
 
-from lecombus.saved_state.file import StateFile
 from lecombus.saved_state.keeping import Keeping
-from lecombus.saved_state.state import DriveFacts, Moved, State
+from lecombus.saved_state.state import DriveFacts, Moved, State, StateFile
 
 __all__ = ["DriveFacts", "Keeping", "Moved", "State", "StateFile"]

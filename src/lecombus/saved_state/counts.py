@@ -20,8 +20,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Final
 
-from lecombus.saved_state.file import open_regular
-from lecombus.saved_state.state import State
+from lecombus.saved_state.state import State, open_regular
 
 __all__ = ["Counts"]
 

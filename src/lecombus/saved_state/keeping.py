@@ -21,12 +21,11 @@ from typing import Final, TypeVar
 import anyio
 
 from lecombus.saved_state.counts import Counts
-from lecombus.saved_state.file import StateFile
-from lecombus.saved_state.state import State
+from lecombus.saved_state.state import State, StateFile
 
 __all__ = ["Keeping"]
 
-logger = logging.getLogger(__name__)
+logger = logging.getLogger("lecombus.state.keeping")  # users search their logs for this name
 
 EVERY_S = 2.0
 AFTER_FAILURE_S = 30.0

@@ -1,20 +1,45 @@
-"""What is kept of each drive, and its form in the file.
+"""What is kept of each drive, its form in the file, and the file: there is always a good one.
 
-Strategy: plain mutable facts that their owner changes in place and reports by `touch`;
-the form on disk is made and read here alone, and is checked as strictly as a roster, because the
-file is a border: a person or a failing disk may have changed it.
+`State` is plain mutable facts that their owner changes in place and reports by `touch`. The form on
+disk is made and read here alone, and is checked as strictly as a roster, because the file is a
+border: a person or a failing disk may have changed it.
+
+`StateFile` is read once and written whole: the new content goes to a neighbour of the file, is
+brought to the disk (fsync), takes the file's name, and the folder is brought to the disk as well. A
+damaged file is never overwritten: it is set aside under its own name with `.damaged` and a number,
+and said. A file of a later version is left alone, and nothing is kept then; so is what is no
+regular file. Where the path is a link, all this is done where it leads, also when there is nothing
+yet, and the link stays a link; it is checked again each time.
+
+Only regular files are opened, never a pipe, a device or a folder. Opening never waits: a pipe
+without a reader would block open() without end, and a device that is given another name
+(`/dev/full`, as root) is gone for all other programs.
 """
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import json
+import os
+import stat
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Annotated, Final
 
 from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 
-__all__ = ["VERSION", "DriveFacts", "Moved", "NewerStateError", "State", "StateFormatError"]
+__all__ = [
+    "VERSION",
+    "DriveFacts",
+    "Moved",
+    "NewerStateError",
+    "State",
+    "StateFile",
+    "StateFormatError",
+    "open_regular",
+]
 
 VERSION: Final = 1
 
@@ -164,3 +189,163 @@ def _refuse_newer(text: bytes) -> None:
         return
     if isinstance(version, int) and version > VERSION:
         raise NewerStateError(f"it is of version {version}, this lecombus knows {VERSION}")
+
+
+MODE: Final = 0o640
+
+NO_FILE: Final = "Not a regular file"
+
+LARGEST: Final = 8 * 1024 * 1024
+"""Bytes; 90 drives with a hundred codes each take under one."""
+
+SET_ASIDE_MOST: Final = 9
+"""Damaged files kept; then the last one is replaced."""
+
+
+class StateFile:
+    """One state file.
+
+    Args:
+        path: Where it is; None: nothing is kept.
+
+    Attributes:
+        trouble: What was wrong with it when it was read; empty when all was well.
+        is_usable: False where it must not be written at all.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self.path = path
+        self.trouble = ""
+        self.is_usable = path is not None
+
+    def load(self) -> State:
+        """Read it; every error ends in `trouble`, never in an exception."""
+        if self.path is None:
+            return State()
+        try:
+            return self._read(self.path)
+        except NewerStateError as exc:
+            self.is_usable = False
+            self.trouble = f"{self.name} is not used and not changed: {exc}"
+        except StateFormatError as exc:
+            self._set_aside(self.target, str(exc))
+        except FileNotFoundError:
+            self._look_at_folder(self.target.parent)
+        except OSError as exc:
+            self.is_usable = False
+            self.trouble = f"{self.name} cannot be read: {exc.strerror}"
+        return State()
+
+    @property
+    def target(self) -> Path:
+        """The file itself, where the path leads now."""
+        assert self.path is not None
+        return Path(os.path.realpath(self.path))
+
+    @property
+    def name(self) -> str:
+        """The file as messages name it: with where a link leads."""
+        if self.path is None or not self.path.is_symlink():
+            return str(self.path)
+        return f"{self.path}, a link to {self.target},"
+
+    def save(self, text: str) -> None:
+        """Put new content in the place of the old; blocks for as long as the disk takes.
+
+        Raises:
+            OSError: It could not be written; the old file is as it was.
+        """
+        target = self.target
+        neighbour = target.with_name(f".{target.name}.new")
+        check_regular(target)
+        descriptor = open_regular(neighbour, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW)
+        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        check_regular(target)
+        neighbour.replace(target)
+        folder = os.open(target.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+    def _look_at_folder(self, folder: Path) -> None:
+        """Report now what the first attempt to write would report later."""
+        if not folder.is_dir():
+            self.is_usable = False
+            self.trouble = (
+                f"{folder}{self._led_by_link} does not exist, nothing is kept: make it and "
+                "restart, or name another file by `state:` in the roster"
+            )
+        elif not os.access(folder, os.W_OK | os.X_OK):
+            self.is_usable = False
+            self.trouble = (
+                f"{folder}{self._led_by_link} may not be written to, nothing is kept: give it to "
+                "the user that lecombus runs as (a service also needs it in `ReadWritePaths=`) and "
+                "restart, or name another file by `state:` in the roster"
+            )
+
+    @property
+    def _led_by_link(self) -> str:
+        """Why a folder is meant that the roster does not name."""
+        assert self.path is not None
+        return f", where {self.path} leads," if self.path.is_symlink() else ""
+
+    def _read(self, path: Path) -> State:
+        with os.fdopen(open_regular(path, os.O_RDONLY), "rb") as file:
+            data = file.read(LARGEST + 1)
+        if len(data) > LARGEST:
+            raise StateFormatError("it is far too large")
+        return State.parse(data)
+
+    def _set_aside(self, path: Path, why: str) -> None:
+        names = [path.with_name(f"{path.name}.damaged-{n}") for n in range(1, SET_ASIDE_MOST + 1)]
+        aside = next((name for name in names if not name.exists()), names[-1])
+        try:
+            path.replace(aside)
+        except OSError as exc:
+            self.is_usable = False
+            self.trouble = (
+                f"{self.name} is damaged ({why}) and cannot be set aside: {exc.strerror}; it is "
+                "not used and not changed"
+            )
+            return
+        self.trouble = (
+            f"{self.name} was damaged ({why}) and is {aside.name} now: the drives' "
+            "identities are recorded again and write counts start at 0; delete it when it is of no "
+            "use"
+        )
+
+
+def open_regular(path: Path, flags: int) -> int:
+    """Open a file and give its descriptor.
+
+    Raises:
+        OSError: It cannot be opened, or is no regular file.
+    """
+    with contextlib.suppress(FileNotFoundError):
+        _refuse(path, path.stat().st_mode)  # opening alone does something to some devices
+    descriptor = os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC, MODE)
+    try:
+        _refuse(path, os.fstat(descriptor).st_mode)
+    except OSError:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+def check_regular(path: Path) -> None:
+    """See that a place is free or holds a regular file, before its name is given to another.
+
+    Raises:
+        OSError: Something else stands there.
+    """
+    with contextlib.suppress(FileNotFoundError):
+        _refuse(path, path.lstat().st_mode)
+
+
+def _refuse(path: Path, mode: int) -> None:
+    if not stat.S_ISREG(mode):
+        raise OSError(errno.EINVAL, NO_FILE, str(path))

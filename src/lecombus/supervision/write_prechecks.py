@@ -26,7 +26,7 @@ from lecombus.drive_state.drive_runtime import Drive
 from lecombus.drive_state.readings import ADDRESSING_LOCK, SOFTWARE_LOCK
 from lecombus.drive_state.store import Store
 from lecombus.drives import SoftwareGate
-from lecombus.drives.identity import identity_codes
+from lecombus.drives.procedures import identity_codes
 from lecombus.errors import OperationError
 from lecombus.fieldbus.protocols import find
 from lecombus.fieldbus.station import Station

@@ -16,11 +16,11 @@ from typing import Annotated, Final, TypeVar
 
 from pydantic import Field
 
+from lecombus.drives.field_types import NOTHING, Text
 from lecombus.errors import DescriptionError
 from lecombus.parameters import Code
 
 from ..field_types import BothLanguages, CodeNumber, Flag, Source, Words, whole
-from ..texts import NOTHING, Text
 from ..yaml_models import (
     FILE_TABLE,
     ReadAs,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from lecombus.fieldbus.lecom.protocol.addressing import Form
-from lecombus.parameters.rules import ParameterRules
+from lecombus.parameters.codes import ParameterRules
 
 __all__ = ["RULES"]
 

@@ -13,9 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from lecombus.drives.access import is_passing
-from lecombus.drives.identity import is_identity, text_of
-from lecombus.drives.standstill import Standstill, ask_standstill
+from lecombus.drives.procedures import Standstill, ask_standstill, is_identity, is_passing, text_of
 from lecombus.durations import format_duration
 from lecombus.fieldbus.lecom.address_codes import CODE_BANK, SHIFTING
 from lecombus.fieldbus.lecom.protocol.addressing import Form

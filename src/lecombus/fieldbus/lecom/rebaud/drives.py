@@ -13,7 +13,7 @@ from enum import StrEnum
 from typing import Protocol
 
 from lecombus.drives import Family
-from lecombus.drives.access import DriveAccess, ReadResult, WriteResult
+from lecombus.drives.procedures import DriveAccess, ReadResult, WriteResult
 from lecombus.fieldbus.lecom.address_codes import baud_code, baud_numbers
 from lecombus.parameters import AddressForm, Code, Value
 

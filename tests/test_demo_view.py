@@ -6,8 +6,7 @@ import io
 
 from rich.console import Console
 
-from lecombus.demo.play import ROSTER, SETPOINTS, WATCHDOG
-from lecombus.demo.view import row, screen, table
+from lecombus.demo import ROSTER, SETPOINTS, WATCHDOG, row, screen, table
 from support.site_host import Plant, with_plant
 
 WIDTH, HEIGHT = 80, 24

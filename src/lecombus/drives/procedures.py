@@ -1,28 +1,134 @@
-"""What is known of a drive's motion before its address or baud rate is changed.
+"""What procedures of several reads and writes share: access to one drive, identity, standstill.
 
-During that change it cannot be stopped over the line, so it must be inhibited or in quick stop
-first. An 820X stores a parameter only while it is inhibited: in quick stop it acknowledges the
-write, and loses it when it is switched off.
+Such procedures are a backup, a restore, a change of address or baud rate. A failure is an answer to
+them, not an exception: a backup goes on without a code, a restore waits until a line is back, a
+change of baud rate looks for the drive at the other rate.
 
-Only a 93XX measures standstill (C0150 bit 6, n = 0, where its signal configuration is known). An
-inverter knows its output frequency: that is 0 immediately after an inhibit, while the motor coasts.
-So the result says in words what is known.
+During a change of address or baud rate a drive cannot be stopped over the line, so it must be
+inhibited or in quick stop first (`ask_standstill`). An 820X stores a parameter only while it is
+inhibited: in quick stop it acknowledges the write, and loses it when it is switched off. Only a
+93XX measures standstill (C0150 bit 6, n = 0, where its signal configuration is known). An inverter
+knows its output frequency: that is 0 immediately after an inhibit, while the motor coasts. So the
+result says in words what is known.
 
-Source: EDB2102EN 6.4 (820X saves only while inhibited), 8.2 (C0150 bit 6); CMVLC401A table 9.
+Source: EDB2102EN 6.4 (820X saves only while inhibited), 8.2 (C0150 bit 6; identity: C1810, C1811);
+CMVLC401A table 9 (C0200, C0201), 8.1.3 (C1099), 9.2 (P502).
 """
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 from lecombus.drives.family import Family
 from lecombus.drives.operating import OperatingState
 from lecombus.drives.stops import StopAction, confirm_codes, knows_stop, stop_confirmed
+from lecombus.errors import CodeValueError
 from lecombus.parameters import Code, Value
 
-__all__ = ["Standstill", "ask_standstill"]
+__all__ = [
+    "DriveAccess",
+    "ReadResult",
+    "Standstill",
+    "WriteResult",
+    "ask_standstill",
+    "identity_codes",
+    "is_identity",
+    "is_passing",
+    "is_same_text",
+    "text_of",
+]
+
+SOFTWARE_CODES = (Code(200), Code(201))
+"""Software and its date: not in the 2102 module's manual, but behind it most drives have them."""
+
+
+def identity_codes(named: Iterable[Code], of_family: tuple[Code, ...]) -> tuple[Code, ...]:
+    """Return what a drive is asked to know who it is.
+
+    Args:
+        named: What its roster names besides.
+        of_family: What its family has; empty for a device nothing is known of.
+    """
+    usual = (*of_family, *SOFTWARE_CODES) if of_family else ()
+    return tuple(dict.fromkeys((*usual, *named)))
+
+
+def text_of(value: Value) -> str:
+    """Return an identity code's value as people know it, strings without their letter."""
+    number = value.number
+    return number if isinstance(number, str) else value.raw
+
+
+def is_identity(value: Value, text: str | None) -> bool:
+    """Return whether a value is what is said of it; what is not said cannot differ."""
+    return text is None or is_same_text(text_of(value), text) or value.raw == text
+
+
+def is_same_text(found: str, text: str) -> bool:
+    """Return whether two texts are one identity; `1.2` and `1.20` are."""
+    if found == text:
+        return True
+    try:
+        return Value.parse(found).means_same(Value.parse(text))
+    except CodeValueError:
+        return False
+
+
+PASSING: Final = frozenset({
+    "does-not-fit", "expired", "garbled", "line-lost", "no-answer", "not-ready", "offline",
+    "queue-full", "starting", "unhealthy", "unknown", "unreachable",
+})  # fmt: skip
+"""Kinds of failure that say nothing of the code: a second attempt may bring an answer."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReadResult:
+    """The result of reading one code.
+
+    Args:
+        code: The code.
+        value: What it reads; None where it could not be read.
+        kind: Why not, as a stable word, such as `no-such-code`.
+        text: Why not, for people.
+    """
+
+    code: Code
+    value: Value | None
+    kind: str = ""
+    text: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class WriteResult:
+    """The result of writing one code.
+
+    Args:
+        done: It was acknowledged, and read back where that was asked for.
+        kind: Why not, as a stable word.
+        text: Why not, for people.
+    """
+
+    done: bool
+    kind: str = ""
+    text: str = ""
+
+
+def is_passing(kind: str) -> bool:
+    """Whether a failure says nothing of the code, so that a second attempt may succeed."""
+    return kind in PASSING
+
+
+class DriveAccess(Protocol):
+    """One drive."""
+
+    async def read(self, code: Code) -> ReadResult:
+        """Read a code."""
+
+    async def write(self, code: Code, value: Value, *, verify: bool) -> WriteResult:
+        """Write a code once; `verify`: and read it back."""
+
 
 OUTPUT_FREQUENCY: Final = Code(50)
 STATUS_WORD: Final = Code(150)
