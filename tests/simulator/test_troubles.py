@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import pytest
 
 from lecombus.fieldbus.lecom.simulator import SimDrive, SimLine
 from lecombus.fieldbus.lecom.simulator.families import MODELS
+from lecombus.fieldbus.lecom.simulator.troubles import Troubles, kinds
 from support.sim_host import Host
 
 RESETS = {"821x": (43, "0"), "8200vector": (43, "0"), "93xx": (43, "0"), "smvector": (43, "1")}
@@ -133,3 +136,15 @@ def test_an_smvector_shows_overheating_and_overvoltage_in_its_status_word() -> N
         drive.trip(number)
         shown[number] = host.word(11, 150) & 0x3000
     assert shown == {4: 0x1000, 6: 0x2000, 13: 0}
+
+
+@pytest.mark.parametrize(
+    ("known", "numbers"),
+    [(range(1, 37), "1 to 36"), ((11, 12, 14, 16, 15), "11 to 12, 14 to 16"), ((7, 5), "5, 7"),
+     ((), "it has none")],
+)  # fmt: skip
+def test_the_numbers_of_a_family_are_said_as_ranges(known: Iterable[int], numbers: str) -> None:
+    troubles = Troubles(kinds(trips=tuple(known)))
+    assert troubles.numbers() == numbers
+    with pytest.raises(ValueError, match=f"number 99 here: {numbers}"):
+        troubles.occur(99)

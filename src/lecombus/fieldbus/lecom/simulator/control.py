@@ -233,7 +233,8 @@ def _log(control: Control, words: list[str]) -> str:
 
 def _trip(control: Control, words: list[str]) -> str:
     drive = control.drive(words[0])
-    number = _whole(words[1], "a LECOM fault number")
+    numbers = drive.model.troubles.numbers()
+    number = _whole(words[1], f"the number of a fault here: {numbers}")
     if words[2:] not in ([], ["stays"]):
         raise ControlError(f"`{words[2]}`? write {_COMMANDS['trip'].form}")
     drive.trip(number, stays=len(words) > 2)

@@ -308,7 +308,7 @@ class Model:
         self.control = self.control & ~INHIBIT if text == "1" else self.control | INHIBIT
 
     def trip(self, number: int, *, stays: bool = False) -> None:
-        """Let a fault occur, by its LECOM number (see `Troubles.occur`)."""
+        """Let a fault occur, by its number (see `Troubles.occur`)."""
         self.troubles.occur(number, stays=stays)
         self.steer()
 

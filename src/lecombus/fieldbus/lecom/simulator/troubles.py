@@ -1,6 +1,6 @@
 """Faults inside a drive: what is wrong now, why it stays, and what the drive remembers of it.
 
-Strategy: a family gives the LECOM fault numbers its manual lists, each with its kind. A TRIP stays
+Strategy: a family gives the fault numbers its manual lists, each with its kind. A TRIP stays
 until it is reset, and a reset does not help while its cause is there. A message or a warning is
 there exactly as long as its cause. Every fault enters the memory, newest first.
 """
@@ -69,11 +69,21 @@ class Troubles:
         """The active warning's number, 0 when none."""
         return self._active.get(Kind.WARNING, 0)
 
+    def numbers(self) -> str:
+        """Write the numbers of the family's faults for people: `11 to 16, 32, 50`."""
+        ranges: list[list[int]] = []
+        for number in sorted(self._known):
+            if ranges and number == ranges[-1][-1] + 1:
+                ranges[-1][1:] = [number]
+            else:
+                ranges.append([number])
+        return ", ".join(" to ".join(map(str, one)) for one in ranges) or "it has none"
+
     def occur(self, number: int, *, stays: bool = False) -> None:
         """Let a fault occur.
 
         Args:
-            number: Its LECOM number.
+            number: Its number in the family's fault memory: a LECOM number, or that of P500.
             stays: Whether a TRIP's cause is there until `clear`; other kinds always stay.
 
         Raises:
@@ -81,8 +91,7 @@ class Troubles:
         """
         kind = self._known.get(number)
         if kind is None:
-            known = ", ".join(map(str, sorted(self._known))) or "it has none"
-            raise ValueError(f"no fault has the number {number} here: {known}")
+            raise ValueError(f"no fault has the number {number} here: {self.numbers()}")
         self._active[kind] = number
         self.memory = [number, *self.memory][:_PLACES]
         if stays or kind is not Kind.TRIP:
