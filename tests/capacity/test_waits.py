@@ -171,7 +171,7 @@ def test_feeds_that_reads_take_care_of_do_not() -> None:
 def test_reads_of_one_code_in_one_form_wait_for_the_end_of_a_doubt() -> None:
     alike = "cyclic: [{code: C0039/1, every: 1s}]"
     plan = make_plan(line_of(3, time="", cyclic=alike, only="93xx"))
-    assert plan.wait("cyclic").quiet_s > 0.5, "so long an old answer may come"
+    assert plan.wait("cyclic").quiet_s > 0.5, "so long a late answer may come"
     one = make_plan(line_of(1, time="", cyclic=alike, only="93xx"))
     assert one.wait("cyclic").quiet_s == pytest.approx(LATENESS_S)
 

@@ -11,7 +11,7 @@ from lecombus.drives import StopAction, WriteClass, family
 from lecombus.drives.stops import STOP_PAUSE_S
 from lecombus.errors import ExchangeError, NakError, NoReplyError, UnknownCodeError
 from lecombus.fieldbus.lecom.exchanges.jobs import MulticastJob, ReadBackJob, ReadJob, WriteJob
-from lecombus.fieldbus.lecom.exchanges.late_replies import Duplicates
+from lecombus.fieldbus.lecom.exchanges.late_answers import Duplicates
 from lecombus.fieldbus.lecom.exchanges.read_back_proof import WrittenValue
 from lecombus.fieldbus.lecom.exchanges.stop_job import StopJob
 from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lecombus.fieldbus.lecom.exchanges.late_replies import PendingLateReplies
+from lecombus.fieldbus.lecom.exchanges.late_answers import PendingLateAnswers
 from lecombus.fieldbus.lecom.protocol.exchange import ACK_FIELD
 from lecombus.fieldbus.lecom.protocol.telegrams import NakAnswer
 from lecombus.fieldbus.lecom.simulator.faults import Faults
@@ -111,12 +111,12 @@ def test_a_late_nak_to_a_write_is_no_answer_to_the_next_read() -> None:
 
 
 def test_after_a_nak_its_value_may_still_come_but_no_further_nak() -> None:
-    late_replies = PendingLateReplies(0.5)
-    late_replies.refused(FIELD, 10.0)
-    assert late_replies.blocked_until_s(FIELD, 10.1) == 10.5
-    assert not late_replies.nak_may_come(10.1)
-    late_replies.refused(ACK_FIELD, 10.0)
-    assert late_replies.blocked_until_s(ACK_FIELD, 10.1) == 10.1
-    late_replies.add(b"56", 11.0)
-    assert late_replies.nak_may_come(11.4)
-    assert not late_replies.nak_may_come(11.5)
+    late_answers = PendingLateAnswers(0.5)
+    late_answers.refused(FIELD, 10.0)
+    assert late_answers.blocked_until_s(FIELD, 10.1) == 10.5
+    assert not late_answers.nak_may_come(10.1)
+    late_answers.refused(ACK_FIELD, 10.0)
+    assert late_answers.blocked_until_s(ACK_FIELD, 10.1) == 10.1
+    late_answers.add(b"56", 11.0)
+    assert late_answers.nak_may_come(11.4)
+    assert not late_answers.nak_may_come(11.5)

@@ -7,7 +7,7 @@ import pytest
 from lecombus.drives import StopAction, WriteClass, family
 from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.exchanges.jobs import MulticastJob, ReadJob, WriteJob
-from lecombus.fieldbus.lecom.exchanges.late_replies import PendingLateReplies
+from lecombus.fieldbus.lecom.exchanges.late_answers import PendingLateAnswers
 from lecombus.fieldbus.lecom.exchanges.prepared_telegrams import PreparedTelegram, TelegramPreparer
 from lecombus.fieldbus.lecom.exchanges.stop_job import StopJob
 from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
@@ -27,10 +27,10 @@ def station(kind: str = "8200vector", **more: object) -> Station:
 
 
 def preparer(*doubtful: bytes) -> TelegramPreparer:
-    late_replies = PendingLateReplies(0.5)
+    late_answers = PendingLateAnswers(0.5)
     for field in doubtful:
-        late_replies.add(field, 0.0)
-    return TelegramPreparer(TIMING, late_replies)
+        late_answers.add(field, 0.0)
+    return TelegramPreparer(TIMING, late_answers)
 
 
 def ask(
@@ -88,11 +88,11 @@ def test_a_read_in_doubt_is_said_in_the_other_form_and_then_waits() -> None:
 
 
 def test_a_read_waits_for_the_form_that_is_free_first_and_no_longer() -> None:
-    late_replies = PendingLateReplies(0.5)
-    where, job = TelegramPreparer(TIMING, late_replies), ReadJob(station(), STATUS, 0)
-    late_replies.add(field(STATUS), 0.0)
+    late_answers = PendingLateAnswers(0.5)
+    where, job = TelegramPreparer(TIMING, late_answers), ReadJob(station(), STATUS, 0)
+    late_answers.add(field(STATUS), 0.0)
     assert ask(where, ReadJob(station(), Code(50), 0)).ask.field == field(Code(50))
-    late_replies.add(field(STATUS, Form.EXTENDED), 0.2)
+    late_answers.add(field(STATUS, Form.EXTENDED), 0.2)
     assert where.ask(job, 0.3, urgent=False) == 0.5
     assert ask(where, job, 0.5).ask.field == field(STATUS)
 

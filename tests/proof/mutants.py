@@ -21,7 +21,7 @@ from lecombus.drive_state.judging import Judge
 from lecombus.fieldbus.lecom.exchanges.exchange_loop import LecomExchangeLoop
 from lecombus.fieldbus.lecom.exchanges.idle_receive import BusIdleTimer
 from lecombus.fieldbus.lecom.exchanges.jobs import ReadJob, WriteJob
-from lecombus.fieldbus.lecom.exchanges.late_replies import PendingLateReplies
+from lecombus.fieldbus.lecom.exchanges.late_answers import PendingLateAnswers
 from lecombus.fieldbus.lecom.exchanges.prepared_telegrams import TelegramPreparer
 from lecombus.fieldbus.lecom.exchanges.read_back_proof import ReadBackProof
 from lecombus.fieldbus.lecom.exchanges.stop_job import StopJob
@@ -231,7 +231,7 @@ MUTANTS: dict[str, Mutant] = {
         quick=True,
     ),
     "a late answer is forgotten": Mutant(
-        PendingLateReplies,
+        PendingLateAnswers,
         "blocked_until_s",
         "return until",
         "return now_s",

@@ -62,7 +62,7 @@ class Following:
         address: int = 1,
         members: tuple[str, ...] = (),
     ) -> ExchangeEvent | None:
-        result = Result(kind, 2.0, 3.0, answer, "no answer in time", overdue_s=0.25)
+        result = Result(kind, 2.0, 3.0, answer, "no answer in time", older_by_s=0.25)
         before = len(self.events)
         self.recorder.exchange_ended(
             ExchangeReport(drive, step, result, Priority.CYCLIC, 0.0, 0.0, members, address)

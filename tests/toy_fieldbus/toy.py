@@ -71,7 +71,7 @@ class Result:
     fault: str = ""
     late: int = 0
     clean: bool = True
-    overdue_s: float = 0.0
+    older_by_s: float = 0.0
 
 
 def parse(line: bytes) -> Answer:

@@ -66,7 +66,7 @@ def read_times(drive: DriveEntry, code: Code, timing: LineTiming) -> Times:
 def dearest_read_times(drive: DriveEntry, code: Code, timing: LineTiming) -> Times:
     """Give the times of reading a code in the longest way in which the drive is asked for it.
 
-    While an old answer could be taken for one in the usual way, another one is used.
+    While a late answer could be taken for one in the usual way, another one is used.
     """
     return _times(timing, _costs(drive).reads(timing, drive, code))
 
@@ -155,7 +155,7 @@ def line_timing(line: LineEntry) -> LineTiming:
     """Return the line's times, by which exchanges cost what they do.
 
     The quarantine covers what an adapter may still have in its buffers. Answers later than that,
-    up to `late_answer`, are not sat out but kept in doubt, which costs no line time.
+    up to `late_answer`, are not sat out (`exchanges.late_answers`), which costs no line time.
     """
     latency_s = adapter_latency_s(line)
     return LineTiming(

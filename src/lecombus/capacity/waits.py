@@ -268,8 +268,8 @@ def _lateness(ahead: WorkAhead, blocking: Sequence[Blocking], share: float) -> f
     if not ahead.cyclic:
         return 0.0
     costs_s = sorted(one.cost_s for one in ahead.cyclic)
-    # As long as an old answer may come, reads take longer, perhaps more than all line time.
-    overrun_s = max(load_of(ahead.cyclic) - 1.0, 0.0) * ahead.doubt_s
+    # As long as a late answer may come, reads take longer, perhaps more than all line time.
+    overrun_s = max(load_of(ahead.cyclic) - 1.0, 0.0) * ahead.late_answer_s
     slower = [Stream(one.name, one.cost_s / (1.0 - share), one.every_s) for one in ahead.beside]
     # One of a drive's slots that are due stands for its first feed.
     overrun_s -= ahead.once_read_s
@@ -285,7 +285,7 @@ def _lateness(ahead: WorkAhead, blocking: Sequence[Blocking], share: float) -> f
 
 
 def _put_off_s(ahead: WorkAhead) -> float:
-    """Bound how long reads wait until no old answer may come, and then for each other.
+    """Bound how long reads wait until no late answer may come, and then for each other.
 
     They keep their place, so that only the exchange that is under way then goes before them.
     """
@@ -296,7 +296,7 @@ def _put_off_s(ahead: WorkAhead) -> float:
         sum(one.cost_s for one in alike) - min(one.cost_s for one in alike)
         for alike in ahead.one_form
     )
-    return ahead.doubt_s + under_way_s + others_s
+    return ahead.late_answer_s + under_way_s + others_s
 
 
 def _until_earned(ahead: WorkAhead, own_s: float, usual_s: float, blocked_s: float) -> float:

@@ -140,9 +140,9 @@ class WorkAhead:
         reads_s: By watched drive that is read cyclically: its shortest period, seconds.
         lost_feed_s: How long a feed that is not answered holds the line at most, seconds.
         spare_s: The slack at which feeds press.
-        doubt_s: For so long after a lost exchange an old answer may come, seconds.
+        late_answer_s: For so long after a lost exchange a late answer may come, seconds.
         one_form: The cyclic reads of each code that several drives are asked for, in one form
-            only: when one of them is lost the others wait until no old answer may come.
+            only: when one of them is lost the others wait until no late answer may come.
         load: The share of the line that reads and feeds take in the long run.
         room: What it takes to make room for an exchange beside the feeds.
         alone_s: The longest that a drive is left alone after a write, seconds.
@@ -160,7 +160,7 @@ class WorkAhead:
     reads_s: Mapping[str, float]
     lost_feed_s: float
     spare_s: float
-    doubt_s: float
+    late_answer_s: float
     one_form: tuple[tuple[Stream, ...], ...]
     load: float
     room: Room
@@ -208,7 +208,7 @@ def work_ahead_on(roster: Roster, timing: LineTiming) -> WorkAhead:
         },
         lost_feed_s=max((one.worst_s for one in feeds.by_drive.values()), default=0.0),
         spare_s=feeds.spare_s(),
-        doubt_s=max(roster.line.late_answer_s - timing.quarantine_s, 0.0),
+        late_answer_s=max(roster.line.late_answer_s - timing.quarantine_s, 0.0),
         one_form=tuple(_one_form(roster, timing)),
         load=load_on(drives, timing).total,
         room=_room(feeds),

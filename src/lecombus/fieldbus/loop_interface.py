@@ -108,7 +108,7 @@ class ExchangeResult(Protocol):
         """When the answer was complete, or when it was given up."""
 
     @property
-    def overdue_s(self) -> float:
+    def older_by_s(self) -> float:
         """How much older than `ended_s` the answer may be, because the process did not run."""
 
     @property
@@ -164,7 +164,7 @@ class Observer(Protocol):
         """A telegram went out; nothing can arrive for so many seconds."""
 
     def stray_bytes(self, data: bytes, late_answer: bool) -> None:
-        """Bytes came outside an exchange; `late_answer`: they were an old answer, whole."""
+        """Bytes came outside an exchange; `late_answer`: they were a late answer, whole."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -298,7 +298,7 @@ class StallWatch:
             return None
         if self._unheard_from_s is None:
             self._unheard_from_s = result.started_s
-        self._unheard_from_s += result.overdue_s
+        self._unheard_from_s += result.older_by_s
         silent_s = result.ended_s - self._unheard_from_s
         if not self._stall_s or silent_s < self._stall_s:
             return None

@@ -199,6 +199,6 @@ class Expiries:
                 found.append(request)
         return found
 
-    def overdue(self, now_s: float) -> bool:
+    def may_have_expired(self, now_s: float) -> bool:
         """Return, without tidying, whether anything may have expired."""
         return bool(self._heap) and self._heap[0][0] <= now_s

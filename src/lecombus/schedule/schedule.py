@@ -168,7 +168,7 @@ class Schedule(DriveTable):
         waiting = self._waiting
         if waiting.timers and waiting.timers[0][0] <= now_s:
             self._run_timers(now_s)
-        if waiting.expiries.overdue(now_s):
+        if waiting.expiries.may_have_expired(now_s):
             waiting.expire(now_s)
         stop = waiting.stop()
         self._more = False
@@ -361,7 +361,7 @@ class Schedule(DriveTable):
     def wake_at_s(self, now_s: float) -> float | None:
         """Return, after `next` gave None, when to ask again; None: when something is submitted."""
         waiting = self._waiting
-        if self._more or waiting.expiries.overdue(now_s):
+        if self._more or waiting.expiries.may_have_expired(now_s):
             return now_s
         timer_s = waiting.timers[0][0] if waiting.timers else None
         times: tuple[float | None, ...]

@@ -118,7 +118,7 @@ class ExchangeRecorder:
             result.ended_s,
             outcome,
             read=None if answer is None else answer.value,
-            read_s=result.ended_s - result.overdue_s,
+            read_s=result.ended_s - result.older_by_s,
             read_failure=failure,
             written=step.value if is_write else None,
             is_write=is_write,

@@ -20,7 +20,7 @@ from lecombus.errors import OperationError
 from lecombus.fieldbus.costs import Cost, LineTiming
 from lecombus.fieldbus.lecom.address_codes import address_code
 from lecombus.fieldbus.lecom.exchanges.jobs import MulticastJob, ReadBackJob, ReadJob, WriteJob
-from lecombus.fieldbus.lecom.exchanges.late_replies import Duplicates
+from lecombus.fieldbus.lecom.exchanges.late_answers import Duplicates
 from lecombus.fieldbus.lecom.exchanges.read_back_proof import WrittenValue
 from lecombus.fieldbus.lecom.exchanges.stop_job import StopJob
 from lecombus.fieldbus.lecom.protocol.timing import ACK_CHARS, write_request_chars

@@ -158,7 +158,7 @@ class RosterCosts:
     """What exchanges with the drives of a roster cost, in each addressing form."""
 
     def reads(self, timing: LineTiming, drive: DriveEntry, code: Code) -> Sequence[Cost]:
-        """Return the cost in each form; the longer one is used while an old answer may come."""
+        """Return the cost in each form; the longer one is used while a late answer may come."""
         of = family_of(drive.family)
         answer_s = _answer_s(of, drive, code, write=False)
         return [read_cost(timing, of, code, form, answer_s) for form in _forms(drive, code)]

@@ -1,6 +1,9 @@
 """One LECOM exchange after the other: the loop, the jobs it runs, and answers that come late.
 
-A late answer (one that comes after its time-out): `late_replies` knows which ones may still come
-and blocks the requests that they could seem to answer; `idle_receive` takes one that comes between
-two exchanges, `protocol.exchange` one that comes during another.
+A *late answer* is one that comes after its time-out, when its exchange was given up: `late_answers`
+knows which ones may still come and blocks the requests that they could seem to answer;
+`idle_receive` takes one that comes between two exchanges, `protocol.exchange` one that comes during
+another. A *second answer* is a copy, or another drive's: nothing is missing. An answer is *missing*
+when its exchange ended without it, and a read value is *stale* when it is too old to act on: that
+is a word of the store, not of the line.
 """

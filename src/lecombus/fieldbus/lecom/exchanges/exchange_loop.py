@@ -14,11 +14,11 @@ evaluated first.
 
 * An exchange receives the bytes and has one timer. When the timer fires, the port is read before
   the exchange is judged: the process may have been suspended, and an answer that lies in the kernel
-  is in time. The port is also read when a timer fired late, before the next telegram is sent: an
-  old answer could otherwise pass for the answer to that telegram.
+  is in time. The port is also read when a timer fired late, before the next telegram is sent: a
+  late answer could otherwise pass for the answer to that telegram.
 * After a missing answer nothing is sent for 30 ms and twice the adapter's latency (quarantine).
   Bytes in that time are counted and dropped. For `late_answer` after the time-out the answer may
-  still come: `late_replies` holds back only what it could seem to answer. A stop breaks a
+  still come: `late_answers` holds back only what it could seem to answer. A stop breaks a
   quarantine: it begins with EOT, which silences a drive, and it is verified by reading back.
 
 Source of the timing rules: EDB2102EN 8.3.5.
@@ -52,7 +52,7 @@ from lecombus.schedule.request import CLIENT_GONE
 from ..protocol.telegrams import NakAnswer, ValueAnswer
 from .idle_receive import BusIdleTimer, IdleReceive
 from .jobs import MulticastJob, ReadJob
-from .late_replies import Duplicates, PendingLateReplies, UnansweredRead
+from .late_answers import Duplicates, PendingLateAnswers, UnansweredRead
 from .prepared_telegrams import PreparedTelegram, TelegramPreparer
 from .stop_job import StopJob
 from .telegram_log import TelegramLog
@@ -200,13 +200,13 @@ class LecomExchangeLoop:
         self.duplicates = Duplicates()
         self.second_answers = self.duplicates.found
         late_s = options.late_answer_s if options.quarantine else 0.0
-        self._late_replies = PendingLateReplies(late_s)
-        self._preparer = TelegramPreparer(timing, self._late_replies)
+        self._late_answers = PendingLateAnswers(late_s)
+        self._preparer = TelegramPreparer(timing, self._late_answers)
         self.exchange = Exchange(parity=True, echo=options.echo)
         self._deferred = DeferredReports()
         self._bus_idle = BusIdleTimer(options.turnaround_s)
         self._idle_receive = IdleReceive(
-            schedule, self._bus_idle, self._late_replies, self.nudge, self.duplicates
+            schedule, self._bus_idle, self._late_answers, self.nudge, self.duplicates
         )
         self._stall = StallWatch(options.stall_s)
         self.under_way: PreparedStep | None = None
@@ -395,7 +395,7 @@ class LecomExchangeLoop:
     def _begin(self, prepared: PreparedTelegram, now: float, loss: LineLostError | None) -> None:
         """Start the exchange of a telegram that was sent; then publish and look ahead."""
         self._looked_s = self._time()
-        takes_nak = not self._late_replies.nak_may_come(now)
+        takes_nak = not self._late_answers.nak_may_come(now)
         self.exchange.begin(prepared.ask, now, self._looked_s, takes_nak=takes_nak)
         if loss is not None:
             self._connection.note_loss(loss)
@@ -423,7 +423,7 @@ class LecomExchangeLoop:
         if request is None:
             return
         job: Job = request.work  # type: ignore[assignment]
-        if (type(job) is StopJob and job.asks_for_word) or self._late_replies.any(now):
+        if (type(job) is StopJob and job.asks_for_word) or self._late_answers.any(now):
             return  # depends on the result of the exchange under way
         prepared = self._preparer.ask(job, now, urgent=request.priority is Priority.STOP)
         if isinstance(prepared, PreparedTelegram):
@@ -516,7 +516,7 @@ class LecomExchangeLoop:
     def _conclude(
         self, request: Request, job: Job, prepared: PreparedTelegram, result: Result
     ) -> None:
-        """Update schedule, late replies and job; report, and settle a read, after the next send."""
+        """Update schedule, late answers and job; report, and settle a read, after the next send."""
         ended = result.ended_s
         answered = result.kind is ResultKind.ANSWERED
         self.exchanges += 1
@@ -552,7 +552,7 @@ class LecomExchangeLoop:
     def _note_others(self, result: Result) -> None:
         """Record complete answers to other requests, unless such an answer is still missing."""
         for field in result.others:
-            if self._late_replies.blocked_until_s(field, result.started_s) <= result.started_s:
+            if self._late_answers.blocked_until_s(field, result.started_s) <= result.started_s:
                 self.duplicates.came(field, result.ended_s)
 
     def _after(
@@ -564,14 +564,14 @@ class LecomExchangeLoop:
         if result.kind is ResultKind.ANSWERED:
             self._heard()
             if type(result.answer) is NakAnswer:
-                self._late_replies.refused(prepared.ask.field, ended)
-            self._late_replies.answered(prepared.ask.field, ended)
+                self._late_answers.refused(prepared.ask.field, ended)
+            self._late_answers.answered(prepared.ask.field, ended)
             return 0.0
         if result.kind is ResultKind.SENT:
             return 0.0
         sent_s = result.started_s + prepared.ask.request_s
         asked = UnansweredRead(job.station, job.step.code, sent_s)
-        self._late_replies.add(prepared.ask.field, ended, asked)
+        self._late_answers.add(prepared.ask.field, ended, asked)
         silent_s = self._stall.failed(result)
         if silent_s is not None:
             self._connection.reopen(

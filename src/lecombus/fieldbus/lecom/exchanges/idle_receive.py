@@ -2,7 +2,7 @@
 
 After each answer the turnaround is kept. After an exchange without its answer nothing is sent for
 30 ms and twice the adapter's latency (quarantine): an adapter gives on what it still holds. An
-answer may come later than that; `late_replies` deals with it. Bytes received during the quarantine
+answer may come later than that; `late_answers` deals with it. Bytes received during the quarantine
 extend it, up to a limit: otherwise a line with constant noise would never send again
 (`BusIdleTimer`).
 
@@ -33,9 +33,9 @@ from dataclasses import dataclass
 from typing import Final
 
 from lecombus.fieldbus.lecom.exchanges.jobs import ReadJob
-from lecombus.fieldbus.lecom.exchanges.late_replies import (
+from lecombus.fieldbus.lecom.exchanges.late_answers import (
     Duplicates,
-    PendingLateReplies,
+    PendingLateAnswers,
     UnansweredRead,
 )
 from lecombus.fieldbus.lecom.exchanges.prepared_telegrams import PreparedTelegram
@@ -122,19 +122,19 @@ class BusIdleTimer:
         self.quiet_until_s = self._least_until_s = from_s + for_s
         self._chatter_ends_s = self.quiet_until_s + LONGEST_CHATTER_S
 
-    def heard(self, now_s: float, gap_s: float, *, nothing_in_doubt: bool) -> None:
+    def heard(self, now_s: float, gap_s: float, *, none_is_late: bool) -> None:
         """Bytes came outside an exchange.
 
         Args:
             now_s: When.
             gap_s: They end with a gap of this length, seconds.
-            nothing_in_doubt: They completed the last late answer: the quarantine may end.
+            none_is_late: They completed the last late answer: the quarantine may end.
         """
         if now_s - self._heard_s > gap_s:
             self._chatter_ends_s = max(self._chatter_ends_s, now_s + LONGEST_CHATTER_S)
         self._heard_s = now_s
         over_s = now_s + gap_s
-        wanted_s = over_s if nothing_in_doubt else max(self.quiet_until_s, over_s)
+        wanted_s = over_s if none_is_late else max(self.quiet_until_s, over_s)
         self.quiet_until_s = min(wanted_s, self._chatter_ends_s)
         self._least_until_s = min(max(self._least_until_s, over_s), self.quiet_until_s)
 
@@ -143,16 +143,16 @@ class UnsolicitedBytes:
     """Listens between exchanges.
 
     Args:
-        late_replies: Is updated when a late answer has come.
+        late_answers: Is updated when a late answer has come.
         second: Called with the code field and time of an answer that is not missing.
     """
 
     def __init__(
         self,
-        late_replies: PendingLateReplies,
+        late_answers: PendingLateAnswers,
         second: Callable[[bytes, float], None] = lambda field, now_s: None,
     ) -> None:
-        self._late_replies = late_replies
+        self._late_answers = late_answers
         self._second = second
         self._parser = AnswerParser(parity=True)
         # Asked last, and listened for since.
@@ -182,7 +182,7 @@ class UnsolicitedBytes:
             now_s: When they came.
 
         Returns:
-            Whether they completed a whole old answer.
+            Whether they completed a whole late answer.
         """
         self.bytes_total += len(data)
         answer = self._parser.feed(data)
@@ -193,9 +193,9 @@ class UnsolicitedBytes:
             return False
         if isinstance(answer, ValueAnswer | UnknownCodeAnswer | TransmissionErrorAnswer):
             self._measure(answer.field, now_s)
-            if not self._late_replies.resolve(answer.field):
+            if not self._late_answers.resolve(answer.field):
                 self._second(answer.field, now_s)
-        elif self._late_replies.blocked_until_s(ACK_FIELD, now_s) <= now_s:
+        elif self._late_answers.blocked_until_s(ACK_FIELD, now_s) <= now_s:
             self._second(ACK_FIELD, now_s)
         return True
 
@@ -204,7 +204,7 @@ class UnsolicitedBytes:
 
         The end of the answer is taken for its beginning: a time-out may rather be too long.
         """
-        asked = self._late_replies.sole(field, now_s)
+        asked = self._late_answers.sole(field, now_s)
         if self.awaited is not None:  # nothing was sent since, however long ago that was
             asked = self.awaited[1] if self.awaited[0] == field else None
         if asked is not None:
@@ -291,7 +291,7 @@ class IdleReceive:
     Args:
         schedule: Asked what wants the line.
         bus_idle: Keeps the pauses.
-        late_replies: Which answers may still come.
+        late_answers: Which answers may still come.
         over: Called when the line may send earlier than announced.
         duplicates: Records answers without an open request.
     """
@@ -300,15 +300,15 @@ class IdleReceive:
         self,
         schedule: Schedule,
         bus_idle: BusIdleTimer,
-        late_replies: PendingLateReplies,
+        late_answers: PendingLateAnswers,
         over: Callable[[], None],
         duplicates: Duplicates,
     ) -> None:
         self._over = over
         self._schedule = schedule
         self._bus_idle = bus_idle
-        self._late_replies = late_replies
-        self._unsolicited = UnsolicitedBytes(late_replies, duplicates.came)
+        self._late_answers = late_answers
+        self._unsolicited = UnsolicitedBytes(late_answers, duplicates.came)
         self._extended_listen = ExtendedListen()
         self._awaited: _Awaited | None = None
 
@@ -331,8 +331,8 @@ class IdleReceive:
             self._extended_listen.heard(now_s)
             self._end(now_s)
             self._over()
-        over = late and not self._late_replies.any(now_s)
-        self._bus_idle.heard(now_s, gap_s, nothing_in_doubt=over)
+        over = late and not self._late_answers.any(now_s)
+        self._bus_idle.heard(now_s, gap_s, none_is_late=over)
         if self._unsolicited.is_endless:
             self._unsolicited.begin()
             self._bus_idle.give_up(now_s)
@@ -360,7 +360,7 @@ class IdleReceive:
         if not self._extended_listen.wanted(job.station, job.step.code, now_s):
             return
         since_s = now_s + prepared.quarantine_s
-        asked = self._late_replies.asked(prepared.ask.field, now_s)
+        asked = self._late_answers.asked(prepared.ask.field, now_s)
         if asked is None or until_s < since_s + LEAST_S:
             return
         if self._schedule.may_idle(now_s, until_s - now_s):

@@ -48,7 +48,7 @@ from ..protocol.telegrams import (
     UnknownCodeAnswer,
     ValueAnswer,
 )
-from .late_replies import Duplicates
+from .late_answers import Duplicates
 from .read_back_proof import ReadBackProof, WrittenValue
 
 __all__ = ["MulticastJob", "ReadBackJob", "ReadJob", "WriteJob", "error_of"]
@@ -120,7 +120,7 @@ class ReadJob(ReadWork):
         station: The drive.
         code: What to read.
         retries: How often a failed attempt is repeated.
-        instead: Codes that will do as well while an old answer to `code` may still come.
+        instead: Codes that will do as well while a late answer to `code` may still come.
         form: The addressing form to ask in where that is free; None: the station's first.
         only: Wait until that form is free, and ask in no other.
     """

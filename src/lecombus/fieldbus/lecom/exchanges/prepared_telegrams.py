@@ -1,8 +1,8 @@
 """Makes the telegram of a job's next step, with its time-outs.
 
 Here is decided in which addressing form a step is sent, what its answer must look like and how long
-to wait for it; and when it may not be sent yet, because an old answer that could pass for its own
-may still come (`late_replies`). What reads a code is made once per drive and code, for the same few
+to wait for it; and when it may not be sent yet, because a late answer that could pass for its own
+may still come (`late_answers`). What reads a code is made once per drive and code, for the same few
 are sent for years, and again when the drive turns out to be slower.
 
 Time-outs: twice the longest response time plus the adapter's latency, from the cost model.
@@ -26,7 +26,7 @@ from ..protocol.parser import with_parity
 from ..protocol.telegrams import read_telegram, write_telegram
 from ..protocol.timing import write_request_chars
 from .jobs import MulticastJob, ReadJob
-from .late_replies import PendingLateReplies
+from .late_answers import PendingLateAnswers
 
 __all__ = ["PreparedTelegram", "TelegramPreparer"]
 
@@ -82,12 +82,12 @@ class TelegramPreparer:
 
     Args:
         timing: Baud rate and latencies.
-        late_replies: Which answers may still come.
+        late_answers: Which answers may still come.
     """
 
-    def __init__(self, timing: LineTiming, late_replies: PendingLateReplies) -> None:
+    def __init__(self, timing: LineTiming, late_answers: PendingLateAnswers) -> None:
         self._timing = timing
-        self._late_replies = late_replies
+        self._late_answers = late_answers
         self._reads: dict[tuple[Station, Code], _Kept] = {}
         self._parity = True
         self.gap_s = 5.0 * timing.char_s + timing.adapter_latency_s
@@ -114,7 +114,7 @@ class TelegramPreparer:
             return self._read(job, step, now_s)
         if isinstance(job, MulticastJob):
             return self._multicast(job, step)
-        free_at = self._late_replies.blocked_until_s(ACK_FIELD, now_s)
+        free_at = self._late_answers.blocked_until_s(ACK_FIELD, now_s)
         if free_at > now_s and not urgent:
             return free_at
         return self._write(job.station, step)
@@ -146,7 +146,7 @@ class TelegramPreparer:
             telegrams = tuple(sorted(telegrams, key=lambda one: one.ask.field != field))
             telegrams = telegrams[:1] if only else telegrams
         for prepared in telegrams:
-            until_s = self._late_replies.blocked_until_s(prepared.ask.field, now_s)
+            until_s = self._late_answers.blocked_until_s(prepared.ask.field, now_s)
             if until_s <= now_s:
                 return prepared
             free_at_s = min(free_at_s, until_s)

@@ -25,7 +25,7 @@ from lecombus.parameters import AddressForm, Code, Value
 from ..protocol.addressing import Form, encode_code
 from ..protocol.exchange import ACK_FIELD
 from ..protocol.telegrams import UnknownCodeAnswer, ValueAnswer
-from .late_replies import COPY_S, Duplicates
+from .late_answers import COPY_S, Duplicates
 
 __all__ = ["ReadBackProof", "WrittenValue"]
 

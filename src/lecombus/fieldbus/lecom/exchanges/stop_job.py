@@ -46,7 +46,7 @@ from lecombus.schedule.request import Outcome
 
 from ..protocol.telegrams import AckAnswer, NakAnswer, UnknownCodeAnswer, ValueAnswer
 from .jobs import error_of
-from .late_replies import Duplicates
+from .late_answers import Duplicates
 from .read_back_proof import ReadBackProof
 
 __all__ = ["StopJob"]

@@ -30,7 +30,7 @@ Silence is proven by looking. A process that was not run for a while finds bytes
 whose time is not known, so the caller gives the time until which nothing had come:
 a pause is one, and an answer a late one, only if the port was checked in between and was empty.
 `look_s` says when to look. An answer found after its deadline counts as in time: it may have
-arrived in time; `overdue_s` says how much older than it seems it may be.
+arrived in time; `older_by_s` says how much older than it seems it may be.
 
 Pure: time is an argument in seconds. Time-outs are given by the caller; retries, quarantine and
 the meaning of an answer belong to `exchanges`.
@@ -109,7 +109,7 @@ class Result:
         clean: False when anything but echo and answer was heard.
         thought_s: From the end of the request to the first byte of the answer, what the adapter
             adds included; None: no answer, or not checked when it would have been late.
-        overdue_s: How long after its last moment the exchange was ended, because the process did
+        older_by_s: How long after its last moment the exchange was ended, because the process did
             not run: what it brought may be so much older than `ended_s`.
         others: The code fields of those whole answers, `ACK_FIELD` for an acknowledgement.
     """
@@ -123,7 +123,7 @@ class Result:
     received: bytes = b""
     clean: bool = True
     thought_s: float | None = None
-    overdue_s: float = 0.0
+    older_by_s: float = 0.0
     others: tuple[bytes, ...] = ()
 
 

@@ -5,7 +5,7 @@ code". Nothing else distinguishes an address without a drive from one whose answ
 
 * successive addresses are asked for different codes (`PROBES`). An answer repeats its code, and no
   code comes round again within half a second: a late answer can never make a drive of an address
-  that has none. The line room's doubts hold the same, should the line be slower still.
+  that has none. `exchanges.late_answers` keeps the same rule, should the line be slower still.
 * when more was heard than an answer, the addresses asked last are suspects: each is asked again,
   alone and patiently. The line is then called disturbed, and every silent address asked twice.
 * which codes: C0248, C0249, C0046 and C0040 exist in every drive described, and no roster's status

@@ -34,7 +34,7 @@ from lecombus.parameters import Code
 
 from ..protocol.exchange import ACK_FIELD
 
-__all__ = ["COPY_S", "Duplicates", "PendingLateReplies", "UnansweredRead"]
+__all__ = ["COPY_S", "Duplicates", "PendingLateAnswers", "UnansweredRead"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class UnansweredRead:
     said_s: float
 
 
-class PendingLateReplies:
+class PendingLateAnswers:
     """The answers that may still arrive from exchanges given up.
 
     Args:
