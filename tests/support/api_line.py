@@ -209,8 +209,8 @@ def make_line() -> Line:
     ops = FakeOperations(store)
     metrics = Metrics("hall-3", store, version="1", clock=time.monotonic)
     metrics.counters.add_drive("feeder")
-    line: Line
-    app = create_app(
+    line = Line(store, ops, Starlette())
+    line.app = create_app(
         cast(Operations, ops),
         store,
         metrics,
@@ -227,5 +227,4 @@ def make_line() -> Line:
         reload=lambda: line.reload(),
         clock=lambda: line.now_s,
     )
-    line = Line(store, ops, app)
     return line

@@ -10,12 +10,17 @@ Stops are different (`SharedStops`): a repeat shares the first one's result only
 way. Afterwards the drive may have been started again, so a repeat is a new stop and is sent; and
 no stop is refused for its key being in use, for too many keys, or for a key that cannot be kept.
 
+A repeat may say in `Lecombus-Asked` how long ago the same was asked for first. It counts as asked
+for then: it expires earlier, and a stop or a start of lecombus since then ends it. So a
+repeat cannot start what was stopped after the first request was lost.
+
 Memory is bounded: `KEY_LIMIT` keys for `KEEP_S` seconds, the oldest finished one going first.
 What must not live here: what a request does.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, field
 from hashlib import sha256
@@ -27,8 +32,11 @@ from starlette.responses import Response
 
 from lecombus.api.answers import STATUS_BY_KIND, ProblemDocument, ProblemError
 from lecombus.api.decimal_json import short
+from lecombus.operations.awaited_requests import CAME_S
+from lecombus.schedule.request import Outcome
 
 __all__ = [
+    "ASKED_HEADER",
     "KEEP_S",
     "KEY_CHARS",
     "KEY_LIMIT",
@@ -36,11 +44,16 @@ __all__ = [
     "SharedStops",
     "key_mistake",
     "keys_of",
+    "time_left_s",
 ]
 
 KEY_LIMIT: Final = 1000
 KEEP_S: Final = 600.0
 KEY_CHARS: Final = 255
+ASKED_HEADER: Final = "Lecombus-Asked"
+ASKED_RIGHT: Final = re.compile(r"[0-9]{1,3}(\.[0-9]{1,6})?", re.ASCII)
+"""Seconds; a client that has waited for longer has a person look first."""
+
 CLIENT_GONE: Final = STATUS_BY_KIND["client-gone"][0]
 
 
@@ -63,6 +76,7 @@ class Idempotency:
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
+        self._started_s = clock()
         self._entries: dict[str, Entry] = {}
 
     def __len__(self) -> int:
@@ -83,7 +97,7 @@ class Idempotency:
             ProblemError: The key was used for another request, is malformed or one of two, or too
                 many are in use.
         """
-        keys = keys_of(request)
+        keys, ago_s = keys_of(request), asked_ago_s(request)
         if not keys:
             return await act()
         check_keys(keys)
@@ -95,7 +109,30 @@ class Idempotency:
             await entry.ended.wait()
             if entry.response is not None:
                 return entry.response
+        self._go_back(ago_s)
         return await self._first(key, content, act)
+
+    def _go_back(self, ago_s: float) -> None:
+        """Let a repeat count as asked for when it was asked for first.
+
+        Raises:
+            ProblemError: lecombus started since then: what was stopped since is not known.
+        """
+        if not ago_s:
+            return
+        came_s = CAME_S.get()
+        asked_s = (self._clock() if came_s is None else came_s) - ago_s
+        if asked_s < self._started_s:
+            raise ProblemError(
+                ProblemDocument(
+                    "unknown",
+                    "lecombus started again since this was asked for: nothing was sent now, and "
+                    "what was done before is not known",
+                    remedy="look at the drive, then ask for it again",
+                    outcome=Outcome.UNKNOWN.value,
+                )
+            )
+        CAME_S.set(asked_s)
 
     async def _first(
         self, key: str, content: bytes, act: Callable[[], Awaitable[Response]]
@@ -172,6 +209,28 @@ class SharedStops:
 def keys_of(request: Request) -> list[str]:
     """Return the `Idempotency-Key` headers of a request; more than one is a mistake."""
     return request.headers.getlist("idempotency-key")
+
+
+def asked_ago_s(request: Request) -> float:
+    """Return how long ago a repeat was asked for first, seconds; 0: it is no repeat.
+
+    Raises:
+        ProblemError: The header is wrong, or stands without a key.
+    """
+    found = request.headers.getlist(ASKED_HEADER)
+    if not found:
+        return 0.0
+    if len(found) == 1 and ASKED_RIGHT.fullmatch(found[0]) and len(keys_of(request)) == 1:
+        return float(found[0])
+    right = f"{ASKED_HEADER} takes seconds such as 1.250, once, with the Idempotency-Key repeated"
+    raise ProblemError(
+        ProblemDocument("bad-request", right, remedy="leave it out of a first request")
+    )
+
+
+def time_left_s(request: Request, expires_s: float | None) -> float | None:
+    """Return how long a request may still wait, seconds; its time began when it was asked first."""
+    return None if expires_s is None else expires_s - asked_ago_s(request)
 
 
 def content_of(request: Request, body: bytes) -> bytes:

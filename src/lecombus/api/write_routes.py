@@ -30,7 +30,7 @@ from lecombus.api.answers import (
     roster_problem,
 )
 from lecombus.api.decimal_json import short
-from lecombus.api.idempotency import Idempotency, SharedStops, key_mistake, keys_of
+from lecombus.api.idempotency import Idempotency, SharedStops, key_mistake, keys_of, time_left_s
 from lecombus.api.limits import STOP_PATH
 from lecombus.api.request_checks import (
     AcceptBody,
@@ -104,7 +104,7 @@ class WriteRoutes:
                 drive,
                 code,
                 body.value,
-                expires_s=body.expires_s,
+                expires_s=time_left_s(request, body.expires_s),
                 verify=bool(body.verify),
                 urgency=None if body.priority is None else body.priority.priority,
                 restoring=bool(body.restore),
@@ -122,7 +122,11 @@ class WriteRoutes:
 
         async def act() -> Response:
             report = await self._ops.write_group(
-                group, code, body.value, expires_s=body.expires_s, verify=body.verify
+                group,
+                code,
+                body.value,
+                expires_s=time_left_s(request, body.expires_s),
+                verify=body.verify,
             )
             return report_response(report)
 
@@ -139,14 +143,18 @@ class WriteRoutes:
 
         async def act() -> Response:
             if not isinstance(body, SpeedBody):
-                return report_response(await self._ops.verb(drive, verb, expires_s=body.expires_s))
+                return report_response(
+                    await self._ops.verb(
+                        drive, verb, expires_s=time_left_s(request, body.expires_s)
+                    )
+                )
             unit = body.unit.strip()
             report = await self._ops.verb(
                 drive,
                 verb,
                 value=Decimal(body.value),
                 unit="Hz" if unit.lower() == "hz" else unit,
-                expires_s=body.expires_s,
+                expires_s=time_left_s(request, body.expires_s),
                 verify=bool(body.verify),
             )
             return report_response(report)

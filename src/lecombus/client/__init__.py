@@ -1,0 +1,64 @@
+"""The client library: a line of drives, for programs.
+
+    from lecombus.client import connect
+
+    async with connect("/run/lecombus/hall-3.sock") as line:
+        feeder = line.drive("feeder")
+        print((await feeder.read("C0050")).number)        # Hz
+        result = await feeder.write("C0046", 35.4, verify=True)
+        result.check()                                    # raises unless done or verified
+
+Async, for asyncio or trio; needs httpx2 and anyio, and nothing of the daemon. docs/client.md
+describes it; lecombus' own commands use it.
+"""
+
+from __future__ import annotations
+
+from lecombus.client.documents import (
+    Answer,
+    DriveStatus,
+    Finding,
+    GroupInfo,
+    LineStatus,
+    Quality,
+    Reading,
+    Why,
+)
+from lecombus.client.errors import (
+    AmbiguousDaemonError,
+    ClientError,
+    LeaseLostError,
+    NotDoneError,
+    NotPermittedError,
+    ProblemError,
+    UnreachableError,
+)
+from lecombus.client.line import Drive, Group, Line, connect
+from lecombus.client.results import GroupResult, Outcome, Result, VerbResult, WriteResult
+
+__all__ = [
+    "AmbiguousDaemonError",
+    "Answer",
+    "ClientError",
+    "Drive",
+    "DriveStatus",
+    "Finding",
+    "Group",
+    "GroupInfo",
+    "GroupResult",
+    "LeaseLostError",
+    "Line",
+    "LineStatus",
+    "NotDoneError",
+    "NotPermittedError",
+    "Outcome",
+    "ProblemError",
+    "Quality",
+    "Reading",
+    "Result",
+    "UnreachableError",
+    "VerbResult",
+    "Why",
+    "WriteResult",
+    "connect",
+]

@@ -1,0 +1,291 @@
+"""HTTP with one daemon: requests, what an answer is, and repeats that are safe.
+
+Strategy: a question (`ask`) is repeated once when a connection that was kept open turns out to be
+closed. A request that acts (`act`) carries an `Idempotency-Key` and is repeated only when its
+connection broke after it may have been sent. The repeat says with `Lecombus-Asked` how long ago it
+was asked for first, so that the daemon gives the first answer, or carries it out if nothing of it
+was done and no stop came since. What is asked for after `repeat_for_s` is not asked for again: the
+answer is lost (`AnswerLostError`), and so the outcome is unknown.
+
+What must not live here: what documents mean (`documents`, `results`), which paths there are.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import ssl
+import time
+from collections.abc import AsyncIterator, Mapping
+from contextlib import asynccontextmanager
+from decimal import Decimal
+from pathlib import Path
+from typing import Final
+from uuid import uuid4
+
+import anyio
+import httpx2
+
+from lecombus.client.documents import Answer, Document, kind_of
+from lecombus.client.errors import NotPermittedError, ProblemError, UnreachableError
+from lecombus.client.finding import knock, no_daemon_at
+
+__all__ = ["AnswerLostError", "Connection", "Json", "open_connection", "problem_error"]
+
+Json = None | bool | int | Decimal | str | list["Json"] | dict[str, "Json"]
+"""What may stand in a body: no float, so that no decimal is rounded by accident."""
+
+LOCAL: Final = "http://localhost"
+"""What a request over a socket calls the machine."""
+
+CONNECT_WITHIN_S: Final = 10.0
+ANSWER_WITHIN_S: Final = 60.0
+"""A write to a silent drive or a group read back member by member takes its time."""
+
+REPEAT_FOR_S: Final = 5.0
+"""A daemon that is started again by systemd is back by then."""
+
+FIRST_PAUSE_S: Final = 0.05
+LONGEST_PAUSE_S: Final = 1.0
+
+KEY: Final = "idempotency-key"
+ASKED: Final = "lecombus-asked"
+
+BROKEN: Final = (httpx2.ReadError, httpx2.WriteError, httpx2.RemoteProtocolError)
+"""A connection that ended after a request on it may have been sent."""
+
+
+class AnswerLostError(UnreachableError):
+    """What was asked may have happened: the answer did not come."""
+
+
+class Connection:
+    """A daemon that is spoken with over HTTP.
+
+    Args:
+        http: Speaks HTTP with it.
+        where: The socket's path or the URL, for messages.
+        repeat_for_s: How long a request that acts is repeated after its connection broke, seconds.
+    """
+
+    def __init__(
+        self, http: httpx2.AsyncClient, where: str, *, repeat_for_s: float = REPEAT_FOR_S
+    ) -> None:
+        self.http = http
+        self.where = where
+        self._repeat_for_s = repeat_for_s
+
+    async def ask(self, path: str, params: Mapping[str, str] | None = None) -> Answer:
+        """Ask for a document.
+
+        Raises:
+            ProblemError: The daemon refuses.
+            UnreachableError: It cannot be reached.
+        """
+        try:
+            response = await self.http.get(path, params=params)
+        except BROKEN:  # such as a connection that was idle for long
+            response = await self._send("GET", path, None, {}, params)
+        except httpx2.HTTPError as exc:
+            raise self._unreachable(exc) from exc
+        answer = self._answer_of(response)
+        if not response.is_success:
+            raise problem_error(answer)
+        return answer
+
+    async def act(
+        self,
+        method: str,
+        path: str,
+        document: Mapping[str, Json] | None = None,
+        headers: Mapping[str, str] | None = None,
+    ) -> Answer:
+        """Ask for something to be done, once; a problem document is an answer too.
+
+        Raises:
+            AnswerLostError: It may have happened; what the daemon said of it is not known.
+            UnreachableError: Nothing was sent.
+        """
+        asked_s = now_s()
+        sent = {KEY: uuid4().hex, **(headers or {})}
+        try:
+            return self._answer_of(await self._send(method, path, document, sent))
+        except AnswerLostError as exc:
+            if not isinstance(exc.__cause__, BROKEN):
+                raise
+            lost = exc
+        pause_s = FIRST_PAUSE_S
+        while (ago_s := now_s() - asked_s) < self._repeat_for_s:
+            sent[ASKED] = f"{math.ceil(ago_s * 1000) / 1000:.3f}"
+            try:
+                return self._answer_of(await self._send(method, path, document, sent))
+            except UnreachableError as exc:
+                if isinstance(exc.__cause__, httpx2.TimeoutException):
+                    break
+            await anyio.sleep(pause_s)
+            pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
+        raise lost
+
+    async def _send(
+        self,
+        method: str,
+        path: str,
+        document: Mapping[str, Json] | None,
+        headers: Mapping[str, str],
+        params: Mapping[str, str] | None = None,
+    ) -> httpx2.Response:
+        content = None
+        if document is not None:
+            content = body_text(document)
+            headers = {**headers, "content-type": "application/json"}
+        try:
+            return await self.http.request(
+                method, path, content=content, headers=headers, params=params
+            )
+        except httpx2.HTTPError as exc:
+            raise self._unreachable(exc) from exc
+
+    def _unreachable(self, exc: httpx2.HTTPError) -> UnreachableError:
+        """Return what it means that a daemon could not be spoken with."""
+        if isinstance(exc, httpx2.ReadTimeout | httpx2.WriteTimeout):
+            problem = f"the daemon at {self.where} does not answer in time"
+            return AnswerLostError(problem, "look at its log")
+        if isinstance(exc, httpx2.TimeoutException):
+            problem = f"the daemon at {self.where} does not answer in time"
+            return UnreachableError(problem, "look at its log")
+        if isinstance(exc, BROKEN):
+            problem = f"the daemon at {self.where} ended before it answered"
+            remedy = "what was asked may have happened; look at its log, then ask again"
+            return AnswerLostError(problem, remedy)
+        if "CERTIFICATE" in str(exc).upper():
+            problem = f"the certificate of {self.where} is not trusted: {exc}"
+            return UnreachableError(problem, "name the CA that signed it")
+        return no_daemon_at(self.where)
+
+    def _answer_of(self, response: httpx2.Response) -> Answer:
+        try:
+            data = json.loads(response.text, parse_float=Decimal)
+        except ValueError as exc:
+            status = response.status_code
+            problem = f"what answers at {self.where} is not lecombus (HTTP status {status})"
+            raise UnreachableError(problem, "look at the address and the port") from exc
+        return Answer(response.text, data, response.status_code)
+
+
+@asynccontextmanager
+async def open_connection(
+    path: str,
+    url: str,
+    *,
+    token_file: str | Path | None = None,
+    ca: str | Path | None = None,
+    answer_within_s: float = ANSWER_WITHIN_S,
+    repeat_for_s: float = REPEAT_FOR_S,
+) -> AsyncIterator[Connection]:
+    """Connect to a daemon at a socket or a URL, one of them empty; nothing is asked yet.
+
+    Args:
+        path: Of its Unix socket.
+        url: Its HTTP address.
+        token_file: Holds the bearer token, for a URL.
+        ca: Holds the certificates that sign the daemon's, for an https URL; None: the system's.
+        answer_within_s: How long to wait for an answer, seconds.
+        repeat_for_s: As in `Connection`.
+
+    Raises:
+        NotPermittedError: The socket or a file may not be opened.
+        UnreachableError: Nothing listens at the socket.
+    """
+    if path:
+        knock(path)
+    headers = {"authorization": f"Bearer {token_of(token_file)}"} if token_file else {}
+    http = httpx2.AsyncClient(
+        base_url=url or LOCAL,
+        headers=headers,
+        # No environment: a proxy from there would be given the token.
+        trust_env=False,
+        timeout=httpx2.Timeout(CONNECT_WITHIN_S, read=answer_within_s),
+        transport=httpx2.AsyncHTTPTransport(
+            uds=path or None,
+            verify=trusted(url, ca),
+            # No limit: a stop or a renewal of a lease waits for no other request.
+            limits=httpx2.Limits(max_connections=None, max_keepalive_connections=4),
+        ),
+    )
+    async with http:
+        yield Connection(http, path or url, repeat_for_s=repeat_for_s)
+
+
+def trusted(url: str, ca: str | Path | None) -> ssl.SSLContext:
+    """Return what TLS trusts; without https nothing, which is loaded in no time.
+
+    Raises:
+        NotPermittedError: The file of the CA may not be read.
+        UnreachableError: It is none.
+    """
+    if not url.startswith("https:"):
+        return ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    try:
+        return ssl.create_default_context(cafile=None if ca is None else str(ca))
+    except PermissionError as exc:
+        raise NotPermittedError(f"{ca} may not be read", "look at its owner and mode") from exc
+    except OSError as exc:
+        raise UnreachableError(f"{ca} holds no certificates: {exc}", "name a PEM file") from exc
+
+
+def token_of(file: str | Path) -> str:
+    """Return the token that a file holds.
+
+    Raises:
+        NotPermittedError: It may not be read.
+        UnreachableError: It cannot be read, or holds none.
+    """
+    try:
+        text = Path(file).read_text(encoding="ascii").strip()
+    except PermissionError as exc:
+        raise NotPermittedError(f"{file} may not be read", "look at its owner and mode") from exc
+    except (OSError, ValueError) as exc:
+        raise UnreachableError(f"{file} holds no token: {exc}", "name the token's file") from exc
+    if not text or len(text.split()) != 1:
+        raise UnreachableError(f"{file} holds no token", "write the token into it, and no more")
+    return text
+
+
+def problem_error(answer: Answer) -> ProblemError:
+    """Return the error that a problem document stands for."""
+    document: Document = answer.data if isinstance(answer.data, dict) else {}
+
+    def text(*keys: str) -> str:
+        return next((str(document[key]) for key in keys if document.get(key)), "")
+
+    problem = text("detail", "title") or f"the daemon refused (HTTP status {answer.status})"
+    return ProblemError(
+        answer.status, problem, text("remedy"), kind_of(document), text("drive"), text("code"),
+        text("cause"),
+    )  # fmt: skip
+
+
+def body_text(document: Mapping[str, Json]) -> str:
+    """Write a document with its decimals exactly as they were given.
+
+    `json` cannot, and a float would round them.
+    """
+    return (
+        "{" + ", ".join(f"{json.dumps(key)}: {text_of(one)}" for key, one in document.items()) + "}"
+    )
+
+
+def text_of(value: Json) -> str:
+    """Write one value of a body."""
+    if isinstance(value, Decimal):
+        return format(value, "f")
+    if isinstance(value, dict):
+        return body_text(value)
+    if isinstance(value, list):
+        return "[" + ", ".join(map(text_of, value)) + "]"
+    return json.dumps(value)
+
+
+def now_s() -> float:
+    """Return a clock that nothing sets back and that goes on while the machine sleeps, seconds."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME)

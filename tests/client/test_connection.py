@@ -1,0 +1,252 @@
+"""Connections that break: what is repeated, what is not, and what is said then."""
+
+from __future__ import annotations
+
+import json
+import ssl
+from collections.abc import Callable
+from decimal import Decimal
+from pathlib import Path
+
+import anyio
+import httpx2
+import pytest
+
+from client.conftest import Handler, line_of
+from lecombus.client import Outcome, ProblemError, UnreachableError
+from lecombus.client.connection import Json, body_text, token_of, trusted
+from support import api_line
+from support.virtual_loop import run
+
+DONE = httpx2.Response(200, json={"outcome": "done", "drive": "feeder"})
+
+
+def broken(request: httpx2.Request) -> httpx2.Response:
+    raise httpx2.RemoteProtocolError("server disconnected", request=request)
+
+
+def absent(request: httpx2.Request) -> httpx2.Response:
+    raise httpx2.ConnectError("refused", request=request)
+
+
+def slow(request: httpx2.Request) -> httpx2.Response:
+    raise httpx2.ReadTimeout("late", request=request)
+
+
+class Script:
+    """Answers requests one after the other, and remembers them."""
+
+    def __init__(self, *steps: Handler | httpx2.Response) -> None:
+        self.steps = list(steps)
+        self.asked: list[httpx2.Request] = []
+
+    def __call__(self, request: httpx2.Request) -> httpx2.Response:
+        self.asked.append(request)
+        step = self.steps.pop(0) if len(self.steps) > 1 else self.steps[0]
+        return step if isinstance(step, httpx2.Response) else step(request)
+
+    def keys(self) -> set[str]:
+        return {request.headers["idempotency-key"] for request in self.asked}
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The clock of the virtual loop."""
+    monkeypatch.setattr("lecombus.client.connection.now_s", anyio.current_time)
+
+
+def test_every_write_has_a_key_of_its_own() -> None:
+    script = Script(DONE)
+    line = line_of(httpx2.MockTransport(script))
+
+    async def work() -> None:
+        for _ in range(2):
+            assert (await line.drive("feeder").write("C0046", 5)).outcome is Outcome.DONE
+
+    run(work())
+    assert len(script.keys()) == 2
+    assert all("lecombus-asked" not in request.headers for request in script.asked)
+
+
+@pytest.mark.usefixtures("clock")
+def test_a_write_whose_connection_broke_is_repeated_with_its_key_and_its_age() -> None:
+    script = Script(broken, absent, DONE)
+    line = line_of(httpx2.MockTransport(script))
+
+    async def work() -> None:
+        assert (await line.drive("feeder").write("C0046", Decimal("35.40"))).outcome == "done"
+
+    run(work())
+    first, second, third = script.asked
+    assert len(script.keys()) == 1
+    assert "lecombus-asked" not in first.headers
+    assert 0 < float(third.headers["lecombus-asked"]) < 1
+    assert float(second.headers["lecombus-asked"]) < float(third.headers["lecombus-asked"])
+    assert first.content == second.content == third.content == b'{"value": 35.40}'
+
+
+@pytest.mark.usefixtures("clock")
+@pytest.mark.parametrize("later", [broken, absent])
+def test_an_answer_that_never_came_is_unknown(later: Handler) -> None:
+    script = Script(broken, later)
+    line = line_of(httpx2.MockTransport(script), repeat_for_s=5.0)
+
+    async def work() -> None:
+        began_s = anyio.current_time()
+        result = await line.drive("feeder").enable()
+        assert (result.outcome, result.kind, result.answer) == ("unknown", "answer-lost", None)
+        assert (result.drive, result.verb) == ("feeder", "enable")
+        assert "it may have happened" in result.remedy
+        assert 4.0 < anyio.current_time() - began_s < 7.0
+        script.steps[:] = [broken, later]
+        group = await line.group("conveyors").write("C0046", 1)
+        assert (group.outcome, group.target, group.members) == ("unknown", "conveyors", ())
+
+    run(work())
+    assert len(script.asked) > 4
+
+
+@pytest.mark.usefixtures("clock")
+@pytest.mark.parametrize("first", [slow])
+def test_an_answer_that_is_late_is_unknown_and_not_asked_for_again(first: Handler) -> None:
+    script = Script(first)
+    line = line_of(httpx2.MockTransport(script))
+
+    async def work() -> None:
+        assert (await line.drive("feeder").write("C0046", 5)).outcome is Outcome.UNKNOWN
+
+    run(work())
+    assert len(script.asked) == 1
+
+
+def test_a_daemon_that_is_not_there_is_an_error_and_nothing_is_repeated() -> None:
+    script = Script(absent)
+    line = line_of(httpx2.MockTransport(script))
+
+    async def work() -> None:
+        for act in (line.drive("feeder").enable, line.stop, line.status):
+            with pytest.raises(UnreachableError, match="no daemon answers at here"):
+                await act()
+
+    run(work())
+    assert len(script.asked) == 3
+
+
+def test_a_question_is_repeated_once_without_a_key() -> None:
+    script = Script(broken, httpx2.Response(200, json={"line": "hall-3"}), broken)
+    line = line_of(httpx2.MockTransport(script))
+
+    async def work() -> None:
+        assert (await line.status()).name == "hall-3"
+        with pytest.raises(UnreachableError, match="ended before it answered"):
+            await line.status()
+
+    run(work())
+    assert len(script.asked) == 4
+    assert all("idempotency-key" not in request.headers for request in script.asked)
+
+
+def test_what_is_not_lecombus_is_said_to_be_so() -> None:
+    line = line_of(httpx2.MockTransport(Script(httpx2.Response(200, text="<html>"))))
+
+    async def work() -> None:
+        with pytest.raises(UnreachableError, match="is not lecombus"):
+            await line.status()
+        with pytest.raises(UnreachableError, match="is not lecombus"):
+            await line.drive("feeder").enable()
+
+    run(work())
+
+
+def repeat(
+    fake: api_line.Line, asked: str | None, key: str | None = "one"
+) -> Callable[[], httpx2.Response]:
+    headers = {"content-type": "application/json"}
+    headers |= {"idempotency-key": key} if key else {}
+    headers |= {"lecombus-asked": asked} if asked is not None else {}
+
+    def ask() -> httpx2.Response:
+        async def work() -> httpx2.Response:
+            transport = httpx2.ASGITransport(app=fake.app)
+            async with httpx2.AsyncClient(transport=transport, base_url="http://x") as http:
+                path = "/v1/drives/feeder/codes/C0046"
+                content = b'{"value": 5, "expires": "2s"}'
+                return await http.put(path, content=content, headers=headers)
+
+        return run(work())
+
+    return ask
+
+
+def test_the_daemon_gives_a_repeat_the_first_answer(fake: api_line.Line) -> None:
+    fake.now_s = 100.0
+    first = repeat(fake, None)()
+    again = repeat(fake, "1.250")()
+    assert (again.text, len(fake.ops.asked)) == (first.text, 1)
+
+
+def test_the_daemon_carries_a_repeat_out_in_the_time_that_is_left(fake: api_line.Line) -> None:
+    fake.now_s = 100.0
+    assert repeat(fake, "0.5")().status_code == 200
+    (asked,) = fake.ops.asked
+    assert asked[4] == pytest.approx(1.5)
+
+
+def test_a_repeat_from_before_the_start_is_not_carried_out(fake: api_line.Line) -> None:
+    fake.now_s = 1.0
+    answer = repeat(fake, "1.001")()
+    assert (answer.status_code, answer.json()["outcome"]) == (504, "unknown")
+    assert "started again since" in answer.json()["detail"]
+    assert fake.ops.asked == []
+
+
+@pytest.mark.parametrize("asked", ["", "-1", "1e9", "soon", "10000"])
+def test_an_age_that_is_none_is_refused(fake: api_line.Line, asked: str) -> None:
+    assert repeat(fake, asked)().status_code == 422
+    assert fake.ops.asked == []
+
+
+def test_an_age_without_a_key_is_refused(fake: api_line.Line) -> None:
+    assert repeat(fake, "1", key=None)().status_code == 422
+
+
+def test_decimals_stand_in_a_body_as_they_were_given() -> None:
+    document: dict[str, Json] = {
+        "value": Decimal("35.40"),
+        "targets": ["a", Decimal("1E+2")],
+        "x": {"y": True},
+    }
+    text = body_text(document)
+    assert text == '{"value": 35.40, "targets": ["a", 100], "x": {"y": true}}'
+    assert json.loads(text)["targets"] == ["a", 100]
+
+
+def test_a_token_is_read_from_its_file(tmp_path: Path) -> None:
+    file = tmp_path / "token"
+    for text in ("", "two words\n", "ümlaut"):
+        file.write_text(text)
+        with pytest.raises(UnreachableError, match="holds no token"):
+            token_of(file)
+    with pytest.raises(UnreachableError, match="holds no token"):
+        token_of(tmp_path / "none")
+    file.write_text("lcb_abc\n")
+    assert token_of(file) == "lcb_abc"
+
+
+def test_tls_trusts_only_what_it_is_given(tmp_path: Path) -> None:
+    assert trusted("http://x", None).cert_store_stats()["x509"] == 0
+    assert trusted("https://x", None).verify_mode is ssl.CERT_REQUIRED
+    (tmp_path / "ca.pem").write_text("no certificate")
+    with pytest.raises(UnreachableError, match="holds no certificates"):
+        trusted("https://x", tmp_path / "ca.pem")
+
+
+def test_the_daemon_names_no_drive_is_an_error_of_the_request() -> None:
+    problem = {"type": "urn:lecombus:problem:no-such-drive", "detail": "there is no drive `x`"}
+    line = line_of(httpx2.MockTransport(Script(httpx2.Response(404, json=problem))))
+
+    async def work() -> None:
+        with pytest.raises(ProblemError, match="there is no drive"):
+            await line.stop("x")
+
+    run(work())
