@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lecombus.api.decimal_json import NotJsonError, decode, encode
-from lecombus.drive_state.readings import Json
+from lecombus.parameters import Json
 
 decimals = st.decimals(allow_nan=False, allow_infinity=False, places=4, min_value=-(10**9))
 scalars = st.none() | st.booleans() | st.integers() | decimals | st.text()

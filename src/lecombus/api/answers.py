@@ -19,7 +19,6 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from lecombus.api.decimal_json import encode, short
 from lecombus.config import RosterError
-from lecombus.drive_state.readings import Json
 from lecombus.errors import (
     CodeValueError,
     CutReplyError,
@@ -36,6 +35,7 @@ from lecombus.errors import (
     UnknownCodeError,
 )
 from lecombus.operations.operation_reports import GroupReport, VerbReport, WriteReport
+from lecombus.parameters import Json
 from lecombus.schedule.request import Outcome
 
 __all__ = [

@@ -33,11 +33,11 @@ from lecombus.api.read_routes import ReadRoutes
 from lecombus.api.scopes import guarded
 from lecombus.api.write_routes import StopRoutes, WriteRoutes
 from lecombus.config import RosterChanges
-from lecombus.drive_state.readings import Json
 from lecombus.drive_state.store import Store
 from lecombus.errors import LecombusError
 from lecombus.metrics import OPENMETRICS_TYPE, TEXT_TYPE, Metrics, wants_openmetrics
 from lecombus.operations.facade import Operations
+from lecombus.parameters import Json
 
 __all__ = ["Check", "create_app"]
 

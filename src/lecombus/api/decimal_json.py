@@ -21,7 +21,7 @@ from typing import Final, NoReturn
 
 import msgspec
 
-from lecombus.drive_state.readings import Json
+from lecombus.parameters import Json
 
 __all__ = ["NotJsonError", "decode", "decode_texts", "encode", "short"]
 

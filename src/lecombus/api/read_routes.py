@@ -31,11 +31,12 @@ from lecombus.api.request_checks import (
     refuse_query,
 )
 from lecombus.api.scopes import reaches
-from lecombus.descriptions import code_document, family_document
-from lecombus.drive_state.readings import DriveInfo, Json, json_value
+from lecombus.drive_state.readings import DriveInfo, json_value
 from lecombus.drive_state.store import Store
+from lecombus.drives.descriptions import code_document, family_document
 from lecombus.operations.actions import ACTOR
 from lecombus.operations.facade import Operations
+from lecombus.parameters import Json
 
 __all__ = ["ADDRESSES_PATH", "KEEPS_S", "PageCache", "ReadRoutes"]
 

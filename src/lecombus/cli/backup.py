@@ -32,9 +32,8 @@ from lecombus.cli.client import connect_async
 from lecombus.cli.drive_access import HttpDrive
 from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.screen import counted, progress, show_rows
-from lecombus.drive_state.readings import Json
 from lecombus.fieldbus.protocols import family_of_any_protocol
-from lecombus.parameters import Code
+from lecombus.parameters import Code, Json
 
 __all__ = ["backup_command", "diff_command", "incomplete", "read_drive"]
 

@@ -25,7 +25,7 @@ import httpx2
 from lecombus.cli.arguments import DaemonOptions
 from lecombus.cli.document_rows import kind_of
 from lecombus.cli.exits import CommandError, Exit
-from lecombus.drive_state.readings import Json
+from lecombus.parameters import Json
 
 __all__ = [
     "RUNTIME_DIR",

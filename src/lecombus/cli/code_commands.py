@@ -22,10 +22,9 @@ from lecombus.cli.arguments import (
 from lecombus.cli.client import Answer, connect, path_of
 from lecombus.cli.document_rows import Document, show_outcomes, show_reading, status_of
 from lecombus.cli.exits import CommandError, Exit
-from lecombus.drive_state.readings import Json
 from lecombus.fieldbus.lecom.protocol.addressing import is_drive_address
 from lecombus.fieldbus.lecom.protocol.timing import BAUDS as ALL_BAUDS
-from lecombus.parameters import Code
+from lecombus.parameters import Code, Json
 
 __all__ = ["group_command", "read_command", "write_command", "write_document"]
 
@@ -67,9 +66,12 @@ def read_command(
     """
     if port:
         code = _only_code(words)
+        from lecombus.api.decimal_json import encode
         from lecombus.cli.own_line import read_directly
 
-        answer = Answer(*read_directly(port, int(baud), _drive_address(address), family, code))
+        reading = read_directly(port, int(baud), _drive_address(address), family, code)
+        document = reading.as_json()
+        answer = Answer(encode(document), document)
     else:
         drive, code = _drive_and_code(words)
         with connect(daemon) as client:

@@ -12,9 +12,9 @@ from lecombus.cli.arguments import CODE, json_option
 from lecombus.cli.document_rows import Document
 from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.screen import on_terminal, show_rows
-from lecombus.descriptions import bits_document, code_document, family_document
 from lecombus.drives import CodeInfo, Family, Language, WriteClass, family
 from lecombus.drives.code_info import BY_OWN_MANUAL, OTHERS
+from lecombus.drives.descriptions import bits_document, code_document, family_document
 from lecombus.fieldbus.protocols import family_names
 from lecombus.parameters import Code
 

@@ -22,9 +22,8 @@ from lecombus.backups import ReadResult, WriteResult
 from lecombus.cli.client import answer_of, path_of, sent, unreachable
 from lecombus.cli.document_rows import kind_of
 from lecombus.cli.exits import CommandError, Exit
-from lecombus.drive_state.readings import Json
 from lecombus.errors import CodeValueError
-from lecombus.parameters import Code, Value
+from lecombus.parameters import Code, Json, Value
 
 __all__ = ["HttpDrive", "RestorePermission", "Whose"]
 

@@ -13,8 +13,6 @@ from contextlib import AsyncExitStack, asynccontextmanager
 import anyio
 import anyio.to_thread
 
-from lecombus.api.decimal_json import encode
-from lecombus.cli.document_rows import Document
 from lecombus.cli.exits import CommandError, Exit
 from lecombus.config import LineEntry, line_timing
 from lecombus.drive_state.drive_runtime import LineDrives
@@ -237,9 +235,7 @@ async def own_port(
         yield OwnPort(line, retries, options, drives, stack)
 
 
-def read_directly(
-    port: str, baud: int, address: int, family_name: str, code: Code
-) -> tuple[str, Document]:
+def read_directly(port: str, baud: int, address: int, family_name: str, code: Code) -> Reading:
     """Read one code.
 
     Args:
@@ -248,9 +244,6 @@ def read_directly(
         address: 1..99, not ending in 0.
         family_name: Whose answer times and value names to go by.
         code: What to read.
-
-    Returns:
-        The reading, as a JSON text and as a document.
 
     Raises:
         LecombusError: The port cannot be opened, or the drive did not give a value.
@@ -261,7 +254,7 @@ def read_directly(
     value = run(_read, PortSettings(port, baud), station, code)
     info = described.info(code)
     meaning = info.meaning(value) if info is not None else None
-    reading = Reading(
+    return Reading(
         drive=str(address),
         code=code,
         name=info.name if info else "",
@@ -274,8 +267,6 @@ def read_directly(
         age_s=0.0,
         text=str(meaning) if meaning is not None else None,
     )
-    document = reading.as_json()
-    return encode(document), document
 
 
 async def _read(settings: PortSettings, station: Station, code: Code) -> Value:

@@ -34,9 +34,8 @@ from lecombus.cli.client import connect_async
 from lecombus.cli.drive_access import HttpDrive, RestorePermission, Whose
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.screen import counted, make_sure, on_terminal, progress, show_rows
-from lecombus.drive_state.readings import Json
 from lecombus.fieldbus.protocols import family_of_any_protocol
-from lecombus.parameters import Code, Value
+from lecombus.parameters import Code, Json, Value
 
 __all__ = ["restore_command", "result_json", "show_result"]
 

@@ -23,7 +23,7 @@ from lecombus.cli.document_rows import (
     status_of,
 )
 from lecombus.cli.exits import CommandError, Exit
-from lecombus.drive_state.readings import Json
+from lecombus.parameters import Json
 
 __all__ = [
     "enable_command",

@@ -24,8 +24,9 @@ import anyio
 
 from lecombus.capacity.exchange_costs import watched_s
 from lecombus.drive_state.control_word import ControlWord, control_word_of
-from lecombus.drive_state.readings import DriveState, Json, rfc3339
+from lecombus.drive_state.readings import DriveState, rfc3339
 from lecombus.errors import OperationError, meant
+from lecombus.parameters import Json
 
 if TYPE_CHECKING:
     from lecombus.config import DriveEntry

@@ -22,14 +22,13 @@ from typing import Final
 from lecombus.drive_state.readings import (
     WRITTEN_SINCE,
     ActiveFault,
-    Json,
     Quality,
     Reading,
     json_value,
     seconds,
 )
 from lecombus.drives import Family, OperatingState, believed_states
-from lecombus.parameters import Code, Value
+from lecombus.parameters import Code, Json, Value
 
 __all__ = [
     "Doing",

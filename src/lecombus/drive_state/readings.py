@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from lecombus.drives import Fault, FaultKind, OperatingState
-    from lecombus.parameters import Code, Value
+    from lecombus.parameters import Code, Json, Value
 
 __all__ = [
     "ADDRESSING_LOCK",
@@ -29,7 +29,6 @@ __all__ = [
     "ActiveFault",
     "DriveInfo",
     "DriveState",
-    "Json",
     "LineInfo",
     "LineState",
     "Quality",
@@ -37,9 +36,6 @@ __all__ = [
     "json_value",
     "rfc3339",
 ]
-
-Json = None | bool | int | Decimal | str | list["Json"] | dict[str, "Json"]
-"""What may stand in a document: no float, so that no decimal is ever rounded by accident."""
 
 
 class Quality(StrEnum):

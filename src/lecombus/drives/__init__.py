@@ -4,7 +4,8 @@
 manuals, `family_files` reads them (`yaml_models` and `field_types` serve all data files). `words`
 decodes status words, `control_words` control words, `faults` explains fault numbers, `stops` and
 `verbs` make the writes that stop, enable, set and reset a drive, `encoding` makes a value of what a
-user gives.
+user gives. `descriptions` says what a family is as documents, `procedures` holds what a backup, a
+restore or a change of address needs of one drive.
 
 What must not live here: input and output but for the packaged data files, clocks, the line, values
 that were read from a drive.

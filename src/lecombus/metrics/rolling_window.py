@@ -13,8 +13,7 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 from typing import Final
 
-from lecombus.drive_state.readings import Json
-from lecombus.parameters import Code
+from lecombus.parameters import Code, Json
 from lecombus.schedule.request import Priority
 
 __all__ = ["LATELY_S", "WINDOW_S", "Highest", "RollingWindow"]

@@ -17,7 +17,6 @@ from lecombus.drive_state.readings import (
     ActiveFault,
     DriveInfo,
     DriveState,
-    Json,
     LineInfo,
     LineState,
     Quality,
@@ -30,7 +29,7 @@ from lecombus.drives import Family, Language, Text, Verb
 from lecombus.drives.faults.fault_tables import Fault
 from lecombus.drives.faults.reasons import Reason, Weight
 from lecombus.drives.operating import OperatingState
-from lecombus.parameters import Code, Value
+from lecombus.parameters import Code, Json, Value
 
 __all__ = [
     "Finding",

@@ -19,12 +19,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from lecombus.drive_state.drive_runtime import Drive, LineDrives
-from lecombus.drive_state.readings import IDENTITY_LOCK, DriveState, Json, rfc3339
+from lecombus.drive_state.readings import IDENTITY_LOCK, DriveState, rfc3339
 from lecombus.drive_state.store import Store
 from lecombus.drives.procedures import is_identity, is_same_text, text_of
 from lecombus.errors import OperationError
 from lecombus.line_events import ExchangeEvent, LineRequests
-from lecombus.parameters import Code, Value
+from lecombus.parameters import Code, Json, Value
 from lecombus.saved_state import State
 
 __all__ = ["Identities", "IdentityReport"]

@@ -11,10 +11,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from lecombus.drive_state.readings import Json, Reading, seconds
+from lecombus.drive_state.readings import Reading, seconds
 from lecombus.drives import OperatingState, Verb
 from lecombus.drives.measured import AnswerRow
-from lecombus.parameters import Code
+from lecombus.parameters import Code, Json
 from lecombus.schedule.request import STOPPED, Outcome
 
 __all__ = [

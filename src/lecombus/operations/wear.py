@@ -20,12 +20,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from lecombus.drive_state.drive_runtime import Drive, LineDrives
-from lecombus.drive_state.readings import Json, seconds
+from lecombus.drive_state.readings import seconds
 from lecombus.drives import Family, Storage, WriteClass
 from lecombus.durations import format_duration
 from lecombus.errors import CodeValueError, OperationError
 from lecombus.line_events import ExchangeEvent
-from lecombus.parameters import Code
+from lecombus.parameters import Code, Json
 from lecombus.saved_state import State
 
 __all__ = ["CodeWear", "Wear", "WearReport", "wears"]

@@ -21,6 +21,7 @@ from lecombus.parameters.values import (
     SENDABLE_STRING_CHARS,
     DecimalLimits,
     Format,
+    Json,
     Value,
     ValueFormatError,
 )
@@ -36,6 +37,7 @@ __all__ = [
     "Code",
     "DecimalLimits",
     "Format",
+    "Json",
     "ParameterRules",
     "Value",
     "ValueFormatError",

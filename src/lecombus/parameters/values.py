@@ -39,9 +39,13 @@ __all__ = [
     "USUAL_DECIMALS",
     "DecimalLimits",
     "Format",
+    "Json",
     "Value",
     "ValueFormatError",
 ]
+
+Json = None | bool | int | Decimal | str | list["Json"] | dict[str, "Json"]
+"""What may stand in a document: no float, so that no decimal is ever rounded by accident."""
 
 LOWEST_DECIMAL: Final = Decimal("-214748.3648")
 HIGHEST_DECIMAL: Final = Decimal("214748.3647")

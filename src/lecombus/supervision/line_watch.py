@@ -16,13 +16,14 @@ from typing import Final
 from lecombus.capacity.facts import answers_of, facts_of
 from lecombus.config import LineEntry, Roster
 from lecombus.drive_state.drive_runtime import LineDrives
-from lecombus.drive_state.readings import DriveState, Json
+from lecombus.drive_state.readings import DriveState
 from lecombus.drive_state.store import Store
 from lecombus.fieldbus.loop_interface import SecondAnswerCount
 from lecombus.metrics import LineSnapshot, Metrics
 from lecombus.metrics.rolling_window import LATELY_S
 from lecombus.operations.awaited_requests import Requests
 from lecombus.operations.facade import Operations
+from lecombus.parameters import Json
 from lecombus.schedule import WatchdogStats
 from lecombus.schedule.polling import STRETCH_WINDOW_S
 from lecombus.schedule.stats import ScheduleStats

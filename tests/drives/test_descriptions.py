@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from lecombus.descriptions import code_document, family_document
 from lecombus.drives import FAMILY_NAMES, family
+from lecombus.drives.descriptions import code_document, family_document
 from lecombus.parameters import Code
 from openapi.answer_models import CodeDocument
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from lecombus.drive_state.readings import Json
 from lecombus.drives import CodeInfo, ControlWordInfo, Family, Text, WordInfo, german_name
+from lecombus.parameters import Json
 
 __all__ = ["code_document", "family_document"]
 
