@@ -10,7 +10,7 @@ import anyio
 import pytest
 
 from lecombus.drive_state.readings import DriveState
-from lecombus.fieldbus.lecom.protocol.timing import MAX_ANSWER_CHARS
+from lecombus.fieldbus.lecom.protocol.telegrams import MAX_ANSWER_CHARS
 from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.fieldbus.loop_interface import ResultKind
 from lecombus.parameters import Code

@@ -31,7 +31,7 @@ from lecombus.fieldbus.lecom.protocol.controls import with_parity
 from lecombus.fieldbus.lecom.protocol.telegrams import read_telegram
 from lecombus.fieldbus.loop_interface import ExchangeReport
 from lecombus.fieldbus.port import PortSettings
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station
 from lecombus.line.event_loop import new_event_loop
 from lecombus.line.opening import open_port
 from lecombus.line.worker import LineWorker, WorkerOptions

@@ -12,7 +12,7 @@ from lecombus.config import line_timing
 from lecombus.drives import StopAction, family
 from lecombus.drives.stops import STOP_PATIENCE_S
 from lecombus.fieldbus.lecom.request_maker import LecomRequestMaker
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station
 from lecombus.schedule import ignore_end
 from lecombus.schedule.watchdog_deadline import WatchdogDeadline, WatchdogFeeding
 from lecombus.schedule.watchdog_set import WatchdogSet

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 from lecombus.drives import family
 from lecombus.fieldbus.lecom.exchanges.idle_receive import ExtendedListen
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station
 from lecombus.parameters import Code
 from lecombus.schedule.shares import LISTEN_EVERY_S
 

@@ -24,7 +24,7 @@ from lecombus.fieldbus.lecom.protocol.telegrams import (
     ValueAnswer,
 )
 from lecombus.fieldbus.loop_interface import ResultKind
-from lecombus.fieldbus.station import Job, JobStep, Station, StepKind
+from lecombus.fieldbus.requests import Job, JobStep, Station, StepKind
 from lecombus.parameters import Code, Value
 from lecombus.schedule.request import Outcome
 from support.golden import Golden

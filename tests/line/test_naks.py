@@ -9,7 +9,7 @@ from lecombus.fieldbus.lecom.protocol.exchange import ACK_FIELD
 from lecombus.fieldbus.lecom.protocol.telegrams import NakAnswer
 from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.fieldbus.loop_interface import ResultKind
-from lecombus.fieldbus.station import StepKind
+from lecombus.fieldbus.requests import StepKind
 from lecombus.schedule import Outcome
 from support.site_host import Ended, Rig, until, with_rig
 

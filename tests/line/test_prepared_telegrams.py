@@ -13,7 +13,7 @@ from lecombus.fieldbus.lecom.exchanges.stop_job import StopJob
 from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
 from lecombus.fieldbus.lecom.protocol.exchange import ACK_FIELD
 from lecombus.fieldbus.lecom.telegram_costs import read_cost
-from lecombus.fieldbus.station import Job, Station
+from lecombus.fieldbus.requests import Job, Station
 from lecombus.parameters import Code, Value
 
 VECTOR, SLOW = family("8200vector"), family("820x")

@@ -15,7 +15,7 @@ from lecombus.fieldbus.lecom.exchanges.late_answers import PendingLateAnswers, U
 from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
 from lecombus.fieldbus.lecom.protocol.exchange import ACK_FIELD
 from lecombus.fieldbus.lecom.protocol.parser import with_parity
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station
 from lecombus.parameters import Code, Value
 from support.answers import ACK_ANSWER, unknown_code_answer, value_answer
 

@@ -14,7 +14,7 @@ from lecombus.drives import StopAction
 from lecombus.fieldbus.lecom.exchanges.telegram_log import TelegramLog
 from lecombus.fieldbus.lecom.protocol.telegrams import ValueAnswer
 from lecombus.fieldbus.lecom.simulator.faults import Faults, LateKind
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station
 from lecombus.line.worker import WorkerOptions
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Priority

@@ -10,7 +10,7 @@ import pytest
 
 from lecombus.drive_state.readings import DriveState
 from lecombus.errors import ExchangeError
-from lecombus.fieldbus.station import StepKind
+from lecombus.fieldbus.requests import StepKind
 from lecombus.operations.writes import Writes
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Priority

@@ -14,7 +14,7 @@ from lecombus.errors import OperationError
 from lecombus.fieldbus.lecom.simulator.drive import SimDrive
 from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.fieldbus.lecom.simulator.receiver import ReceivedRequest
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station
 from lecombus.operations.operation_reports import WriteReport
 from lecombus.parameters import Code, Value
 from lecombus.saved_state import State

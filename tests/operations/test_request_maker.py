@@ -10,7 +10,7 @@ from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.exchanges.jobs import MulticastJob, ReadJob, WriteJob
 from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.fieldbus.lecom.request_maker import LecomRequestMaker, form_of
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Priority, Request, ignore_end
 

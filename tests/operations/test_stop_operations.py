@@ -12,7 +12,7 @@ from lecombus.drive_state.readings import DriveState
 from lecombus.drives import FAMILY_NAMES, StopAction
 from lecombus.errors import NoReplyError, OperationError
 from lecombus.fieldbus.lecom.simulator.faults import Faults
-from lecombus.fieldbus.station import StepKind
+from lecombus.fieldbus.requests import StepKind
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome
 from operations.groups import (

@@ -25,7 +25,7 @@ from lecombus.drives import family
 from lecombus.fieldbus.lecom.protocol.telegrams import ValueAnswer
 from lecombus.fieldbus.lecom.simulator.line import SimLine
 from lecombus.fieldbus.loop_interface import ExchangeReport, ResultKind
-from lecombus.fieldbus.station import StepKind
+from lecombus.fieldbus.requests import StepKind
 from lecombus.parameters import Code
 from lecombus.schedule import Priority
 from lecombus.schedule.watchdog_deadline import HARD_PART

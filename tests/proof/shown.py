@@ -24,7 +24,7 @@ from lecombus.fieldbus.lecom.simulator.drive import SimDrive
 from lecombus.fieldbus.lecom.simulator.line import SimLine
 from lecombus.fieldbus.lecom.simulator.model import INHIBIT
 from lecombus.fieldbus.loop_interface import ExchangeReport
-from lecombus.fieldbus.station import StepKind
+from lecombus.fieldbus.requests import StepKind
 from lecombus.line_runtime import LineRuntime
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome, Priority

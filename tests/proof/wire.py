@@ -35,7 +35,7 @@ from lecombus.fieldbus.lecom.simulator.drive import SimDrive
 from lecombus.fieldbus.lecom.simulator.families.f82xx import Drive82XX
 from lecombus.fieldbus.lecom.simulator.line import SimLine
 from lecombus.fieldbus.loop_interface import ExchangeReport, ResultKind
-from lecombus.fieldbus.station import StepKind
+from lecombus.fieldbus.requests import StepKind
 from lecombus.schedule import Priority
 from support.taps import STRIPPED
 

@@ -8,6 +8,7 @@ from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
 from lecombus.fieldbus.lecom.protocol.controls import with_parity
 from lecombus.fieldbus.lecom.protocol.host_parser import RequestParser
 from lecombus.fieldbus.lecom.protocol.telegrams import (
+    MAX_ANSWER_CHARS,
     BadRequest,
     HostRequest,
     ReadRequest,
@@ -16,7 +17,6 @@ from lecombus.fieldbus.lecom.protocol.telegrams import (
     read_telegram,
     write_telegram,
 )
-from lecombus.fieldbus.lecom.protocol.timing import MAX_ANSWER_CHARS
 from lecombus.parameters import Code, Value
 from protocol.strategies import addressed, cut, sendable
 

@@ -10,6 +10,7 @@ from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
 from lecombus.fieldbus.lecom.protocol.controls import bcc, with_parity
 from lecombus.fieldbus.lecom.protocol.parser import TAIL_LIMIT, AnswerParser, _whole
 from lecombus.fieldbus.lecom.protocol.telegrams import (
+    MAX_ANSWER_CHARS,
     AckAnswer,
     Answer,
     BadAnswer,
@@ -17,7 +18,6 @@ from lecombus.fieldbus.lecom.protocol.telegrams import (
     TelegramFault,
     ValueAnswer,
 )
-from lecombus.fieldbus.lecom.protocol.timing import MAX_ANSWER_CHARS
 from lecombus.parameters import Code, Value
 from protocol.strategies import answers, cut, fields, values
 from protocol.vectors import feed_all, load, splits, wire

@@ -10,7 +10,7 @@ import pytest
 from lecombus.drives import family
 from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.request_maker import LecomRequestMaker
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station
 from lecombus.parameters import Code, Value
 from lecombus.schedule.fan_out import Part, least_order, took_s
 

@@ -15,7 +15,7 @@ from lecombus.fieldbus.lecom.protocol.telegrams import (
     ValueAnswer,
 )
 from lecombus.fieldbus.loop_interface import ExchangeReport, ResultKind
-from lecombus.fieldbus.station import JobStep, StepKind
+from lecombus.fieldbus.requests import JobStep, StepKind
 from lecombus.line_events import ExchangeEvent, LineChange
 from lecombus.metrics import Metrics
 from lecombus.parameters import Code, Value

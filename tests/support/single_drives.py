@@ -10,7 +10,7 @@ from lecombus.errors import LineLostError
 from lecombus.fieldbus.lecom.protocol.exchange import Result
 from lecombus.fieldbus.lecom.protocol.telegrams import ValueAnswer
 from lecombus.fieldbus.loop_interface import ExchangeReport, ResultKind
-from lecombus.fieldbus.station import JobStep, Station, StepKind
+from lecombus.fieldbus.requests import JobStep, Station, StepKind
 from lecombus.line_events import ExchangeEvent
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Priority, Settle

@@ -27,7 +27,7 @@ from lecombus.fieldbus.lecom.simulator.line import SimLine, build
 from lecombus.fieldbus.lecom.simulator.memory import MemoryEnd
 from lecombus.fieldbus.loop_interface import ExchangeReport, ResultKind
 from lecombus.fieldbus.port import Port, PortSettings, Receiver
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station
 from lecombus.line.worker import LineWorker, WorkerOptions
 from lecombus.line_runtime import LineRuntime
 from lecombus.parameters import Code, Value

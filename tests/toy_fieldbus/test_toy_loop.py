@@ -13,7 +13,7 @@ from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.loop_interface import ExchangeReport, Observer, OpenConnection
 from lecombus.fieldbus.port import Port
 from lecombus.fieldbus.protocols import register
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Priority, Request, Schedule
 from lecombus.schedule.request import CLIENT_GONE

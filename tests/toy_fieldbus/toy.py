@@ -28,8 +28,16 @@ from lecombus.fieldbus.loop_interface import (
     WorkerOptions,
 )
 from lecombus.fieldbus.port import Framing, Parity, Port, PortOpener, PortSettings, Receiver
-from lecombus.fieldbus.request_interface import ReadWork, StopWork, WriteWork
-from lecombus.fieldbus.station import Job, JobStep, Station, StepKind, Verdict
+from lecombus.fieldbus.requests import (
+    Job,
+    JobStep,
+    ReadWork,
+    Station,
+    StepKind,
+    StopWork,
+    Verdict,
+    WriteWork,
+)
 from lecombus.parameters import AddressForm, Code, DecimalLimits, ParameterRules, Value
 from lecombus.roster import DriveEntry, Roster
 from lecombus.schedule import Outcome, Priority, Request, Schedule, Settle, ignore_end

@@ -23,7 +23,7 @@ from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.loop_interface import ExchangeReport
 from lecombus.fieldbus.port import Port, PortSettings, Receiver
 from lecombus.fieldbus.protocols import find
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station
 from lecombus.line.devices import END_IT, others_at, shared, unheard_remedy
 from lecombus.line.event_loop import run
 from lecombus.line.opening import open_port

@@ -29,7 +29,7 @@ from lecombus.errors import (
     UnknownCodeError,
 )
 from lecombus.fieldbus.lecom.protocol.addressing import Form
-from lecombus.fieldbus.lecom.protocol.timing import BAUDS
+from lecombus.fieldbus.lecom.protocol.telegrams import BAUDS
 from lecombus.fieldbus.lecom.rebaud import (
     DrivePlace,
     LineAccess,
@@ -41,7 +41,7 @@ from lecombus.fieldbus.lecom.rebaud import (
     situation,
     what_to_do,
 )
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station
 from lecombus.line.event_loop import run
 from lecombus.line_runtime import options_of
 from lecombus.parameters import AddressForm, Code, Value

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from lecombus.drives import Family, Verb
     from lecombus.drives.faults.fault_tables import FaultKind
     from lecombus.drives.measured import SlowAnswers
-    from lecombus.fieldbus.station import Station
+    from lecombus.fieldbus.requests import Station
     from lecombus.parameters import Code
     from lecombus.schedule import PollingEntry, Request
 

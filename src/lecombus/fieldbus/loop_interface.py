@@ -32,7 +32,7 @@ from typing import Protocol
 
 from lecombus.errors import LineLostError
 from lecombus.fieldbus.port import Port, Receiver
-from lecombus.fieldbus.station import JobStep
+from lecombus.fieldbus.requests import JobStep
 from lecombus.parameters import Value
 from lecombus.schedule import Priority
 

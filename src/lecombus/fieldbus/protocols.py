@@ -22,7 +22,7 @@ from lecombus.fieldbus.loop_interface import (
     WorkerOptions,
 )
 from lecombus.fieldbus.port import Framing, Parity, PortOpener
-from lecombus.fieldbus.request_interface import RequestMaker
+from lecombus.fieldbus.requests import RequestMaker
 from lecombus.parameters import AddressForm, Code
 from lecombus.parameters.codes import ParameterRules, register_rules
 from lecombus.roster import Roster

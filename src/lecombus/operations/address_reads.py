@@ -26,7 +26,7 @@ from lecombus.errors import (
     UnknownCodeError,
 )
 from lecombus.fieldbus.protocols import Fieldbus
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station
 from lecombus.operations.awaited_requests import Requests
 from lecombus.parameters import AddressForm, Code, Value
 from lecombus.schedule import Priority

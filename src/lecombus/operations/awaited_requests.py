@@ -25,8 +25,7 @@ from lecombus.errors import (
     OperationError,
     UnknownCodeError,
 )
-from lecombus.fieldbus.request_interface import ReadWork, RequestMaker
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import ReadWork, RequestMaker, Station
 from lecombus.line.worker import LineWorker
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Priority, Request

@@ -16,7 +16,7 @@ from lecombus.drive_state.store import Store
 from lecombus.drives import encode_for
 from lecombus.drives.stops import asks_to_stop
 from lecombus.errors import CodeValueError, OperationError, meant
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station
 from lecombus.line_events import LineRequests
 from lecombus.operations.awaited_requests import Requests
 from lecombus.operations.nak_diagnosis import NakDiagnosis

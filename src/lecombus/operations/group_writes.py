@@ -23,7 +23,7 @@ from lecombus.errors import (
     QueueFullError,
     ScheduleError,
 )
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station
 from lecombus.operations.awaited_requests import Ending, client_check, refuse_for_gone_client
 from lecombus.operations.context import OperationContext
 from lecombus.operations.operation_reports import (

@@ -39,7 +39,7 @@ from lecombus.errors import (
     RefusedError,
     UnknownCodeError,
 )
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station
 from lecombus.operations.awaited_requests import Requests
 from lecombus.operations.operation_reports import WriteReport
 from lecombus.parameters import Code, Value

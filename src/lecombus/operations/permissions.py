@@ -21,7 +21,7 @@ from lecombus.drive_state.store import Store
 from lecombus.drives import Family, Verb, check_allowed, encode_for, not_restored, saving_rule
 from lecombus.errors import CodeValueError, LineClosedError, OperationError
 from lecombus.fieldbus.protocols import find
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station
 from lecombus.operations.awaited_requests import Requests
 from lecombus.operations.operation_reports import RestoreRights
 from lecombus.parameters import Code, Value

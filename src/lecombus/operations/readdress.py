@@ -39,7 +39,7 @@ from lecombus.drives.procedures import ask_standstill, text_of
 from lecombus.drives.restore_rules import saving_rule
 from lecombus.errors import ExchangeError, NoReplyError, OperationError
 from lecombus.fieldbus.protocols import find
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station
 from lecombus.operations.awaited_requests import Requests
 from lecombus.operations.identities import Identities
 from lecombus.operations.operation_reports import WriteReport, stopped_first

@@ -14,8 +14,7 @@ from lecombus.drive_state.readings import DriveState
 from lecombus.drives import StopAction, knows_stop, needs_control_word, stop_value
 from lecombus.drives.stops import STOP_PATIENCE_S, usable_word
 from lecombus.errors import OperationError
-from lecombus.fieldbus.request_interface import MulticastWork, StopWork
-from lecombus.fieldbus.station import JobStep, Station
+from lecombus.fieldbus.requests import JobStep, MulticastWork, Station, StopWork
 from lecombus.operations.awaited_requests import Ending
 from lecombus.operations.context import OperationContext
 from lecombus.operations.operation_reports import GroupReport, Proof, WriteReport, group_report

@@ -12,7 +12,7 @@ from lecombus.drives import OperatingState, StopAction, Verb
 from lecombus.drives.verb_facts import Known, rules_of
 from lecombus.drives.verbs import fault_number, has_fault, shown_stops
 from lecombus.errors import LineError
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station
 from lecombus.operations.operation_reports import Proof, VerbReport, WriteReport
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome

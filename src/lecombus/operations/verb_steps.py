@@ -37,7 +37,7 @@ from lecombus.errors import (
     OperationError,
     ScheduleError,
 )
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station
 from lecombus.operations.context import OperationContext
 from lecombus.operations.operation_reports import WriteReport
 from lecombus.operations.stop_requests import Stops

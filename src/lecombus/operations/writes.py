@@ -14,8 +14,7 @@ from lecombus.errors import (
     ExchangeError,
     OperationError,
 )
-from lecombus.fieldbus.request_interface import WriteWork
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station, WriteWork
 from lecombus.operations.awaited_requests import Ending, client_check, refuse_for_gone_client
 from lecombus.operations.context import OperationContext
 from lecombus.operations.operation_reports import (

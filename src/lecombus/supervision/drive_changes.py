@@ -17,7 +17,7 @@ from lecombus.drive_state.drive_runtime import Drive
 from lecombus.drive_state.store import Store
 from lecombus.drives import family
 from lecombus.drives.measured import MeasuredTimes
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station
 from lecombus.metrics import Metrics
 from lecombus.operations.awaited_requests import Requests
 from lecombus.schedule import Cyclic, WatchdogDeadline

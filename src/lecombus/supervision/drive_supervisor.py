@@ -32,7 +32,7 @@ from lecombus.drive_state.motion import learnt_setpoint
 from lecombus.drive_state.readings import DriveState
 from lecombus.drive_state.store import Store
 from lecombus.errors import LecombusError, RefusedError
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station
 from lecombus.operations.awaited_requests import Requests, is_of_the_line
 from lecombus.operations.facade import Operations
 from lecombus.schedule import Priority, WatchdogFeeding

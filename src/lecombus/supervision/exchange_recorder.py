@@ -14,7 +14,7 @@ from lecombus.drive_state.drive_runtime import LineDrives
 from lecombus.drive_state.readings import NO_SUCH_CODE, DriveState, LineState
 from lecombus.drive_state.store import Store
 from lecombus.fieldbus.loop_interface import AnswerKind, ExchangeReport, ExchangeResult, ResultKind
-from lecombus.fieldbus.station import StepKind
+from lecombus.fieldbus.requests import StepKind
 from lecombus.line_events import ExchangeEvent, LineChange
 from lecombus.metrics import Metrics
 from lecombus.operations.facade import Operations

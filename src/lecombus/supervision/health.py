@@ -25,7 +25,7 @@ from lecombus.drive_state.drive_runtime import Drive, LineDrives, RunningAudit
 from lecombus.drive_state.readings import DriveState
 from lecombus.drive_state.store import Store
 from lecombus.fieldbus.loop_interface import ResultKind
-from lecombus.fieldbus.station import StepKind
+from lecombus.fieldbus.requests import StepKind
 from lecombus.line_events import ExchangeEvent, LineChange
 from lecombus.schedule import Schedule
 

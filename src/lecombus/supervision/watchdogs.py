@@ -26,7 +26,7 @@ from lecombus.drive_state.readings import DriveState
 from lecombus.drive_state.store import Store
 from lecombus.drives import WatchdogTraits
 from lecombus.errors import LecombusError, OperationError, UnknownCodeError
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station
 from lecombus.operations.awaited_requests import Requests
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Priority

@@ -29,7 +29,7 @@ from lecombus.drives import SoftwareGate
 from lecombus.drives.procedures import identity_codes
 from lecombus.errors import OperationError
 from lecombus.fieldbus.protocols import find
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station
 from lecombus.operations.awaited_requests import Requests
 from lecombus.operations.identities import Identities
 from lecombus.operations.readdress import Readdress

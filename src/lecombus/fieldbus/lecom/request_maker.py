@@ -23,9 +23,9 @@ from lecombus.fieldbus.lecom.exchanges.jobs import MulticastJob, ReadBackJob, Re
 from lecombus.fieldbus.lecom.exchanges.late_answers import Duplicates
 from lecombus.fieldbus.lecom.exchanges.read_back_proof import WrittenValue
 from lecombus.fieldbus.lecom.exchanges.stop_job import StopJob
-from lecombus.fieldbus.lecom.protocol.timing import ACK_CHARS, write_request_chars
+from lecombus.fieldbus.lecom.protocol.telegrams import ACK_CHARS, write_request_chars
 from lecombus.fieldbus.lecom.telegram_costs import read_cost, write_cost
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station
 from lecombus.parameters import AddressForm, Code, Value
 from lecombus.schedule import Outcome, Priority, Request, Settle, ignore_end
 from lecombus.schedule.fan_out import Part

@@ -29,7 +29,7 @@ from lecombus.drives.measured import LATENESS_S
 from lecombus.fieldbus.costs import Cost, LineTiming
 from lecombus.fieldbus.lecom.address_codes import address_code
 from lecombus.fieldbus.lecom.protocol.addressing import Form
-from lecombus.fieldbus.lecom.protocol.timing import (
+from lecombus.fieldbus.lecom.protocol.telegrams import (
     ACK_CHARS,
     answer_chars,
     read_request_chars,

@@ -43,7 +43,7 @@ from lecombus.fieldbus.loop_interface import (
     WorkerOptions,
 )
 from lecombus.fieldbus.port import Port
-from lecombus.fieldbus.station import Job, StepKind
+from lecombus.fieldbus.requests import Job, StepKind
 from lecombus.line.port_connection import StallWatch
 from lecombus.line.timers import Deadline, WakeableTimer
 from lecombus.schedule import Outcome, Priority, Request, Schedule

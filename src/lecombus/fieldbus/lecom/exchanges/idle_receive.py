@@ -42,14 +42,14 @@ from lecombus.fieldbus.lecom.exchanges.prepared_telegrams import PreparedTelegra
 from lecombus.fieldbus.lecom.protocol.exchange import ACK_FIELD, Result
 from lecombus.fieldbus.lecom.protocol.parser import AnswerParser
 from lecombus.fieldbus.lecom.protocol.telegrams import (
+    MAX_ANSWER_CHARS,
     BadAnswer,
     TransmissionErrorAnswer,
     UnknownCodeAnswer,
     ValueAnswer,
 )
-from lecombus.fieldbus.lecom.protocol.timing import MAX_ANSWER_CHARS
 from lecombus.fieldbus.loop_interface import ResultKind
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station
 from lecombus.parameters import Code
 from lecombus.schedule import Priority, Request, Schedule
 from lecombus.schedule.shares import LISTEN_EVERY_S, LISTEN_S

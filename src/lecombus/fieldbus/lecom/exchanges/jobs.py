@@ -34,8 +34,15 @@ from lecombus.errors import (
 )
 from lecombus.fieldbus.lecom.protocol.exchange import Result
 from lecombus.fieldbus.loop_interface import ResultKind
-from lecombus.fieldbus.request_interface import MulticastWork, ReadWork, WriteWork
-from lecombus.fieldbus.station import JobStep, Station, StepKind, Verdict
+from lecombus.fieldbus.requests import (
+    JobStep,
+    MulticastWork,
+    ReadWork,
+    Station,
+    StepKind,
+    Verdict,
+    WriteWork,
+)
 from lecombus.parameters import AddressForm, Code, Value
 from lecombus.schedule.request import Outcome
 

@@ -29,7 +29,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from lecombus.fieldbus.loop_interface import SecondAnswerCount
-from lecombus.fieldbus.station import Station
+from lecombus.fieldbus.requests import Station
 from lecombus.parameters import Code
 
 from ..protocol.exchange import ACK_FIELD

@@ -17,14 +17,13 @@ from dataclasses import dataclass, replace
 from lecombus.drives.measured import SlowAnswers, slow_from_s
 from lecombus.fieldbus.costs import Cost, LineTiming
 from lecombus.fieldbus.lecom.telegram_costs import read_cost, write_cost
-from lecombus.fieldbus.station import Job, JobStep, Station, StepKind
+from lecombus.fieldbus.requests import Job, JobStep, Station, StepKind
 from lecombus.parameters import AddressForm, Code
 
 from ..protocol.addressing import encode_code
 from ..protocol.exchange import ACK_FIELD, Ask
 from ..protocol.parser import with_parity
-from ..protocol.telegrams import read_telegram, write_telegram
-from ..protocol.timing import write_request_chars
+from ..protocol.telegrams import read_telegram, write_request_chars, write_telegram
 from .jobs import MulticastJob, ReadJob
 from .late_answers import PendingLateAnswers
 

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from lecombus.drives import Family, StopAction, confirm_codes, stop_confirmed
 from lecombus.fieldbus.lecom.address_codes import address_code
-from lecombus.fieldbus.station import JobStep, Station, StepKind
+from lecombus.fieldbus.requests import JobStep, Station, StepKind
 from lecombus.parameters import AddressForm, Code, Value
 
 from ..protocol.addressing import Form, encode_code

@@ -39,8 +39,7 @@ from lecombus.drives.stops import (
 from lecombus.errors import ExchangeError
 from lecombus.fieldbus.lecom.protocol.exchange import Result
 from lecombus.fieldbus.loop_interface import ResultKind
-from lecombus.fieldbus.request_interface import StopWork
-from lecombus.fieldbus.station import JobStep, Station, StepKind, Verdict
+from lecombus.fieldbus.requests import JobStep, Station, StepKind, StopWork, Verdict
 from lecombus.parameters import Code, Value
 from lecombus.schedule.request import Outcome
 

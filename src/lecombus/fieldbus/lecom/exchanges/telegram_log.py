@@ -11,7 +11,7 @@ from typing import Final
 
 from lecombus.fieldbus.lecom.protocol.exchange import Result
 from lecombus.fieldbus.loop_interface import ResultKind
-from lecombus.fieldbus.station import Job
+from lecombus.fieldbus.requests import Job
 
 from ..protocol.telegrams import (
     AckAnswer,

@@ -34,6 +34,7 @@ from lecombus.fieldbus.lecom.protocol.controls import (
 )
 from lecombus.fieldbus.lecom.protocol.host_parser import RequestParser
 from lecombus.fieldbus.lecom.protocol.telegrams import (
+    MAX_ANSWER_CHARS,
     AckAnswer,
     Answer,
     BadAnswer,
@@ -44,7 +45,6 @@ from lecombus.fieldbus.lecom.protocol.telegrams import (
     UnknownCodeAnswer,
     ValueAnswer,
 )
-from lecombus.fieldbus.lecom.protocol.timing import MAX_ANSWER_CHARS
 from lecombus.parameters import Value, ValueFormatError
 
 __all__ = ["TAIL_LIMIT", "AnswerParser", "RequestParser", "strip_parity", "with_parity"]

@@ -1,4 +1,4 @@
-"""Every telegram of both directions: how it is written, and what it is called once read.
+"""Every telegram of both directions: how it is written, its length, what it is called once read.
 
 The functions return 7-bit characters without parity (`controls.with_parity` adds it). The frozen
 classes are the events that the parsers yield: `Answer` for what a drive says, `HostRequest` for
@@ -12,11 +12,18 @@ follows only from when it comes, which is the business of the line, not of this 
     multicast a write to an address ending in 0              unknown  STX C1 C2 EOT
                                                              written  ACK  or  NAK
 
-Source: EDB2102EN 8.3.2 to 8.3.4; CMVLC401A 6.1 to 6.4. No bytes are searched here: see `parser`.
+Telegrams take ten bits a character (start, 7 data, parity, stop). The manual's table of times gives
+request and answer together for a value of 9 characters: SEND 17 + 1 characters (150 ms at 1200
+bit/s), RECEIVE 6 + 14 (166.7 ms). It heads them "t2" and "= t4", which would be one direction each;
+the figures are those of both. Extended addressing adds 5 characters to each telegram that carries
+the code: once for SEND (41.6 ms), twice for RECEIVE (83.3 ms).
+
+Source: EDB2102EN 3.5, 8.3.2 to 8.3.4; CMVLC401A 6.1 to 6.4. No bytes are searched here: see `parser`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
@@ -24,6 +31,7 @@ from typing import ClassVar, Final
 
 from lecombus.errors import CodeValueError
 from lecombus.fieldbus.lecom.protocol.addressing import (
+    Form,
     encode_address,
     encode_code,
     field_length,
@@ -41,6 +49,10 @@ from lecombus.parameters import (
 )
 
 __all__ = [
+    "ACK_CHARS",
+    "BAUDS",
+    "BITS_PER_CHAR",
+    "MAX_ANSWER_CHARS",
     "AckAnswer",
     "Answer",
     "BadAnswer",
@@ -54,7 +66,10 @@ __all__ = [
     "UnknownCodeAnswer",
     "ValueAnswer",
     "WriteRequest",
+    "answer_chars",
+    "read_request_chars",
     "read_telegram",
+    "write_request_chars",
     "write_telegram",
 ]
 
@@ -302,3 +317,33 @@ class TelegramText:
     def value(self) -> bytes:
         """The text between code field and ETX."""
         return bytes(self.body[self.field_chars : -1])
+
+
+BAUDS: Final = (1200, 2400, 4800, 9600, 19200)
+BITS_PER_CHAR: Final = 10
+ACK_CHARS: Final = 1
+"""ACK and NAK."""
+
+_FIELD_CHARS: Final[Mapping[AddressForm, int]] = {Form.STANDARD: 2, Form.EXTENDED: 7}
+
+
+def read_request_chars(form: AddressForm) -> int:
+    """Return the characters of `EOT AD1 AD2 C1 C2 ENQ`: 6, extended 11."""
+    return 4 + _FIELD_CHARS[form]
+
+
+def write_request_chars(form: AddressForm, value_chars: int) -> int:
+    """Return the characters of `EOT AD1 AD2 STX C1 C2 V1..Vn ETX BCC`: 8 + n, extended 13 + n."""
+    return 6 + _FIELD_CHARS[form] + value_chars
+
+
+def answer_chars(form: AddressForm, value_chars: int) -> int:
+    """Return the characters of `STX C1 C2 V1..Vn ETX BCC`: 5 + n, extended 10 + n.
+
+    A `?` answer is one with a value of 1 character.
+    """
+    return 3 + _FIELD_CHARS[form] + value_chars
+
+
+MAX_ANSWER_CHARS: Final = answer_chars(Form.EXTENDED, HIGHEST_VALUE_CHARS)
+"""The longest answer there can be: 1 + 7 + 241 + 2 characters."""

@@ -1,24 +1,119 @@
-"""What is asked of the line: requests with their costs, and what their jobs tell at the end.
+"""What is asked of the line: a station to speak to, the job of a request with its steps, its maker.
 
-The schedule carries a request without knowing what is in it; its `work` is a job of the protocol.
-Those that wait for the end of a request read from the job what is defined here.
+A job is the part of a request that knows the protocol. The schedule carries it as the `work` of the
+request without looking in; the loop asks it for the next step, runs that step as one exchange and
+gives it the result, until the job says how the request ended. Between two steps of a job anything
+more urgent may run. Those that wait for the end of a request read from its job what the classes
+with `Work` in their names define.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any, NamedTuple, Protocol
 
-from lecombus.drives import StopAction
+from lecombus.drives import Family, StopAction
+from lecombus.drives.measured import MeasuredTimes, manual_s
 from lecombus.drives.stops import STOP_PATIENCE_S
 from lecombus.errors import ExchangeError
 from lecombus.fieldbus.costs import LineTiming
-from lecombus.fieldbus.station import JobStep, Station
 from lecombus.parameters import AddressForm, Code, Value
-from lecombus.schedule import Priority, Request, Settle, ignore_end
+from lecombus.schedule import Outcome, Priority, Request, Settle, ignore_end
 from lecombus.schedule.fan_out import Part
 
-__all__ = ["MulticastWork", "ReadWork", "RequestMaker", "StopWork", "WriteWork"]
+__all__ = [
+    "Job",
+    "JobStep",
+    "MulticastWork",
+    "ReadWork",
+    "RequestMaker",
+    "Station",
+    "StepKind",
+    "StopWork",
+    "Verdict",
+    "WriteWork",
+]
+
+Verdict = tuple[Outcome, str] | None
+"""How a request ended and why, or None when another step is wanted."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Station:
+    """A drive as the line sees it.
+
+    Args:
+        name: Its name in the roster.
+        address: 1..99, not ending in 0; for a multicast the group address.
+        family: Its description, with the roster's overrides applied.
+        forms: The addressing forms it is spoken to in, the preferred first.
+        hold_s: How long it is left alone after a write, seconds: with shortened response time
+            (C1921 = 1) the module acknowledges before it has passed the value on. Until it is
+            known whether it does, it is taken to.
+        answers_early: It is known to have shortened response time.
+        answer_time_s: The roster's word on how long it thinks, seconds; None: the family's.
+        measured: How long it really thinks.
+    """
+
+    name: str
+    address: int
+    family: Family
+    forms: tuple[AddressForm, ...]
+    hold_s: float = 0.0
+    answer_time_s: float | None = None
+    measured: MeasuredTimes = field(default_factory=MeasuredTimes)
+    answers_early: bool = False
+
+    def answer_s(self, code: Code, *, write: bool = False) -> float | None:
+        """Return how long it thinks, for calculations; None: what its family says."""
+        return self.measured.slow.time_s(
+            self.family, code, write=write, answer_time_s=self.answer_time_s
+        )
+
+    def documented_s(self, code: Code, *, write: bool = False) -> float:
+        """Return the longest that manual and roster let it think, seconds."""
+        return manual_s(self.family, code, write=write, answer_time_s=self.answer_time_s)
+
+
+class StepKind(StrEnum):
+    """What one exchange does."""
+
+    READ = "read"
+    WRITE = "write"
+    MULTICAST = "multicast"
+
+
+class JobStep(NamedTuple):
+    """One exchange to be run: read `code`, in `form` if that is free, or write `value` to it.
+
+    Where `only` is set the read waits until its `form` is free.
+    """
+
+    kind: StepKind
+    code: Code
+    value: Value | None = None
+    form: AddressForm | None = None
+    only: bool = False
+
+
+class Job(Protocol):
+    """What the exchange loop needs of a job."""
+
+    station: Station
+    error: ExchangeError | None
+
+    @property
+    def step(self) -> JobStep:
+        """The next exchange to run."""
+
+    @property
+    def cut_outcome(self) -> Outcome | None:
+        """How it ends if it is cut off between two steps; None: nothing was changed."""
+
+    def advance(self, result: Any) -> Verdict:
+        """Take the result of the step that was run, of the protocol's own class."""
 
 
 class ReadWork:

@@ -7,15 +7,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
-from lecombus.fieldbus.lecom.protocol.telegrams import read_telegram, write_telegram
-from lecombus.fieldbus.lecom.protocol.timing import (
+from lecombus.fieldbus.lecom.protocol.telegrams import (
     ACK_CHARS,
     BAUDS,
     BITS_PER_CHAR,
     MAX_ANSWER_CHARS,
     answer_chars,
     read_request_chars,
+    read_telegram,
     write_request_chars,
+    write_telegram,
 )
 from lecombus.parameters import Code, Value
 from protocol.strategies import string
