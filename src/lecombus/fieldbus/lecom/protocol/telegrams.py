@@ -18,7 +18,8 @@ bit/s), RECEIVE 6 + 14 (166.7 ms). It heads them "t2" and "= t4", which would be
 the figures are those of both. Extended addressing adds 5 characters to each telegram that carries
 the code: once for SEND (41.6 ms), twice for RECEIVE (83.3 ms).
 
-Source: EDB2102EN 3.5, 8.3.2 to 8.3.4; CMVLC401A 6.1 to 6.4. No bytes are searched here: see `parser`.
+Source: EDB2102EN 3.5, 8.3.2 to 8.3.4; CMVLC401A 6.1 to 6.4. No bytes are searched here: see
+`parser`.
 """
 
 from __future__ import annotations
