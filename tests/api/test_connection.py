@@ -92,6 +92,9 @@ def kind(answer: tuple[int, bytes]) -> tuple[int, str]:
         b"\x00\xff\x80 rubbish\r\n\r\n",
         b"BREW /pot HTTP/1.1\r\n\r\n",
         b"GET / HTTP/9.9\r\n\r\n",
+        b"GET / HTTP/2.0\r\n\r\n",
+        b"GET /v1/line HTTP/0.9\r\n\r\n",
+        b"GET /v1/line\r\n\r\n",
         b"GET http://[/ HTTP/1.1\r\nHost: x\r\n\r\n",
         b"GET / HTTP/1.1\r\nContent-Length: minus\r\n\r\n",
         b"CONNECT localhost:80 HTTP/1.1\r\nHost: x\r\n\r\n",
@@ -375,6 +378,63 @@ async def test_the_host_of_an_absolute_target_counts(
     async with connected(line, tmp_path, tcp=True) as client:
         await client.say(f"GET {target} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
         assert (await client.answer())[0] == status
+
+
+@pytest.mark.parametrize("first", [b"GET /v1/line\r\n\r\n", b"POST /v1/stop HTTP/0.9\r\n\r\n"])
+@pytest.mark.parametrize("tcp", [False, True])
+async def test_a_request_without_http_1_is_refused(
+    line: Line, tmp_path: Path, first: bytes, tcp: bool
+) -> None:
+    async with connected(line, tmp_path, tcp=tcp) as client:
+        await client.say(first)
+        answers = await client.rest()
+    assert [kind(one) for one in answers] == [(400, "bad-http")]
+    assert line.ops.asked == []
+
+
+async def test_http_1_0_is_answered(line: Line, tmp_path: Path) -> None:
+    async with connected(line, tmp_path) as client:
+        await client.say(b"GET /readyz HTTP/1.0\r\nHost: localhost\r\n\r\n")
+        assert (await client.answer())[0] == 200
+
+
+@pytest.mark.parametrize(
+    ("header", "is_foreign"),
+    [
+        ("Origin: http://evil.example", True),
+        ("Origin: null", True),
+        ("Origin: http://localhost:8080", True),
+        ("Sec-Fetch-Site: cross-site", True),
+        ("Sec-Fetch-Site: same-site", True),
+        ("Origin: http://localhost", False),
+        ("Origin: https://LOCALHOST", False),
+        ("Sec-Fetch-Site: same-origin", False),
+    ],
+)
+@pytest.mark.parametrize("is_stop", [False, True])
+async def test_a_web_page_of_another_origin_is_refused_over_the_unix_socket_too(
+    line: Line, tmp_path: Path, header: str, is_foreign: bool, is_stop: bool
+) -> None:
+    body = b'{"action": "inhibit", "target": "all"}' if is_stop else b""
+    first = "POST /v1/stop" if is_stop else "GET /v1/line"
+    head = f"{first} HTTP/1.1\r\nHost: localhost\r\n{header}\r\nContent-Length: {len(body)}\r\n"
+    async with connected(line, tmp_path) as client:
+        await client.say(head.encode() + b"\r\n" + body)
+        answer = await client.answer()
+    if is_foreign:
+        assert kind(answer) == (403, "cross-site")
+    else:
+        assert answer[0] == 200
+    assert bool(line.ops.asked) is (is_stop and not is_foreign)
+
+
+@pytest.mark.parametrize("host", ["evil.example", "lecombus", "10.0.0.1:80"])
+async def test_over_the_unix_socket_any_host_may_be_named(
+    line: Line, tmp_path: Path, host: str
+) -> None:
+    async with connected(line, tmp_path) as client:
+        await client.say(f"GET /readyz HTTP/1.1\r\nHost: {host}\r\n\r\n".encode())
+        assert (await client.answer())[0] == 200
 
 
 async def test_head_is_answered_wherever_get_is(line: Line, tmp_path: Path) -> None:

@@ -1,12 +1,15 @@
-"""Who may do what over TCP: reads only, and only for programs of this machine.
+"""Who may do what: over TCP reads only, and only for programs of this machine; no foreign web page.
 
 `ReadOnlyAccess` stands before the TCP server: until there is access control it lets only reads
 through, and refuses hosts that are not this machine, so that no web page can reach the drives
 through a browser (DNS rebinding). What a browser sends for a page of another origin is refused too,
 by its `Origin` and `Sec-Fetch-Site`: such a page could not read the answer, but could send request
 after request. A request without a host, with two, or with one that is none, is not well made
-(RFC 9112, 3.2). After a refusal the connection ends. Over the Unix socket the host is not checked:
-a stop counts more.
+(RFC 9112, 3.2). After a refusal the connection ends.
+
+Over the Unix socket any host may be named, or none: only programs reach it, each calls it by
+another name, and a stop counts more. But a browser behind a proxy can reach it, so a page of
+another origin is refused there too, also its stop (`OwnPagesAccess`).
 """
 
 from __future__ import annotations
@@ -24,16 +27,23 @@ from lecombus.operations.actions import ACTOR
 from lecombus.roster import is_loopback
 from lecombus.tokens import grants
 
-__all__ = ["ReadOnlyAccess"]
+__all__ = ["OwnPagesAccess", "ReadOnlyAccess"]
 
 HOST: Final = re.compile(r"(?:\[([0-9a-f:.]+)\]|([^\[\]:]+))(?::[0-9]{0,5})?")
 
 RIGHT_HOST: Final = "ask for localhost or 127.0.0.1"
 
-OWN_SITES: Final = (b"none", b"same-origin")
+OWN_SITES: Final = ("none", "same-origin")
 """What `Sec-Fetch-Site` says where a person typed the address, or a page of this server asks."""
 
 CLOSE: Final = {"Connection": "close"}
+
+CROSS_SITE: Final = ProblemDocument(
+    "cross-site",
+    "a web page of another origin asks",
+    remedy="open the address itself, or ask from a program",
+    headers=CLOSE,
+)
 
 LOCAL_READS: Final = grants.granted([grants.Scope.READ])
 
@@ -72,12 +82,8 @@ class ReadOnlyAccess:
             return ProblemDocument(
                 "foreign-host", f"host {short(hosts[0])} is not this machine", remedy=RIGHT_HOST
             )
-        if is_cross_site(scope, hosts[0]):
-            return ProblemDocument(
-                "cross-site",
-                "a web page of another origin asks",
-                remedy="open the address itself, or ask from a program",
-            )
+        if is_cross_site(scope, "http"):
+            return CROSS_SITE
         if scope["method"] not in ("GET", "HEAD"):
             return ProblemDocument(
                 "read-only",
@@ -96,15 +102,39 @@ class ReadOnlyAccess:
         return name == self._host or is_loopback(name)
 
 
-def is_cross_site(scope: Scope, host: str) -> bool:
-    """Return whether a browser asks for a page that is not of this server."""
-    origin = f"http://{host.strip()}".lower()
-    for name, value in scope["headers"]:
-        if name == b"origin" and value.decode("latin-1").strip().lower() != origin:
-            return True
-        if name == b"sec-fetch-site" and value.strip().lower() not in OWN_SITES:
-            return True
-    return False
+class OwnPagesAccess:
+    """Refuses what a browser asks for a page of another origin, through any proxy.
+
+    Args:
+        app: The application behind.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, or refuse it."""
+        if scope["type"] == "http" and is_cross_site(scope, "http", "https"):
+            await CROSS_SITE.response()(scope, receive, send)
+        else:
+            await self._app(scope, receive, send)
+
+
+def is_cross_site(scope: Scope, *schemes: str) -> bool:
+    """Return whether a browser asks for a page that is not of this server.
+
+    Args:
+        scope: The request.
+        schemes: How a page of this server may have come to the browser.
+    """
+    headers = [(name, value.decode("latin-1").strip().lower()) for name, value in scope["headers"]]
+    own = {f"{scheme}://{value}" for name, value in headers if name == b"host"
+           for scheme in schemes}  # fmt: skip
+    return any(
+        (name == b"origin" and value not in own)
+        or (name == b"sec-fetch-site" and value not in OWN_SITES)
+        for name, value in headers
+    )
 
 
 def host_name(host: str) -> str:

@@ -12,6 +12,8 @@ of uvicorn, so its version is bound and `tests/api/test_uvicorn.py` checks each 
 * what came whole is answered, also before rubbish (then `bad-http`, as a problem document,
   and the end), the end of what the client sends, or an offer to speak another protocol, which is
   ignored (after a CONNECT the connection ends);
+* a request in another version than HTTP/1.0 or 1.1 is none: HTTP/0.9 has no headers, and an answer
+  to it no status;
 * the host of an absolute request target counts instead of the `Host` header (RFC 9112, 3.2.2).
 
 Bytes are given to the parser in pieces so small that the requests in them cannot exceed the limit.
@@ -73,6 +75,8 @@ CREDENTIALS: Final = struct.Struct("3i")
 
 SHORTEST_REQUEST: Final = 16
 """Bytes of `GET / HTTP/1.1` and two line feeds: a piece has room for no more requests than that."""
+
+VERSIONS: Final = ("1.0", "1.1")
 
 OFFERS: Final = frozenset((b"upgrade", b"http2-settings", b"connection"))
 """Headers that make up an offer to speak another protocol; `Connection: close` is kept."""
@@ -319,6 +323,8 @@ class Connection(HttpToolsProtocol):
 
     def on_headers_complete(self) -> None:
         """Take the head of a request."""
+        if self.parser.get_http_version() not in VERSIONS:
+            self._refuse(NOT_HTTP)
         self._is_offer = self.parser.should_upgrade() and self.parser.get_method() != b"CONNECT"
         if self._is_offer:
             return

@@ -26,7 +26,7 @@ import uvicorn
 from anyio.abc import TaskStatus
 from starlette.types import ASGIApp
 
-from lecombus.api.access import ReadOnlyAccess
+from lecombus.api.access import OwnPagesAccess, ReadOnlyAccess
 from lecombus.api.answers import dated
 from lecombus.api.connection import Connection, StartQueue
 from lecombus.api.limits import (
@@ -139,7 +139,7 @@ async def close_when_cancelled(listeners: list[DaemonServer]) -> None:
 def unix_configuration(app: ASGIApp, places: ConnectionPlaces) -> uvicorn.Config:
     """Return how the Unix socket is served."""
     kind = type("PlacedConnection", (Connection,), {"places": places, "starts": StartQueue()})
-    return configuration(RequestLimiter(app), kind, ACCEPT_AT_ONCE)
+    return configuration(OwnPagesAccess(RequestLimiter(app)), kind, ACCEPT_AT_ONCE)
 
 
 def tcp_configuration(app: ASGIApp, host: str, places: ConnectionPlaces) -> uvicorn.Config:
