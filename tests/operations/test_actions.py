@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import re
@@ -33,8 +34,10 @@ from lecombus.operations.verb_operations import Verbs
 from lecombus.operations.writes import Writes
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome
+from support.rosters import roster_text
+from support.site_host import Plant, with_plant
 
-FREQUENCY, PASSWORD = Code(46), Code(94)
+FREQUENCY, PASSWORD, CONTROL = Code(46), Code(94), Code(135)
 
 
 class Clock:
@@ -112,6 +115,9 @@ def recorded(actions: Actions, monkeypatch: pytest.MonkeyPatch) -> Recorded:
             monkeypatch.setattr(part, name, getattr(drives, name))
         monkeypatch.setattr(
             OperationContext, "is_secret", lambda context, target, code: code == PASSWORD
+        )
+        monkeypatch.setattr(
+            OperationContext, "on_the_wire", lambda context, target, code, value: str(value)
         )
         line, state = Mock(), Mock()
         operations = Operations(
@@ -243,3 +249,32 @@ def test_a_process_that_is_gone_or_hidden_is_a_question_mark() -> None:
     assert Actor("socket", 0, 2**22 + 1).fields()["process"] == "?"
     assert Actor("socket", 0, 0).fields()["process"] == "?"
     assert Actor("tcp", client="127.0.0.1:1").fields() == {"who": "tcp", "client": "127.0.0.1:1"}
+
+
+@pytest.mark.parametrize(
+    ("code", "values", "shown"),
+    [
+        (CONTROL, ["H8", "0x8", "H0008", 8], "H0008"),
+        (FREQUENCY, ["020", "20.0", 20], "20"),
+        (CONTROL, ["9"], "9"),
+    ],
+)
+def test_a_value_is_logged_as_it_goes_on_the_wire(
+    code: Code, values: list[str | int], shown: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """However it was written; one that is refused as it was written."""
+    caplog.set_level(logging.INFO, "lecombus.operations.actions")
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        operations = plant.site.operations
+        for value in values:
+            with contextlib.suppress(OperationError):
+                await operations.write("feeder", code, value)
+            with contextlib.suppress(OperationError):
+                await operations.write_group("all", code, value)
+
+    drives = [("feeder", 11, "8200vector"), ("belt", 12, "821x")]
+    with_plant(test, roster_text(drives))
+    logged = re.findall(rf"event=(?:group-)?write .*code={code} value=(\S+)", caplog.text)
+    assert logged == [shown] * 2 * len(values)

@@ -10,7 +10,7 @@ from typing import Final
 
 from lecombus.config import DriveEntry, GroupEntry
 from lecombus.drive_state.control_word import ControlWord
-from lecombus.drive_state.drive_runtime import LastingRecord
+from lecombus.drive_state.drive_runtime import Drive, LastingRecord
 from lecombus.drive_state.readings import DriveState
 from lecombus.drive_state.store import Store
 from lecombus.drives import encode_for
@@ -145,17 +145,35 @@ class OperationContext:
 
     def means_stop(self, target: str, code: Code, value: Decimal | int | str) -> bool:
         """Whether a plain write would stop a drive, or each of a group."""
+        wires = self._wires(target, code, value)
+        return wires is not None and all(
+            asks_to_stop(drive.family, code, wire) for drive, wire in wires
+        )
+
+    def on_the_wire(self, target: str, code: Code, value: Decimal | int | str) -> str:
+        """Return what a write sends, for people; as given where drives differ or refuse it."""
+        wires = self._wires(target, code, value)
+        texts = {wire.raw for _, wire in wires or ()}
+        return texts.pop() if len(texts) == 1 else str(value)
+
+    def _wires(
+        self, target: str, code: Code, value: Decimal | int | str
+    ) -> list[tuple[Drive, Value]] | None:
+        """Encode a value for a drive, or for each of a group; None: a write of it is refused."""
         group = self.groups.get(target)
-        names = (target,) if group is None else group.members
-        drives = [self.requests.drives.find(name) for name in names]
-        try:
-            return all(
-                one is not None
-                and asks_to_stop(one.family, code, encode_for(one.family, code, value))
-                for one in drives
-            )
-        except CodeValueError:
-            return False  # the write will be refused with the reason
+        found: list[tuple[Drive, Value]] = []
+        for name in (target,) if group is None else group.members:
+            drive = self.requests.drives.find(name)
+            if drive is None:
+                return None
+            reading = self.store.reading(name, code)
+            last_read = None if reading is None else reading.value
+            try:
+                wire = encode_for(drive.family, code, value, last_read=last_read)
+            except CodeValueError:
+                return None  # with the reason
+            found.append((drive, wire))
+        return found
 
     def is_command(self, drive: str, code: Code) -> bool:
         """Whether writing a code of a drive can move it; also if nothing is known of it."""

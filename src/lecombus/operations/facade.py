@@ -198,7 +198,9 @@ class Operations:
             return TimesReport(drive, rows)
 
     def _shown(self, target: str, code: Code, value: Decimal | int | str) -> str:
-        return SECRET if self.context.is_secret(target, code) else str(value)
+        if self.context.is_secret(target, code):
+            return SECRET
+        return self.context.on_the_wire(target, code, value)
 
     def _means_stop(self, target: str, code: Code, value: Decimal | int | str) -> bool:
         """Whether a plain write is a stop, which no follower of operations may delay."""
