@@ -144,7 +144,8 @@ class DeferredReports:
         )
 
 
-logger = logging.getLogger("lecombus.line.exchange_loop")  # as in the log of any protocol
+# Not the name of this module: users search and filter their logs by it.
+logger = logging.getLogger("lecombus.line.exchange_loop")
 
 LATE_S: Final = 0.002
 """If a timer fires later than this, bytes may have arrived that were not read yet, seconds."""

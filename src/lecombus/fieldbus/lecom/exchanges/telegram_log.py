@@ -23,7 +23,8 @@ from ..protocol.telegrams import (
 
 __all__ = ["TelegramLog"]
 
-logger = logging.getLogger("lecombus.line.telegram_log")  # as in the log of any protocol
+# Not the name of this module: users search and filter their logs by it.
+logger = logging.getLogger("lecombus.line.telegram_log")
 
 MOST_UNSOLICITED: Final = 256
 """With this many unsolicited bytes they are logged immediately."""
