@@ -283,8 +283,9 @@ class StopJob(StopWork):
     def _learnt(self, step: JobStep, result: Result, over: bool) -> Verdict:
         """Keep what the stop is made of: the word, or whether the drive is inhibited.
 
-        A drive that was sent a stop already is asked more than once before it is inhibited: the
-        quick stop may be under way.
+        A drive that this job has sent no stop is inhibited after one read that fails, also where a
+        multicast sent one: a second read would delay the stop by a time-out (ADR 39). A drive that
+        it has sent a stop is asked more than once: the quick stop may be under way.
         """
         self._learning = False
         answer = result.answer
