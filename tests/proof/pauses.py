@@ -49,6 +49,8 @@ class Pauses:
         self._say = say
         # Old answers, or copies of them, may stand between an answer and the next telegram.
         self._sole = line.is_told_apart and "stubborn" not in line.faults
+        # Whether a module acknowledges early is read; a copy of another's answer may say no.
+        self._known_busy = line.is_told_apart
         stray = MOST_STRAY if line.faults else 0  # what noise appends is no part of an answer
         self._turnaround_s = line.roster.line.turnaround_s - stray * CHARACTER_BITS / sim.host_baud
         self._left_alone: dict[int, float] = {}
@@ -83,7 +85,7 @@ class Pauses:
         elif not before.heard and not one.stop:
             silent_s = self._patience_s(before) + ADAPTER_S + LATENESS_S + QUARANTINE_S
             self._need(one, before.end_s + silent_s, "of the silence after a lost answer")
-        if not one.stop:
+        if not one.stop and self._known_busy:
             self._need(one, one.busy_until_s, "for which the drive is busy with a write")
 
     def _need(self, one: Telegram, from_s: float, what: str) -> None:
