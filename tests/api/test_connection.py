@@ -18,7 +18,7 @@ import pytest
 
 import lecombus.api.answers
 from lecombus.api import serve
-from lecombus.api.connection import PENDING_LIMIT, Connection
+from lecombus.api.connection import PENDING_LIMIT, HttpConnection
 from lecombus.api.limits import CHUNKED_LIMIT, HEAD_LIMIT, HEADERS_LIMIT, TARGET_BYTES
 from lecombus.operations.operation_reports import WriteReport
 from lecombus.parameters import Code
@@ -252,14 +252,14 @@ async def test_a_head_just_below_the_limit_is_taken(line: Line, tmp_path: Path) 
 async def test_requests_beyond_the_limit_wait_unread_and_none_is_lost(
     line: Line, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made: list[Connection] = []
-    plain = Connection.connection_made
+    made: list[HttpConnection] = []
+    plain = HttpConnection.connection_made
 
-    def connection_made(self: Connection, transport: asyncio.Transport) -> None:
+    def connection_made(self: HttpConnection, transport: asyncio.Transport) -> None:
         made.append(self)
         plain(self, transport)
 
-    monkeypatch.setattr(Connection, "connection_made", connection_made)
+    monkeypatch.setattr(HttpConnection, "connection_made", connection_made)
     line.ops.gate = anyio.Event()
     count = 300
     async with connected(line, tmp_path) as client:
@@ -460,7 +460,7 @@ async def test_a_connection_that_was_reset_leaves_nothing_behind(
         for _ in range(100):
             await anyio.sleep(0.01)
             gc.collect()
-            alive = [one for one in gc.get_objects() if isinstance(one, Connection)]
+            alive = [one for one in gc.get_objects() if isinstance(one, HttpConnection)]
             if not alive:
                 break
         assert alive == [], "its timer would keep it for a minute"

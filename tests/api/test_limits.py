@@ -18,7 +18,7 @@ import pytest
 from anyio.abc import SocketStream
 
 from lecombus.api import limits, serve
-from lecombus.api.connection import Connection
+from lecombus.api.connection import HttpConnection
 from support.api_line import Line
 
 pytestmark = [pytest.mark.anyio, pytest.mark.real]
@@ -125,8 +125,8 @@ class Wire(asyncio.Transport):
         self.cut += 1
 
 
-def taken(places: limits.ConnectionPlaces, wire: Wire, *, busy: bool = False) -> Connection:
-    one = Connection.__new__(Connection)
+def taken(places: limits.ConnectionPlaces, wire: Wire, *, busy: bool = False) -> HttpConnection:
+    one = HttpConnection.__new__(HttpConnection)
     one.transport = wire
     one.pipeline = deque()
     one.may_write = wire.get_extra_info("socket") == SimpleNamespace(family=socket.AF_UNIX)

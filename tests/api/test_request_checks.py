@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from lecombus.api import decimal_json, request_checks
-from lecombus.api.answers import ProblemError
+from lecombus.api.answers import RefusedRequestError
 from lecombus.api.limits import BODY_LIMIT
 from lecombus.api.request_checks import AcceptBody, Body, DriveWriteBody, SpeedBody, StopBody
 
@@ -41,7 +41,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
 
 
 def said_of(raw: bytes, model: type[Body]) -> str:
-    with pytest.raises(ProblemError) as caught:
+    with pytest.raises(RefusedRequestError) as caught:
         request_checks.checked(request_checks.object_of(raw, model), model)
     return caught.value.problem.detail
 

@@ -1,4 +1,4 @@
-"""What `Connection` takes from uvicorn and httptools, private names included, is there.
+"""What `HttpConnection` takes from uvicorn and httptools, private names included, is there.
 
 A limit whose hook uvicorn no longer calls would fail without a word. So the versions are bound, and
 every name that the connections use or override is looked up in uvicorn's own source.
@@ -18,10 +18,10 @@ import pytest
 from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 
-from lecombus.api.connection import Connection, PatientFlow
+from lecombus.api.connection import HttpConnection, PatientFlow
 from lecombus.api.tcp_connection import TcpConnection
 
-OURS = (Connection, TcpConnection)
+OURS = (HttpConnection, TcpConnection)
 CYCLES = {"cycle", "running", "last"}
 """The local names under which a connection has a request that is being answered."""
 
@@ -60,7 +60,7 @@ def test_the_versions_are_bound(package: str, release: str) -> None:
 
 
 @pytest.mark.parametrize("cls", OURS)
-def test_every_name_that_a_connection_uses_exists(cls: type[Connection]) -> None:
+def test_every_name_that_a_connection_uses_exists(cls: type[HttpConnection]) -> None:
     own = {name for one in OURS for name in vars(one)} | {
         name for one in OURS for name in one.__annotations__
     }
@@ -78,7 +78,7 @@ def test_every_name_that_a_connection_uses_exists(cls: type[Connection]) -> None
 
 
 @pytest.mark.parametrize("cls", OURS)
-def test_every_name_of_a_request_that_a_connection_uses_exists(cls: type[Connection]) -> None:
+def test_every_name_of_a_request_that_a_connection_uses_exists(cls: type[HttpConnection]) -> None:
     tree = tree_of(cls)
     used = attributes(tree, CYCLES, ast.Load) | attributes(tree, CYCLES, ast.Store)
     assert "response_complete" in used or cls is TcpConnection
@@ -86,7 +86,7 @@ def test_every_name_of_a_request_that_a_connection_uses_exists(cls: type[Connect
 
 
 @pytest.mark.parametrize("cls", OURS)
-def test_what_a_connection_overrides_has_the_same_parameters(cls: type[Connection]) -> None:
+def test_what_a_connection_overrides_has_the_same_parameters(cls: type[HttpConnection]) -> None:
     overridden = {name for name in vars(cls) if name in vars(HttpToolsProtocol)} - {"__module__"}
     methods = {name for name in overridden if inspect.isfunction(vars(cls)[name])}
     assert "_start_asgi_task" in methods

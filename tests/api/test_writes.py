@@ -10,7 +10,7 @@ import pytest
 from starlette.requests import Request
 from starlette.responses import Response
 
-from lecombus.api.answers import ProblemError
+from lecombus.api.answers import RefusedRequestError
 from lecombus.api.idempotency import KEEP_S, KEY_LIMIT, Idempotency
 from lecombus.api.limits import BODY_LIMIT
 from lecombus.config import Mistake, RosterChanges, RosterError
@@ -493,7 +493,7 @@ async def test_more_keys_under_way_than_fit_are_refused() -> None:
             for number in range(KEY_LIMIT):
                 tasks.start_soon(keys.run, keyed(str(number)), b"", act)
             await anyio.wait_all_tasks_blocked()
-            with pytest.raises(ProblemError):
+            with pytest.raises(RefusedRequestError):
                 await keys.run(keyed("one too many"), b"", act)
             gate.set()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from lecombus.backups import Backup, BackupEntry, Head, ReadResult
+from lecombus.backups import Backup, BackupEntry, Head, ReadAttempt
 from lecombus.drives import Family, family
 from lecombus.drives.family_files import load_family
 from lecombus.parameters import Code, Value
@@ -66,9 +66,9 @@ def backup_of(
     return Backup(head, drive, {entry.code: entry for entry in entries}, name)
 
 
-def answers(texts: Mapping[str, str]) -> dict[Code, ReadResult]:
+def answers(texts: Mapping[str, str]) -> dict[Code, ReadAttempt]:
     """What a drive reads now."""
     return {
-        Code.parse(code): ReadResult(Code.parse(code), Value.parse(raw))
+        Code.parse(code): ReadAttempt(Code.parse(code), Value.parse(raw))
         for code, raw in texts.items()
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from backups.backups import DRIVE, TEXT, answers, backup_of
-from lecombus.backups import ReadResult, RestorePlan, make_plan
+from lecombus.backups import ReadAttempt, RestorePlan, make_plan
 from lecombus.backups.restore_plan import codes_to_read
 from lecombus.drives import family
 from lecombus.drives.family_files import load_family
@@ -49,7 +49,7 @@ def test_what_the_roster_sets_is_left_out() -> None:
 def test_what_the_drive_does_not_know_is_left_out(golden: Golden) -> None:
     now = {
         **answers(NOW),
-        Code(12): ReadResult(Code(12), None, "no-such-code", "there is no C0012"),
+        Code(12): ReadAttempt(Code(12), None, "no-such-code", "there is no C0012"),
     }
     made = make_plan(backup_of(DRIVE, FILE), DRIVE, now)
     golden(*(skip.why for skip in made.skips if skip.code == Code(12)))

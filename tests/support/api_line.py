@@ -22,10 +22,10 @@ from lecombus.metrics import Metrics
 from lecombus.operations.address_reads import Heard, HeardKind
 from lecombus.operations.awaited_requests import IS_GONE, refuse_for_gone_client
 from lecombus.operations.facade import Operations
-from lecombus.operations.findings import Finding, MemoryEntry, WhyReport
+from lecombus.operations.findings import MemoryEntry, StandstillFinding, WhyReport
 from lecombus.operations.identities import IdentityReport
 from lecombus.operations.operation_reports import (
-    GroupInfo,
+    GroupFacts,
     GroupReport,
     RestoreRights,
     TimesReport,
@@ -145,7 +145,9 @@ class FakeOperations:
     async def why(self, drive: str, *, fresh: bool = False) -> WhyReport:
         await self._ask("why", drive, fresh)
         text = Text("the controller is inhibited", "der Regler ist gesperrt")
-        finding = Finding("inhibited", Weight.REASON, text, Text("", ""), "C0150 reads H0380", 0.5)
+        finding = StandstillFinding(
+            "inhibited", Weight.REASON, text, Text("", ""), "C0150 reads H0380", 0.5
+        )
         entry = MemoryEntry(Code(161), 50, family("8200vector").fault(50), 1.5, stale=False)
         output = self.store.reading(drive, FREQUENCY)
         return WhyReport(self.store.drive(drive), text, (finding,), (), output, (entry,), True)
@@ -153,8 +155,11 @@ class FakeOperations:
     def is_command(self, drive: str, code: Code) -> bool:
         return family("8200vector").is_command(code)
 
-    def groups(self) -> Sequence[GroupInfo]:
-        return (GroupInfo("conveyors", ("feeder", "belt"), None), GroupInfo("all", ("feeder",), 0))
+    def groups(self) -> Sequence[GroupFacts]:
+        return (
+            GroupFacts("conveyors", ("feeder", "belt"), None),
+            GroupFacts("all", ("feeder",), 0),
+        )
 
     def _group_report(self, target: str, code: Code) -> GroupReport:
         members = tuple(self.report(drive, code) for drive in ("feeder", "belt"))

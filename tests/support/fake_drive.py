@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from lecombus.backups import ReadResult, WriteResult
+from lecombus.backups import ReadAttempt, WriteAttempt
 from lecombus.drives import Family, family
 from lecombus.parameters import Code, Value
 
@@ -71,44 +71,44 @@ class FakeDrive:
     def enable_it(self) -> None:
         self.texts.update(ENABLED)
 
-    async def read(self, code: Code) -> ReadResult:
+    async def read(self, code: Code) -> ReadAttempt:
         self.before_read(self, code)
         if self.is_away():
-            return ReadResult(code, None, "line-lost", self.away)
+            return ReadAttempt(code, None, "line-lost", self.away)
         raw = self.texts.get(code.number) if code.subcode == 0 else None
         if raw is None:
-            return ReadResult(code, None, "no-such-code", f"there is no {code}")
-        return ReadResult(code, Value.parse(raw))
+            return ReadAttempt(code, None, "no-such-code", f"there is no {code}")
+        return ReadAttempt(code, Value.parse(raw))
 
-    async def read_many(self, codes: Sequence[Code], heard: Callable[[ReadResult], None]) -> None:
+    async def read_many(self, codes: Sequence[Code], heard: Callable[[ReadAttempt], None]) -> None:
         for code in codes:
             heard(await self.read(code))
 
-    async def write(self, code: Code, value: Value, *, verify: bool) -> WriteResult:
+    async def write(self, code: Code, value: Value, *, verify: bool) -> WriteAttempt:
         self.before_write(self, code)
         if self.stopped:
-            return WriteResult(False, "superseded", "ended by a stop of the drive")
+            return WriteAttempt(False, "superseded", "ended by a stop of the drive")
         if self.is_away():
-            return WriteResult(False, "line-lost", self.away)
+            return WriteAttempt(False, "line-lost", self.away)
         why = self.refuses(self, code, value)
         if why:
-            return WriteResult(False, "nak", why)
+            return WriteAttempt(False, "nak", why)
         self.writes.append((str(code), value.raw))
         self.texts[code.number] = value.raw
         self.after_write(self, code)
         if self.is_away():
-            return WriteResult(False, "unknown", "the answer was lost")
-        return WriteResult(True)
+            return WriteAttempt(False, "unknown", "the answer was lost")
+        return WriteAttempt(True)
 
-    async def inhibit(self) -> WriteResult:
+    async def inhibit(self) -> WriteAttempt:
         self.writes.append(("inhibit", ""))
         self.texts.update(INHIBITED)
-        return WriteResult(True)
+        return WriteAttempt(True)
 
-    async def enable(self) -> WriteResult:
+    async def enable(self) -> WriteAttempt:
         self.writes.append(("enable", ""))
         self.enable_it()
-        return WriteResult(True)
+        return WriteAttempt(True)
 
     async def why_not_usable(self) -> str:
         if self.away:

@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 
 from lecombus.drives import family
-from lecombus.drives.procedures import ReadResult, WriteResult, identity_codes
+from lecombus.drives.procedures import ReadAttempt, WriteAttempt, identity_codes
 from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.fieldbus.lecom.protocol.controls import with_parity
 from lecombus.fieldbus.lecom.rebaud import LineAccess, Rebaud, Subject
@@ -147,7 +147,7 @@ class RebaudLine:
         self.before(step)
         self.line.host_baud = step.baud
 
-    def read(self, step: Read) -> ReadResult:
+    def read(self, step: Read) -> ReadAttempt:
         self.take(step)
         subject = self.subjects[step.drive]
         for _ in range(step.retries + 1):
@@ -156,7 +156,7 @@ class RebaudLine:
                 break
         return answer
 
-    def write(self, step: Write) -> WriteResult:
+    def write(self, step: Write) -> WriteAttempt:
         self.take(step)
         host, subject = self.scanned.host, self.subjects[step.drive]
         extended = subject.form is Form.EXTENDED
@@ -167,16 +167,16 @@ class RebaudLine:
         received = host.hear(until_s=host.now_s + PATIENCE_S)
         host.wait(PAUSE_S)
         came = "nothing" if self.lose_acks else ANSWERS.get(received, "nothing")
-        return WriteResult(came == "done", came, "" if came == "done" else f"write: {came}")
+        return WriteAttempt(came == "done", came, "" if came == "done" else f"write: {came}")
 
-    def _read(self, subject: Subject, step: Read) -> ReadResult:
+    def _read(self, subject: Subject, step: Read) -> ReadAttempt:
         ask = Question(step.baud, subject.address, step.code, subject.form, subject.family.name)
         heard = self.scanned.hear(ask)
         if heard.kind is HeardKind.VALUE:
-            return ReadResult(step.code, heard.value)
+            return ReadAttempt(step.code, heard.value)
         refused = heard.kind is HeardKind.NO_SUCH_CODE
         kind = "no-such-code" if refused else "no-answer"
-        return ReadResult(step.code, None, kind, str(heard.kind))
+        return ReadAttempt(step.code, None, kind, str(heard.kind))
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,10 +188,10 @@ class StandingDrive:
     name: str
     retries: int
 
-    async def read(self, code: Code) -> ReadResult:
+    async def read(self, code: Code) -> ReadAttempt:
         return self.line.read(Read(self.baud, self.name, code, self.retries))
 
-    async def write(self, code: Code, value: Value, *, verify: bool) -> WriteResult:
+    async def write(self, code: Code, value: Value, *, verify: bool) -> WriteAttempt:
         assert not verify
         return self.line.write(Write(self.baud, self.name, code, value))
 

@@ -43,7 +43,7 @@ __all__ = [
     "PROBLEM_TYPE",
     "STATUS_BY_KIND",
     "ProblemDocument",
-    "ProblemError",
+    "RefusedRequestError",
     "date_header",
     "dated",
     "json_response",
@@ -184,7 +184,7 @@ class ProblemDocument:
         return Response(encode(self.as_json()), self.status, headers, PROBLEM_TYPE)
 
 
-class ProblemError(LecombusError):
+class RefusedRequestError(LecombusError):
     """A request that cannot be served; carries its problem document."""
 
     def __init__(self, problem: ProblemDocument) -> None:
@@ -200,7 +200,7 @@ def problem_of(error: LecombusError, *, drive: str = "", code: str = "") -> Prob
         drive: The drive asked for, where the error does not name one.
         code: The code asked for, where the error does not name one.
     """
-    if isinstance(error, ProblemError):
+    if isinstance(error, RefusedRequestError):
         return error.problem
     if isinstance(error, OperationError):
         return ProblemDocument(

@@ -63,7 +63,7 @@ from lecombus.operations.actions import ACTOR, Actor
 from lecombus.operations.awaited_requests import CAME_S, IS_GONE
 from lecombus.tokens.grants import EVERYTHING
 
-__all__ = ["PENDING_LIMIT", "SLICE", "Connection", "StartQueue"]
+__all__ = ["PENDING_LIMIT", "SLICE", "HttpConnection", "StartQueue"]
 
 PENDING_LIMIT: Final = 16
 
@@ -124,7 +124,7 @@ class PatientFlow(FlowControl):
             super().resume_reading()
 
 
-class Connection(HttpToolsProtocol):
+class HttpConnection(HttpToolsProtocol):
     """A connection over the Unix socket, which holds one of a bounded number of places."""
 
     places: ConnectionPlaces
@@ -375,7 +375,7 @@ class Connection(HttpToolsProtocol):
             context.run(ACTOR.set, self._actor)
             context.run(CAME_S.set, came_s)
             context.run(IS_GONE.set, is_gone)
-            context.run(super(Connection, self)._start_asgi_task, cycle, app)
+            context.run(super(HttpConnection, self)._start_asgi_task, cycle, app)
 
         stops = is_stop(cycle.scope["path"])
         if stops:

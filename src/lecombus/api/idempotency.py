@@ -30,7 +30,7 @@ import anyio
 from starlette.requests import Request
 from starlette.responses import Response
 
-from lecombus.api.answers import STATUS_BY_KIND, ProblemDocument, ProblemError
+from lecombus.api.answers import STATUS_BY_KIND, ProblemDocument, RefusedRequestError
 from lecombus.api.decimal_json import short
 from lecombus.operations.awaited_requests import CAME_S
 from lecombus.schedule.request import Outcome
@@ -123,7 +123,7 @@ class Idempotency:
         came_s = CAME_S.get()
         asked_s = (self._clock() if came_s is None else came_s) - ago_s
         if asked_s < self._started_s:
-            raise ProblemError(
+            raise RefusedRequestError(
                 ProblemDocument(
                     "unknown",
                     "lecombus started again since this was asked for: nothing was sent now, and "
@@ -165,7 +165,7 @@ class Idempotency:
             if entry.ended.is_set():
                 del self._entries[key]
                 return
-        raise ProblemError(
+        raise RefusedRequestError(
             ProblemDocument("queue-full", f"{KEY_LIMIT} requests with a key are under way already")
         )
 
@@ -223,7 +223,7 @@ def asked_ago_s(request: Request) -> float:
     if len(found) == 1 and ASKED_RIGHT.fullmatch(found[0]) and len(keys_of(request)) == 1:
         return float(found[0])
     right = f"{ASKED_HEADER} takes seconds such as 1.250, once, with the Idempotency-Key repeated"
-    raise ProblemError(
+    raise RefusedRequestError(
         ProblemDocument("bad-request", right, remedy="leave it out of a first request")
     )
 
@@ -263,16 +263,16 @@ def check_keys(keys: Sequence[str]) -> None:
     """
     mistake = key_mistake(keys)
     if mistake and len(keys) > 1:
-        raise ProblemError(
+        raise RefusedRequestError(
             ProblemDocument("doubled-header", mistake, remedy="send the header once")
         )
     if mistake:
-        raise ProblemError(ProblemDocument("bad-request", mistake, remedy="send a UUID"))
+        raise RefusedRequestError(ProblemDocument("bad-request", mistake, remedy="send a UUID"))
 
 
-def reused(key: str) -> ProblemError:
+def reused(key: str) -> RefusedRequestError:
     """Return the error for a key that was used for another request."""
-    return ProblemError(
+    return RefusedRequestError(
         ProblemDocument(
             "key-reused",
             f"Idempotency-Key {short(key)} was used for another request before",

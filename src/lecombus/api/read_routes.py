@@ -20,7 +20,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from lecombus.api.answers import ProblemDocument, ProblemError, json_response, text_response
+from lecombus.api.answers import ProblemDocument, RefusedRequestError, json_response, text_response
 from lecombus.api.decimal_json import encode
 from lecombus.api.request_checks import (
     AddressQuery,
@@ -235,7 +235,7 @@ def number_of(address: str) -> int:
         ProblemError: It names none.
     """
     if not (address.isascii() and address.isdecimal() and len(address) <= 2):
-        raise ProblemError(
+        raise RefusedRequestError(
             ProblemDocument("no-such-address", f"{address!r} is no address", remedy="it is 1 to 99")
         )
     return int(address)

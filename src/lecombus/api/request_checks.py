@@ -25,7 +25,7 @@ from pydantic import (
 )
 from starlette.requests import Request
 
-from lecombus.api.answers import ProblemDocument, ProblemError
+from lecombus.api.answers import ProblemDocument, RefusedRequestError
 from lecombus.api.decimal_json import NotJsonError, decode, decode_texts, short
 from lecombus.api.limits import BODY_LIMIT, BODY_TOO_BIG
 from lecombus.drives import Language, StopAction
@@ -357,7 +357,7 @@ def code_of(request: Request) -> Code:
     try:
         return Code.parse(text)
     except CodeValueError as exc:
-        raise ProblemError(
+        raise RefusedRequestError(
             ProblemDocument("no-such-code", str(exc), code=text, remedy="write C0150 or C0039/1")
         ) from exc
 
@@ -479,7 +479,7 @@ async def bounded_bytes(request: Request) -> bytes:
             raise refusal("the client went away before its request was complete", "")
         body, more = body + message.get("body", b""), message.get("more_body", False)
         if len(body) > BODY_LIMIT:
-            raise ProblemError(BODY_TOO_BIG)
+            raise RefusedRequestError(BODY_TOO_BIG)
     return body
 
 
@@ -562,6 +562,6 @@ def shown(value: object) -> str:
     return repr(text) if isinstance(value, str) else text
 
 
-def refusal(detail: str, remedy: str) -> ProblemError:
+def refusal(detail: str, remedy: str) -> RefusedRequestError:
     """Return the error for a request that cannot be understood."""
-    return ProblemError(ProblemDocument("bad-request", detail, remedy=remedy))
+    return RefusedRequestError(ProblemDocument("bad-request", detail, remedy=remedy))

@@ -26,7 +26,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from lecombus.api.answers import ProblemDocument, ProblemError
+from lecombus.api.answers import ProblemDocument, RefusedRequestError
 from lecombus.api.decimal_json import short
 from lecombus.errors import LecombusError
 from lecombus.operations.actions import ACTOR
@@ -162,7 +162,7 @@ def check(request: Request, need: Need, ops: Operations, *, read_only: bool) -> 
     """
     place, grant = request.path_params, ACTOR.get().grant
     if read_only and need.scope not in (Scope.METRICS, Scope.READ) and not need.is_stop:
-        raise ProblemError(HERE_READ_ONLY)
+        raise RefusedRequestError(HERE_READ_ONLY)
     if need.of is Of.DRIVE:
         require_target(place["drive"], ops)
     elif need.of is Of.GROUP:
@@ -213,10 +213,10 @@ def members_of(target: str, ops: Operations) -> Sequence[str]:
     return next((one.members for one in ops.groups() if one.name == target), (target,))
 
 
-def not_permitted(why: str, scope: Scope | None = None) -> ProblemError:
+def not_permitted(why: str, scope: Scope | None = None) -> RefusedRequestError:
     """Return the error for a request that its token does not allow."""
     more = "" if scope is None else f', scope="{scope}"'
-    return ProblemError(
+    return RefusedRequestError(
         ProblemDocument(
             "not-permitted",
             why,

@@ -28,7 +28,7 @@ from starlette.types import ASGIApp
 
 from lecombus.api.access import OwnPagesAccess, ReadOnlyAccess
 from lecombus.api.answers import dated
-from lecombus.api.connection import Connection, StartQueue
+from lecombus.api.connection import HttpConnection, StartQueue
 from lecombus.api.limits import (
     ACCEPT_AT_ONCE,
     TCP_LIMIT,
@@ -138,7 +138,7 @@ async def close_when_cancelled(listeners: list[DaemonServer]) -> None:
 
 def unix_configuration(app: ASGIApp, places: ConnectionPlaces) -> uvicorn.Config:
     """Return how the Unix socket is served."""
-    kind = type("PlacedConnection", (Connection,), {"places": places, "starts": StartQueue()})
+    kind = type("PlacedConnection", (HttpConnection,), {"places": places, "starts": StartQueue()})
     return configuration(OwnPagesAccess(RequestLimiter(app)), kind, ACCEPT_AT_ONCE)
 
 
@@ -151,7 +151,7 @@ def tcp_configuration(app: ASGIApp, host: str, places: ConnectionPlaces) -> uvic
     return configuration(timed(access, share), kind, 1)
 
 
-def configuration(app: ASGIApp, kind: type[Connection], accept_at_once: int) -> uvicorn.Config:
+def configuration(app: ASGIApp, kind: type[HttpConnection], accept_at_once: int) -> uvicorn.Config:
     """Return uvicorn's configuration; what lecombus does itself or does not offer is off."""
     return uvicorn.Config(
         dated(app),

@@ -30,7 +30,7 @@ from typing import Any, Final, Self
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from lecombus.api.connection import Connection
+from lecombus.api.connection import HttpConnection
 from lecombus.operations.actions import ACTOR, Actor
 
 __all__ = [
@@ -131,7 +131,7 @@ class LingeringTransport(asyncio.Transport):
             self._end.cancel()
 
 
-class TcpConnection(Connection, asyncio.BufferedProtocol):
+class TcpConnection(HttpConnection, asyncio.BufferedProtocol):
     """A connection over TCP."""
 
     share: CpuShare
@@ -208,7 +208,7 @@ class TcpConnection(Connection, asyncio.BufferedProtocol):
             if not self.transport.is_closing():
                 context = copy_context()
                 context.run(ACTOR.set, self._actor)
-                context.run(super(Connection, self)._start_asgi_task, cycle, app)
+                context.run(super(HttpConnection, self)._start_asgi_task, cycle, app)
 
         self.share.take(self, start)
 

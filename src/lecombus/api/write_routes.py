@@ -24,7 +24,7 @@ from starlette.routing import Route
 
 from lecombus.api.answers import (
     ProblemDocument,
-    ProblemError,
+    RefusedRequestError,
     json_response,
     report_response,
     roster_problem,
@@ -233,7 +233,7 @@ def verb_of(word: str) -> Verb:
         return Verb(word)
     except ValueError:
         remedy = f"they are {', '.join(Verb)}"
-        raise ProblemError(
+        raise RefusedRequestError(
             ProblemDocument("no-such-path", f"there is no verb {short(word)}", remedy=remedy)
         ) from None
 

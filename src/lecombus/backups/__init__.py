@@ -10,7 +10,7 @@ clock alike. Files, terminals and HTTP are the command line's.
 
 from __future__ import annotations
 
-from lecombus.drives.procedures import ReadResult, WriteResult, is_passing
+from lecombus.drives.procedures import ReadAttempt, WriteAttempt, is_passing
 
 from .backup_file import (
     Backup,
@@ -43,7 +43,7 @@ __all__ = [
     "Head",
     "Listener",
     "Progress",
-    "ReadResult",
+    "ReadAttempt",
     "RestoreAccess",
     "RestorePlan",
     "RestoreStep",
@@ -51,7 +51,7 @@ __all__ = [
     "Section",
     "Skip",
     "Taken",
-    "WriteResult",
+    "WriteAttempt",
     "compare",
     "done_line",
     "head_line",

@@ -22,7 +22,7 @@ from lecombus.drives import (
     restore_rule,
     saving_rule,
 )
-from lecombus.drives.procedures import ReadResult
+from lecombus.drives.procedures import ReadAttempt
 from lecombus.errors import CodeValueError
 from lecombus.parameters import Code, Value
 
@@ -114,7 +114,7 @@ def codes_to_read(backup: Backup, owned: Collection[Code]) -> tuple[Code, ...]:
 def make_plan(
     backup: Backup,
     family: Family,
-    now: Mapping[Code, ReadResult],
+    now: Mapping[Code, ReadAttempt],
     *,
     owned: Collection[Code] = (),
     other_drive: bool = False,
@@ -165,7 +165,7 @@ def make_plan(
 
 
 def why_skipped(
-    family: Family, entry: BackupEntry, now: Mapping[Code, ReadResult], owned: Collection[Code]
+    family: Family, entry: BackupEntry, now: Mapping[Code, ReadAttempt], owned: Collection[Code]
 ) -> str | None:
     """Say why an entry is left out; None where it is not."""
     why = not_restored(family, entry.code, owned)
@@ -205,7 +205,7 @@ def step(family: Family, code: Code, now: Value, value: Value) -> RestoreStep:
     )
 
 
-def strangers(backup: Backup, family: Family, now: Mapping[Code, ReadResult]) -> tuple[str, ...]:
+def strangers(backup: Backup, family: Family, now: Mapping[Code, ReadAttempt]) -> tuple[str, ...]:
     """Say what shows that this may be another drive than the backup's."""
     said = []
     for code in must_be_same(family):

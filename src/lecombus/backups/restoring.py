@@ -29,7 +29,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from lecombus.drives import Family, StopAction, confirm_codes, is_last, knows_stop, stop_confirmed
-from lecombus.drives.procedures import DriveAccess, ReadResult, WriteResult, is_passing
+from lecombus.drives.procedures import DriveAccess, ReadAttempt, WriteAttempt, is_passing
 from lecombus.errors import CodeValueError
 from lecombus.parameters import Code, Value
 
@@ -68,7 +68,7 @@ class Restored:
 
     written: dict[Code, Value] = field(default_factory=dict)
     refused: dict[Code, str] = field(default_factory=dict)
-    changed: dict[Code, tuple[Value, ReadResult]] = field(default_factory=dict)
+    changed: dict[Code, tuple[Value, ReadAttempt]] = field(default_factory=dict)
     inhibited_here: bool = False
     inhibited_now: bool | None = None
     saved: bool | None = None
@@ -232,13 +232,13 @@ class Work:
             self._settled = len(self.result.written) + len(self.result.refused)
             self._listener.advance(self._settled, len(self._plan.steps))
 
-    async def _write(self, step: RestoreStep) -> WriteResult:
+    async def _write(self, step: RestoreStep) -> WriteAttempt:
         """Write one code until it is clear what came of it.
 
         Raises:
             StopRestoreError: The drive stays away, or is not inhibited any more.
         """
-        said = WriteResult(False, "unknown", "")
+        said = WriteAttempt(False, "unknown", "")
         for _ in range(TRIES):
             await self._check_inhibit()
             said = await self._access.write(step.code, step.value, verify=True)
@@ -252,7 +252,7 @@ class Work:
             answer = await self._access.read(step.code)
             if answer.value is not None and answer.value.means_same(step.value):
                 await self._check_inhibit()
-                return WriteResult(True)
+                return WriteAttempt(True)
         raise StopRestoreError(f"{step.code} could not be written: {said.text}")
 
     async def _check_inhibit(self) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol
 
-from lecombus.drives.procedures import DriveAccess, ReadResult, WriteResult, is_passing
+from lecombus.drives.procedures import DriveAccess, ReadAttempt, WriteAttempt, is_passing
 from lecombus.parameters import Code
 
 __all__ = ["Listener", "RestoreAccess", "Taken", "take", "wait_until_usable"]
@@ -26,13 +26,13 @@ TRIES: Final = 4
 class RestoreAccess(DriveAccess, Protocol):
     """One drive behind a daemon, in the background class, as backups and restores use it."""
 
-    async def read_many(self, codes: Sequence[Code], heard: Callable[[ReadResult], None]) -> None:
+    async def read_many(self, codes: Sequence[Code], heard: Callable[[ReadAttempt], None]) -> None:
         """Read codes, a few at a time; `heard` is called with one answer for each, in any order."""
 
-    async def inhibit(self) -> WriteResult:
+    async def inhibit(self) -> WriteAttempt:
         """Inhibit the drive and see that it is."""
 
-    async def enable(self) -> WriteResult:
+    async def enable(self) -> WriteAttempt:
         """Lift the inhibit."""
 
     async def why_not_usable(self) -> str:
@@ -64,11 +64,11 @@ class Taken:
         gave_up: Why some codes were not asked to the end; empty when all were.
     """
 
-    answers: dict[Code, ReadResult]
+    answers: dict[Code, ReadAttempt]
     gave_up: str = ""
 
     @property
-    def unsettled(self) -> list[ReadResult]:
+    def unsettled(self) -> list[ReadAttempt]:
         """What could not be read for a reason that may pass."""
         return [one for one in self.answers.values() if one.value is None and is_passing(one.kind)]
 
@@ -84,11 +84,11 @@ async def take(
         patience_s: How long to wait, each time, for a drive or a line that is away, seconds.
         listener: Called with the progress.
     """
-    answers: dict[Code, ReadResult] = {}
+    answers: dict[Code, ReadAttempt] = {}
     pending = list(dict.fromkeys(codes))
     total, why = len(pending), ""
 
-    def heard(answer: ReadResult) -> None:
+    def heard(answer: ReadAttempt) -> None:
         answers[answer.code] = answer
         listener.advance(sum(not is_unsettled(one) for one in answers.values()), total)
 
@@ -101,11 +101,11 @@ async def take(
         if not pending:
             break
     for code in pending:
-        answers.setdefault(code, ReadResult(code, None, "offline", why))
+        answers.setdefault(code, ReadAttempt(code, None, "offline", why))
     return Taken(dict(sorted(answers.items())), why)
 
 
-def is_unsettled(answer: ReadResult | None) -> bool:
+def is_unsettled(answer: ReadAttempt | None) -> bool:
     """Whether a code has to be asked again."""
     return answer is None or (answer.value is None and is_passing(answer.kind))
 

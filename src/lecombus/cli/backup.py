@@ -19,7 +19,7 @@ from lecombus.backups import (
     Difference,
     Head,
     Listener,
-    ReadResult,
+    ReadAttempt,
     compare,
     section_of,
     take,
@@ -104,7 +104,7 @@ async def fetch(
     also: Sequence[Code],
     patience_s: float,
     listener: Listener,
-) -> tuple[Backup, list[ReadResult]]:
+) -> tuple[Backup, list[ReadAttempt]]:
     """Connect and read."""
     async with connect_async(daemon) as (client, where):
         return await read_drive(
@@ -114,7 +114,7 @@ async def fetch(
 
 async def read_drive(
     drive: HttpDrive, also: Iterable[Code], *, patience_s: float, listener: Listener
-) -> tuple[Backup, list[ReadResult]]:
+) -> tuple[Backup, list[ReadAttempt]]:
     """Read a drive whole.
 
     Args:
@@ -143,7 +143,7 @@ async def read_drive(
     return Backup(head, kind, entries, name=whose.drive), taken.unsettled
 
 
-def incomplete(drive: str, left: Sequence[ReadResult], output: Path | None) -> CommandError:
+def incomplete(drive: str, left: Sequence[ReadAttempt], output: Path | None) -> CommandError:
     """Say why no backup was written."""
     first = left[0]
     codes = counted(len(left), "code")
@@ -159,7 +159,7 @@ def incomplete(drive: str, left: Sequence[ReadResult], output: Path | None) -> C
     )
 
 
-def summary(backup: Backup, output: Path | None, left: Sequence[ReadResult]) -> dict[str, Json]:
+def summary(backup: Backup, output: Path | None, left: Sequence[ReadAttempt]) -> dict[str, Json]:
     """Return the JSON form."""
     return {
         "drive": backup.head.drive,

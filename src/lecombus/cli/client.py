@@ -29,7 +29,7 @@ from lecombus.parameters import Json
 
 __all__ = [
     "RUNTIME_DIR",
-    "Answer",
+    "DaemonAnswer",
     "DaemonClient",
     "answer_of",
     "connect",
@@ -71,7 +71,7 @@ _STATUS_OF_HTTP: Mapping[int, Exit] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class DaemonAnswer:
     """What the daemon answered.
 
     Args:
@@ -102,7 +102,7 @@ class DaemonClient:
         self._client = client
         self.where = where
 
-    def get(self, path: str, **params: str) -> Answer:
+    def get(self, path: str, **params: str) -> DaemonAnswer:
         """Ask for a document.
 
         Raises:
@@ -110,7 +110,7 @@ class DaemonClient:
         """
         return self._call("GET", path, params=params)
 
-    def put(self, path: str, document: Mapping[str, Json]) -> Answer:
+    def put(self, path: str, document: Mapping[str, Json]) -> DaemonAnswer:
         """Write.
 
         Raises:
@@ -118,7 +118,7 @@ class DaemonClient:
         """
         return self._call("PUT", path, document=document)
 
-    def post(self, path: str, document: Mapping[str, Json]) -> Answer:
+    def post(self, path: str, document: Mapping[str, Json]) -> DaemonAnswer:
         """Ask for an action.
 
         Raises:
@@ -133,7 +133,7 @@ class DaemonClient:
         *,
         params: Mapping[str, str] | None = None,
         document: Mapping[str, Json] | None = None,
-    ) -> Answer:
+    ) -> DaemonAnswer:
         try:
             response = self._client.request(method, path, params=params, **sent(document))
         except httpx2.HTTPError as exc:
@@ -190,7 +190,7 @@ def path_of(kind: Literal["drive", "group"], name: str) -> str:
     return f"/v1/{kind}s/{quote(name, safe='')}"
 
 
-def answer_of(response: httpx2.Response, where: str) -> Answer:
+def answer_of(response: httpx2.Response, where: str) -> DaemonAnswer:
     """Read an answer; a write's outcome is one, whatever its status.
 
     Raises:
@@ -198,7 +198,7 @@ def answer_of(response: httpx2.Response, where: str) -> Answer:
     """
     data = _read_json(response, where)
     if response.is_success or (isinstance(data, dict) and data.get("outcome")):
-        return Answer(response.text, data)
+        return DaemonAnswer(response.text, data)
     raise _refused(response.status_code, data)
 
 

@@ -19,7 +19,7 @@ from lecombus.cli.arguments import (
     daemon_options,
     whole_path,
 )
-from lecombus.cli.client import Answer, connect, path_of
+from lecombus.cli.client import DaemonAnswer, connect, path_of
 from lecombus.cli.document_rows import Document, show_outcomes, show_reading, status_of
 from lecombus.cli.exits import CommandError, Exit
 from lecombus.fieldbus.lecom.protocol.addressing import is_drive_address
@@ -71,7 +71,7 @@ def read_command(
 
         reading = read_directly(port, int(baud), _drive_address(address), family, code)
         document = reading.as_json()
-        answer = Answer(encode(document), document)
+        answer = DaemonAnswer(encode(document), document)
     else:
         drive, code = _drive_and_code(words)
         with connect(daemon) as client:

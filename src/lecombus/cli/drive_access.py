@@ -18,7 +18,7 @@ from typing import Any, Final
 import anyio
 import httpx2
 
-from lecombus.backups import ReadResult, WriteResult
+from lecombus.backups import ReadAttempt, WriteAttempt
 from lecombus.cli.client import answer_of, path_of, sent, unreachable
 from lecombus.cli.document_rows import kind_of
 from lecombus.cli.exits import CommandError, Exit
@@ -126,19 +126,19 @@ class HttpDrive:
 
     # ---- what backups ask -------------------------------------------------------------------
 
-    async def read(self, code: Code) -> ReadResult:
+    async def read(self, code: Code) -> ReadAttempt:
         """Read a code when the line is idle."""
         params = {"fresh": "true", "priority": "background"}
         try:
             said = await self._ask("GET", f"{self._path}/codes/{code}", params=params)
-            return ReadResult(code, Value.parse(str(said["raw"])))
+            return ReadAttempt(code, Value.parse(str(said["raw"])))
         except CommandError as exc:
             kind, text = why(exc)
-            return ReadResult(code, None, kind, text)
+            return ReadAttempt(code, None, kind, text)
         except CodeValueError as exc:
-            return ReadResult(code, None, "garbled", str(exc))
+            return ReadAttempt(code, None, "garbled", str(exc))
 
-    async def read_many(self, codes: Sequence[Code], heard: Callable[[ReadResult], None]) -> None:
+    async def read_many(self, codes: Sequence[Code], heard: Callable[[ReadAttempt], None]) -> None:
         """Read codes, a few at a time."""
         rest = iter(codes)
 
@@ -150,7 +150,7 @@ class HttpDrive:
             for _ in range(AT_ONCE):
                 tasks.start_soon(one_after_the_other)
 
-    async def write(self, code: Code, value: Value, *, verify: bool) -> WriteResult:
+    async def write(self, code: Code, value: Value, *, verify: bool) -> WriteAttempt:
         """Write a code as part of a restore."""
         document: dict[str, Json] = {
             "value": value.raw, "verify": verify, "priority": "background", "restore": True,
@@ -158,17 +158,17 @@ class HttpDrive:
         }  # fmt: skip
         return await self._act("PUT", f"{self._path}/codes/{code}", document | self._ended_by())
 
-    async def inhibit(self) -> WriteResult:
+    async def inhibit(self) -> WriteAttempt:
         """Inhibit it: a stop, which waits for nothing, and ends none of what is written later."""
         said = await self._act("POST", "/v1/stop", {"action": "inhibit", "target": self._name})
         try:
             self.stops = (await self.restore_rights()).stops
         except CommandError as exc:
             kind, text = why(exc)
-            return WriteResult(False, kind, text)
+            return WriteAttempt(False, kind, text)
         return said
 
-    async def enable(self) -> WriteResult:
+    async def enable(self) -> WriteAttempt:
         """Lift the inhibit, unless it was stopped since; C0040 must be writable by the roster."""
         document: dict[str, Json] = {"value": 1, "verify": True}
         return await self._act("PUT", f"{self._path}/codes/C0040", document | self._ended_by())
@@ -202,17 +202,17 @@ class HttpDrive:
 
     # ---- HTTP -------------------------------------------------------------------------------
 
-    async def _act(self, method: str, path: str, document: Mapping[str, Json]) -> WriteResult:
+    async def _act(self, method: str, path: str, document: Mapping[str, Json]) -> WriteAttempt:
         try:
             said = await self._ask(method, path, document=document)
         except CommandError as exc:
             kind, text = why(exc)
-            return WriteResult(False, kind, text)
+            return WriteAttempt(False, kind, text)
         if said.get("outcome") in GOOD:
-            return WriteResult(True)
+            return WriteAttempt(True)
         parts = [said.get(key) for key in ("reason", "detail", "cause", "remedy")]
         text = "; ".join(dict.fromkeys(str(part) for part in parts if part))
-        return WriteResult(False, kind_of(said) or str(said.get("outcome")), text)
+        return WriteAttempt(False, kind_of(said) or str(said.get("outcome")), text)
 
     async def _ask(
         self,

@@ -18,7 +18,7 @@ from lecombus.capacity.plan import LinePlan, make_plan
 from lecombus.capacity.timeline import Preview, picture, preview
 from lecombus.capacity.watchdog_feasibility import InfeasibleWatchdog, find_infeasible, rounded_up
 from lecombus.cli.arguments import DaemonOptions, daemon_options
-from lecombus.cli.client import Answer, connect
+from lecombus.cli.client import DaemonAnswer, connect
 from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.screen import counted, show_table
 from lecombus.config import DriveEntry, Roster, line_timing, load_roster
@@ -262,7 +262,7 @@ def _show_effects(plan: LinePlan) -> None:
         )
 
 
-def live_of(answer: Answer) -> LivePlan:
+def live_of(answer: DaemonAnswer) -> LivePlan:
     """Compare what a daemon gives.
 
     Raises:

@@ -20,7 +20,7 @@ from lecombus.cli.own_line import OwnPort, own_port
 from lecombus.cli.screen import can_ask, make_sure, on_terminal, progress, show_rows
 from lecombus.config import DriveEntry, Roster, load_roster
 from lecombus.drives import family, saving_rule
-from lecombus.drives.procedures import ReadResult, WriteResult, identity_codes
+from lecombus.drives.procedures import ReadAttempt, WriteAttempt, identity_codes
 from lecombus.errors import (
     CutReplyError,
     ExchangeError,
@@ -517,7 +517,7 @@ class _Drive:
     station: Station
     retries: int
 
-    async def read(self, code: Code) -> ReadResult:
+    async def read(self, code: Code) -> ReadAttempt:
         """Read a code."""
         self.line.watch()
         requests = (await self.line.port.at(self.baud)).requests
@@ -528,16 +528,16 @@ class _Drive:
         except CutReplyError:
             raise
         except UnknownCodeError as exc:
-            return ReadResult(code, None, "no-such-code", str(exc))
+            return ReadAttempt(code, None, "no-such-code", str(exc))
         except NakError as exc:
-            return ReadResult(code, None, "nak", str(exc))
+            return ReadAttempt(code, None, "nak", str(exc))
         except ExchangeError as exc:
-            return ReadResult(code, None, "no-answer", str(exc))
-        return ReadResult(code, value)
+            return ReadAttempt(code, None, "no-answer", str(exc))
+        return ReadAttempt(code, value)
 
-    async def write(self, code: Code, value: Value, *, verify: bool) -> WriteResult:
+    async def write(self, code: Code, value: Value, *, verify: bool) -> WriteAttempt:
         """Write a code once."""
         self.line.watch()
         requests = (await self.line.port.at(self.baud)).requests
         outcome, reason = await requests.write(self.station, code, value, verify=verify)
-        return WriteResult(outcome.is_good, outcome.value, reason)
+        return WriteAttempt(outcome.is_good, outcome.value, reason)

@@ -29,9 +29,9 @@ from lecombus.parameters import Code, Value
 
 __all__ = [
     "DriveAccess",
-    "ReadResult",
+    "ReadAttempt",
     "Standstill",
-    "WriteResult",
+    "WriteAttempt",
     "ask_standstill",
     "identity_codes",
     "is_identity",
@@ -84,7 +84,7 @@ PASSING: Final = frozenset({
 
 
 @dataclass(frozen=True, slots=True)
-class ReadResult:
+class ReadAttempt:
     """The result of reading one code.
 
     Args:
@@ -101,7 +101,7 @@ class ReadResult:
 
 
 @dataclass(frozen=True, slots=True)
-class WriteResult:
+class WriteAttempt:
     """The result of writing one code.
 
     Args:
@@ -123,10 +123,10 @@ def is_passing(kind: str) -> bool:
 class DriveAccess(Protocol):
     """One drive."""
 
-    async def read(self, code: Code) -> ReadResult:
+    async def read(self, code: Code) -> ReadAttempt:
         """Read a code."""
 
-    async def write(self, code: Code, value: Value, *, verify: bool) -> WriteResult:
+    async def write(self, code: Code, value: Value, *, verify: bool) -> WriteAttempt:
         """Write a code once; `verify`: and read it back."""
 
 

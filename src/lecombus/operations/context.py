@@ -22,7 +22,7 @@ from lecombus.operations.awaited_requests import Requests
 from lecombus.operations.nak_diagnosis import NakDiagnosis
 from lecombus.operations.permissions import Permissions
 from lecombus.operations.wear import Wear
-from lecombus.operations.why import Why
+from lecombus.operations.why import StandstillDiagnosis
 from lecombus.parameters import Code, Value
 from lecombus.saved_state import State
 from lecombus.schedule.request import STOPPED
@@ -77,7 +77,7 @@ class OperationContext:
         self.groups: Mapping[str, GroupEntry] = {}
         self.permissions = Permissions(requests, store)
         self.diagnosis = NakDiagnosis(requests, store, clock)
-        self.why = Why(requests, store, clock)
+        self.why = StandstillDiagnosis(requests, store, clock)
         self._run = secrets.token_hex(4)
 
     def set_roster(self, entries: Sequence[DriveEntry], groups: Mapping[str, GroupEntry]) -> None:

@@ -32,8 +32,8 @@ from lecombus.drives.operating import OperatingState
 from lecombus.parameters import Code, Json, Value
 
 __all__ = [
-    "Finding",
     "MemoryEntry",
+    "StandstillFinding",
     "WhyReport",
     "answer_of",
     "enable_finding",
@@ -48,7 +48,7 @@ __all__ = [
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class StandstillFinding:
     """One thing found.
 
     Args:
@@ -71,7 +71,7 @@ class Finding:
     stale: bool = False
     verb: Verb | None = None
 
-    def with_codes_opened(self, codes: Sequence[str]) -> Finding:
+    def with_codes_opened(self, codes: Sequence[str]) -> StandstillFinding:
         """Advise that the roster must let codes be written before the verb can be used."""
         named, remedy = ", ".join(codes), self.remedy
         opened = Text(
@@ -144,7 +144,7 @@ class WhyReport:
 
     drive: DriveInfo
     answer: Text
-    findings: tuple[Finding, ...]
+    findings: tuple[StandstillFinding, ...]
     states: tuple[OperatingState, ...]
     output: Reading | None
     history: tuple[MemoryEntry, ...]
@@ -223,7 +223,7 @@ NOTHING: Final = Text(
 KINDS: Final[Mapping[str, str]] = {"trip": "TRIP", "message": "Meldung", "warning": "Warnung"}
 
 
-def line_finding(line: LineInfo) -> Finding | None:
+def line_finding(line: LineInfo) -> StandstillFinding | None:
     """Say that there is no line, if there is none."""
     if line.state is LineState.OPEN:
         return None
@@ -231,20 +231,20 @@ def line_finding(line: LineInfo) -> Finding | None:
         f"the line is {line.state.value}: {line.reason}",
         f"die Leitung ist {GERMAN_LINE[line.state]}: {line.reason}",
     )
-    return Finding("line", Weight.REASON, text, LINE_REMEDY)
+    return StandstillFinding("line", Weight.REASON, text, LINE_REMEDY)
 
 
-def silence_finding(info: DriveInfo, line: LineInfo) -> Finding | None:
+def silence_finding(info: DriveInfo, line: LineInfo) -> StandstillFinding | None:
     """Say that no drive of the line answers, or that another program reads the port."""
     remark = line.remarks.get("silence")
     if remark is None or info.state not in (DriveState.OFFLINE, DriveState.DEGRADED):
         return None
     what, _, remedy = remark.rpartition(": ")
     text = Text(f"{what}", f"Leitung gestört: {what}")
-    return Finding("line-silent", Weight.REASON, text, Text(remedy, remedy))
+    return StandstillFinding("line-silent", Weight.REASON, text, Text(remedy, remedy))
 
 
-def state_finding(info: DriveInfo) -> Finding | None:
+def state_finding(info: DriveInfo) -> StandstillFinding | None:
     """Say that the drive is silent or not audited, if it is."""
     since = rfc3339(info.since_s)
     if info.state is DriveState.OFFLINE:
@@ -252,17 +252,17 @@ def state_finding(info: DriveInfo) -> Finding | None:
             f"it does not answer since {since}: {info.reason}",
             f"er antwortet nicht seit {since}: {info.reason}",
         )
-        return Finding("offline", Weight.REASON, text, OFFLINE_REMEDY)
+        return StandstillFinding("offline", Weight.REASON, text, OFFLINE_REMEDY)
     if info.state is DriveState.STARTING:
         text = Text(
             f"it has not been audited yet, nothing but stops is written to it: {info.reason}",
             f"er ist noch nicht geprüft, es werden nur Stopps gesendet: {info.reason}",
         )
-        return Finding("not-audited", Weight.REASON, text, STARTING_REMEDY)
+        return StandstillFinding("not-audited", Weight.REASON, text, STARTING_REMEDY)
     return None
 
 
-def fault_finding(info: DriveInfo) -> Finding | None:
+def fault_finding(info: DriveInfo) -> StandstillFinding | None:
     """Name the fault the drive shows, if it does."""
     fault = info.fault
     if fault is None:
@@ -271,19 +271,21 @@ def fault_finding(info: DriveInfo) -> Finding | None:
     stale = info.state is DriveState.OFFLINE
     text, remedy = fault_text(fault), fault_remedy(fault)
     verb = Verb.RESET_FAULT if fault.known is not None and fault.kind == "trip" else None
-    return Finding(str(fault.kind), weight, text, remedy, fault.shown_by, stale=stale, verb=verb)
+    return StandstillFinding(
+        str(fault.kind), weight, text, remedy, fault.shown_by, stale=stale, verb=verb
+    )
 
 
-def lock_finding(remark: str) -> Finding:
+def lock_finding(remark: str) -> StandstillFinding:
     """Say that nothing may be written to the drive."""
     text = Text(
         f"nothing but stops is written to it: {remark}",
         f"es werden nur Stopps gesendet: {remark}",
     )
-    return Finding("locked", Weight.HINT, text, Text("", ""))
+    return StandstillFinding("locked", Weight.HINT, text, Text("", ""))
 
 
-def enable_finding(last: LastEnable, *, stopped_since: bool) -> Finding:
+def enable_finding(last: LastEnable, *, stopped_since: bool) -> StandstillFinding:
     """Say that the last enable was refused or taken back, and why.
 
     Args:
@@ -304,10 +306,10 @@ def enable_finding(last: LastEnable, *, stopped_since: bool) -> Finding:
     weight = Weight.REASON if last.by_drive and not stopped_since else Weight.HINT
     name = "enable-taken-back" if last.taken_back else "enable-refused"
     verb = Verb.ENABLE if last.taken_back else None
-    return Finding(name, weight, text, Text(last.remedy, last.remedy), verb=verb)
+    return StandstillFinding(name, weight, text, Text(last.remedy, last.remedy), verb=verb)
 
 
-def lapse_finding(lapses: int, *, unseen: bool) -> Finding:
+def lapse_finding(lapses: int, *, unseen: bool) -> StandstillFinding:
     """Say that lecombus fed the drive's watchdog too late.
 
     Args:
@@ -323,7 +325,7 @@ def lapse_finding(lapses: int, *, unseen: bool) -> Finding:
     if unseen:
         text = Text(f"{text.en}; {UNSEEN_STOP.en}", f"{text.de}; {UNSEEN_STOP.de}")
     verb = Verb.ENABLE if unseen else None
-    return Finding("watchdog-lapsed", Weight.HINT, text, LAPSE_REMEDY, verb=verb)
+    return StandstillFinding("watchdog-lapsed", Weight.HINT, text, LAPSE_REMEDY, verb=verb)
 
 
 def fault_text(fault: ActiveFault) -> Text:
@@ -349,7 +351,7 @@ def fault_remedy(fault: ActiveFault) -> Text:
     return Text(f"{remedy.en}; {RESET.en}", f"{remedy.de}; {RESET.de}")
 
 
-def finding_of(reason: Reason, family: Family, values: Mapping[Code, Reading]) -> Finding:
+def finding_of(reason: Reason, family: Family, values: Mapping[Code, Reading]) -> StandstillFinding:
     """Make a finding of a reason, with the values it rests on."""
     codes = [one.code for one in (*reason.values, *reason.not_values)]
     if reason.states:
@@ -358,7 +360,7 @@ def finding_of(reason: Reason, family: Family, values: Mapping[Code, Reading]) -
     shown_by = ", ".join(f"{family.spoken(one.code)} reads {raw(one.value)}" for one in rests)
     ages = [one.age_s for one in rests if one.age_s is not None]
     stale = any(one.quality is not Quality.GOOD for one in rests)
-    return Finding(
+    return StandstillFinding(
         reason.name, reason.weight, reason.text, reason.remedy, shown_by,
         max(ages, default=None), stale, reason.verb,
     )  # fmt: skip
@@ -381,7 +383,7 @@ def raw(value: Value | None) -> str:
 
 
 def answer_of(
-    findings: list[Finding], output: Reading | None, states: tuple[OperatingState, ...]
+    findings: list[StandstillFinding], output: Reading | None, states: tuple[OperatingState, ...]
 ) -> Text:
     """Say in one sentence what it is, or that nothing known keeps it from turning."""
     for finding in findings:

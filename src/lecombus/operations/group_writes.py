@@ -28,7 +28,7 @@ from lecombus.operations.awaited_requests import Ending, client_check, refuse_fo
 from lecombus.operations.context import OperationContext
 from lecombus.operations.operation_reports import (
     REMEDIES,
-    GroupInfo,
+    GroupFacts,
     GroupReport,
     Proof,
     WriteReport,
@@ -52,10 +52,10 @@ class GroupWrites:
         self._writes = writes
         self._maker = context.requests.maker
 
-    def groups(self) -> Sequence[GroupInfo]:
+    def groups(self) -> Sequence[GroupFacts]:
         """Return the groups of the roster and how each is addressed."""
         return [
-            GroupInfo(name, tuple(entry.members), entry.multicast_address, entry.multicast)
+            GroupFacts(name, tuple(entry.members), entry.multicast_address, entry.multicast)
             for name, entry in self._context.groups.items()
         ]
 

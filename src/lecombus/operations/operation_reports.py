@@ -22,7 +22,7 @@ __all__ = [
     "READ_REMEDY",
     "REMEDIES",
     "STOPPED_REMEDY",
-    "GroupInfo",
+    "GroupFacts",
     "GroupReport",
     "How",
     "Proof",
@@ -197,7 +197,7 @@ class GroupReport:
 
 
 @dataclass(frozen=True, slots=True)
-class GroupInfo:
+class GroupFacts:
     """A group of the roster and how it is spoken to.
 
     Args:

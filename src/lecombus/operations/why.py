@@ -37,8 +37,8 @@ from lecombus.drives.verbs import is_enabled, status_shows_quick_stop
 from lecombus.errors import LecombusError, LineError, OperationError, UnknownCodeError
 from lecombus.operations.awaited_requests import Requests
 from lecombus.operations.findings import (
-    Finding,
     MemoryEntry,
+    StandstillFinding,
     WhyReport,
     answer_of,
     enable_finding,
@@ -54,7 +54,7 @@ from lecombus.operations.operation_reports import VerbReport
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome, Priority
 
-__all__ = ["Why"]
+__all__ = ["StandstillDiagnosis"]
 
 FRESH_S: Final = 8.0
 """Reading what matters is given up after this; what was read by then is used."""
@@ -71,7 +71,7 @@ SLOW_S: Final = 0.2
 """A code that takes the drive longer is not read for this: the module's own take 500 ms."""
 
 
-class Why:
+class StandstillDiagnosis:
     """Answers why drives do not turn.
 
     Args:
@@ -259,14 +259,14 @@ class Why:
 
     # -- what is found -----------------------------------------------------------------------------
 
-    def _own(self, info: DriveInfo) -> list[Finding]:
+    def _own(self, info: DriveInfo) -> list[StandstillFinding]:
         """What the line, the drive's own state and its fault say."""
         line = self._store.line()
         found = [line_finding(line) or silence_finding(info, line)]
         found += [None if found[0] else state_finding(info), fault_finding(info)]
         return [one for one in found if one is not None]
 
-    def _more(self, info: DriveInfo) -> list[Finding]:
+    def _more(self, info: DriveInfo) -> list[StandstillFinding]:
         """What lecombus knows besides: what locks it, and a watchdog that was fed too late."""
         found = [lock_finding(info.remarks[lock]) for lock in WRITE_LOCKS if lock in info.remarks]
         lapses = self._lapses(info.name)
@@ -276,7 +276,7 @@ class Why:
             found.append(lapse_finding(lapses, unseen=since and not seen))
         return found
 
-    def _with_permission(self, drive: str, finding: Finding) -> Finding:
+    def _with_permission(self, drive: str, finding: StandstillFinding) -> StandstillFinding:
         """Say also what the roster must open first for the verb that a finding advises."""
         family = self._store.family(drive)
         if finding.verb is None or family.verbs is None:

@@ -13,7 +13,7 @@ from enum import StrEnum
 from typing import Protocol
 
 from lecombus.drives import Family
-from lecombus.drives.procedures import DriveAccess, ReadResult, WriteResult
+from lecombus.drives.procedures import DriveAccess, ReadAttempt, WriteAttempt
 from lecombus.fieldbus.lecom.address_codes import baud_code, baud_numbers
 from lecombus.parameters import AddressForm, Code, Value
 
@@ -159,7 +159,7 @@ class RebaudLine:
 
     async def read(
         self, drive: RebaudDrive, baud: int, code: Code, *, retries: int = TRIES_MORE
-    ) -> ReadResult:
+    ) -> ReadAttempt:
         """Read a code of a drive."""
         self.check_interruption()
         return await self.access.at(baud, drive.name, retries=retries).read(code)
@@ -169,7 +169,7 @@ class RebaudLine:
         self.check_interruption()
         await self.access.wait(baud, for_s)
 
-    async def write(self, drive: RebaudDrive, baud: int, code: Code, number: int) -> WriteResult:
+    async def write(self, drive: RebaudDrive, baud: int, code: Code, number: int) -> WriteAttempt:
         """Write a number to a code of a drive, once."""
         self.check_interruption()
         access = self.access.at(baud, drive.name, retries=0)
