@@ -5,7 +5,7 @@
   last longer than the watchdogs leave time for is not among them, unless it is a feed itself.
 * Feeds. Those of the drives that their cyclic reads feed often enough never press on a quiet line.
 * Cyclic reads. These and the feeds are counted in the dearer addressing form, because after a lost
-  answer an old one could pass for one in the usual form, and with the millisecond that an
+  answer a late one could pass for one in the usual form, and with the millisecond that an
   adapter adds in its low latency mode.
 
 What must not live here: in which order all that is sent (`waits`).
