@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from lecombus.drives import FAMILY_NAMES, family
 from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.protocol.addressing import Form
-from lecombus.fieldbus.lecom.protocol.telegrams import BAUDS
+from lecombus.fieldbus.lecom.protocol.controls import BAUDS
 from lecombus.fieldbus.lecom.telegram_costs import read_cost, write_cost
 from lecombus.parameters import Code, Value
 

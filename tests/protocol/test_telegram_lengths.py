@@ -7,10 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
+from lecombus.fieldbus.lecom.protocol.controls import BAUDS, BITS_PER_CHAR
 from lecombus.fieldbus.lecom.protocol.telegrams import (
     ACK_CHARS,
-    BAUDS,
-    BITS_PER_CHAR,
     MAX_ANSWER_CHARS,
     answer_chars,
     read_request_chars,

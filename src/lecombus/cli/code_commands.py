@@ -23,7 +23,7 @@ from lecombus.cli.client import DaemonAnswer, connect, path_of
 from lecombus.cli.document_rows import Document, show_outcomes, show_reading, status_of
 from lecombus.cli.exits import CommandError, Exit
 from lecombus.fieldbus.lecom.protocol.addressing import is_drive_address
-from lecombus.fieldbus.lecom.protocol.telegrams import BAUDS as ALL_BAUDS
+from lecombus.fieldbus.lecom.protocol.controls import BAUDS as ALL_BAUDS
 from lecombus.parameters import Code, Json
 
 __all__ = ["group_command", "read_command", "write_command", "write_document"]

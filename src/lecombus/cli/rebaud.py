@@ -29,7 +29,7 @@ from lecombus.errors import (
     UnknownCodeError,
 )
 from lecombus.fieldbus.lecom.protocol.addressing import Form
-from lecombus.fieldbus.lecom.protocol.telegrams import BAUDS
+from lecombus.fieldbus.lecom.protocol.controls import BAUDS
 from lecombus.fieldbus.lecom.rebaud import (
     DrivePlace,
     LineAccess,

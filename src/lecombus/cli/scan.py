@@ -26,7 +26,7 @@ from lecombus.config import LineEntry, line_timing
 from lecombus.config.building import STATE_DIR
 from lecombus.drives import family
 from lecombus.fieldbus.lecom.protocol.addressing import Form, is_drive_address
-from lecombus.fieldbus.lecom.protocol.telegrams import BAUDS
+from lecombus.fieldbus.lecom.protocol.controls import BAUDS
 from lecombus.fieldbus.lecom.scanning import (
     FoundDrive,
     Heard,

@@ -16,7 +16,7 @@ from lecombus.fieldbus.lecom.protocol.addressing import (
     is_drive_address,
     multicast_address,
 )
-from lecombus.fieldbus.lecom.protocol.telegrams import BAUDS, BITS_PER_CHAR
+from lecombus.fieldbus.lecom.protocol.controls import BAUDS, BITS_PER_CHAR
 from lecombus.fieldbus.lecom.request_maker import LecomRequestMaker
 from lecombus.fieldbus.lecom.telegram_costs import RosterCosts
 from lecombus.fieldbus.loop_interface import (

@@ -1,4 +1,4 @@
-"""Control characters, the block check character and the parity bit.
+"""Characters: the control characters, the block check, the parity bit, and how fast they are sent.
 
 The lowest floor of the protocol: what single characters are worth, before anyone asks what they
 mean together. A character has 7 data bits and even parity. lecombus usually runs its port 8N1 and
@@ -16,6 +16,8 @@ from typing import Final
 
 __all__ = [
     "ACK",
+    "BAUDS",
+    "BITS_PER_CHAR",
     "ENQ",
     "EOT",
     "ETX",
@@ -26,6 +28,9 @@ __all__ = [
     "with_parity",
 ]
 
+BAUDS: Final = (1200, 2400, 4800, 9600, 19200)
+BITS_PER_CHAR: Final = 10
+"""Start, 7 data, parity, stop."""
 STX: Final = 0x02
 """Start of text."""
 ETX: Final = 0x03

@@ -51,8 +51,6 @@ from lecombus.parameters import (
 
 __all__ = [
     "ACK_CHARS",
-    "BAUDS",
-    "BITS_PER_CHAR",
     "MAX_ANSWER_CHARS",
     "AckAnswer",
     "Answer",
@@ -320,8 +318,6 @@ class TelegramText:
         return bytes(self.body[self.field_chars : -1])
 
 
-BAUDS: Final = (1200, 2400, 4800, 9600, 19200)
-BITS_PER_CHAR: Final = 10
 ACK_CHARS: Final = 1
 """ACK and NAK."""
 
