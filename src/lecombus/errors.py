@@ -20,7 +20,6 @@
     │       ├── ChecksumReportedError
     │       └── UnknownCodeError
     ├── ScheduleError
-    │   ├── DeadlineMissedError           due_at_s, now_s
     │   └── QueueFullError                priority, depth, limit
     └── OperationError                    kind, drive, code, remedy
 
@@ -41,7 +40,6 @@ __all__ = [
     "CodeValueError",
     "ConfigError",
     "CutReplyError",
-    "DeadlineMissedError",
     "DescriptionError",
     "EchoError",
     "ExchangeError",
@@ -268,15 +266,6 @@ class UnknownCodeError(RefusedError):
 
 class ScheduleError(LecombusError):
     """A request cannot be taken or kept by the schedule."""
-
-
-class DeadlineMissedError(ScheduleError):
-    """A deadline passed, or cannot be met."""
-
-    def __init__(self, message: str, *, due_at_s: float, now_s: float) -> None:
-        super().__init__(message)
-        self.due_at_s = due_at_s
-        self.now_s = now_s
 
 
 class QueueFullError(ScheduleError):
