@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from cli.daemon_stub import DaemonStub, serve_stub
-from lecombus.cli import client, main
+from lecombus.cli import main
+from lecombus.client import finding
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,9 @@ Run = Callable[..., Ran]
 def _no_daemon_of_this_machine(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.delenv("LECOMBUS_SOCKET", raising=False)
     monkeypatch.delenv("LECOMBUS_URL", raising=False)
-    monkeypatch.setattr(client, "RUNTIME_DIR", tmp_path / "run")
+    monkeypatch.delenv("LECOMBUS_TOKEN_FILE", raising=False)
+    monkeypatch.delenv("LECOMBUS_CA", raising=False)
+    monkeypatch.setattr(finding, "RUNTIME_DIR", tmp_path / "run")
 
 
 @pytest.fixture

@@ -31,6 +31,8 @@ from lecombus.backups import (
 from lecombus.backups.restore_plan import codes_to_read
 from lecombus.cli.backup import read_drive
 from lecombus.cli.drive_access import HttpDrive
+from lecombus.client import Line
+from lecombus.client.connection import Connection
 from lecombus.drives import CodeInfo, Family, family, not_restored
 from lecombus.fieldbus.lecom.simulator.parameters import Refusal
 from lecombus.parameters import Code
@@ -56,7 +58,7 @@ async def behind_http(plant: Plant, name: str = "a") -> AsyncIterator[HttpDrive]
     )  # fmt: skip
     transport = httpx2.ASGITransport(app)
     async with httpx2.AsyncClient(transport=transport, base_url="http://localhost") as client:
-        yield HttpDrive(client, "here", name, clock=anyio.current_time)
+        yield HttpDrive(Line(Connection(client, "here")), name, clock=anyio.current_time)
 
 
 def settings(kind: Family) -> list[CodeInfo]:

@@ -10,16 +10,15 @@ import pytest
 
 from cli.conftest import Run
 from cli.daemon_stub import serve_stub
-from lecombus.cli import client
-from lecombus.cli.client import find_daemon
-from lecombus.cli.exits import CommandError, Exit
+from lecombus.client import AmbiguousDaemonError, finding
+from lecombus.client.finding import find_daemon
 
 pytestmark = pytest.mark.clock
 
 
 @pytest.fixture
 def runtime_dir(short_dir: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(client, "RUNTIME_DIR", short_dir)
+    monkeypatch.setattr(finding, "RUNTIME_DIR", short_dir)
     return short_dir
 
 
@@ -92,10 +91,10 @@ def test_a_socket_that_may_not_be_opened_is_a_matter_of_the_group(
 
 
 @pytest.mark.parametrize("url", ["127.0.0.1:9740", "ftp://x", "http://", "http://[::"])
-def test_a_url_that_is_none_is_a_usage_error(url: str) -> None:
-    with pytest.raises(CommandError, match="is no URL") as caught:
+def test_a_url_that_is_none_is_a_usage_error(run: Run, url: str) -> None:
+    with pytest.raises(AmbiguousDaemonError, match="is no URL"):
         find_daemon(None, url)
-    assert caught.value.status is Exit.USAGE
+    assert run("status", "--url", url).status == 2
 
 
 def test_socket_and_url_together_are_a_usage_error(run: Run) -> None:

@@ -71,11 +71,15 @@ class DaemonOptions:
         socket: What `--socket` says.
         url: What `--url` says.
         as_json: Print the daemon's document.
+        token_file: The file that holds the bearer token, for a URL.
+        ca: The file with the certificates that sign the daemon's, for an https URL.
     """
 
     socket: str | None
     url: str | None
     as_json: bool
+    token_file: str | None = None
+    ca: str | None = None
 
 
 class CommandWithNumbers(click.Command):
@@ -234,13 +238,29 @@ def wait_option(function: Function) -> Function:
 
 
 def daemon_options(function: Callable[..., int]) -> Callable[..., int]:
-    """Give a command `--socket`, `--url` and `--json`; it gets them as one, `daemon`."""
+    """Give a command `--socket`, `--url`, what they need and `--json`; it gets them as `daemon`."""
 
     @wraps(function)
-    def command(*, socket: str | None, url: str | None, as_json: bool, **given: Any) -> int:
-        return function(daemon=DaemonOptions(socket, url, as_json), **given)
+    def command(
+        *,
+        socket: str | None,
+        url: str | None,
+        as_json: bool,
+        token_file: str | None,
+        ca: str | None,
+        **given: Any,
+    ) -> int:
+        return function(daemon=DaemonOptions(socket, url, as_json, token_file, ca), **given)
 
     command = json_option(command)
+    command = click.option(
+        "--ca", metavar="FILE", envvar="LECOMBUS_CA",
+        help="With an https URL: the certificates to trust; default: the system's.",
+    )(command)  # fmt: skip
+    command = click.option(
+        "--token-file", metavar="FILE", envvar="LECOMBUS_TOKEN_FILE",
+        help="With a URL: the file that holds the access token.",
+    )(command)  # fmt: skip
     command = click.option(
         "--url", metavar="URL", help="The daemon's HTTP address, such as http://127.0.0.1:9740."
     )(command)

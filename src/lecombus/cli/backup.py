@@ -28,7 +28,7 @@ from lecombus.backups import (
 )
 from lecombus.cli.arguments import CODES, DaemonOptions, daemon_options, wait_option
 from lecombus.cli.backup_files import check_target, load_backup, save
-from lecombus.cli.client import connect_async
+from lecombus.cli.daemon_access import connected
 from lecombus.cli.drive_access import HttpDrive
 from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.screen import counted, progress, show_rows
@@ -106,9 +106,9 @@ async def fetch(
     listener: Listener,
 ) -> tuple[Backup, list[ReadAttempt]]:
     """Connect and read."""
-    async with connect_async(daemon) as (client, where):
+    async with connected(daemon) as line:
         return await read_drive(
-            HttpDrive(client, where, drive), also, patience_s=patience_s, listener=listener
+            HttpDrive(line, drive), also, patience_s=patience_s, listener=listener
         )
 
 
@@ -234,12 +234,12 @@ async def gather(
     after = load_backup(Path(second)) if is_file(second) else None
     if before is not None and after is not None:
         return before, after
-    async with connect_async(daemon) as (client, where):
+    async with connected(daemon) as line:
         # What the file knows beyond the descriptions is asked of the drive as well.
         also = [code for backup in (before, after) if backup for code in backup.entries]
 
         async def read(name: str) -> Backup:
-            drive = HttpDrive(client, where, name)
+            drive = HttpDrive(line, name)
             backup, left = await read_drive(drive, also, patience_s=patience_s, listener=listener)
             if left:
                 raise incomplete(name, left, None)

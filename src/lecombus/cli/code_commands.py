@@ -19,14 +19,16 @@ from lecombus.cli.arguments import (
     daemon_options,
     whole_path,
 )
-from lecombus.cli.client import DaemonAnswer, connect, path_of
+from lecombus.cli.daemon_access import act, ask, drive_path, group_path, show
 from lecombus.cli.document_rows import Document, show_outcomes, show_reading, status_of
 from lecombus.cli.exits import CommandError, Exit
+from lecombus.client.documents import Answer
+from lecombus.client.requests import write_document
 from lecombus.fieldbus.lecom.protocol.addressing import is_drive_address
 from lecombus.fieldbus.lecom.protocol.controls import BAUDS as ALL_BAUDS
-from lecombus.parameters import Code, Json
+from lecombus.parameters import Code
 
-__all__ = ["group_command", "read_command", "write_command", "write_document"]
+__all__ = ["group_command", "read_command", "write_command"]
 
 BAUDS = [str(baud) for baud in ALL_BAUDS]
 
@@ -71,13 +73,12 @@ def read_command(
 
         reading = read_directly(port, int(baud), _drive_address(address), family, code)
         document = reading.as_json()
-        answer = DaemonAnswer(encode(document), document)
+        answer = Answer(encode(document), document)
     else:
         drive, code = _drive_and_code(words)
-        with connect(daemon) as client:
-            path = f"{path_of('drive', drive)}/codes/{code}"
-            answer = client.get(path) if stored else client.get(path, fresh="true")
-    answer.show(show_reading, as_json=daemon.as_json)
+        path = f"{drive_path(drive)}/codes/{code}"
+        answer = ask(daemon, path) if stored else ask(daemon, path, fresh="true")
+    show(answer, show_reading, as_json=daemon.as_json)
     return Exit.FAILED if answer.data.get("quality") == "bad" else Exit.DONE
 
 
@@ -106,22 +107,6 @@ def _drive_and_code(words: Sequence[str]) -> tuple[str, Code]:
     return words[0], CODE.convert(words[1], None, None)
 
 
-def write_document(value: Given, expires: float | None, verify: bool | None) -> dict[str, Json]:
-    """Return the body of a write request.
-
-    Args:
-        value: What to write.
-        expires: Seconds after which it shall no longer be sent; None: the daemon's default.
-        verify: Whether to read it back; None: as the daemon sees fit.
-    """
-    document: dict[str, Json] = {"value": value}
-    if verify is not None:
-        document["verify"] = verify
-    if expires is not None:
-        document["expires"] = f"{round(expires * 1000)}ms"
-    return document
-
-
 @click.command("write", cls=CommandWithNumbers)
 @click.argument("drive")
 @click.argument("code", type=CODE)
@@ -146,10 +131,9 @@ def write_command(
     (1: it may have happened). In a pipe: drive, code, outcome, value read back, reason. With
     --json: the daemon's document, {"drive", "code", "outcome", "reason", "cause", "reading"}.
     """
-    with connect(daemon) as client:
-        path = f"{path_of('drive', drive)}/codes/{code}"
-        answer = client.put(path, write_document(value, expires, verify))
-    answer.show(show_outcomes, as_json=daemon.as_json)
+    path = f"{drive_path(drive)}/codes/{code}"
+    answer = act(daemon, "PUT", path, write_document(value, verify, expires))
+    show(answer, show_outcomes, as_json=daemon.as_json)
     return status_of(answer.data)
 
 
@@ -188,10 +172,9 @@ def group_command(
     with drive, code, outcome, value read back, reason. With --json: the daemon's document,
     {"how", "outcome", "members": [as write]}.
     """
-    with connect(daemon) as client:
-        path = f"{path_of('group', group)}/codes/{code}"
-        answer = client.put(path, write_document(value, expires, verify))
-    answer.show(show_outcomes, as_json=daemon.as_json)
+    path = f"{group_path(group)}/codes/{code}"
+    answer = act(daemon, "PUT", path, write_document(value, verify, expires))
+    show(answer, show_outcomes, as_json=daemon.as_json)
     if verify is False and was_only_sent(answer.data) and not daemon.as_json:
         click.echo(SENT_ONLY, err=True)
     return status_of(answer.data)

@@ -16,12 +16,13 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import anyio
-import httpx2
 
 from lecombus.backups import ReadAttempt, WriteAttempt
-from lecombus.cli.client import answer_of, path_of, sent, unreachable
+from lecombus.cli.daemon_access import command_errors, drive_path
 from lecombus.cli.document_rows import kind_of
 from lecombus.cli.exits import CommandError, Exit
+from lecombus.client.documents import Document
+from lecombus.client.line import Line
 from lecombus.errors import CodeValueError
 from lecombus.parameters import Code, Json, Value
 
@@ -76,8 +77,7 @@ class HttpDrive:
     """A drive behind a daemon.
 
     Args:
-        client: Speaks HTTP with the daemon.
-        where: How the daemon was found, for messages.
+        line: The line, behind its daemon.
         drive: The drive's name.
         clock: Monotonic time, seconds.
         stops: As the restore rights have it: what is written ends with the next stop of the drive.
@@ -85,19 +85,17 @@ class HttpDrive:
 
     def __init__(
         self,
-        client: httpx2.AsyncClient,
-        where: str,
+        line: Line,
         drive: str,
         clock: Callable[[], float] = time.monotonic,
         *,
         stops: str = "",
     ) -> None:
-        self._client = client
-        self._where = where
+        self._line = line
         self._name = drive
         self._clock = clock
         self.stops = stops
-        self._path = path_of("drive", drive)
+        self._path = drive_path(drive)
 
     # ---- who it is --------------------------------------------------------------------------
 
@@ -107,8 +105,8 @@ class HttpDrive:
         Raises:
             CommandError: There is no such drive, or no daemon.
         """
-        line = await self._ask("GET", "/v1/line")
-        drive = await self._ask("GET", self._path)
+        line = await self._ask("/v1/line")
+        drive = await self._ask(self._path)
         return Whose(self._name, str(line["line"]), int(drive["address"]), str(drive["family"]))
 
     async def restore_rights(self) -> RestorePermission:
@@ -117,7 +115,7 @@ class HttpDrive:
         Raises:
             CommandError: There is no such drive, or no daemon.
         """
-        said = await self._ask("GET", f"{self._path}/restore")
+        said = await self._ask(f"{self._path}/restore")
         reason = "" if said["permitted"] else str(said["reason"])
         owned = tuple(Code.parse(code) for code in said["owned"])
         return RestorePermission(
@@ -128,9 +126,9 @@ class HttpDrive:
 
     async def read(self, code: Code) -> ReadAttempt:
         """Read a code when the line is idle."""
-        params = {"fresh": "true", "priority": "background"}
         try:
-            said = await self._ask("GET", f"{self._path}/codes/{code}", params=params)
+            path = f"{self._path}/codes/{code}"
+            said = await self._ask(path, fresh="true", priority="background")
             return ReadAttempt(code, Value.parse(str(said["raw"])))
         except CommandError as exc:
             kind, text = why(exc)
@@ -179,8 +177,8 @@ class HttpDrive:
     async def why_not_usable(self) -> str:
         """Say why it cannot be asked just now; empty when it can."""
         try:
-            line = await self._ask("GET", "/v1/line")
-            drive = await self._ask("GET", self._path)
+            line = await self._ask("/v1/line")
+            drive = await self._ask(self._path)
         except CommandError as exc:
             if exc.status is not Exit.UNREACHABLE:
                 raise
@@ -204,7 +202,8 @@ class HttpDrive:
 
     async def _act(self, method: str, path: str, document: Mapping[str, Json]) -> WriteAttempt:
         try:
-            said = await self._ask(method, path, document=document)
+            with command_errors():
+                said = self._object((await self._line.act(method, path, document)).data)
         except CommandError as exc:
             kind, text = why(exc)
             return WriteAttempt(False, kind, text)
@@ -214,26 +213,15 @@ class HttpDrive:
         text = "; ".join(dict.fromkeys(str(part) for part in parts if part))
         return WriteAttempt(False, kind_of(said) or str(said.get("outcome")), text)
 
-    async def _ask(
-        self,
-        method: str,
-        path: str,
-        *,
-        params: Mapping[str, str] | None = None,
-        document: Mapping[str, Json] | None = None,
-    ) -> Mapping[str, Any]:
-        try:
-            response = await self._client.request(method, path, params=params, **sent(document))
-        except httpx2.HTTPError as exc:
-            raise unreachable(exc, self._where) from exc
-        data = answer_of(response, self._where).data
-        if not isinstance(data, dict):
-            raise CommandError(
-                Exit.UNREACHABLE,
-                f"what answers at {self._where} is not lecombus",
-                "look at the path",
-            )
-        return data
+    async def _ask(self, path: str, **params: str) -> Document:
+        with command_errors():
+            return self._object((await self._line.ask(path, **params)).data)
+
+    def _object(self, data: Any) -> Document:
+        if isinstance(data, dict):
+            return data
+        problem = f"what answers at {self._line.where} is not lecombus"
+        raise CommandError(Exit.UNREACHABLE, problem, "look at the path")
 
 
 def why(exc: CommandError) -> tuple[str, str]:

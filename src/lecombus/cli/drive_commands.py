@@ -7,7 +7,7 @@ from functools import partial
 import click
 
 from lecombus.cli.arguments import CODE, DaemonOptions, Word, daemon_options
-from lecombus.cli.client import DaemonClient, connect, path_of
+from lecombus.cli.daemon_access import act, ask, drive_path, show
 from lecombus.cli.document_rows import Document, cells_of, show_outcomes, status_of
 from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.screen import age, on_terminal, show_rows, table_text
@@ -39,41 +39,38 @@ def accept_command(
     Shows the old and the new identity, and asks. Until then only stops are sent to it. In a
     pipe, or with --json, there is no question: repeat every value that differs with --seen.
     """
-    with connect(daemon) as client:
-        path = path_of("drive", drive)
-        known: Document = client.get(f"{path}/identity").data
-        found, accepted = dict(known.get("found") or {}), dict(known.get("accepted") or {})
-        differing = {code: text for code, text in found.items() if accepted.get(code) != text}
-        if not seen and not daemon.as_json:
-            rows = [
-                (code, accepted.get(code, ""), found.get(code, ""))
-                for code in dict.fromkeys((*accepted, *found))
-            ]
-            show_rows(("code", "was", "is"), rows, title=drive)
-        if not differing and found:
-            if not known.get("problem"):
-                _ask_again(client, drive, found)
-            if daemon.as_json:
-                click.echo(client.get(f"{path}/identity").text)
-            else:
-                click.echo(table_text(known.get("problem")) or f"{drive} is the drive it was")
-            return Exit.FAILED if known.get("problem") else Exit.DONE
-        _confirm_identity(
-            drive, differing, dict(seen), may_ask=on_terminal() and not daemon.as_json
-        )
-        answer = client.post(f"{path}/accept", {"identity": found})
+    path = drive_path(drive)
+    known: Document = ask(daemon, f"{path}/identity").data
+    found, accepted = dict(known.get("found") or {}), dict(known.get("accepted") or {})
+    differing = {code: text for code, text in found.items() if accepted.get(code) != text}
+    if not seen and not daemon.as_json:
+        rows = [
+            (code, accepted.get(code, ""), found.get(code, ""))
+            for code in dict.fromkeys((*accepted, *found))
+        ]
+        show_rows(("code", "was", "is"), rows, title=drive)
+    if not differing and found:
+        if not known.get("problem"):
+            _ask_again(daemon, drive, found)
+        if daemon.as_json:
+            click.echo(ask(daemon, f"{path}/identity").text)
+        else:
+            click.echo(table_text(known.get("problem")) or f"{drive} is the drive it was")
+        return Exit.FAILED if known.get("problem") else Exit.DONE
+    _confirm_identity(drive, differing, dict(seen), may_ask=on_terminal() and not daemon.as_json)
+    answer = act(daemon, "POST", f"{path}/accept", {"identity": found})
     accepted_text = f"{drive} is accepted; it is audited now, then it may be written to"
-    answer.show(lambda _: click.echo(accepted_text), as_json=daemon.as_json)
+    show(answer, lambda _: click.echo(accepted_text), as_json=daemon.as_json)
     return Exit.DONE
 
 
-def _ask_again(client: DaemonClient, drive: str, found: dict[str, str]) -> None:
+def _ask_again(daemon: DaemonOptions, drive: str, found: dict[str, str]) -> None:
     """Read the identity from the drive again: its audit may be long ago."""
-    path = path_of("drive", drive)
+    path = drive_path(drive)
     for code in found:
-        client.get(f"{path}/codes/{code}", fresh="true")
-    known = dict(client.get(f"{path}/identity").data.get("found") or {})
-    state: Document = client.get(path).data
+        ask(daemon, f"{path}/codes/{code}", fresh="true")
+    known = dict(ask(daemon, f"{path}/identity").data.get("found") or {})
+    state: Document = ask(daemon, path).data
     if known != found or state.get("state") != "online":
         what = f"{drive} is {': '.join(cells_of(state, 'state', 'reason'))}"
         raise CommandError(Exit.FAILED, what, "repeat this when it is online")
@@ -121,13 +118,12 @@ def readdress_command(drive: str, address: int, yes: bool, daemon: DaemonOptions
     if address % 10 == 0:
         what = f"{address} is no drive's address"
         raise CommandError(Exit.USAGE, what, "1 to 99 without 10, 20 .. 90 would be right")
-    with connect(daemon) as client:
-        path = path_of("drive", drive)
-        if not yes:
-            known: Document = client.get(path).data
-            _confirm_address(known, address, may_ask=on_terminal() and not daemon.as_json)
-        answer = client.post(f"{path}/address", {"address": address})
-    answer.show(show_outcomes, as_json=daemon.as_json)
+    path = drive_path(drive)
+    if not yes:
+        known: Document = ask(daemon, path).data
+        _confirm_address(known, address, may_ask=on_terminal() and not daemon.as_json)
+    answer = act(daemon, "POST", f"{path}/address", {"address": address})
+    show(answer, show_outcomes, as_json=daemon.as_json)
     return status_of(answer.data)
 
 
@@ -159,9 +155,8 @@ def wear_command(drive: str, daemon: DaemonOptions) -> int:
     since this device was accepted. In a pipe: code, name, writes, to this device, and how long
     until it may be written again. With --json: the daemon's document.
     """
-    with connect(daemon) as client:
-        answer = client.get(f"{path_of('drive', drive)}/wear")
-    answer.show(partial(_show_wear, drive), as_json=daemon.as_json)
+    answer = ask(daemon, f"{drive_path(drive)}/wear")
+    show(answer, partial(_show_wear, drive), as_json=daemon.as_json)
     return Exit.DONE
 
 
@@ -191,9 +186,8 @@ def forget_times_command(drive: str, daemon: DaemonOptions) -> int:
     the time measured, in seconds; if there is nothing, a message on standard error says so.
     With --json: the daemon's document.
     """
-    with connect(daemon) as client:
-        answer = client.post(f"{path_of('drive', drive)}/forget-times", {})
-    answer.show(partial(_show_forgotten, drive), as_json=daemon.as_json)
+    answer = act(daemon, "POST", f"{drive_path(drive)}/forget-times", {})
+    show(answer, partial(_show_forgotten, drive), as_json=daemon.as_json)
     return Exit.DONE
 
 

@@ -18,9 +18,10 @@ from lecombus.capacity.plan import LinePlan, make_plan
 from lecombus.capacity.timeline import Preview, picture, preview
 from lecombus.capacity.watchdog_feasibility import InfeasibleWatchdog, find_infeasible, rounded_up
 from lecombus.cli.arguments import DaemonOptions, daemon_options
-from lecombus.cli.client import DaemonAnswer, connect
+from lecombus.cli.daemon_access import ask
 from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.screen import counted, show_table
+from lecombus.client.documents import Answer
 from lecombus.config import DriveEntry, Roster, line_timing, load_roster
 from lecombus.durations import format_duration
 from lecombus.metrics.rolling_window import WINDOW_S
@@ -110,8 +111,7 @@ def plan_command(
 def _live(roster: Path | None, svg: Path | None, daemon: DaemonOptions) -> int:
     if roster is not None or svg is not None:
         raise click.UsageError("--live takes the running daemon's roster: leave out -c and --svg")
-    with connect(daemon) as client:
-        found = live_of(client.get("/v1/plan"))
+    found = live_of(ask(daemon, "/v1/plan"))
     if daemon.as_json:
         click.echo(json.dumps(found.as_json(), ensure_ascii=False))
     else:
@@ -262,7 +262,7 @@ def _show_effects(plan: LinePlan) -> None:
         )
 
 
-def live_of(answer: DaemonAnswer) -> LivePlan:
+def live_of(answer: Answer) -> LivePlan:
     """Compare what a daemon gives.
 
     Raises:
@@ -288,8 +288,7 @@ def measured_roster(file: Path | None, daemon: DaemonOptions) -> tuple[Roster, A
         CommandError: There is no daemon, or it speaks another version.
     """
     wanted = None if file is None else load_roster(file)
-    with connect(daemon) as client:
-        answer = client.get("/v1/plan")
+    answer = ask(daemon, "/v1/plan")
     with _understood():
         document = json.loads(answer.text)
         roster, slow = roster_of(document["roster"]), slow_of(document["roster"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from lecombus.cli.arguments import DaemonOptions, daemon_options
-from lecombus.cli.client import connect
+from lecombus.cli.daemon_access import act, show
 from lecombus.cli.document_rows import Document, is_done
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.screen import on_terminal, show_rows, table_text
@@ -26,14 +26,13 @@ def reload_command(daemon: DaemonOptions) -> int:
     `added`, `removed` or `changed`, the keys of a drive that differ). With --json: the daemon's
     document. Exit status 2: the roster was refused.
     """
-    with connect(daemon) as client:
-        answer = client.post("/v1/reload", {})
+    answer = act(daemon, "POST", "/v1/reload", {})
     if not is_done(answer.data):
         if daemon.as_json:
             click.echo(answer.text)
             return Exit.USAGE
         raise CommandError.of(Exit.USAGE, *map(_problem_of, answer.data.get("mistakes") or ()))
-    answer.show(_show_changes, as_json=daemon.as_json)
+    show(answer, _show_changes, as_json=daemon.as_json)
     return Exit.DONE
 
 

@@ -30,7 +30,7 @@ from lecombus.backups.restore_plan import codes_to_read
 from lecombus.cli.arguments import DaemonOptions, daemon_options, wait_option
 from lecombus.cli.backup import incomplete
 from lecombus.cli.backup_files import Notes, digest_of, read_text
-from lecombus.cli.client import connect_async
+from lecombus.cli.daemon_access import connected
 from lecombus.cli.drive_access import HttpDrive, RestorePermission, Whose
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.screen import counted, make_sure, on_terminal, progress, show_rows
@@ -156,8 +156,8 @@ async def look(options: RestoreOptions) -> Seen:
     Raises:
         CommandError: The drive could not be read.
     """
-    async with connect_async(options.daemon) as (client, where):
-        drive = HttpDrive(client, where, options.drive)
+    async with connected(options.daemon) as line:
+        drive = HttpDrive(line, options.drive)
         whose, rights = await drive.whose(), await drive.restore_rights()
         kind = family_of_any_protocol(whose.family)
         codes = codes_to_read(options.backup, rights.owned) if kind is options.backup.family else ()
@@ -277,8 +277,8 @@ async def work(
         notes.done(code, value)
         kept[code] = value
 
-    async with connect_async(options.daemon) as (client, where):
-        drive = HttpDrive(client, where, options.drive)
+    async with connected(options.daemon) as line:
+        drive = HttpDrive(line, options.drive)
         with contextlib.suppress(CommandError):  # a daemon that is away is waited for
             drive.stops = (await drive.restore_rights()).stops
         result = await restore(
@@ -294,8 +294,8 @@ def enable_again(options: RestoreOptions, stops: str) -> str:
     left = f"{drive} is restored, and stays inhibited unless `lecombus status` shows it enabled"
 
     async def enable() -> str:
-        async with connect_async(options.daemon) as (client, where):
-            said = await HttpDrive(client, where, drive, stops=stops).enable()
+        async with connected(options.daemon) as line:
+            said = await HttpDrive(line, drive, stops=stops).enable()
             return "" if said.done else said.text or said.kind
 
     with said_when_interrupted(left):

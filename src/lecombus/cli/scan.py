@@ -16,12 +16,13 @@ from typing import Any
 import anyio
 import click
 
-from lecombus.cli import client
 from lecombus.cli.arguments import DaemonOptions, daemon_options, whole_path
-from lecombus.cli.client import DaemonClient, connect
+from lecombus.cli.daemon_access import work
 from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.own_line import OwnPort, own_port
 from lecombus.cli.screen import Bar, on_terminal, progress, show_rows
+from lecombus.client import finding
+from lecombus.client.line import Line
 from lecombus.config import LineEntry, line_timing
 from lecombus.config.building import STATE_DIR
 from lecombus.drives import family
@@ -208,17 +209,8 @@ def _on_own_port(options: ScanOptions, line: LineEntry) -> int:
 
 
 def _through_daemon(options: ScanOptions, where: DaemonOptions) -> int:
-    with connect(where) as daemon:
-        line = _line_of(daemon)
-        known = {int(one["address"]) for one in daemon.get("/v1/drives").data["drives"]}
-        addresses = tuple(one for one in options.addresses if one not in known)
-        if not addresses:
-            raise CommandError(Exit.USAGE, "the roster has all of these addresses", "name others")
-        baud = line.baud
-        scan = Scan(ScanPlan(addresses, (baud,), options.thorough, listen_s=0.0))
-        with _scan_bar() as bar:
-            scan_by_daemon(scan, daemon, _ScanProgress(scan, _look_s(line, baud), bar).watch)
-        silence = daemon.get("/v1/line").data.get("remarks", {}).get("silence")
+    scan, here, silence = work(where, lambda line: _scan_of(options, line))
+    baud = here.baud
     if not scan.found:
         what = f"no drive answers at an address that the roster does not have, at {baud} baud"
         if scan.unclear:
@@ -227,12 +219,28 @@ def _through_daemon(options: ScanOptions, where: DaemonOptions) -> int:
             )
         what = "; ".join(filter(None, (what, silence)))
         raise CommandError(Exit.FAILED, what, "", "no-drive")
-    here = {"port": line.port, "baud": baud}
     added = "\n".join(
         ["# To be added under `drives:` of the roster:", *entries(scan.found, {}), ""]
     )
-    _give(options, scan, added, here)
+    _give(options, scan, added, {"port": here.port, "baud": baud})
     return Exit.DONE
+
+
+async def _scan_of(options: ScanOptions, line: Line) -> tuple[Scan, LineEntry, str | None]:
+    """Scan through the daemon; returns its line too, and what it says of the silence there."""
+    here = await _line_of(line)
+    known = {int(one["address"]) for one in (await line.ask("/v1/drives")).data["drives"]}
+    addresses = tuple(one for one in options.addresses if one not in known)
+    if not addresses:
+        raise CommandError(Exit.USAGE, "the roster has all of these addresses", "name others")
+    scan = Scan(ScanPlan(addresses, (here.baud,), options.thorough, listen_s=0.0))
+    with _scan_bar() as bar:
+        watch = _ScanProgress(scan, _look_s(here, here.baud), bar).watch
+        try:
+            await scan.run(_ByDaemon(line, watch))
+        finally:
+            watch()
+    return scan, here, (await line.ask("/v1/line")).data.get("remarks", {}).get("silence")
 
 
 def _scan_bar() -> AbstractContextManager[Bar]:
@@ -286,9 +294,9 @@ def _found_line(one: FoundDrive) -> str:
     return f"{one.address} at {one.baud} baud: {one.family}{sure}{labels}"
 
 
-def _line_of(daemon: DaemonClient) -> LineEntry:
+async def _line_of(daemon: Line) -> LineEntry:
     """Ask the daemon what line it has."""
-    line = daemon.get("/v1/line").data
+    line = (await daemon.ask("/v1/line")).data
     if "port" not in line or "baud" not in line:
         problem = f"the daemon at {daemon.where} does not know scans"
         raise CommandError(Exit.UNREACHABLE, problem, "update it, or scan with --port")
@@ -310,7 +318,7 @@ def _commonest(found: list[FoundDrive]) -> int:
 
 def _socket(name: str) -> str:
     """Return a socket in the temporary folder where lecombus' folder does not exist."""
-    if client.RUNTIME_DIR.is_dir():
+    if finding.RUNTIME_DIR.is_dir():
         return ""
     return str(Path(tempfile.gettempdir()) / f"{name}.sock")
 
@@ -414,21 +422,6 @@ async def scan_own_port(scan: Scan, line: LineEntry, watch: Watch) -> int:
         return port.bytes_heard
 
 
-def scan_by_daemon(scan: Scan, daemon: DaemonClient, watch: Watch) -> None:
-    """Scan through a running daemon, which asks in its background class.
-
-    Raises:
-        CommandError: The daemon cannot be reached, or does not ask.
-    """
-    work = scan.run(_ByDaemon(daemon, watch))
-    try:
-        work.send(None)  # its questions block in HTTP, so that no event loop is needed
-    except StopIteration:
-        return
-    finally:
-        watch()
-
-
 @dataclass(frozen=True, slots=True)
 class _OnOwnPort:
     """`AddressAccess` on a port opened by the command."""
@@ -463,18 +456,18 @@ class _OnOwnPort:
 class _ByDaemon:
     """`AddressAccess` through a running daemon."""
 
-    daemon: DaemonClient
+    line: Line
     watch: Watch
 
     async def ask(self, ask: Question) -> Heard:
         """Read a code at an address, once."""
         self.watch()
-        answer: dict[str, Any] = self.daemon.get(
-            f"/v1/line/addresses/{ask.address}/codes/{ask.code}",
-            addressing=ask.form.value,
-            family=ask.family,
+        path = f"/v1/line/addresses/{ask.address}/codes/{ask.code}"
+        said = await self.line.ask(
+            path, addressing=ask.form.value, family=ask.family,
             patient="true" if ask.patient else "false",
-        ).data
+        )  # fmt: skip
+        answer: dict[str, Any] = said.data
         raw = answer.get("raw")
         return Heard(
             HeardKind(answer["heard"]),

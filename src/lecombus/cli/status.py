@@ -8,10 +8,12 @@ from functools import partial
 import click
 
 from lecombus.cli.arguments import DaemonOptions, daemon_options
-from lecombus.cli.client import connect, path_of
+from lecombus.cli.daemon_access import ask, drive_path, show, work
 from lecombus.cli.document_rows import Document, cells_of, code_of, quality_of, shown_value
 from lecombus.cli.exits import Exit
 from lecombus.cli.screen import Styled, age, on_terminal, show_rows, table_text
+from lecombus.client.documents import Answer
+from lecombus.client.line import Line
 
 __all__ = ["status_command", "why_command"]
 
@@ -33,16 +35,19 @@ def status_command(drive: str | None, daemon: DaemonOptions) -> int:
     unit, quality, age, reason; quality `once`: not asked for again). With --json: {"line": ..,
     "drives": ..}, the daemon's documents, or with DRIVE the drive's document.
     """
-    with connect(daemon) as client:
-        if drive:
-            client.get(path_of("drive", drive)).show(_show_drive, as_json=daemon.as_json)
-            return Exit.DONE
-        line, drives = client.get("/v1/line"), client.get("/v1/drives")
+    if drive:
+        show(ask(daemon, drive_path(drive)), _show_drive, as_json=daemon.as_json)
+        return Exit.DONE
+    line, drives = work(daemon, _line_and_drives)
     if daemon.as_json:
         click.echo(f'{{"line": {line.text}, "drives": {drives.text}}}')
     else:
         _show_line(line.data, _listed(drives.data, "drives"))
     return Exit.DONE
+
+
+async def _line_and_drives(line: Line) -> tuple[Answer, Answer]:
+    return await line.ask("/v1/line"), await line.ask("/v1/drives")
 
 
 def _listed(data: Sequence[Document] | Document, key: str) -> Sequence[Document]:
@@ -204,9 +209,8 @@ def why_command(drive: str, stored: bool, lang: str, daemon: DaemonOptions) -> i
     daemon's document.
     """
     params = {"lang": lang} if stored else {"lang": lang, "fresh": "true"}
-    with connect(daemon) as client:
-        answer = client.get(f"{path_of('drive', drive)}/why", **params)
-    answer.show(partial(_show_why, words=WORDS[lang]), as_json=daemon.as_json)
+    answer = ask(daemon, f"{drive_path(drive)}/why", **params)
+    show(answer, partial(_show_why, words=WORDS[lang]), as_json=daemon.as_json)
     return Exit.DONE
 
 

@@ -12,8 +12,7 @@ from collections.abc import Mapping
 import click
 
 from lecombus.cli.arguments import EXPIRY, NUMBER, CommandWithNumbers, DaemonOptions, daemon_options
-from lecombus.cli.client import connect, path_of
-from lecombus.cli.code_commands import write_document
+from lecombus.cli.daemon_access import act, drive_path, show
 from lecombus.cli.document_rows import (
     Document,
     is_done,
@@ -23,6 +22,7 @@ from lecombus.cli.document_rows import (
     status_of,
 )
 from lecombus.cli.exits import CommandError, Exit
+from lecombus.client.requests import write_document
 from lecombus.parameters import Json
 
 __all__ = [
@@ -40,9 +40,8 @@ _SPEED = re.compile(r"\0?([+-]?[0-9.,]+(?:[eE][+-]?[0-9]+)?)\s*(.*)", re.DOTALL)
 
 def _run_verb(drive: str, verb: str, document: Mapping[str, Json], daemon: DaemonOptions) -> Exit:
     """Have a drive do something and show how it ended."""
-    with connect(daemon) as client:
-        answer = client.post(f"{path_of('drive', drive)}/verbs/{verb}", document)
-    answer.show(show_verb, as_json=daemon.as_json)
+    answer = act(daemon, "POST", f"{drive_path(drive)}/verbs/{verb}", document)
+    show(answer, show_verb, as_json=daemon.as_json)
     return status_of(answer.data)
 
 
@@ -57,14 +56,13 @@ def _send_stop(target: str, action: str, daemon: DaemonOptions) -> Exit:
             raise CommandError(
                 Exit.USAGE, "TARGET is empty: nothing was stopped", "name a drive, a group or all"
             )
-        with connect(daemon) as client:
-            answer = client.post("/v1/stop", {"action": action, "target": target})
+        answer = act(daemon, "POST", "/v1/stop", {"action": action, "target": target})
     except (CommandError, KeyboardInterrupt):
         if not daemon.as_json:
             who = f"{target} has not" if target.strip() and target != "all" else "no drive has"
             _alarm(f"{who} confirmed the {_words(action)}: motors may still turn")
         raise
-    answer.show(lambda report: _show_stop(report, action), as_json=daemon.as_json)
+    show(answer, lambda report: _show_stop(report, action), as_json=daemon.as_json)
     return status_of(answer.data)
 
 
@@ -143,7 +141,7 @@ def set_speed_command(
     value = NUMBER.convert(match[1], None, ctx)
     if not match[2]:
         raise click.UsageError(f"{match[1]} has no unit, write {match[1]} Hz or {match[1]}%", ctx)
-    document = {**write_document(value, expires, verify or None), "unit": match[2]}
+    document = {**write_document(value, verify or None, expires), "unit": match[2]}
     return _run_verb(drive, "set-speed", document, daemon)
 
 

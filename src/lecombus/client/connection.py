@@ -16,21 +16,20 @@ import json
 import math
 import ssl
 import time
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping
 from contextlib import asynccontextmanager
 from decimal import Decimal
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, TypeVar
 from uuid import uuid4
 
-import anyio
 import httpx2
 
 from lecombus.client.documents import Answer, Document, kind_of
 from lecombus.client.errors import NotPermittedError, ProblemError, UnreachableError
 from lecombus.client.finding import knock, no_daemon_at
 
-__all__ = ["AnswerLostError", "Connection", "Json", "open_connection", "problem_error"]
+__all__ = ["AnswerLostError", "Connection", "Json", "finish", "open_connection", "problem_error"]
 
 Json = None | bool | int | Decimal | str | list["Json"] | dict[str, "Json"]
 """What may stand in a body: no float, so that no decimal is rounded by accident."""
@@ -47,6 +46,8 @@ REPEAT_FOR_S: Final = 5.0
 
 FIRST_PAUSE_S: Final = 0.05
 LONGEST_PAUSE_S: Final = 1.0
+
+T = TypeVar("T")
 
 KEY: Final = "idempotency-key"
 ASKED: Final = "lecombus-asked"
@@ -66,14 +67,21 @@ class Connection:
         http: Speaks HTTP with it.
         where: The socket's path or the URL, for messages.
         repeat_for_s: How long a request that acts is repeated after its connection broke, seconds.
+        pause: Lets seconds pass before a repeat.
     """
 
     def __init__(
-        self, http: httpx2.AsyncClient, where: str, *, repeat_for_s: float = REPEAT_FOR_S
+        self,
+        http: httpx2.AsyncClient,
+        where: str,
+        *,
+        repeat_for_s: float = REPEAT_FOR_S,
+        pause: Callable[[float], Awaitable[None]] | None = None,
     ) -> None:
         self.http = http
         self.where = where
         self._repeat_for_s = repeat_for_s
+        self._pause = pause or let_pass
 
     async def ask(self, path: str, params: Mapping[str, str] | None = None) -> Answer:
         """Ask for a document.
@@ -122,7 +130,7 @@ class Connection:
             except UnreachableError as exc:
                 if isinstance(exc.__cause__, httpx2.TimeoutException):
                     break
-            await anyio.sleep(pause_s)
+            await self._pause(pause_s)
             pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
         raise lost
 
@@ -181,6 +189,7 @@ async def open_connection(
     ca: str | Path | None = None,
     answer_within_s: float = ANSWER_WITHIN_S,
     repeat_for_s: float = REPEAT_FOR_S,
+    blocking: bool = False,
 ) -> AsyncIterator[Connection]:
     """Connect to a daemon at a socket or a URL, one of them empty; nothing is asked yet.
 
@@ -191,6 +200,7 @@ async def open_connection(
         ca: Holds the certificates that sign the daemon's, for an https URL; None: the system's.
         answer_within_s: How long to wait for an answer, seconds.
         repeat_for_s: As in `Connection`.
+        blocking: Every request blocks, and needs no event loop: `finish` runs it.
 
     Raises:
         NotPermittedError: The socket or a file may not be opened.
@@ -199,21 +209,82 @@ async def open_connection(
     if path:
         knock(path)
     headers = {"authorization": f"Bearer {token_of(token_file)}"} if token_file else {}
+    settings: dict[str, Any] = {
+        "uds": path or None,
+        "verify": trusted(url, ca),
+        # No limit: a stop or a renewal of a lease waits for no other request.
+        "limits": httpx2.Limits(max_connections=None, max_keepalive_connections=4),
+    }
+    transport = BlockingTransport(settings) if blocking else httpx2.AsyncHTTPTransport(**settings)
     http = httpx2.AsyncClient(
         base_url=url or LOCAL,
         headers=headers,
         # No environment: a proxy from there would be given the token.
         trust_env=False,
         timeout=httpx2.Timeout(CONNECT_WITHIN_S, read=answer_within_s),
-        transport=httpx2.AsyncHTTPTransport(
-            uds=path or None,
-            verify=trusted(url, ca),
-            # No limit: a stop or a renewal of a lease waits for no other request.
-            limits=httpx2.Limits(max_connections=None, max_keepalive_connections=4),
-        ),
+        transport=transport,
     )
     async with http:
-        yield Connection(http, path or url, repeat_for_s=repeat_for_s)
+        yield Connection(
+            http, path or url, repeat_for_s=repeat_for_s, pause=block if blocking else None
+        )
+
+
+class BlockingTransport(httpx2.AsyncBaseTransport):
+    """HTTP that blocks instead of waiting in an event loop.
+
+    An event loop takes 0.08 s to load, and `lecombus stop` can do without.
+
+    Args:
+        settings: Of `httpx2.HTTPTransport`.
+    """
+
+    def __init__(self, settings: Mapping[str, Any]) -> None:
+        self._transport = httpx2.HTTPTransport(**settings)
+
+    async def handle_async_request(self, request: httpx2.Request) -> httpx2.Response:
+        """Send a request, and return its answer whole."""
+        sent = httpx2.Request(
+            request.method, request.url, headers=request.headers, stream=request.stream,
+            extensions=request.extensions,
+        )  # fmt: skip
+        response = self._transport.handle_request(sent)
+        assert isinstance(response.stream, httpx2.SyncByteStream)
+        try:
+            content = b"".join(response.stream)
+        finally:
+            response.close()
+        return httpx2.Response(
+            response.status_code, headers=response.headers, stream=httpx2.ByteStream(content),
+            extensions=response.extensions,
+        )  # fmt: skip
+
+    async def aclose(self) -> None:
+        """Close the connections."""
+        self._transport.close()
+
+
+def finish(work: Coroutine[Any, Any, T]) -> T:
+    """Run a coroutine that blocks where others wait, to its end."""
+    try:
+        work.send(None)
+    except StopIteration as ended:
+        result: T = ended.value
+        return result
+    work.close()
+    raise RuntimeError("this waits for something: it needs an event loop")
+
+
+async def let_pass(for_s: float) -> None:
+    """Let seconds pass in an event loop."""
+    import anyio  # a connection that blocks does without
+
+    await anyio.sleep(for_s)
+
+
+async def block(for_s: float) -> None:
+    """Let seconds pass without an event loop."""
+    time.sleep(for_s)  # noqa: ASYNC251 - there is no other task
 
 
 def trusted(url: str, ca: str | Path | None) -> ssl.SSLContext:
