@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable
+import tempfile
+from collections.abc import AsyncIterator, Callable, Iterator
+from pathlib import Path
 
 import httpx2
 import pytest
@@ -14,10 +16,10 @@ from support import api_line
 Handler = Callable[[httpx2.Request], httpx2.Response]
 
 
-def line_of(transport: httpx2.AsyncBaseTransport, **more: float) -> Line:
+def line_of(transport: httpx2.AsyncBaseTransport, *, repeat_for_s: float = 5.0) -> Line:
     """A line behind a transport of the test's."""
     http = httpx2.AsyncClient(transport=transport, base_url="http://localhost")
-    return Line(Connection(http, "here", **more))
+    return Line(Connection(http, "here", repeat_for_s=repeat_for_s))
 
 
 @pytest.fixture
@@ -32,6 +34,13 @@ async def line(fake: api_line.Line) -> AsyncIterator[Line]:
     made = line_of(httpx2.ASGITransport(app=fake.app, raise_app_exceptions=False))
     async with made.connection.http:
         yield made
+
+
+@pytest.fixture
+def short_dir() -> Iterator[Path]:
+    """A directory whose path is short enough for a Unix socket."""
+    with tempfile.TemporaryDirectory(prefix="lb-") as name:
+        yield Path(name)
 
 
 @pytest.fixture

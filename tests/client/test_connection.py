@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import ssl
 from collections.abc import Callable
@@ -12,9 +13,10 @@ import anyio
 import httpx2
 import pytest
 
+from cli.daemon_stub import serve_stub
 from client.conftest import Handler, line_of
-from lecombus.client import Outcome, ProblemError, UnreachableError
-from lecombus.client.connection import Json, body_text, token_of, trusted
+from lecombus.client import Line, Outcome, ProblemError, UnreachableError
+from lecombus.client.connection import Json, body_text, finish, open_connection, token_of, trusted
 from support import api_line
 from support.virtual_loop import run
 
@@ -250,3 +252,25 @@ def test_the_daemon_names_no_drive_is_an_error_of_the_request() -> None:
             await line.stop("x")
 
     run(work())
+
+
+@pytest.mark.clock
+def test_without_an_event_loop_requests_block(short_dir: Path) -> None:
+    async def ask() -> tuple[str, str]:
+        async with open_connection(str(short_dir / "s"), "", blocking=True) as connection:
+            line = Line(connection)
+            stopped = await line.stop()
+            return (await line.status()).name, stopped.outcome
+
+    with serve_stub(short_dir / "s") as stub:
+        stub.answers["GET /v1/line"] = (200, '{"line": "hall-3"}')
+        stub.answers["POST /v1/stop"] = (200, '{"outcome": "verified"}')
+        assert finish(ask()) == ("hall-3", "verified")
+        stub.answers["GET /v1/line"] = (200, None)
+        with pytest.raises(UnreachableError, match="ended before it answered"):
+            finish(ask())
+
+
+def test_work_that_waits_for_another_task_needs_an_event_loop() -> None:
+    with pytest.raises(RuntimeError, match="needs an event loop"):
+        finish(asyncio.sleep(0))
