@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from lecombus.drives import FAMILY_NAMES, family
 from lecombus.drives.faults.fault_tables import FaultKind
-from lecombus.drives.operating import OperatingState
+from lecombus.drives.words import OperatingState
 from lecombus.fieldbus.lecom.simulator import SimDrive
 from lecombus.fieldbus.lecom.simulator.model import INHIBIT, QSP, Model
 from lecombus.fieldbus.lecom.simulator.troubles import Kind

@@ -20,7 +20,6 @@ from .family import Family, SoftwareGate, WatchdogTraits
 from .family_files import FAMILY_NAMES, add_families, family, read_family_file
 from .faults.fault_tables import Fault, FaultKind
 from .field_types import Language, Text
-from .operating import OperatingState, believed_states, join_states
 from .restore_rules import (
     is_last,
     must_be_same,
@@ -39,7 +38,7 @@ from .stops import (
     stop_value,
 )
 from .verb_rules import Verb
-from .words import WordInfo, german_name
+from .words import OperatingState, WordInfo, believed_states, german_name, join_states
 
 __all__ = [
     "FAMILY_NAMES",

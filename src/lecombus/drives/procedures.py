@@ -22,8 +22,8 @@ from dataclasses import dataclass
 from typing import Final, Protocol
 
 from lecombus.drives.family import Family
-from lecombus.drives.operating import OperatingState
 from lecombus.drives.stops import StopAction, confirm_codes, knows_stop, stop_confirmed
+from lecombus.drives.words import OperatingState
 from lecombus.errors import CodeValueError
 from lecombus.parameters import Code, Value
 

@@ -15,9 +15,9 @@ from lecombus.parameters import Code, Value
 
 from .control_words import DIRECTION, INHIBIT, JOG, QUICK_STOP, TRIP_RESET
 from .family import Family
-from .operating import OperatingState
 from .stops import usable_word
 from .verb_rules import Access, Condition, Demand, Verb, VerbRules
+from .words import OperatingState
 
 __all__ = [
     "ControlBits",

@@ -18,7 +18,6 @@ from lecombus.errors import OperationError
 from lecombus.parameters import Code
 
 from .family import Family
-from .operating import OperatingState, join_states
 from .stops import StopAction, usable_word
 from .verb_facts import (
     Known,
@@ -41,6 +40,7 @@ from .verb_rules import (
     VerbStep,
     WriteStep,
 )
+from .words import OperatingState, join_states
 
 __all__ = [
     "enable_objection",

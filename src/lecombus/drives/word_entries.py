@@ -19,8 +19,7 @@ from lecombus.parameters import Code
 
 from .control_words import ControlWordInfo
 from .field_types import Source, WordCode, Words, numbered, read_words
-from .operating import OperatingState, StateRule
-from .words import Bit, WordField, WordFieldEntry, WordInfo
+from .words import Bit, OperatingState, StateRule, WordField, WordFieldEntry, WordInfo
 from .yaml_models import FILE_TABLE, ReadAs, ReadBy, mistake, without_keys
 
 __all__ = ["CONTROL_WORDS", "STATUS_WORDS"]

@@ -28,7 +28,7 @@ from lecombus.drive_state.readings import (
 from lecombus.drives import Family, Language, Text, Verb
 from lecombus.drives.faults.fault_tables import Fault
 from lecombus.drives.faults.reasons import Reason, Weight
-from lecombus.drives.operating import OperatingState
+from lecombus.drives.words import OperatingState
 from lecombus.parameters import Code, Json, Value
 
 __all__ = [

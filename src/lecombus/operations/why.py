@@ -31,9 +31,9 @@ from lecombus.drive_state.store import Store
 from lecombus.drives import Family, Verb
 from lecombus.drives.faults.fault_tables import NO_FAULT
 from lecombus.drives.faults.reasons import Weight, asked_codes, holding
-from lecombus.drives.operating import OperatingState, join_states
 from lecombus.drives.verb_facts import Known
 from lecombus.drives.verbs import is_enabled, status_shows_quick_stop
+from lecombus.drives.words import OperatingState, join_states
 from lecombus.errors import LecombusError, LineError, OperationError, UnknownCodeError
 from lecombus.operations.awaited_requests import Requests
 from lecombus.operations.findings import (

@@ -12,10 +12,10 @@ from enum import StrEnum
 from functools import cache
 from typing import Annotated
 
+from lecombus.drives.words import OperatingState
 from lecombus.parameters import Code, Value
 
 from ..field_types import BothLanguages, Words
-from ..operating import OperatingState
 from ..verb_rules import Verb
 from ..yaml_models import FILE_TABLE, ReadFile, open_data_file
 from .rules import Condition, Families, each_once
