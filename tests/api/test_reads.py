@@ -288,6 +288,7 @@ async def test_openapi_describes_every_path_and_refers_to_nothing_missing(
         "/v1/groups/{group}/codes/{code}",
         "/v1/groups/{group}/codes/{code}/{subcode}",
         "/v1/plan",
+        "/v1/reload",
         "/v1/stop",
         "/healthz",
         "/readyz",
