@@ -15,7 +15,7 @@ from lecombus.api.idempotency import KEEP_S, KEY_LIMIT, Idempotency
 from lecombus.api.limits import BODY_LIMIT
 from lecombus.config import Mistake, RosterChanges, RosterError
 from lecombus.drives import StopAction
-from lecombus.errors import CodeValueError, OperationError, QueueFullError
+from lecombus.errors import CodeValueError, NoReplyError, OperationError, QueueFullError
 from lecombus.operations.operation_reports import WriteReport
 from lecombus.schedule.request import Outcome, Priority
 from openapi.answer_models import GroupOutcomeDocument, OutcomeDocument, ReloadDocument
@@ -202,20 +202,27 @@ async def test_each_outcome_has_its_status_and_names_cause_and_remedy(
 
 
 @pytest.mark.parametrize(
-    ("error", "status"),
+    ("error", "status", "outcome", "sent"),
     [
-        (CodeValueError("too many decimals"), 422),
-        (OperationError("not in the roster", kind="not-writable"), 403),
-        (OperationError("no such group", kind="no-such-group"), 404),
+        (CodeValueError("too many decimals"), 422, None, None),
+        (OperationError("not in the roster", kind="not-writable"), 403, "refused", False),
+        (OperationError("no such group", kind="no-such-group"), 404, None, None),
+        (NoReplyError("silence"), 504, "refused", False),
     ],
 )
 async def test_a_write_that_is_not_taken_says_why(
-    client: httpx2.AsyncClient, line: Line, error: Exception, status: int
+    client: httpx2.AsyncClient,
+    line: Line,
+    error: Exception,
+    status: int,
+    outcome: str | None,
+    sent: bool | None,
 ) -> None:
     line.ops.error = error
     for path in (SETPOINT, "/v1/groups/conveyors/codes/C0046/2"):
         answer = await put(client, '{"value": 35.4}', path)
-        assert (answer.status_code, answer.json()["outcome"]) == (status, None)
+        assert (answer.status_code, answer.json()["outcome"]) == (status, outcome)
+        assert answer.json().get("sent") is sent
 
 
 async def test_a_group_write_has_an_outcome_per_member(

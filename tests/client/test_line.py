@@ -134,7 +134,7 @@ async def test_verbs_and_stops_ask_for_what_they_are_called(
         (OperationError("too soon", kind="too-many-writes"), "refused", "too-many-writes"),
         (OperationError("left", kind="client-gone"), "refused", "client-gone"),
         (QueueFullError(priority="control", depth=9, limit=9), "refused", "queue-full"),
-        (NoReplyError("silence"), "unknown", "no-answer"),
+        (NoReplyError("silence"), "refused", "no-answer"),
         (RuntimeError("a mistake"), "unknown", "internal"),
     ],
 )

@@ -544,6 +544,9 @@ class ProblemDocument(BaseModel):
     cause: str | None
     remedy: str | None
     outcome: str | None
+    sent: Annotated[bool, Field(description="False: the write was refused before it was sent")] = (
+        True
+    )
 
 
 class StatusDocument(Document):

@@ -15,6 +15,7 @@ from lecombus.fieldbus.lecom.simulator.drive import SimDrive
 from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.fieldbus.lecom.simulator.receiver import ReceivedRequest
 from lecombus.fieldbus.requests import Station
+from lecombus.operations.awaited_requests import CAME_S
 from lecombus.operations.operation_reports import WriteReport
 from lecombus.parameters import Code, Value
 from lecombus.saved_state import State
@@ -349,3 +350,17 @@ def test_an_820x_must_be_inhibited_for_it_stores_nothing_in_quick_stop() -> None
         assert plant.line["s"].address == 35
 
     with_plant(test, KEEPS_ROSTER)
+
+
+def test_a_stop_that_came_while_it_waited_for_its_turn_ends_it() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        CAME_S.set(plant.now_s)
+        await anyio.sleep(0.1)
+        await plant.site.operations.stop(StopAction.INHIBIT, "all")
+        assert (await change(plant, 35)).outcome is Outcome.SUPERSEDED
+        assert entry(plant).address == 11
+        CAME_S.set(None)
+        assert (await change(plant, 35)).outcome is Outcome.VERIFIED
+
+    with_plant(test, ROSTER)

@@ -16,6 +16,7 @@ import time
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Final
 
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
@@ -38,8 +39,12 @@ from lecombus.errors import LecombusError
 from lecombus.metrics import OPENMETRICS_TYPE, TEXT_TYPE, Metrics, wants_openmetrics
 from lecombus.operations.facade import Operations
 from lecombus.parameters import Json
+from lecombus.schedule import Outcome
 
 __all__ = ["Check", "create_app"]
+
+WRONG_REQUESTS: Final = frozenset((400, 401, 404, 405, 413, 414, 421, 422, 431))
+"""Statuses of a request that is none: what it asks for cannot be written at all."""
 
 Check = Callable[[], tuple[bool, str]]
 """Says whether something is so, and what is or is missing."""
@@ -168,10 +173,22 @@ async def known_error(request: Request, exc: Exception) -> Response:
     place = request.path_params
     code = "/".join(place[part] for part in ("code", "subcode") if place.get(part))
     problem = problem_of(exc, drive=short(place.get("drive", "")), code=short(code))
+    if is_write(request) and problem.status not in WRONG_REQUESTS and not problem.outcome:
+        more = {**problem.more, "sent": False}
+        problem = replace(problem, outcome=Outcome.REFUSED.value, more=more)
     detail = problem.detail
     for sent in place.values():  # messages quote what was asked for, however long it is
         detail = detail.replace(str(sent), short(str(sent)))
     return replace(problem, detail=detail).shortened().response()
+
+
+def is_write(request: Request) -> bool:
+    """Whether a request asks for what ends in an outcome: a write, a verb, another address."""
+    place, method = request.path_params, request.method
+    writes = method == "PUT" and "code" in place
+    return writes or (
+        method == "POST" and ("verb" in place or request.url.path.endswith("/address"))
+    )
 
 
 async def not_routed(request: Request, exc: Exception) -> Response:
@@ -197,6 +214,7 @@ async def unexpected_error(request: Request, exc: Exception) -> Response:
     return ProblemDocument(
         "internal",
         f"{type(exc).__name__} while answering {short(request.url.path)}",
+        outcome=Outcome.UNKNOWN.value if is_write(request) else "",
         remedy="this is a mistake in lecombus: please report it with the daemon's log",
     ).response()
 

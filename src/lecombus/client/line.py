@@ -179,12 +179,13 @@ class Line:
             What the daemon answers, also if it is a problem document with an outcome.
 
         Raises:
-            ProblemError: The daemon refuses, without an outcome.
+            ProblemError: The daemon refuses, and nothing was sent to a drive.
             UnreachableError: It cannot be reached, or its answer was lost.
         """
         answer = await self.connection.act(method, path, document)
         done = 200 <= answer.status < 300
-        if done or (isinstance(answer.data, dict) and answer.data.get("outcome")):
+        found: Document = answer.data if isinstance(answer.data, dict) else {}
+        if done or (found.get("outcome") and found.get("sent") is not False):
             return answer
         raise problem_error(answer)
 

@@ -140,7 +140,8 @@ class Readdress:
                 await self._see_silence(drive, there)
                 self._check(drive, station, address)
                 code = address_code(station.family)
-                if self._requests.stops_said(drive) != stops:
+                was_stopped = self._requests.stops_said(drive) != stops
+                if was_stopped or self._requests.stopped_since_asked(drive):
                     return stopped_first(drive, code)
                 logger.warning(
                     "drive=%s event=readdress from=%d to=%d", drive, station.address, address
