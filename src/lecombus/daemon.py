@@ -170,6 +170,7 @@ class Daemon:
                 gc.enable()
                 line.start_soon(keeping.run, partial(runtime.store.note_line, "state"))
                 line.start_soon(runtime.supervisor.run)
+                line.start_soon(runtime.lease_watch.run)
                 line.start_soon(runtime.worker.run)
                 faces.start_soon(self._tick, faces, runtime)
                 await self._end.wait()

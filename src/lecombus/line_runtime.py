@@ -28,6 +28,7 @@ from lecombus.schedule import Schedule
 from lecombus.supervision.drive_changes import DriveChanges
 from lecombus.supervision.drive_supervisor import DriveSupervisor
 from lecombus.supervision.exchange_recorder import ExchangeRecorder, follow_line
+from lecombus.supervision.lease_watch import LeaseWatch
 from lecombus.supervision.line_requests import RequestsToLine
 from lecombus.supervision.line_watch import LineWatch
 
@@ -94,6 +95,7 @@ class LineRuntime:
         )  # fmt: skip
         follow_line(recorder, store, metrics, asked, operations, clock, wall)
         self.supervisor = DriveSupervisor(requests, store, self.health, operations, clock)
+        self.lease_watch = LeaseWatch(requests, store, operations, self.health, clock)
         self._changes = DriveChanges(requests, store, metrics, self.health, self.supervisor, clock)
         self.watch = LineWatch(requests, store, metrics, recorder, asked, operations, line, clock)
         self.apply(roster)
@@ -119,6 +121,7 @@ class LineRuntime:
         self.state.bound(entry.name for entry in roster.drives)
         self.operations.set_roster(roster.drives, roster.groups)
         self.operations.readdressing.roster_changed()
+        self.lease_watch.roster_changed()
         self.roster = roster
         self.worker.nudge()
         return changes

@@ -114,7 +114,9 @@ def test_a_lease_that_is_given_up_stops_the_drives_that_need_one_and_no_others()
     assert [(one.drives, one.end) for one in ended] == [(("a",), EndOfLease.RELEASED)]
     assert book.drives["a"].latch is Latch.RELEASED
     assert objection(book, "c", "", 1.0) == ""
-    assert objection(book, "c", lease.token, 1.0) == "lease-lost", "its token does not count as none"
+    assert objection(book, "c", lease.token, 1.0) == "lease-lost", (
+        "its token does not count as none"
+    )
 
 
 def test_a_lapse_stops_and_latches_also_a_drive_that_needs_no_lease() -> None:

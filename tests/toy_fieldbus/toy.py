@@ -42,7 +42,6 @@ from lecombus.parameters import AddressForm, Code, DecimalLimits, ParameterRules
 from lecombus.roster import DriveEntry, Roster
 from lecombus.schedule import Outcome, Priority, Request, Schedule, Settle, ignore_end
 from lecombus.schedule.fan_out import Part
-from lecombus.schedule.request import CLIENT_GONE
 
 __all__ = ["TOY", "Toy"]
 
@@ -224,9 +223,11 @@ class ToyLoop:
             wake_s = self._schedule.wake_at_s(now)
             self._after(min(1.0, max(0.0, (wake_s or now + 1.0) - now)), self._go)
             return
-        if request.is_unwanted:
+        job: Any = request.work
+        unwanted = request.why_unwanted(writes=job.step.kind is not StepKind.READ)
+        if unwanted:
             self._schedule.defer(request, now, now)
-            self._schedule.withdraw(request, Outcome.REFUSED, CLIENT_GONE)
+            self._schedule.withdraw(request, Outcome.REFUSED, unwanted)
             self._after(0.0, self._go)
             return
         self._send(request, now)

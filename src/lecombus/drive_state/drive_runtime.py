@@ -68,6 +68,8 @@ class HealthRecord:
         audit_due: It answers again and is to be audited.
         due_from_s: Since when, monotonic seconds.
         logged: The state that the log shows.
+        silenced: Why it is sent nothing but stops; empty: it is spoken to.
+        silent_since_s: When the last telegram to it may have gone out, monotonic seconds.
     """
 
     state: DriveState = DriveState.STARTING
@@ -77,6 +79,8 @@ class HealthRecord:
     audit_due: bool = False
     due_from_s: float = 0.0
     logged: DriveState = DriveState.STARTING
+    silenced: str = ""
+    silent_since_s: float = 0.0
 
 
 @dataclass(slots=True)

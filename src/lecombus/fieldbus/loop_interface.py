@@ -4,8 +4,8 @@ What a loop owes the schedule (`schedule.Schedule`), with times of the event loo
 
 1. When the line is free it asks `next`. After None it asks again at `wake_at_s`, after `nudge`, and
    at least once a second, and counts that in `rests`.
-2. Directly before the first telegram of a request it asks `is_unwanted`. Such a request is not
-   sent: `defer` it to now, then `withdraw` it as refused (`CLIENT_GONE`).
+2. Directly before each telegram it asks `why_unwanted` of the request. One with a reason is not
+   sent: `defer` it to now, then `withdraw` it as refused, with that reason.
 3. A request whose telegram may not be sent yet goes back with `defer`. A feed must not, since it
    would be chosen again immediately: `finished` without `reached`, then `end`.
 4. It gives up an answer `cut_by_s` earlier than it would otherwise.

@@ -47,6 +47,8 @@ class EndOfLease(StrEnum):
     TAKEN_OVER = "taken-over"
     NONE_TAKEN = "none-taken"
     """There was none: none was taken in time after the start."""
+    CAME_BACK = "came-back"
+    """It ended before; the drive was away and is not shown stopped now."""
 
 
 @dataclass(frozen=True, slots=True)

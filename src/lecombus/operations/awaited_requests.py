@@ -29,7 +29,7 @@ from lecombus.fieldbus.requests import ReadWork, RequestMaker, Station
 from lecombus.line.worker import LineWorker
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Priority, Request
-from lecombus.schedule.request import CLIENT_GONE
+from lecombus.schedule.request import CLIENT_GONE, LEASE_ENDED
 
 __all__ = [
     "CAME_S",
@@ -109,6 +109,8 @@ class Ending:
             return outcome.value
         if reason == CLIENT_GONE:
             return "client-gone"
+        if reason.startswith(LEASE_ENDED):
+            return "lease-lost"
         error = self.error
         if error is None and is_line_lost(reason):
             return "line-lost"
@@ -223,8 +225,9 @@ class Requests:
         *,
         verify: bool,
         expires_at_s: float | None = None,
+        lease_ended: Callable[[], bool] | None = None,
     ) -> tuple[Outcome, str]:
-        """Write one code and wait for the outcome.
+        """Write one code and wait for the outcome; `lease_ended` as in `Request`.
 
         Raises:
             LineError: There is no line; nothing was sent.
@@ -234,6 +237,7 @@ class Requests:
         request = self.maker.write(
             station, code, value, settle=ending.settle, verify=verify, expires_at_s=expires_at_s,
         )  # fmt: skip
+        request.lease_ended = lease_ended
         self.worker.submit(request)
         return await ending.wait()
 

@@ -19,6 +19,7 @@ from lecombus.errors import CodeValueError, OperationError, meant
 from lecombus.fieldbus.requests import Station
 from lecombus.line_events import LineRequests
 from lecombus.operations.awaited_requests import Requests
+from lecombus.operations.lease_operations import Leases
 from lecombus.operations.nak_diagnosis import NakDiagnosis
 from lecombus.operations.permissions import Permissions
 from lecombus.operations.wear import Wear
@@ -47,12 +48,14 @@ class OperationContext:
         state: What outlives the daemon.
         line: Has a drive audited that was made to restart.
         clock: Monotonic time, seconds.
+        wall: The time of day, Unix seconds.
         disturbances: How often the line has carried something that was no answer.
 
     Attributes:
         entries: The roster's drives by name.
         groups: The roster's groups by name.
         wear: Counts and limits writes to the drives' EEPROMs.
+        leases: Who may control the drives now.
         permissions: Whether a write may be made.
         diagnosis: Why a drive refused.
         why: Why a drive does not turn.
@@ -65,6 +68,7 @@ class OperationContext:
         state: State,
         line: LineRequests,
         clock: Callable[[], float],
+        wall: Callable[[], float],
         disturbances: Callable[[], int],
     ) -> None:
         self.requests = requests
@@ -75,7 +79,8 @@ class OperationContext:
         self.disturbances = disturbances
         self.entries: dict[str, DriveEntry] = {}
         self.groups: Mapping[str, GroupEntry] = {}
-        self.permissions = Permissions(requests, store)
+        self.leases = Leases(state, clock, wall)
+        self.permissions = Permissions(requests, store, self.leases)
         self.diagnosis = NakDiagnosis(requests, store, clock)
         self.why = StandstillDiagnosis(requests, store, clock)
         self._run = secrets.token_hex(4)
@@ -84,6 +89,7 @@ class OperationContext:
         """Take the roster's drives and groups, at the start and at every reload."""
         self.entries = {entry.name: entry for entry in entries}
         self.groups = dict(groups)
+        self.leases.set_roster(entries)
 
     def station(self, drive: str) -> Station:
         """Look a drive up.

@@ -47,6 +47,7 @@ class Operations:
     Attributes:
         actions: Logs each change.
         identities: Who the drives are.
+        leases: Who may control them.
         readdressing: Changes their addresses.
     """
 
@@ -64,8 +65,13 @@ class Operations:
     ) -> None:
         self.actions = Actions(clock)
         self.identities = Identities(state, store, wall, requests.drives, line)
-        self.readdressing = Readdress(requests, store, state, self.identities, clock, wall, follow)
-        self.context = context = OperationContext(requests, store, state, line, clock, disturbances)
+        self.context = context = OperationContext(
+            requests, store, state, line, clock, wall, disturbances
+        )
+        self.leases = context.leases
+        self.readdressing = Readdress(
+            requests, store, state, self.identities, self.leases, clock, wall, follow
+        )
         reads, self._writes = Reads(context), Writes(context)
         self._stops = Stops(context, self._writes)
         self._groups = GroupWrites(context, self._writes)

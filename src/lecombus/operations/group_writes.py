@@ -283,6 +283,9 @@ class GroupWrites:
         )  # fmt: skip
         ending.request = request
         request.is_gone = client_check(stations[0], code, wire)
+        request.lease_ended = self._context.permissions.lease_check(
+            stations, code, [wire] * len(stations)
+        )
         self._context.requests.submit(request)
         outcome, reason = await ending.wait()
         kind = "" if outcome is Outcome.DONE else ending.failure(outcome, reason)

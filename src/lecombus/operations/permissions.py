@@ -12,7 +12,7 @@ and nothing that lecombus itself sets from the roster.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from decimal import Decimal
 
 from lecombus.config import DriveEntry
@@ -22,7 +22,9 @@ from lecombus.drives import Family, Verb, check_allowed, encode_for, not_restore
 from lecombus.errors import CodeValueError, LineClosedError, OperationError
 from lecombus.fieldbus.protocols import find
 from lecombus.fieldbus.requests import Station
+from lecombus.leases import Use
 from lecombus.operations.awaited_requests import Requests
+from lecombus.operations.lease_operations import Leases, needs_lease, use_of
 from lecombus.operations.operation_reports import RestoreRights
 from lecombus.parameters import Code, Value
 
@@ -35,9 +37,11 @@ class Permissions:
     Args:
         requests: Knows the drives.
         store: How the drives are doing.
+        leases: Who may control them now.
     """
 
-    def __init__(self, requests: Requests, store: Store) -> None:
+    def __init__(self, requests: Requests, store: Store, leases: Leases) -> None:
+        self.leases = leases
         self._requests = requests
         self._store = store
         self._closing = False
@@ -54,8 +58,22 @@ class Permissions:
         value: Decimal | int | str,
         *,
         restoring: bool = False,
+        use: Use | None = None,
     ) -> Value:
-        """Give the wire's value for a write that may be made now."""
+        """Give the wire's value for a write that may be made now.
+
+        Args:
+            drive: The drive.
+            station: How it is spoken to.
+            code: What is written.
+            value: The user's value.
+            restoring: It belongs to the restore of a backup.
+            use: What the write is for; None: by its code.
+
+        Raises:
+            OperationError: It may not.
+            LineClosedError: The daemon is being ended.
+        """
         if self._closing:
             raise LineClosedError(f"{drive} is not written to: the daemon is being ended")
         refuse_moving(drive, station.family, code)
@@ -84,7 +102,33 @@ class Permissions:
                 code=str(code),
                 remedy=remedy,
             ) from exc
+        if needs_lease(station.family, code, wire):
+            as_setting = Use.SETTING if restoring else None
+            self.leases.check(drive, use or as_setting or use_of(station.family, code))
         return wire
+
+    def lease_check(
+        self,
+        stations: Sequence[Station],
+        code: Code,
+        wires: Sequence[Value],
+        use: Use | None = None,
+    ) -> Callable[[], bool] | None:
+        """Give what says that a permitted write must not be sent any more; None: it needs no lease.
+
+        Args:
+            stations: The drives that one telegram reaches.
+            code: What is written.
+            wires: The value for each.
+            use: What it is for; None: by the code.
+        """
+        both = zip(stations, wires, strict=True)
+        found = [one for one, wire in both if needs_lease(one.family, code, wire)]
+        if not found:
+            return None
+        uses = {use or use_of(one.family, code) for one in found}
+        of = Use.MOTION if Use.MOTION in uses else uses.pop()
+        return self.leases.ended_check([one.name for one in found], of)
 
     def restore_rights(self, drive: str) -> RestoreRights:
         """Say whether a backup may be restored into a drive.

@@ -40,12 +40,15 @@ from lecombus.drives.restore_rules import saving_rule
 from lecombus.errors import ExchangeError, NoReplyError, OperationError
 from lecombus.fieldbus.protocols import find
 from lecombus.fieldbus.requests import Station
+from lecombus.leases import Use
 from lecombus.operations.awaited_requests import Requests
 from lecombus.operations.identities import Identities
+from lecombus.operations.lease_operations import Leases
 from lecombus.operations.operation_reports import WriteReport, stopped_first
 from lecombus.parameters import Code, Value
 from lecombus.saved_state import Moved, State
 from lecombus.schedule import Outcome, Priority
+from lecombus.schedule.request import LEASE_ENDED
 
 __all__ = ["Readdress"]
 
@@ -66,6 +69,7 @@ class Readdress:
         store: What is known; gets the remarks.
         state: Remembers where a drive was moved to.
         identities: Knows who the drives are.
+        leases: Who may control them now.
         clock: Monotonic time, seconds.
         wall: The time of day, Unix seconds.
         follow: Makes the line speak to a drive at another address.
@@ -77,6 +81,7 @@ class Readdress:
         store: Store,
         state: State,
         identities: Identities,
+        leases: Leases,
         clock: Callable[[], float],
         wall: Callable[[], float],
         follow: Callable[[str, int], None],
@@ -85,6 +90,7 @@ class Readdress:
         self._store = store
         self._state = state
         self._identities = identities
+        self._leases = leases
         self._clock = clock
         self._wall = wall
         self._follow = follow
@@ -147,12 +153,14 @@ class Readdress:
                     "drive=%s event=readdress from=%d to=%d", drive, station.address, address
                 )
                 outcome, reason = await self._requests.write(
-                    station, code, Value.decimal(address), verify=False
-                )
+                    station, code, Value.decimal(address), verify=False,
+                    lease_ended=self._leases.ended_check([drive], Use.SETTING),
+                )  # fmt: skip
                 if outcome is Outcome.SUPERSEDED:
                     return stopped_first(drive, code)
                 if outcome not in (Outcome.DONE, Outcome.UNKNOWN):
-                    return WriteReport(drive, code, outcome, reason, kind="nak")
+                    kind = "lease-lost" if reason.startswith(LEASE_ENDED) else "nak"
+                    return WriteReport(drive, code, outcome, reason, kind=kind)
                 found = await self._find(drive, there, address)
             if found:
                 report = self._moved(drive, station, address, held)
@@ -163,6 +171,7 @@ class Readdress:
 
     def _check(self, drive: str, station: Station, address: int) -> None:
         """See what can be seen without a telegram."""
+        self._leases.check(drive, Use.SETTING)
 
         def refuse(text: str, kind: str, remedy: str) -> OperationError:
             code = str(address_code(station.family))

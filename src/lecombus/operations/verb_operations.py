@@ -51,7 +51,7 @@ from lecombus.operations.verb_reports import (
     verb_report,
     without_fault,
 )
-from lecombus.operations.verb_steps import TROUBLE, StoppedError, VerbSteps, words_of
+from lecombus.operations.verb_steps import TROUBLE, USES, StoppedError, VerbSteps, words_of
 from lecombus.operations.writes import Writes
 from lecombus.schedule import Outcome
 
@@ -99,6 +99,7 @@ class Verbs:
             return await self._stop_verb(drive, verb)
         rules_of(drive, station.family, verb)
         refuse_for_gone_client(drive)
+        self._context.leases.check(drive, USES[verb])
         self._context.permissions.check_ready(drive)
         expires_at_s = None if expires_s is None else self._context.clock() + expires_s
         run = Run(
@@ -115,6 +116,8 @@ class Verbs:
                     self._context.why.enable_refused(drive, exc)
                 raise
             if verb is Verb.ENABLE:
+                if report.outcome.is_good:
+                    self._context.leases.enabled(drive)
                 self._context.why.enable_ended(report, taken_back=run.taken_back)
             return report
 

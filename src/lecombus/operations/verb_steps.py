@@ -11,10 +11,10 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Awaitable, Callable, Iterator, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TypeVar
+from typing import Final, TypeVar
 
 import anyio
 
@@ -38,6 +38,7 @@ from lecombus.errors import (
     ScheduleError,
 )
 from lecombus.fieldbus.requests import Station
+from lecombus.leases import Use
 from lecombus.operations.context import OperationContext
 from lecombus.operations.operation_reports import WriteReport
 from lecombus.operations.stop_requests import Stops
@@ -51,7 +52,7 @@ from lecombus.operations.writes import Writes
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Priority
 
-__all__ = ["TROUBLE", "StoppedError", "VerbSteps", "words_of"]
+__all__ = ["TROUBLE", "USES", "StoppedError", "VerbSteps", "words_of"]
 
 EFFECT_WITHIN_S = 2.0
 """How long a drive may take to show that it is enabled or that its fault is gone, seconds."""
@@ -65,6 +66,11 @@ each, and other audits may come first (EDB2102EN 6.3). Less than a client waits 
 
 WORD_TRIES = 5
 """How often a control word is read again that other clients keep writing."""
+
+USES: Final[Mapping[Verb, Use]] = {
+    Verb.ENABLE: Use.ENABLE, Verb.RESET_FAULT: Use.ENABLE, Verb.SET_SPEED: Use.MOTION,
+}  # fmt: skip
+"""What the writes of a verb are for: a drive that is latched can be reset, and enabled."""
 
 
 Read = TypeVar("Read")
@@ -153,10 +159,10 @@ class VerbSteps:
 
     async def _write(self, run: Run, code: Code, raw: str) -> WriteReport:
         name = run.station.name
-        wire = self._context.permissions.permitted(name, run.station, code, raw)
+        wire = self._context.permissions.permitted(name, run.station, code, raw, use=USES[run.verb])
         ending = self._writes.submit_write(
             run.station, code, wire, run.expires_at_s, verify=run.verify,
-            goes_on=bool(run.written) or run.lifts is not None,
+            goes_on=bool(run.written) or run.lifts is not None, use=USES[run.verb],
         )  # fmt: skip
         report = self._writes.report(name, code, ending, *await ending.wait())
         if ending.was_sent and report.kind != "nak":

@@ -15,6 +15,7 @@ from lecombus.errors import (
     OperationError,
 )
 from lecombus.fieldbus.requests import Station, WriteWork
+from lecombus.leases import Use
 from lecombus.operations.awaited_requests import Ending, client_check, refuse_for_gone_client
 from lecombus.operations.context import OperationContext
 from lecombus.operations.operation_reports import (
@@ -100,8 +101,9 @@ class Writes:
             self._context.wear.take(drive, code)
         self._context.note_write(station, code, wire)
         ending = self.submit_write(
-            station, code, wire, expires_at_s, verify=verify, urgency=urgency
-        )
+            station, code, wire, expires_at_s, verify=verify, urgency=urgency,
+            use=Use.SETTING if restoring else None,
+        )  # fmt: skip
         report = self.report(drive, code, ending, *await ending.wait())
         return await self._context.diagnosis.explain(report, station, wire)
 
@@ -153,6 +155,7 @@ class Writes:
         verify: bool,
         urgency: Priority | None = None,
         goes_on: bool = False,
+        use: Use | None = None,
     ) -> Ending:
         """Submit a permitted write; the caller waits for its end.
 
@@ -165,6 +168,7 @@ class Writes:
             urgency: The class to run in; None: by what is written.
             goes_on: It belongs to an operation that has sent something already: it is sent also
                 when its client has gone.
+            use: What it is for, which its lease must permit when it is sent; None: by the code.
         """
         ending = Ending()
         # From here on a stop must not use the stored control word: this write may change it.
@@ -175,6 +179,7 @@ class Writes:
             urgency=urgency,
         )  # fmt: skip
         request.is_gone = None if goes_on else client_check(station, code, wire)
+        request.lease_ended = self._context.permissions.lease_check((station,), code, (wire,), use)
         self._context.requests.submit(request)
         return ending
 

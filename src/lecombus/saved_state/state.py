@@ -105,6 +105,7 @@ class DriveFacts:
 class _Document:
     version: int
     drives: dict[str, DriveFacts]
+    lease_number: Count = 0
 
 
 _ADAPTER: Final = TypeAdapter(_Document)
@@ -115,12 +116,14 @@ class State:
 
     Args:
         drives: The facts by the drives' names.
+        lease_number: The largest number of a lease so far; none is used twice.
 
     Attributes:
         counted: Called for each write that was counted: drive, code and the count now.
     """
 
-    def __init__(self, drives: dict[str, DriveFacts] | None = None) -> None:
+    def __init__(self, drives: dict[str, DriveFacts] | None = None, lease_number: int = 0) -> None:
+        self.lease_number = lease_number
         self._drives = drives if drives is not None else {}
         self.changes = 0
         self.counted: Callable[[str, str, int], None] | None = None
@@ -158,7 +161,10 @@ class State:
     def text(self) -> str:
         """Return the file's content."""
         drives = {name: asdict(facts) for name, facts in self._drives.items()}
-        return json.dumps({"version": VERSION, "drives": drives}, indent=1, ensure_ascii=False)
+        document: dict[str, object] = {"version": VERSION, "drives": drives}
+        if self.lease_number:
+            document["lease_number"] = self.lease_number
+        return json.dumps(document, indent=1, ensure_ascii=False)
 
     @classmethod
     def parse(cls, text: bytes) -> State:
@@ -178,7 +184,7 @@ class State:
         if document.version != VERSION:
             _refuse_newer(text)
             raise StateFormatError(f"version: {document.version} was never written")
-        return cls(document.drives)
+        return cls(document.drives, document.lease_number)
 
 
 def _refuse_newer(text: bytes) -> None:

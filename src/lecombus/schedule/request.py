@@ -16,6 +16,7 @@ from typing import Any, Final
 __all__ = [
     "CLIENT_GONE",
     "DEFERRED",
+    "LEASE_ENDED",
     "OUT",
     "QUEUED",
     "STOPPED",
@@ -40,6 +41,9 @@ STOPPED: Final = "ended by a stop of the drive"
 
 CLIENT_GONE: Final = "its client closed the connection before it was sent"
 """Why a write ended that waited when the client that asked for it left."""
+
+LEASE_ENDED: Final = "its lease ended before it was sent"
+"""Why a write ended that waited when its lease lapsed, was given up, or was taken over."""
 
 
 class Priority(IntEnum):
@@ -123,6 +127,8 @@ class Request:
             answered, seconds.
         is_gone: Says whether the client that asked for it has left. The line asks directly before
             the first telegram; None: it is sent even if its client has left.
+        lease_ended: Says whether the lease has ended by which it was permitted. The line asks
+            directly before each telegram that writes; None: it needs no lease.
 
     The fields after it belong to the schedule; no other module writes them.
     """
@@ -144,6 +150,7 @@ class Request:
     yields: bool = False
     hold_s: float = 0.0
     is_gone: Callable[[], bool] | None = None
+    lease_ended: Callable[[], bool] | None = None
     settled: bool = field(default=False, repr=False)
     # -- bookkeeping of the schedule ------------------------------------------------------------
     state: int = field(default=0, init=False, repr=False)  # OUT, QUEUED, DEFERRED, UNDER_WAY
@@ -187,10 +194,17 @@ class Request:
         """The longest until its drive can be spoken to again after it was not answered, seconds."""
         return self.worst_s + self.hold_s
 
-    @property
-    def is_unwanted(self) -> bool:
-        """Whether nothing of it was sent yet and its client has left."""
-        return self.is_gone is not None and not self.attempts and self.is_gone()
+    def why_unwanted(self, *, writes: bool) -> str:
+        """Say why its next telegram may not be sent any more; empty: it may.
+
+        Args:
+            writes: That telegram writes; a lease that ended does not keep a proof from being read.
+        """
+        if self.is_gone is not None and not self.attempts and self.is_gone():
+            return CLIENT_GONE
+        if writes and self.lease_ended is not None and self.lease_ended():
+            return LEASE_ENDED
+        return ""
 
     def end(self, outcome: Outcome, reason: str = "") -> None:
         """Settle the request.

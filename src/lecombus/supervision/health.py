@@ -21,7 +21,7 @@ import asyncio
 import logging
 from collections.abc import Callable
 
-from lecombus.drive_state.drive_runtime import Drive, LineDrives, RunningAudit
+from lecombus.drive_state.drive_runtime import Drive, HealthRecord, LineDrives, RunningAudit
 from lecombus.drive_state.readings import DriveState
 from lecombus.drive_state.store import Store
 from lecombus.fieldbus.loop_interface import ResultKind
@@ -140,6 +140,8 @@ class Health:
         self._schedule.port_opened()
         for drive in self._drives:
             health = drive.health
+            if health.silenced:
+                continue
             if health.state is DriveState.OFFLINE:
                 self._schedule.set_probe(drive.name, None, now)
                 self._schedule.unpark(drive.name, now)
@@ -164,6 +166,10 @@ class Health:
             fault: Why it failed, in words.
         """
         health = drive.health
+        if health.silenced:  # a stop went out to it, or its last exchange ends
+            if kind is not ResultKind.LOST:
+                health.silent_since_s = self._clock()
+            return
         if kind is ResultKind.ANSWERED:
             if not health.heard:
                 health.heard = True
@@ -178,6 +184,32 @@ class Health:
         if self._has(drive) and drive.health.state is not DriveState.OFFLINE:
             self._set(drive, DriveState.STARTING, reason)
             self.audits.ask(drive)
+
+    def silence(self, drive: Drive, reason: str) -> None:
+        """Send nothing more to a drive, stops apart, so that its own watchdog acts.
+
+        Args:
+            drive: The drive.
+            reason: Why, in words.
+        """
+        now = self._clock()
+        if not drive.health.silenced:
+            drive.health.silent_since_s = now
+        drive.health.silenced = reason
+        self.audits.withdraw(drive)
+        self._set(drive, DriveState.OFFLINE, reason)
+        self._schedule.set_probe(drive.name, None, now)
+        self._schedule.park(drive.name, now, f"{drive.name} is offline: {reason}")
+
+    def end_silence(self, drive: Drive) -> None:
+        """Speak to a drive again; it is audited before it is called online."""
+        now = self._clock()
+        drive.health = HealthRecord(
+            DriveState.STARTING, heard=drive.health.heard, logged=drive.health.logged
+        )
+        self._schedule.unpark(drive.name, now)
+        self._set(drive, DriveState.STARTING, "it is spoken to again: being audited")
+        self.audits.ask(drive)
 
     def audited(self, drive: Drive) -> None:
         """The supervisor has found the drive in order, or has put it in order."""

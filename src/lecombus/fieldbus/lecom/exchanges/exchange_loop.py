@@ -47,7 +47,6 @@ from lecombus.fieldbus.requests import Job, StepKind
 from lecombus.line.port_connection import StallWatch
 from lecombus.line.timers import Deadline, WakeableTimer
 from lecombus.schedule import Outcome, Priority, Request, Schedule
-from lecombus.schedule.request import CLIENT_GONE
 
 from ..protocol.telegrams import NakAnswer, ValueAnswer
 from .idle_receive import BusIdleTimer, IdleReceive
@@ -367,10 +366,11 @@ class LecomExchangeLoop:
 
     def _say(self, request: Request, now: float) -> None:
         """Start the exchange of the next step of a request."""
-        if request.is_unwanted:
-            self._withdraw(request, now)
-            return
         job: Job = request.work  # type: ignore[assignment]
+        unwanted = why_unwanted(request, job)
+        if unwanted:
+            self._withdraw(request, now, unwanted)
+            return
         ready, self.ready = self.ready, None
         is_ready = ready is not None and ready[0] is request
         prepared = ready[2] if ready and is_ready else self._ask(request, job, now)
@@ -434,11 +434,11 @@ class LecomExchangeLoop:
         """Whether the prepared telegram is still the one to send."""
         return self.ready is not None and self._schedule.planned(at_s) is self.ready[0]
 
-    def _withdraw(self, request: Request, now: float) -> None:
+    def _withdraw(self, request: Request, now: float, why: str) -> None:
         """End a write that was chosen and not sent: no motor starts for a client that has left."""
         self.ready = None
         self._schedule.defer(request, now, now)
-        self._schedule.withdraw(request, Outcome.REFUSED, CLIENT_GONE)
+        self._schedule.withdraw(request, Outcome.REFUSED, why)
 
     def _postpone(self, request: Request, until_s: float, now: float) -> None:
         """Send it later: a late answer that could pass for its own may still come.
@@ -494,7 +494,7 @@ class LecomExchangeLoop:
         ready = self.ready
         if ready is None or type(result.answer) is not ValueAnswer or type(done[1]) is not ReadJob:
             return False
-        if ready[0].is_unwanted:
+        if why_unwanted(ready[0], ready[1]):
             return False
         now = self._time()
         if now < max(result.ended_s + self._options.turnaround_s, self._bus_idle.quiet_until_s):
@@ -589,3 +589,8 @@ class LecomExchangeLoop:
 
     def _publish(self) -> None:
         self._deferred.publish(self.observer)
+
+
+def why_unwanted(request: Request, job: Job) -> str:
+    """Say why the next telegram of a request may not be sent any more; empty: it may."""
+    return request.why_unwanted(writes=job.step.kind is not StepKind.READ)

@@ -1,0 +1,348 @@
+"""What the end of a lease does to its drives, and what keeps a latched drive from moving.
+
+Theory of operation. One task sleeps until the next lease lapses; nothing polls. What ended is
+handed out once by the book and carried out by the drive's `on_lapse`:
+
+* `quick-stop`, `inhibit`: a stop in the stop class, by one multicast where a group's members all
+  lapsed and one telegram reaches them. A member that is not proven is silenced, so that its own
+  watchdog stops it; where no watchdog would, or where it would drop a load that must not be dropped
+  (`stop_fallback: none`), the stop is repeated until it is proven.
+* `silence`: no telegram but a stop that is asked for, until a new lease is held and the watchdog's
+  time has passed.
+* `hold`: a remark and a metric, until the drive is enabled under a new lease.
+
+A drive that is latched and comes back, and every drive with a required lease after a start, is
+looked at when it is online: unless its words show it stopped, the same is done.
+
+What must not live here: who may control what (`leases`), how a stop is made (`operations`).
+Source: docs/adr/0079-what-a-lease-promises.md.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import anyio
+
+from lecombus.capacity.exchange_costs import watched_s
+from lecombus.config import DriveEntry
+from lecombus.drive_state.drive_runtime import Drive
+from lecombus.drive_state.motion import Doing
+from lecombus.drive_state.readings import DriveState
+from lecombus.drive_state.store import Store
+from lecombus.drives import StopAction
+from lecombus.errors import LecombusError
+from lecombus.leases import EndedLease, EndOfLease, Latch
+from lecombus.operations.awaited_requests import Requests
+from lecombus.operations.facade import Operations
+from lecombus.schedule import Outcome
+from lecombus.supervision.health import Health
+
+__all__ = ["LeaseFigures", "LeaseWatch"]
+
+logger = logging.getLogger(__name__)
+
+REMARK: Final = "lease"
+
+REPEAT_S: Final = 2.0
+"""Between two stops of a drive that does not show the first and has no watchdog to stop it."""
+
+LOOK_S: Final = 0.25
+"""How often latched drives are looked at that were away, seconds."""
+
+AWAY: Final = (DriveState.OFFLINE, DriveState.STARTING)
+
+LOST_MOST_S: Final = 60.0
+"""The task sleeps no longer than this."""
+
+
+@dataclass(frozen=True, slots=True)
+class LeaseFigures:
+    """What the metrics show of leases.
+
+    Args:
+        held: How many are held.
+        lapses: By drive, how often its lease lapsed.
+        latched: The drives that have a lease or need one, and whether each is latched.
+        holding: Those that run on without a controller, by `on_lapse: hold`.
+        silenced: Those that are sent nothing.
+    """
+
+    held: int
+    lapses: dict[str, int]
+    latched: dict[str, bool]
+    holding: frozenset[str]
+    silenced: frozenset[str]
+
+
+class LeaseWatch:
+    """Carries out the ends of the leases of one line.
+
+    Args:
+        requests: Has the drives.
+        store: Gets the remarks; knows what the drives do.
+        operations: Has the leases, and stops drives.
+        health: Silences drives.
+        clock: Monotonic time, seconds.
+    """
+
+    def __init__(
+        self,
+        requests: Requests,
+        store: Store,
+        operations: Operations,
+        health: Health,
+        clock: Callable[[], float],
+    ) -> None:
+        self._drives = requests.drives
+        self._store = store
+        self._operations = operations
+        self._leases = operations.leases
+        self._book = operations.leases.book
+        self._health = health
+        self._clock = clock
+        self._changed = asyncio.Event()
+        self._lapses: Counter[str] = Counter()
+        self._rounds: Counter[str] = Counter()  # by drive: how often an end was carried out
+        self._silenced: dict[str, str] = {}
+        self._holding: set[str] = set()
+        self._to_look_at: set[str] = set()
+        self._leases.changed = self._changed.set
+
+    async def run(self) -> None:
+        """Carry out each end when it comes, until the daemon ends."""
+        async with anyio.create_task_group() as tasks:
+            while True:
+                self._changed.clear()
+                for ended in self._book.take_ended(self._clock()):
+                    tasks.start_soon(self._carry_out, ended)
+                for due in self._look():
+                    tasks.start_soon(self._carry_out, due)
+                with anyio.move_on_after(self._sleep_s()):
+                    await self._changed.wait()
+
+    def roster_changed(self) -> None:
+        """Keep drives silent that a reload made begin again; forget those that left."""
+        for name in set(self._silenced) | self._holding | self._to_look_at:
+            drive = self._drives.find(name)
+            if drive is None:
+                self._silenced.pop(name, None)
+                self._holding.discard(name)
+                self._to_look_at.discard(name)
+            elif name in self._silenced and not drive.health.silenced:
+                self._health.silence(drive, self._silenced[name])
+        self._remark()
+
+    def figures(self) -> LeaseFigures | None:
+        """Return what the metrics show; None: no lease is needed, and none was taken."""
+        now_s = self._clock()
+        held = len(self._book.leases(now_s))
+        latched = {
+            name: control.latch is not None
+            for name, control in self._book.drives.items()
+            if control.terms.required or control.lease is not None or control.ended is not None
+        }
+        if not latched:
+            return None
+        lapses = {name: self._lapses[name] for name in latched}
+        return LeaseFigures(
+            held, lapses, latched, frozenset(self._holding), frozenset(self._silenced)
+        )
+
+    # -- what to do, and when ---------------------------------------------------------------------
+
+    def _sleep_s(self) -> float:
+        now_s, next_s = self._clock(), self._book.next_s()
+        sleep_s = LOST_MOST_S if next_s is None else min(LOST_MOST_S, max(0.0, next_s - now_s))
+        waits = self._silenced or any(one.latch is not None for one in self._book.drives.values())
+        return min(sleep_s, LOOK_S) if waits else sleep_s
+
+    def _look(self) -> list[EndedLease]:
+        """Look at latched drives; return what is to be done to those that came back."""
+        now_s = self._clock()
+        for name in self._book.due(now_s):
+            self._book.start_done(name)
+            self._to_look_at.add(name)
+        for name in list(self._silenced):
+            self._end_silence(name, now_s)
+        found: list[EndedLease] = []
+        for name, control in self._book.drives.items():
+            if control.latch is None:
+                self._to_look_at.discard(name)
+                self._holding.discard(name)
+            elif self._store.state(name) in AWAY:
+                if control.due_s is None and name not in self._silenced:
+                    self._to_look_at.add(name)
+            elif name in self._to_look_at:
+                self._to_look_at.discard(name)
+                if not self._is_shown_stopped(name):
+                    found.append(self._again(name, now_s))
+        self._remark()
+        return found
+
+    def _again(self, name: str, now_s: float) -> EndedLease:
+        """Make the end to be carried out for a drive that runs and has no controller."""
+        control = self._book.drives[name]
+        if control.ended is None or control.latch is Latch.STARTED:
+            return EndedLease("", 0, (name,), EndOfLease.NONE_TAKEN, now_s)
+        ended = control.ended
+        return EndedLease(ended.name, ended.number, (name,), EndOfLease.CAME_BACK, now_s)
+
+    def _is_shown_stopped(self, name: str) -> bool:
+        """Whether the drive's own words, as read of late, show that it does not drive its motor."""
+        motion = self._store.motion(name)
+        return motion.doing is Doing.STOPPED and not motion.stale
+
+    def _end_silence(self, name: str, now_s: float) -> None:
+        """Speak to a drive again once a lease is held for it and its watchdog has had its time."""
+        drive, control = self._drives.find(name), self._book.drives.get(name)
+        if drive is None or control is None:
+            del self._silenced[name]
+            return
+        over_s = drive.health.silent_since_s + (watched_s(drive.entry) or 0.0)
+        if control.lease is not None and now_s >= over_s:
+            del self._silenced[name]
+            if control.terms.on_lapse in set(StopAction):
+                self._to_look_at.add(name)
+            logger.info("drive=%s event=silence-ended lease=%s", name, control.lease.name)
+            self._health.end_silence(drive)
+
+    # -- the end of a lease -----------------------------------------------------------------------
+
+    async def _carry_out(self, ended: EndedLease) -> None:
+        """Do to each drive what its roster says, once."""
+        drives = [drive for name in ended.drives if (drive := self._drives.find(name)) is not None]
+        logger.warning(
+            "event=lease-ended lease=%s number=%d end=%s drives=%s",
+            ended.name or "none", ended.number, ended.end, ",".join(ended.drives),
+        )  # fmt: skip
+        by_action: dict[str, list[Drive]] = {}
+        for drive in drives:
+            self._rounds[drive.name] += 1
+            self._lapses[drive.name] += ended.end is EndOfLease.LAPSED
+            by_action.setdefault(drive.entry.lease.on_lapse, []).append(drive)
+        why = words_of(ended)
+        for drive in by_action.pop("silence", ()):
+            # What was given up in order and stands need not be stopped by its watchdog.
+            if ended.end is not EndOfLease.RELEASED or not self._is_shown_stopped(drive.name):
+                self._silence(drive, f"sent nothing, so that its watchdog acts: {why}")
+        for drive in by_action.pop("hold", ()):
+            self._holding.add(drive.name)
+            logger.error("drive=%s event=hold lease=%s", drive.name, ended.name or "none")
+        self._remark()
+        async with anyio.create_task_group() as tasks:
+            for action, members in by_action.items():
+                names = [drive.name for drive in members]
+                for target, reached in self._targets(names):
+                    tasks.start_soon(self._stop, StopAction(action), target, reached, why)
+
+    def _targets(self, names: Sequence[str]) -> Iterable[tuple[str, tuple[str, ...]]]:
+        """Find the fewest telegrams: groups with a multicast of which all members lapsed."""
+        left = dict.fromkeys(names)
+        groups = self._operations.context.groups.items()
+        for group, entry in sorted(groups, key=lambda one: -len(one[1].members)):
+            members = tuple(entry.members)
+            if (
+                entry.multicast_address is not None
+                and len(members) > 1
+                and left.keys() >= {*members}
+            ):
+                yield group, members
+                for name in members:
+                    del left[name]
+        for name in left:
+            yield name, (name,)
+
+    async def _stop(
+        self, action: StopAction, target: str, names: tuple[str, ...], why: str
+    ) -> None:
+        """Stop drives; silence, or stop again, those that do not show it."""
+        rounds = {name: self._rounds[name] for name in names}
+        missing = await self._unproven(action, target, names)
+        for name in names:
+            if name not in missing:
+                logger.info("drive=%s event=lapse-stopped action=%s", name, action)
+        async with anyio.create_task_group() as tasks:
+            for name in missing:
+                tasks.start_soon(self._escalate, action, name, rounds[name], why)
+
+    async def _unproven(
+        self, action: StopAction, target: str, names: tuple[str, ...]
+    ) -> tuple[str, ...]:
+        """Stop a drive or a group; name the members that do not show it."""
+        try:
+            report = await self._operations.stop(action, target)
+        except LecombusError as exc:
+            logger.error("drive=%s event=lapse-not-stopped reason=%s", target, exc)
+            return names
+        outcomes = {one.drive: one.outcome for one in report.members}
+        return tuple(name for name in names if outcomes.get(name) is not Outcome.VERIFIED)
+
+    async def _escalate(self, action: StopAction, name: str, round_: int, why: str) -> None:
+        """Have the drive's watchdog stop it, or stop it again until that is proven."""
+        while self._is_open(name, round_):
+            drive = self._drives.get(name)
+            if stops_by_silence(drive.entry):
+                self._silence(drive, f"{action} is not proven, its watchdog is left to act: {why}")
+                return
+            await anyio.sleep(REPEAT_S)
+            if self._is_open(name, round_) and not await self._unproven(action, name, (name,)):
+                logger.info("drive=%s event=lapse-stopped action=%s", name, action)
+                return
+
+    def _is_open(self, name: str, round_: int) -> bool:
+        """Whether the drive is still latched by the end that is being carried out."""
+        control = self._book.drives.get(name)
+        is_latest = self._rounds[name] == round_ and self._drives.find(name) is not None
+        return is_latest and control is not None and control.latch is not None
+
+    def _silence(self, drive: Drive, reason: str) -> None:
+        self._silenced[drive.name] = reason
+        self._to_look_at.discard(drive.name)
+        logger.error("drive=%s event=silenced reason=%s", drive.name, reason)
+        self._health.silence(drive, reason)
+
+    # -- what is shown ----------------------------------------------------------------------------
+
+    def _remark(self) -> None:
+        """Say of each latched drive why, and what to do."""
+        for name, control in self._book.drives.items():
+            text = None
+            if name in self._holding:
+                text = (
+                    "runs on without a controller (on_lapse: hold): take a lease and enable it, or "
+                    "stop it"
+                )
+            elif control.latch is not None:
+                text = f"latched ({LATCHES[control.latch]}): take a lease, then enable it"
+                if control.lease is not None:
+                    text = f"latched ({LATCHES[control.latch]}): enable it under its lease"
+            if self._drives.find(name) is not None:
+                self._store.note(name, REMARK, text)
+
+
+LATCHES: Final = {
+    Latch.STARTED: "no lease was taken yet",
+    Latch.LAPSED: "its lease lapsed",
+    Latch.RELEASED: "its lease was given up",
+}
+
+
+def stops_by_silence(entry: DriveEntry) -> bool:
+    """Whether a drive's own watchdog stops it as the roster allows when it is sent nothing."""
+    if watched_s(entry) is None or entry.watchdog is None:
+        return False
+    return entry.stop_fallback == "inhibit" or entry.watchdog.action == "quick-stop"
+
+
+def words_of(ended: EndedLease) -> str:
+    """Say how a lease ended."""
+    if ended.end is EndOfLease.NONE_TAKEN:
+        return "no lease was taken in time"
+    how = "was given up" if ended.end is EndOfLease.RELEASED else "lapsed"
+    return f"lease {ended.name} {how}"

@@ -1,0 +1,533 @@
+"""The end of a lease on whole lines: what is sent to which drive, what is not, and what follows."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable
+from contextlib import asynccontextmanager
+from typing import TypeVar
+
+import anyio
+import pytest
+
+from lecombus.drive_state.motion import Doing
+from lecombus.drive_state.readings import DriveState
+from lecombus.drives import FAMILY_NAMES, StopAction, Verb
+from lecombus.errors import OperationError
+from lecombus.fieldbus.lecom.simulator.faults import Faults
+from lecombus.leases import Latch
+from lecombus.operations.lease_operations import LEASE
+from lecombus.parameters import Code
+from lecombus.saved_state import State
+from lecombus.schedule import Outcome
+from support.rosters import roster_text
+from support.site_host import Plant, until, with_plant
+
+KINDS = [name for name in FAMILY_NAMES if name != "generic"]
+WATCHED = "{time: 3s, action: inhibit, configure: true}"
+T = TypeVar("T")
+
+
+def roster(
+    kind: str = "8200vector", policy: str = "quick-stop", *, watchdog: str = WATCHED, more: str = "",
+    names: str = "a", sections: str = "",
+) -> str:  # fmt: skip
+    lease = f"lease: {{required: true, time: 2s, on_lapse: {policy}}}"
+    drives = [(name, 11 + place, kind) for place, name in enumerate(names)]
+    drive = f"{lease}, {more}" if more else lease
+    return roster_text(drives, drive=drive, watchdog=watchdog, sections=sections)
+
+
+def setpoint(kind: str) -> int:
+    return 1061 if kind == "smvector" else 141 if kind == "93xx" else 46
+
+
+class Client:
+    """A controller: takes a lease, renews it, enables drives, and may fall silent."""
+
+    def __init__(self, plant: Plant, name: str = "plc") -> None:
+        self.plant = plant
+        self.ops = plant.site.operations
+        self.name = name
+        self.counter = 1
+        self.token = ""
+        self.alive = True
+        self.last_s = 0.0
+
+    def take(self, drives: str = "a", take_over: str = "", time_s: float = 2.0) -> None:
+        lease = self.ops.leases.take(
+            self.name, drives, drives, time_s, self.counter, take_over=take_over
+        )
+        self.token = lease.token
+
+    async def renewing(self) -> None:
+        while self.alive:
+            self.counter += 1
+            self.ops.leases.renew(self.name, self.token, self.counter)
+            self.last_s = self.plant.now_s
+            await anyio.sleep(0.5)
+
+    async def do(self, work: Awaitable[T]) -> T:
+        """Do something with the token."""
+        reset = LEASE.set(self.token)
+        try:
+            return await work
+        finally:
+            LEASE.reset(reset)
+
+    async def run(self, drive: str = "a", speed: str = "20") -> None:
+        """Enable a drive and give it a setpoint, as a controller would."""
+        kind = self.plant.roster.drives[0].family
+        report = await self.do(self.ops.verb(drive, Verb.ENABLE))
+        assert report.outcome is Outcome.VERIFIED, report
+        self.plant.line[drive].model.preset(setpoint(kind), speed)
+        await anyio.sleep(10.0)
+        assert output(self.plant, drive) > 0.0
+
+
+def output(plant: Plant, drive: str = "a") -> float:
+    plant.line.advance(plant.now_s)
+    return abs(plant.line[drive].model.motor.output)
+
+
+def standing(plant: Plant, drive: str = "a") -> bool:
+    plant.line.advance(plant.now_s)
+    return plant.line[drive].model.motor.speed == 0.0
+
+
+@asynccontextmanager
+async def controlled(plant: Plant, drives: str = "a") -> AsyncIterator[Client]:
+    """Run drives under a lease that is renewed."""
+    client = Client(plant)
+    await plant.online()
+    async with anyio.create_task_group() as tasks:
+        client.take(drives)
+        tasks.start_soon(client.renewing)
+        for drive in drives:
+            await client.run(drive)
+        yield client
+        client.alive = False
+
+
+def latch(plant: Plant, drive: str = "a") -> Latch | None:
+    return plant.site.operations.leases.book.drives[drive].latch
+
+
+async def kind_of_refusal(work: Awaitable[object]) -> str:
+    try:
+        await work
+    except OperationError as exc:
+        return exc.kind
+    return ""
+
+
+@pytest.mark.parametrize("policy", ["quick-stop", "inhibit", "silence", "hold"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_policy_of_every_family_is_carried_out_when_a_client_falls_silent(
+    kind: str, policy: str
+) -> None:
+    async def test(plant: Plant) -> None:
+        async with controlled(plant) as client:
+            await anyio.sleep(5.0)
+            assert output(plant) > 0.0, "a lease that is renewed keeps it running"
+            client.alive = False
+        died_s, writes = client.last_s, len(list(plant.line["a"].log))
+        await anyio.sleep(died_s + 1.999 - plant.now_s)
+        assert latch(plant) is None
+        await anyio.sleep(0.002)
+        assert latch(plant) is Latch.LAPSED
+        assert plant.site.lease_watch.figures().lapses == {"a": 1}  # type: ignore[union-attr]
+        if policy == "silence":
+            last_s = max(one.at_s for one in plant.sent_to(11))
+            assert last_s <= died_s + 2.0
+        await anyio.sleep(20.0)
+        if policy == "hold":
+            assert output(plant) > 0.0
+            remark = plant.site.store.drive("a").remarks["lease"]
+            assert remark.startswith("runs on without a controller")
+        else:
+            assert standing(plant)
+        said = [one for one in list(plant.line["a"].log)[writes:] if one.kind == "write"]
+        assert bool(said) is (policy in ("quick-stop", "inhibit"))
+        if policy == "silence":
+            assert plant.sent_to(11, died_s + 2.0) == []
+            assert plant.state("a") is DriveState.OFFLINE
+        kinds = [await kind_of_refusal(client.do(client.ops.write("a", Code(46), 5)))]
+        kinds += [await kind_of_refusal(client.do(client.ops.verb("a", Verb.ENABLE)))]
+        assert kinds[1] == "lease-lost"
+        assert kinds[0] in ("lease-lost", "offline", "not-writable", "no-such-code")
+
+    with_plant(test, roster(kind, policy))
+
+
+@pytest.mark.parametrize("policy", ["quick-stop", "inhibit", "silence", "hold"])
+def test_nothing_moves_until_a_new_lease_is_held_and_the_drive_is_enabled(policy: str) -> None:
+    async def test(plant: Plant) -> None:
+        async with controlled(plant) as first:
+            first.alive = False
+        await anyio.sleep(25.0)
+        client = Client(plant, "next")
+        assert await kind_of_refusal(client.ops.verb("a", Verb.ENABLE)) == "lease-required"
+        client.take()
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(client.renewing)
+            await plant.online("a", within_s=30.0)
+            for _ in range(2):
+                refused = await kind_of_refusal(client.do(client.ops.write("a", Code(46), 5)))
+                assert refused == "latched"
+                await anyio.sleep(10.0)
+            assert standing(plant) is (policy != "hold")
+            report = await client.do(client.ops.verb("a", Verb.ENABLE))
+            assert report.outcome is Outcome.VERIFIED
+            written = await client.do(client.ops.write("a", Code(46), 25))
+            assert written.outcome.is_good
+            await anyio.sleep(20.0)
+            assert output(plant) > 20.0
+            assert "lease" not in plant.site.store.drive("a").remarks
+            client.alive = False
+
+    with_plant(test, roster("8200vector", policy))
+
+
+def test_members_of_a_group_that_lapse_together_are_stopped_by_one_telegram() -> None:
+    async def test(plant: Plant) -> None:
+        async with controlled(plant, "abc") as client:
+            client.alive = False
+        lapse_s = plant.now_s
+        await anyio.sleep(3.0)
+        stops = [one.data for one in plant.end.sent if one.at_s >= lapse_s and b"\x02" in one.data]
+        assert [one[1:3] for one in stops] == [b"10"]
+        await anyio.sleep(20.0)
+        assert all(standing(plant, name) for name in "abc")
+        assert all(latch(plant, name) is Latch.LAPSED for name in "abc")
+
+    with_plant(test, roster(policy="inhibit", names="abc"))
+
+
+def test_drives_of_other_controllers_are_not_stopped() -> None:
+    async def test(plant: Plant) -> None:
+        async with controlled(plant, "ab") as client:
+            other = Client(plant, "other")
+            other.take("c")
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(other.renewing)
+                await other.run("c")
+                client.alive = False
+                await anyio.sleep(20.0)
+                assert standing(plant, "a")
+                assert standing(plant, "b")
+                assert output(plant, "c") > 0.0
+                other.alive = False
+
+    with_plant(test, roster(names="abc"))
+
+
+def test_a_stop_whose_answers_are_lost_is_repeated_and_proven() -> None:
+    async def test(plant: Plant) -> None:
+        async with controlled(plant) as client:
+            plant.line.drive_faults[11] = Faults(lost=0.4)
+            client.alive = False
+        await anyio.sleep(30.0)
+        assert standing(plant)
+
+    with_plant(test, roster(), seed=3)
+
+
+def test_a_drive_that_does_not_show_its_stop_is_left_to_its_watchdog() -> None:
+    async def test(plant: Plant) -> None:
+        async with controlled(plant) as client:
+            client.alive = False
+            plant.line.drive_faults[11] = Faults(unheard=1.0)
+        await anyio.sleep(9.0)
+        plant.line.drive_faults.clear()  # it hears again, and is sent nothing all the same
+        since_s = plant.now_s
+        assert plant.site.store.drive("a").reason.startswith("quick-stop is not proven, its ")
+        await anyio.sleep(10.0)
+        assert plant.sent_to(11, since_s) == []
+        assert standing(plant)
+
+    with_plant(test, roster())
+
+
+@pytest.mark.parametrize(
+    ("watchdog", "more"),
+    [("", ""), (WATCHED, "stop_fallback: none"), ("{time: 3s, action: none}", "")],
+)
+def test_a_drive_that_no_watchdog_may_stop_is_stopped_again_until_that_is_proven(
+    watchdog: str, more: str
+) -> None:
+    async def test(plant: Plant) -> None:
+        async with controlled(plant) as client:
+            client.alive = False
+            plant.line.drive_faults[11] = Faults(unheard=1.0)
+        await anyio.sleep(30.0)
+        assert not standing(plant) or watchdog == WATCHED
+        plant.line.drive_faults.clear()
+        await anyio.sleep(30.0)
+        assert standing(plant)
+        assert plant.state("a") is DriveState.ONLINE
+
+    with_plant(test, roster(watchdog=watchdog, more=more))
+
+
+def test_a_hoist_that_refuses_its_quick_stop_is_never_inhibited_by_lecombus() -> None:
+    async def test(plant: Plant) -> None:
+        async with controlled(plant) as client:
+            plant.line["a"].model.params.set(1, "0")  # its terminals control it from now on
+            client.alive = False
+        await anyio.sleep(15.0)
+        inhibits = [
+            one
+            for one in plant.line["a"].log
+            if one.kind == "write" and (one.code, one.text) == (40, "0")
+        ]
+        assert inhibits == []
+        assert plant.state("a") is not DriveState.OFFLINE, "its watchdog would inhibit it"
+
+    with_plant(test, roster("821x", more="stop_fallback: none"))
+
+
+def test_a_stop_of_a_silenced_drive_goes_out_and_it_stays_silenced() -> None:
+    async def test(plant: Plant) -> None:
+        async with controlled(plant) as client:
+            client.alive = False
+        await anyio.sleep(4.0)
+        since_s = plant.now_s
+        report = await client.ops.stop(StopAction.INHIBIT, "a")
+        assert report.outcome is Outcome.VERIFIED
+        assert plant.sent_to(11, since_s) != []
+        since_s = plant.now_s
+        await anyio.sleep(60.0)
+        assert plant.sent_to(11, since_s) == []
+
+    with_plant(test, roster(policy="silence"))
+
+
+def test_a_silenced_drive_is_not_spoken_to_before_its_watchdog_had_its_time() -> None:
+    async def test(plant: Plant) -> None:
+        async with controlled(plant) as first:
+            first.alive = False
+        await anyio.sleep(2.2)
+        last_s = max(one.at_s for one in plant.sent_to(11))
+        client = Client(plant, "next")
+        client.take()
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(client.renewing)
+            await plant.online("a", within_s=30.0)
+            first_s = min(one.at_s for one in plant.sent_to(11, last_s + 0.001))
+            assert 3.0 <= first_s - last_s <= 4.0
+            assert standing(plant)
+            client.alive = False
+
+    with_plant(test, roster(policy="silence"))
+
+
+def test_a_reload_and_a_reopened_port_do_not_end_a_silence() -> None:
+    async def test(plant: Plant) -> None:
+        async with controlled(plant) as client:
+            client.alive = False
+        await anyio.sleep(4.0)
+        since_s = plant.now_s
+        plant.end.unplug()
+        await anyio.sleep(3.0)
+        plant.end.replug()
+        await until(lambda: plant.site.worker.is_open)
+        plant.apply(roster(policy="silence", more="answer_time: 40ms"))
+        await anyio.sleep(60.0)
+        assert plant.sent_to(11, since_s) == []
+        assert plant.state("a") is DriveState.OFFLINE
+
+    with_plant(test, roster(policy="silence"))
+
+
+def test_a_lease_that_lapses_while_the_port_is_gone_does_not_let_the_drive_run_on() -> None:
+    async def test(plant: Plant) -> None:
+        async with controlled(plant) as client:
+            plant.end.unplug()
+            client.alive = False
+        await anyio.sleep(3.0)
+        plant.end.replug()
+        await until(lambda: plant.site.worker.is_open)
+        since_s = plant.now_s
+        await anyio.sleep(20.0)
+        assert standing(plant)
+        assert plant.sent_to(11, since_s) == []
+
+    with_plant(test, roster())
+
+
+def test_at_the_start_a_drive_that_runs_is_stopped_when_nobody_took_a_lease_in_time() -> None:
+    async def test(plant: Plant) -> None:
+        drive = plant.line["a"].model
+        drive.preset(46, "20")
+        drive.preset(135, "H0000")
+        await anyio.sleep(1.5)
+        assert output(plant) > 0.0
+        await anyio.sleep(20.0)
+        assert standing(plant)
+        assert latch(plant) is Latch.STARTED
+
+    with_plant(test, roster())
+
+
+def test_at_the_start_a_drive_that_is_inhibited_is_left_alone() -> None:
+    async def test(plant: Plant) -> None:
+        plant.line["a"].model.preset(40, "0")
+        await plant.online()
+        await anyio.sleep(20.0)
+        # The audit sets its watchdog (C1922, C1923) and nothing else is written.
+        written = {one.code for one in plant.line["a"].log if one.kind == "write"}
+        assert not written & {40, 135}
+        assert plant.site.store.motion("a").doing is Doing.STOPPED
+
+    with_plant(test, roster(policy="inhibit"))
+
+
+def test_a_controller_that_is_back_in_time_after_a_restart_goes_on() -> None:
+    async def test(plant: Plant) -> None:
+        drive = plant.line["a"].model
+        drive.preset(46, "20")
+        drive.preset(135, "H0000")
+        await plant.online(within_s=1.9)
+        client = Client(plant)
+        client.take()
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(client.renewing)
+            report = await client.do(client.ops.verb("a", Verb.ENABLE))
+            assert report.outcome is Outcome.VERIFIED
+            await anyio.sleep(20.0)
+            assert output(plant) > 0.0
+            client.alive = False
+
+    with_plant(test, roster(watchdog=""))
+
+
+def test_a_latched_drive_that_comes_back_running_is_stopped_again() -> None:
+    async def test(plant: Plant) -> None:
+        async with controlled(plant) as client:
+            client.alive = False
+        await anyio.sleep(20.0)
+        assert standing(plant)
+        plant.line.faults.absent = {11}
+        await until(lambda: plant.state("a") is DriveState.OFFLINE)
+        drive = plant.line["a"].model
+        drive.preset(135, "H0000")  # as after its mains came back
+        drive.preset(40, "1")
+        await anyio.sleep(20.0)
+        plant.line.faults.absent = set()
+        await plant.online()
+        await anyio.sleep(20.0)
+        assert standing(plant)
+
+    with_plant(test, roster(watchdog=""))
+
+
+@pytest.mark.parametrize("end", ["taken over", "lapsed", "released"])
+@pytest.mark.parametrize("group", [False, True])
+def test_a_write_that_waits_is_not_sent_when_its_lease_has_ended(end: str, *, group: bool) -> None:
+    async def test(plant: Plant) -> None:
+        async with controlled(plant, "ab") as client:
+            ops = client.ops
+            asked = [asyncio.ensure_future(ops.read("c", Code(150))) for _ in range(3)]
+            await anyio.sleep(0.005)
+            work = ops.write_group("ab", Code(46), 33) if group else ops.write("a", Code(46), 33)
+            writing = asyncio.ensure_future(client.do(work))
+            await anyio.sleep(0.001)
+            client.alive = False
+            if end == "taken over":
+                Client(plant, "new").take("ab", take_over="plc")
+            elif end == "released":
+                ops.leases.release("plc", client.token)
+            else:
+                lease = ops.leases.book.drives["a"].lease
+                assert lease is not None
+                lease.ends_at_s = plant.now_s
+            report = await writing
+            await asyncio.gather(*asked)
+            assert report.outcome in (Outcome.REFUSED, Outcome.SUPERSEDED), report
+            kinds = {one.kind for one in getattr(report, "members", (report,))}
+            assert kinds <= {"lease-lost", "superseded"}, "the lapse may have stopped it first"
+            assert "lease-lost" in kinds or end != "taken over"
+            heard = [(one.code, one.text) for name in "abc" for one in plant.line[name].log]
+            assert (46, "33") not in heard
+
+    lease = "lease: {required: true}"
+    with_plant(
+        test,
+        roster_text(
+            [("a", 11, "8200vector"), ("b", 12, "8200vector"), ("c", 21, "8200vector")],
+            own={"a": lease, "b": lease},
+            sections="groups: {ab: {members: [a, b], multicast: yes}}",
+        ),
+    )
+
+
+def test_a_write_whose_answer_was_lost_is_not_repeated_when_its_lease_has_ended() -> None:
+    async def test(plant: Plant) -> None:
+        async with controlled(plant) as client:
+            plant.line.drive_faults[11] = Faults(lost=1.0)
+            since = len(plant.end.sent)
+            writing = asyncio.ensure_future(client.do(client.ops.write("a", Code(46), 33)))
+            await until(lambda: any(b"\x02" in x.data for x in plant.end.sent[since:]))
+            Client(plant, "new").take("a", take_over="plc")
+            client.alive = False
+            report = await writing
+            assert report.outcome is Outcome.UNKNOWN
+            written = [one for one in plant.end.sent[since:] if b"\x02" in one.data]
+            assert len(written) == 1
+
+    with_plant(test, roster(watchdog=""))
+
+
+def test_plain_writes_groups_verbs_and_restores_need_the_token_and_an_inhibit_does_not() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        ops = plant.site.operations
+        for work in (
+            ops.write("a", Code(46), 5),
+            ops.write("a", Code(1), 3),
+            ops.write("a", Code(12), 5, restoring=True),
+            ops.write("a", Code(135), "H0008"),
+            ops.write_group("all", Code(46), 5),
+            ops.verb("a", Verb.ENABLE),
+            ops.verb("a", Verb.RESET_FAULT),
+            ops.verb("a", Verb.SET_SPEED, value=None, unit="Hz"),
+            ops.readdress("a", 21),
+        ):
+            assert await kind_of_refusal(work) == "lease-required", work
+        assert (await ops.write("a", Code(40), 0)).outcome.is_good
+        assert (await ops.write_group("all", Code(40), 0)).outcome.is_good
+        assert (await ops.verb("a", Verb.QUICK_STOP)).outcome is Outcome.VERIFIED
+        assert (await ops.stop(StopAction.INHIBIT, "all")).outcome is Outcome.VERIFIED
+
+    more = "writable: [C0001, C0040, C0046, C0135], restore: true, allow_address_change: true"
+    with_plant(test, roster(more=more, names="ab"))
+
+
+def test_numbers_grow_over_restarts() -> None:
+    state = State()
+    numbers: list[int] = []
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        client = Client(plant)
+        client.take()
+        numbers.append(int(client.token.split("-")[0]))
+
+    for _ in range(3):
+        with_plant(test, roster(), state=state)
+    assert numbers == sorted(set(numbers))
+    assert State.parse(state.text().encode()).lease_number == numbers[-1]
+
+
+def test_without_leases_nothing_is_remarked_counted_or_kept() -> None:
+    state = State()
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await anyio.sleep(90.0)
+        assert plant.site.lease_watch.figures() is None
+        assert "lease" not in plant.site.store.drive("a").remarks
+
+    with_plant(test, roster_text([("a", 11, "8200vector")]), state=state)
+    assert "lease" not in state.text()
