@@ -465,14 +465,16 @@ def test_a_write_that_waits_is_not_sent_when_its_lease_has_ended(end: str, *, gr
 def test_a_write_whose_answer_was_lost_is_not_repeated_when_its_lease_has_ended() -> None:
     async def test(plant: Plant) -> None:
         async with controlled(plant) as client:
-            plant.line.drive_faults[11] = Faults(lost=1.0)
+            plant.line.drive_faults[11] = Faults(unheard=1.0)
             since = len(plant.end.sent)
             writing = asyncio.ensure_future(client.do(client.ops.write("a", Code(46), 33)))
             await until(lambda: any(b"\x02" in x.data for x in plant.end.sent[since:]))
+            await anyio.sleep(0.02)
+            plant.line.drive_faults.clear()  # reading back shows that it was not written
             Client(plant, "new").take("a", take_over="plc")
             client.alive = False
             report = await writing
-            assert report.outcome is Outcome.UNKNOWN
+            assert (report.outcome, report.kind) == (Outcome.UNKNOWN, "lease-lost"), report
             written = [one for one in plant.end.sent[since:] if b"\x02" in one.data]
             assert len(written) == 1
 
