@@ -97,7 +97,9 @@ class LineRuntime:
         self.supervisor = DriveSupervisor(requests, store, self.health, operations, clock)
         self.lease_watch = LeaseWatch(requests, store, operations, self.health, clock)
         self._changes = DriveChanges(requests, store, metrics, self.health, self.supervisor, clock)
-        self.watch = LineWatch(requests, store, metrics, recorder, asked, operations, line, clock)
+        self.watch = LineWatch(
+            requests, store, metrics, recorder, asked, operations, self.lease_watch, line, clock
+        )
         self.apply(roster)
 
     def apply(self, roster: Roster) -> RosterChanges:

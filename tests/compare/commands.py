@@ -21,7 +21,7 @@ FAMILIES = ("820x", "821x", "822x", "824x", "8200vector", "93xx", "smvector", "g
 COMMANDS = ("demo", "run", "check", "plan", "reload", "simulate", "read", "write", "group",
             "enable", "set-speed", "reset-fault", "quick-stop", "inhibit", "stop", "readdress",
             "rebaud", "wear", "accept", "forget-times", "describe", "backup", "diff", "restore",
-            "status", "scan", "why")  # fmt: skip
+            "status", "leases", "scan", "why")  # fmt: skip
 LINES = """\
 
 --version
@@ -43,6 +43,8 @@ plan -c nowhere.yaml --json
 plan --live
 plan --live --socket /nowhere.sock --json
 reload more
+leases more
+leases --socket /nowhere.sock
 reload --socket /nowhere.sock
 simulate
 simulate -c config/small.yaml

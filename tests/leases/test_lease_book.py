@@ -18,9 +18,11 @@ def a_book(now_s: float = 0.0, **terms: LeaseTerms) -> LeaseBook:
 
 
 def taken(
-    book: LeaseBook, name: str = "plc", drives: str = "ab", now_s: float = 0.0, **more: str
+    book: LeaseBook, name: str = "plc", drives: str = "ab", now_s: float = 0.0, take_over: str = ""
 ) -> Lease:
-    return book.take(name, drives, drives, 2.0, 1, now_s, secret=f"{name}{now_s}", **more)
+    return book.take(
+        name, drives, drives, 2.0, 1, now_s, secret=f"{name}{now_s}", take_over=take_over
+    )
 
 
 def objection(book: LeaseBook, drive: str, token: str, now_s: float, use: Use = Use.MOTION) -> str:

@@ -20,8 +20,10 @@ __all__ = [
     "CodeWearDocument",
     "DescribedDocument",
     "Document",
+    "DriveControlDocument",
     "DriveDocument",
     "DrivesDocument",
+    "EndedLeaseDocument",
     "FaultDocument",
     "FindingDocument",
     "ForgottenTimesDocument",
@@ -29,8 +31,11 @@ __all__ = [
     "GroupOutcomeDocument",
     "GroupsDocument",
     "HeardDocument",
+    "HeldLeaseDocument",
     "IdentityDocument",
     "LastEnableDocument",
+    "LeaseDocument",
+    "LeasesDocument",
     "LineDocument",
     "MeaningDocument",
     "MemoryDocument",
@@ -510,6 +515,55 @@ class WhyDocument(Document):
     history: list[MemoryDocument]
     history_known: Annotated[bool, Field(description="Whether a fault memory has been read")]
     last_enable: LastEnableDocument | None
+
+
+class LeaseDocument(Document):
+    """A lease that is held."""
+
+    name: str
+    number: Annotated[int, Field(description="Larger than that of every lease before")]
+    targets: Annotated[list[str], Field(description="Drives and groups, as the client named them")]
+    drives: list[str]
+    time_s: Annotated[Exact, Field(description="It lapses so long after its last renewal")]
+    expires_in_s: Exact
+    held_s: Annotated[Exact, Field(description="For how long it is held")]
+    counter: Annotated[int, Field(description="A renewal needs a larger one")]
+    on_lapse: Annotated[dict[str, str], Field(description="By drive: what its end does")]
+    latched: Annotated[list[str], Field(description="Its drives that must be enabled first")]
+    holder: Annotated[dict[str, str], Field(description="Who took it")]
+
+
+class HeldLeaseDocument(LeaseDocument):
+    """A lease, for who took or renewed it."""
+
+    token: Annotated[str, Field(description="What writes carry in the header Lecombus-Lease")]
+
+
+class DriveControlDocument(Document):
+    """A drive that needs a lease, is held by one, or must be enabled again."""
+
+    drive: str
+    required: Annotated[bool, Field(description="The roster requires a lease")]
+    on_lapse: Annotated[str, Field(description="quick-stop, inhibit, silence or hold")]
+    time_s: Annotated[Exact, Field(description="The longest time a lease may ask for")]
+    lease: Annotated[str | None, Field(description="The lease that holds it")]
+    latched: Annotated[bool, Field(description="It takes no setpoint until it is enabled")]
+    because: Annotated[str | None, Field(description="started, lapsed or released")]
+
+
+class LeasesDocument(Document):
+    """Who controls what."""
+
+    leases: list[LeaseDocument]
+    drives: list[DriveControlDocument]
+
+
+class EndedLeaseDocument(Document):
+    """A lease that was given up."""
+
+    name: str
+    number: int
+    drives: list[str]
 
 
 class PlanDocument(Document):

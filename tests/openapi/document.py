@@ -56,6 +56,14 @@ KEY: Final = {
     "description": "Makes a repeat safe; a new one per request",
 }
 
+LEASE_TOKEN: Final = {
+    "name": "Lecombus-Lease",
+    "in": "header",
+    "required": False,
+    "schema": {"type": "string", "title": "Lecombus-Lease"},
+    "description": "The token of the lease that is held for the drive; a stop needs none",
+}
+
 
 @dataclass(frozen=True)
 class Operation:
@@ -79,8 +87,14 @@ class Operation:
 DRIVE: Final = "/v1/drives/{drive}"
 AT_ADDRESS: Final = "/v1/line/addresses/{address}"
 GROUP: Final = "/v1/groups/{group}"
+LEASE: Final = "/v1/leases/{lease}"
 CODE: Final = "/codes/{code}"
 SUBCODE: Final = "/codes/{code}/{subcode}"
+
+TAKES_LEASE: Final = (
+    DRIVE + CODE, DRIVE + SUBCODE, GROUP + CODE, GROUP + SUBCODE, f"{DRIVE}/verbs/{{verb}}",
+    f"{DRIVE}/address",
+)  # fmt: skip
 
 READ_CODE: Final = Operation(
     answer_models.ReadingDocument, (404, 409, 422, 502, 503, 504), bodies.ValueQuery
@@ -113,6 +127,11 @@ OPERATIONS: Final[Mapping[tuple[str, str], Operation]] = {
     ("get", AT_ADDRESS + CODE): READ_ADDRESS,
     ("put", GROUP + SUBCODE): WRITE_GROUP,
     ("put", GROUP + CODE): WRITE_GROUP,
+    ("get", "/v1/leases"): Operation(answer_models.LeasesDocument, (422,)),
+    ("put", LEASE): Operation(
+        answer_models.HeldLeaseDocument, (400, 403, 404, 409, 413, 422, 503), body=bodies.LeaseBody
+    ),
+    ("delete", LEASE): Operation(answer_models.EndedLeaseDocument, (400, 403, 409, 422)),
     ("post", "/v1/stop"): writing(answer_models.GroupOutcomeDocument, bodies.StopBody),
     ("post", f"{DRIVE}/verbs/{{verb}}"): Operation(
         answer_models.VerbDocument, REFUSALS, body=bodies.SpeedBody, body_required=False
@@ -191,8 +210,10 @@ def described_operation(
     parameters = [path_parameter(name) for name in re.findall(r"{(\w+)}", path)]
     if operation.query is not None:
         parameters += query_parameters(operation.query)
-    if operation.body is not None:
+    if operation.body is not None and path != LEASE:
         parameters.append(KEY)
+    if (path in TAKES_LEASE and method != "get") or (path, method) == (LEASE, "delete"):
+        parameters.append(LEASE_TOKEN)
     name: str = endpoint.__name__
     summary, _, rest = endpoint.__doc__.partition("\n")
     found: dict[str, Any] = {

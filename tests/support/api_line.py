@@ -24,6 +24,7 @@ from lecombus.operations.awaited_requests import IS_GONE, refuse_for_gone_client
 from lecombus.operations.facade import Operations
 from lecombus.operations.findings import MemoryEntry, StandstillFinding, WhyReport
 from lecombus.operations.identities import IdentityReport
+from lecombus.operations.lease_operations import Leases
 from lecombus.operations.operation_reports import (
     GroupFacts,
     GroupReport,
@@ -34,8 +35,11 @@ from lecombus.operations.operation_reports import (
 )
 from lecombus.operations.wear import CodeWear, WearReport
 from lecombus.parameters import Code, Value
+from lecombus.saved_state import State
 from lecombus.schedule.request import Outcome, Priority
+from support.rosters import make_roster
 
+ROSTER = make_roster([("feeder", 11, "8200vector"), ("belt", 12, "8200vector")])
 FREQUENCY = Code(46)
 STATUS = Code(150)
 
@@ -56,6 +60,17 @@ class FakeOperations:
     written_as: tuple[Priority | None, bool] | None = None
     is_gone: Callable[[], bool] | None = None
     begun: anyio.Event = field(default_factory=anyio.Event)
+    leases: Leases = field(default_factory=lambda: Leases(State(), time.monotonic, time.time))
+
+    @property
+    def context(self) -> FakeOperations:
+        return self
+
+    def members(self, target: str) -> tuple[str, ...]:
+        if target == "conveyors":
+            return ("feeder", "belt")
+        self.store.drive(target)
+        return (target,)
 
     async def _ask(self, *what: object) -> None:
         self.asked.append(what)
@@ -212,6 +227,7 @@ def make_line() -> Line:
     store.line_state(LineState.OPEN)
     store.value_read("feeder", FREQUENCY, Value.parse("35.40"), time.monotonic())
     ops = FakeOperations(store)
+    ops.leases.set_roster(ROSTER.drives)
     metrics = Metrics("hall-3", store, version="1", clock=time.monotonic)
     metrics.counters.add_drive("feeder")
     line = Line(store, ops, Starlette())

@@ -29,6 +29,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from lecombus.api.answers import JSON_TYPE, ProblemDocument, problem_of, status_response
 from lecombus.api.decimal_json import short
 from lecombus.api.idempotency import Idempotency
+from lecombus.api.lease_routes import LeaseRoutes
 from lecombus.api.limits import is_stop
 from lecombus.api.read_routes import ReadRoutes
 from lecombus.api.scopes import guarded
@@ -87,6 +88,7 @@ def create_app(
     routes = [
         *StopRoutes(ops).routes(),
         *ReadRoutes(ops, store, facts, plan_facts, clock).routes(),
+        *LeaseRoutes(ops).routes(),
         *WriteRoutes(ops, Idempotency(clock), reload).routes(),
         *ServiceRoutes(metrics, ready, healthy, version or "0").routes(),
     ]

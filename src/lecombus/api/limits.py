@@ -37,6 +37,7 @@ __all__ = [
     "HEADERS_LIMIT",
     "HEAD_LIMIT",
     "HEAD_TOO_LONG",
+    "LEASES_PATH",
     "NOT_HTTP",
     "PARAMETERS_LIMIT",
     "REQUEST_LIMIT",
@@ -57,6 +58,7 @@ __all__ = [
 ]
 
 STOP_PATH: Final = "/v1/stop"
+LEASES_PATH: Final = "/v1/leases"
 STOP_VERB_ENDS: Final = ("/verbs/inhibit", "/verbs/quick-stop")
 STOP_ENDS: Final = (STOP_PATH, *STOP_VERB_ENDS)
 
@@ -255,6 +257,8 @@ def connection_limit() -> int:
 
 def needs_line(scope: Scope) -> bool:
     """Return whether a request may wait for the line."""
+    if scope["path"].startswith(LEASES_PATH):
+        return False  # a renewal waits for no write
     if scope["method"] not in ("GET", "HEAD"):
         return True
     query = scope["query_string"]

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from decimal import Decimal
 from difflib import get_close_matches
 from enum import StrEnum
-from typing import Annotated, ClassVar, Final, TypeVar
+from typing import Annotated, ClassVar, Final, Self, TypeVar
 
 from pydantic import (
     BaseModel,
@@ -22,6 +22,7 @@ from pydantic import (
     ValidationError,
     WithJsonSchema,
     field_validator,
+    model_validator,
 )
 from starlette.requests import Request
 
@@ -35,6 +36,7 @@ from lecombus.parameters import Code
 from lecombus.schedule.request import Priority
 
 __all__ = [
+    "NAME",
     "RIGHT",
     "TARGET_LIMIT",
     "AcceptBody",
@@ -42,6 +44,7 @@ __all__ = [
     "AddressQuery",
     "Body",
     "DriveWriteBody",
+    "LeaseBody",
     "NoKeysBody",
     "Query",
     "SpeedBody",
@@ -68,6 +71,11 @@ IDENTITY_CODES: Final = 16
 """More than any family has that say who a drive is."""
 
 DURATION_CHARS: Final = 40
+
+NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,59}")
+"""The name of a lease."""
+
+LEASE_TARGETS: Final = 100
 
 EXPONENT_LIMIT: Final = 30
 """A number such as 1E+999999 is a few bytes here and a megabyte once written out."""
@@ -286,6 +294,60 @@ class AddressBody(Body):
     example: ClassVar[str] = '{"address": 12}'
 
     address: Annotated[int, Field(description=RIGHT["address"])]
+
+
+class LeaseBody(Body):
+    """What a client asks of a lease: `targets` and `time` to take it, `token` to renew it."""
+
+    right: ClassVar[Mapping[str, str]] = {
+        "targets": "a list of drives and groups",
+        "time": 'a duration such as "2s", at most the `lease.time` of each drive',
+        "token": "what the answer to taking it had as `token`",
+        "counter": "a whole number, larger with each renewal",
+        "take_over": "the name of the lease that holds the drives",
+    }
+    example: ClassVar[str] = (
+        '{"targets": ["feeder"], "time": "2s", "counter": 1}, or {"token": "..", "counter": 2}'
+    )
+
+    counter: Annotated[int, Field(ge=0, le=2**53, description=right["counter"])]
+    targets: Annotated[
+        list[str] | None,
+        Field(min_length=1, max_length=LEASE_TARGETS, description=right["targets"]),
+    ] = None
+    time: Annotated[Number | None, Field(description=right["time"])] = None
+    token: Annotated[str | None, Field(max_length=TARGET_LIMIT, description=right["token"])] = None
+    take_over: Annotated[
+        str | None,
+        Field(
+            pattern=f"^{NAME.pattern}$",
+            description=f"Take over its drives; its token counts no more: {right['take_over']}",
+        ),
+    ] = None
+
+    @field_validator("time")
+    @classmethod
+    def bounded(cls, value: int | Decimal | str | None) -> int | Decimal | str | None:
+        """Refuse durations out of range."""
+        if value is not None and not 0 < float(seconds_of(value)) <= LONGEST_EXPIRY_S:
+            raise ValueError(cls.right["time"])
+        return value
+
+    @model_validator(mode="after")
+    def either(self) -> Self:
+        """Refuse what is neither taking nor renewing."""
+        takes = self.targets is not None and self.time is not None and self.token is None
+        taking = (self.targets, self.time, self.take_over)
+        renews = taking == (None, None, None) and self.token is not None
+        if not takes and not renews:
+            raise ValueError("targets and time to take a lease, or the token to renew it")
+        return self
+
+    @property
+    def time_s(self) -> float:
+        """For how long it is taken, seconds."""
+        assert self.time is not None
+        return float(seconds_of(self.time))
 
 
 class Query(BaseModel):

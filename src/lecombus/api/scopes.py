@@ -31,6 +31,7 @@ from lecombus.api.decimal_json import short
 from lecombus.errors import LecombusError
 from lecombus.operations.actions import ACTOR
 from lecombus.operations.facade import Operations
+from lecombus.operations.lease_operations import LEASE
 from lecombus.parameters import Code
 from lecombus.tokens.grants import Scope
 
@@ -95,6 +96,9 @@ NEEDS: Final[Mapping[tuple[str, str], Need]] = {
     ("POST", f"{DRIVE}/address"): WRITE_DRIVE,
     ("POST", f"{DRIVE}/accept"): WRITE_DRIVE,
     ("POST", f"{DRIVE}/forget-times"): WRITE_DRIVE,
+    ("PUT", "/v1/leases/{lease}"): Need(Scope.CONTROL, Of.BODY),
+    ("DELETE", "/v1/leases/{lease}"): Need(Scope.CONTROL, Of.NO_DRIVE),
+    ("GET", "/v1/leases"): READ,
     ("POST", "/v1/reload"): Need(Scope.WRITE, Of.ALL),
     ("GET", "/v1/line"): READ,
     ("GET", "/v1/drives"): READ,
@@ -116,6 +120,8 @@ NEEDS: Final[Mapping[tuple[str, str], Need]] = {
     ("GET", "/openapi.json"): METRICS,
 }
 """What each call needs, by method and path; `read` includes `metrics`, the two above it `read`."""
+
+LEASE_HEADER: Final = "Lecombus-Lease"
 
 HERE_READ_ONLY: Final = ProblemDocument(
     "read-only",
@@ -149,16 +155,33 @@ def with_guard(route: Route, ops: Operations, *, read_only: bool) -> Route:
         need = needs[method]
         assert need is not None
         check(request, need, ops, read_only=read_only)
+        if not need.is_stop:
+            LEASE.set(lease_token(request))
         return await inner(request)
 
     return Route(route.path, endpoint, methods=methods)
+
+
+def lease_token(request: Request) -> str:
+    """Return the token of a lease that a request carries; empty: none.
+
+    Raises:
+        RefusedRequestError: It carries two.
+    """
+    found = request.headers.getlist(LEASE_HEADER)
+    if len(found) > 1:
+        text = f"header {LEASE_HEADER} stands {len(found)} times: which token counts is open"
+        raise RefusedRequestError(
+            ProblemDocument("doubled-header", text, remedy="send the header once")
+        )
+    return found[0].strip() if found else ""
 
 
 def check(request: Request, need: Need, ops: Operations, *, read_only: bool) -> None:
     """Refuse a request that may not be made.
 
     Raises:
-        ProblemError: `not-permitted` or `read-only`.
+        RefusedRequestError: `not-permitted` or `read-only`.
     """
     place, grant = request.path_params, ACTOR.get().grant
     if read_only and need.scope not in (Scope.METRICS, Scope.READ) and not need.is_stop:
@@ -196,7 +219,7 @@ def require_target(target: str, ops: Operations) -> None:
     Whether there is such a drive is not said then.
 
     Raises:
-        ProblemError: `not-permitted`.
+        RefusedRequestError: `not-permitted`.
     """
     if not reaches(members_of(target, ops), ops):
         raise not_permitted(f"the token is not for {short(target)}, or not for all of it")

@@ -45,7 +45,7 @@ _BUILT = frozenset({"line", "drives", "lease", "groups", "api", "mqtt", "state"}
 """The keys of a roster that `build_roster` makes more of than their value."""
 _COMPLETED = frozenset({"addressing", "cyclic", "writable", "also_writable", "lease"})
 """The keys of a drive whose fields take more than the key itself; `_drive` makes these."""
-_NOT_YET_USED = ("lease", "mqtt", "journal")
+_NOT_YET_USED = ("mqtt", "journal")
 
 
 def build_roster(roster: Fields, file: str) -> Roster:
@@ -166,8 +166,4 @@ def _not_yet_used(roster: Fields) -> tuple[str, ...]:
     api = roster.get("api")
     if isinstance(api, Fields) and "tokens" in api.values:
         found.append("api.tokens")
-    found.extend(
-        f"drives.{drive.get('name')}.lease" for drive in drives_of(roster)
-        if "lease" in drive.values
-    )  # fmt: skip
     return tuple(found)

@@ -103,11 +103,12 @@ _CYCLIC: Final = Table("cyclic read", (
 
 _LEASE: Final = Table("lease", (
     Key("required", YesNo(), "Whether control of the drive needs a lease.", default=False),
-    Key("time", Duration(0.1, _HOUR_S), "Longest time between two renewals.", default="2s"),
+    Key("time", Duration(0.1, _HOUR_S),
+        "The longest time that a lease may last without a renewal.", default="2s"),
     Key("on_lapse", _ON_LAPSE,
         "What happens when it lapses; hold means nothing, and shows as an alarm.",
         default="quick-stop"),
-), "A client's promise that it is alive (not used by this version).")  # fmt: skip
+), "A client that must show that it is alive, and what is done when it does not.")  # fmt: skip
 
 _STORED_WRITES: Final = Table("stored writes", (
     Key("burst", Whole(1, 10_000), "How many writes of one code may follow each other.",
@@ -187,7 +188,7 @@ _ROSTER: Final = Table("roster", (
     Key("drives", _BY_PROTOCOL, "The drives on the line.", required=True),
     Key("groups", NamedEntries(_GROUP_NAME, _GROUP, special={ALL: _ALL_DRIVES}),
         "Drives spoken to together. The group `all` always exists and takes only `multicast`."),
-    Key("lease", _LEASE, "The default for all drives (not used by this version)."),
+    Key("lease", _LEASE, "The default for all drives."),
     Key("on_shutdown", Keyword(get_args(roster.OnShutdown)),
         "What is sent to all drives when the daemon ends.", default="nothing"),
     Key("api", _API, _API.doc),

@@ -57,7 +57,7 @@ def find_warnings(roster: Roster) -> list[str]:
     found.extend(_slow_codes(roster, timing))
     found.extend(_adapter(roster, timing))
     found.extend(_unwatched(roster))
-    found.extend(_leases(roster))
+    found.extend(_gathered(text for drive in roster.drives for text in _leases(drive)))
     found.extend(_groups(roster))
     found.extend(_gathered(text for drive in roster.drives for text in _watchdog(drive)))
     found.extend(_gathered(text for drive in roster.drives for text in _writable(drive)))
@@ -245,13 +245,26 @@ def _unwatched(roster: Roster) -> Iterator[str]:
         )
 
 
-def _leases(roster: Roster) -> Iterator[str]:
-    """Warn that a required lease is not enforced yet."""
-    required = [drive for drive in roster.drives if drive.lease.required]
-    if required:
+def _leases(drive: DriveEntry) -> Iterator[tuple[str, str]]:
+    """Warn of what the end of a lease cannot do, or does besides."""
+    lease, watchdog = drive.lease, drive.watchdog
+    if not lease.required:
+        return
+    acts = watchdog is not None and watchdog.action != "none"
+    if lease.on_lapse == "hold":
+        yield drive.name, "on_lapse hold lets the drive run on, and shows as a permanent alarm"
+    elif lease.on_lapse == "silence" and not acts:
+        yield drive.name, "on_lapse silence needs a watchdog that acts: without one it runs on"
+    elif (
+        lease.on_lapse == "silence"
+        and watchdog is not None
+        and watchdog.action != "quick-stop"
+        and drive.stop_fallback == "none"
+    ):
         yield (
-            f"a lease is required for {len(required)} of {counted(roster.drives)}, but this "
-            "version does not enforce it: everyone who reaches the API may move them"
+            drive.name,
+            f"on_lapse silence ends in {watchdog.action} by its watchdog, which stop_fallback none "
+            "does not change",
         )
 
 
@@ -290,8 +303,6 @@ def _writable(drive: DriveEntry) -> Iterator[tuple[str, str]]:
             yield drive.name, f"each write of {code} ({info.name}) wears the drive's memory"
         elif info.write_class is WriteClass.ADDRESS:
             yield drive.name, f"{code} ({info.name}) is never written like other codes"
-    if drive.lease.required and drive.lease.on_lapse == "hold":
-        yield drive.name, "on_lapse hold lets the drive run on, and shows as a permanent alarm"
 
 
 def _verbs(drive: DriveEntry) -> Iterator[tuple[str, str]]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from lecombus.metrics.counters import TELEGRAM_KINDS, TELEGRAM_OUTCOMES, Counters
 from lecombus.metrics.exposition import OPENMETRICS_TYPE, TEXT_TYPE, wants_openmetrics
-from lecombus.metrics.gauges import LineSnapshot
+from lecombus.metrics.gauges import LeaseFigures, LineSnapshot
 from lecombus.metrics.page import Metrics
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     "TELEGRAM_OUTCOMES",
     "TEXT_TYPE",
     "Counters",
+    "LeaseFigures",
     "LineSnapshot",
     "Metrics",
     "wants_openmetrics",

@@ -18,7 +18,26 @@ from lecombus.metrics.counters import label_of
 from lecombus.metrics.exposition import Block, escape
 from lecombus.schedule.request import Priority
 
-__all__ = ["DriveGauges", "LineGauges", "LineSnapshot"]
+__all__ = ["DriveGauges", "LeaseFigures", "LineGauges", "LineSnapshot"]
+
+
+@dataclass(frozen=True, slots=True)
+class LeaseFigures:
+    """What the metrics show of leases.
+
+    Args:
+        held: How many are held.
+        lapses: By drive, how often its lease lapsed.
+        latched: The drives that have a lease or need one, and whether each is latched.
+        holding: Those that run on without a controller, by `on_lapse: hold`.
+        silenced: Those that are sent nothing.
+    """
+
+    held: int
+    lapses: Mapping[str, int]
+    latched: Mapping[str, bool]
+    holding: frozenset[str]
+    silenced: frozenset[str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +54,7 @@ class LineSnapshot:
         slack_s: Time left until the line must be free for feeding; None: nothing is fed.
         woken_late_s: How late the line's task was woken at most of late, seconds.
         answer_ratio: By drive, the slowest answer measured over the manual's longest time.
+        leases: Who controls what; None: no drive needs a lease, and none was taken.
     """
 
     queue_depth: Mapping[Priority, int] = field(default_factory=dict)
@@ -48,6 +68,7 @@ class LineSnapshot:
     slack_s: float | None = None
     woken_late_s: float = 0.0
     answer_ratio: Mapping[str, float] = field(default_factory=dict)
+    leases: LeaseFigures | None = None
 
 
 class LineGauges:
@@ -97,12 +118,26 @@ class LineGauges:
             "Writes that may have reached a drive's memory, never reset; other: undescribed codes.",
         )
 
+        self._leases = gauge("leases", "Leases that are held.")
+        self._lapses = counter("lease_lapses", "Leases that lapsed while they held the drive.")
+        self._latched = gauge(
+            "drive_latched",
+            "1 while the drive takes no setpoint: it must be enabled under a lease.",
+        )
+        self._holding = gauge(
+            "drive_without_controller", "1 while it runs on after its lease ended (on_lapse: hold)."
+        )
+        self._silenced = gauge(
+            "drive_silenced", "1 while it is sent nothing, so that its own watchdog acts."
+        )
+
     @property
     def blocks(self) -> tuple[Block, ...]:
         """The families, in the order of the page."""
         return (
             *(self._up, self._depth, self._refused, self._stretch, self._late, self._skipped),
             *(self._woken, self._slack, self._margin, self._misses, self._writes, self._answers),
+            *(self._leases, self._lapses, self._latched, self._holding, self._silenced),
         )
 
     def render(self, store: Store, snapshot: LineSnapshot) -> None:
@@ -130,6 +165,17 @@ class LineGauges:
             label = f'{line},drive="{escape(drive)}",code="'
             for code, count in writes.items():
                 self._writes.add(f'{label}{code}"', count)
+        if snapshot.leases is not None:
+            self._render_leases(snapshot.leases)
+
+    def _render_leases(self, leases: LeaseFigures) -> None:
+        self._leases.add(self._line, leases.held)
+        for drive, latched in leases.latched.items():
+            label = f'{self._line},drive="{escape(drive)}"'
+            self._lapses.add(label, leases.lapses[drive])
+            self._latched.add(label, int(latched))
+            self._holding.add(label, int(drive in leases.holding))
+            self._silenced.add(label, int(drive in leases.silenced))
 
 
 class DriveGauges:

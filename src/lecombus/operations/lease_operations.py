@@ -17,13 +17,13 @@ from contextvars import ContextVar
 from typing import Final
 
 from lecombus.config import DriveEntry
-from lecombus.drive_state.readings import Json, seconds
+from lecombus.drive_state.readings import seconds
 from lecombus.drives import Family, StopAction, family, knows_stop
 from lecombus.drives.stops import stops_every_drive
 from lecombus.errors import OperationError
 from lecombus.leases import Lease, LeaseBook, LeaseTerms, Use
 from lecombus.operations.actions import ACTOR
-from lecombus.parameters import Code, Value
+from lecombus.parameters import Code, Json, Value
 from lecombus.saved_state import State
 
 __all__ = ["LEASE", "Leases", "use_of"]
@@ -144,12 +144,11 @@ class Leases:
 
     # -- what is shown ----------------------------------------------------------------------------
 
-    def leases_json(self) -> list[Json]:
-        """Return the leases held, without their tokens."""
-        now_s = self._clock()
-        return [self.lease_json(lease) for lease in self.book.leases(now_s)]
+    def held(self) -> list[Lease]:
+        """Return the leases that are held now, the oldest first."""
+        return self.book.leases(self._clock())
 
-    def drives_json(self) -> list[Json]:
+    def drives_json(self) -> list[dict[str, Json]]:
         """Return each drive with a lease, a latch, or the need of one."""
         self.book.advance(self._clock())
         return [

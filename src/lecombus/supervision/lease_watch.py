@@ -24,7 +24,6 @@ import asyncio
 import logging
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import anyio
@@ -38,12 +37,13 @@ from lecombus.drive_state.store import Store
 from lecombus.drives import StopAction
 from lecombus.errors import LecombusError
 from lecombus.leases import EndedLease, EndOfLease, Latch
+from lecombus.metrics import LeaseFigures
 from lecombus.operations.awaited_requests import Requests
 from lecombus.operations.facade import Operations
 from lecombus.schedule import Outcome
 from lecombus.supervision.health import Health
 
-__all__ = ["LeaseFigures", "LeaseWatch"]
+__all__ = ["LeaseWatch"]
 
 logger = logging.getLogger(__name__)
 
@@ -59,25 +59,6 @@ AWAY: Final = (DriveState.OFFLINE, DriveState.STARTING)
 
 LOST_MOST_S: Final = 60.0
 """The task sleeps no longer than this."""
-
-
-@dataclass(frozen=True, slots=True)
-class LeaseFigures:
-    """What the metrics show of leases.
-
-    Args:
-        held: How many are held.
-        lapses: By drive, how often its lease lapsed.
-        latched: The drives that have a lease or need one, and whether each is latched.
-        holding: Those that run on without a controller, by `on_lapse: hold`.
-        silenced: Those that are sent nothing.
-    """
-
-    held: int
-    lapses: dict[str, int]
-    latched: dict[str, bool]
-    holding: frozenset[str]
-    silenced: frozenset[str]
 
 
 class LeaseWatch:

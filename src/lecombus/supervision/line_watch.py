@@ -28,6 +28,7 @@ from lecombus.schedule import WatchdogStats
 from lecombus.schedule.polling import STRETCH_WINDOW_S
 from lecombus.schedule.stats import ScheduleStats
 from lecombus.supervision.exchange_recorder import ExchangeRecorder
+from lecombus.supervision.lease_watch import LeaseWatch
 from lecombus.supervision.line_requests import RequestsToLine
 from lecombus.supervision.port_watch import PortWatch
 
@@ -64,6 +65,7 @@ class LineWatch:
         recorder: Counts failed exchanges.
         line: Uses measured answer times; has the drives' health.
         operations: Counts writes.
+        leases: Knows what the metrics show of leases.
         entry: The line, as in the roster.
         clock: Monotonic time, seconds.
 
@@ -79,9 +81,11 @@ class LineWatch:
         recorder: ExchangeRecorder,
         line: RequestsToLine,
         operations: Operations,
+        leases: LeaseWatch,
         entry: LineEntry,
         clock: Callable[[], float],
     ) -> None:
+        self._leases = leases
         self.port = PortWatch(store, entry)
         self._drives = requests.drives
         self._worker = requests.worker
@@ -140,6 +144,7 @@ class LineWatch:
             None if math.isinf(stats.slack_s) else stats.slack_s,
             self._window.woken_late.most(now, LATELY_S) or 0.0,
             self._answer_ratios(),
+            self._leases.figures(),
         )
 
     def plan_facts(self, roster: Roster) -> dict[str, Json]:
