@@ -116,7 +116,8 @@ def test_metrics_are_those_that_are_served() -> None:
         }
 
     watched = "watchdog: {time: 2s, action: inhibit, configure: true}"
-    with_plant(test, roster_text([("a", 11, "8200vector")], drive=watched))
+    leased = "lease: {required: true}"
+    with_plant(test, roster_text([("a", 11, "8200vector")], drive=f"{watched}, {leased}"))
 
 
 def test_every_log_event_is_documented() -> None:

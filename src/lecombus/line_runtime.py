@@ -12,15 +12,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from lecombus.config import Roster, RosterChanges, line_timing, roster_changes, with_address
+from lecombus.config import (
+    LineEntry,
+    Roster,
+    RosterChanges,
+    line_timing,
+    roster_changes,
+    with_address,
+)
 from lecombus.drive_state.drive_runtime import LineDrives
 from lecombus.drive_state.store import Store
 from lecombus.errors import ConfigError
 from lecombus.fieldbus.costs import LineTiming
-from lecombus.fieldbus.port import PortOpener, PortSettings
+from lecombus.fieldbus.port import Framing, PortOpener, PortSettings
 from lecombus.fieldbus.protocols import find
 from lecombus.line.worker import LineWorker, WorkerOptions
-from lecombus.metrics import Metrics
+from lecombus.metrics import LineSnapshot, Metrics
 from lecombus.operations.awaited_requests import Requests
 from lecombus.operations.facade import Operations
 from lecombus.saved_state import State
@@ -70,17 +77,14 @@ class LineRuntime:
         self.state = state or State()
         self.store = store = Store(clock, wall)
         self.drives = LineDrives()
-        self.metrics = metrics = Metrics(
-            line.name, store, clock=clock, snapshot=lambda: self.watch.snapshot()
-        )
+        self.metrics = metrics = Metrics(line.name, store, clock=clock, snapshot=self._snapshot)
         # The line, and requests to it.
         self.schedule = Schedule(absent_share=line.absent_share)
         recorder = ExchangeRecorder(self.drives, metrics)
         fieldbus = find(line.protocol)
-        framing = fieldbus.framing(line.parity)
         self.worker = LineWorker(
-            fieldbus, PortSettings(line.port, line.baud, line.direction, framing, line.name),
-            opener, self.schedule, timing, options or options_of(roster), recorder,
+            fieldbus, port_settings(line, fieldbus.framing(line.parity)), opener,
+            self.schedule, timing, options or options_of(roster), recorder,
         )  # fmt: skip
         maker = fieldbus.request_maker(
             timing, line.retries, metrics.counters.request_ended, self.worker.exchange_loop
@@ -137,10 +141,19 @@ class LineRuntime:
         """A line task without progress for this long is stuck, seconds."""
         return STUCK_S
 
+    def _snapshot(self) -> LineSnapshot:
+        """Return what the metrics show of the line at this moment."""
+        return self.watch.snapshot()
+
     def _follow(self, drive: str, address: int) -> None:
         """Speak to a drive at another address, until a roster says otherwise."""
         address_of = self.worker.fieldbus.multicast_address
         self.apply(with_address(self.roster, drive, address, address_of))
+
+
+def port_settings(line: LineEntry, framing: Framing) -> PortSettings:
+    """How a roster wants its port opened."""
+    return PortSettings(line.port, line.baud, line.direction, framing, line.name)
 
 
 def options_of(roster: Roster) -> WorkerOptions:

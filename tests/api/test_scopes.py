@@ -22,6 +22,7 @@ pytestmark = [pytest.mark.anyio, pytest.mark.clock]
 
 METHODS = {
     "/v1/stop": {"action": "inhibit", "target": "all"},
+    "/v1/leases/{lease}": {"targets": ["feeder"], "time": "1s", "counter": 1},
     "/v1/drives/{drive}/address": {"address": 12},
     "/v1/drives/{drive}/accept": {"identity": {"C1810": "NEW"}},
     "/v1/drives/{drive}/verbs/{verb}": {"value": 10, "unit": "Hz"},
@@ -29,7 +30,7 @@ METHODS = {
 """Bodies by path; codes take a value."""
 
 PLACES = {"drive": "feeder", "group": "conveyors", "code": "C0012", "subcode": "0",
-          "verb": "set-speed", "address": "21"}  # fmt: skip
+          "verb": "set-speed", "lease": "plc", "address": "21"}  # fmt: skip
 
 
 @contextmanager
@@ -144,6 +145,17 @@ async def test_a_stop_needs_all_that_it_stops(
         answer = await ask(line.app, "POST", "/v1/stop", {"action": "inhibit", "target": target})
     assert allows(answer) == stops
     assert bool(line.ops.asked) == stops
+
+
+async def test_a_lease_of_other_drives_is_neither_seen_nor_ended(line: Line) -> None:
+    path = "/v1/leases/{lease}"
+    token = (await ask(line.app, "PUT", path)).json()["token"]
+    with acting(granted(Scope, ["belt"])):
+        assert not allows(await ask(line.app, "PUT", path, {"token": token, "counter": 2}))
+        assert not allows(await ask(line.app, "DELETE", path))
+        seen = (await ask(line.app, "GET", "/v1/leases")).json()
+        assert seen == {"leases": [], "drives": []}
+    assert [lease.counter for lease in line.ops.leases.held()] == [1]
 
 
 async def test_lists_show_the_drives_of_the_token_only(line: Line) -> None:

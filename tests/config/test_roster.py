@@ -130,7 +130,7 @@ def test_what_does_nothing_yet_is_named() -> None:
         "api: {tokens: /t}",
     ).replace("family: smvector", "family: smvector\n    lease: {}")  # fmt: skip
     roster = parsed(text)
-    assert roster.not_yet_used == ("lease", "mqtt", "journal", "api.tokens", "drives.belt.lease")
+    assert roster.not_yet_used == ("mqtt", "journal", "api.tokens")
     assert roster.mqtt is not None
     assert (roster.mqtt.port, roster.mqtt.tls) == (1883, False)
 

@@ -18,7 +18,7 @@ from starlette.routing import Route
 from lecombus.api.answers import ProblemDocument, RefusedRequestError, json_response
 from lecombus.api.limits import LEASES_PATH
 from lecombus.api.request_checks import NAME, LeaseBody, read_body, refuse_query
-from lecombus.api.scopes import reaches, require_target
+from lecombus.api.scopes import reaches, require_drives, require_target
 from lecombus.leases import Lease
 from lecombus.operations.facade import Operations
 from lecombus.operations.lease_operations import LEASE, Leases
@@ -74,6 +74,10 @@ class LeaseRoutes:
         refuse_query(request)
         body, _ = await read_body(request, LeaseBody)
         name = lease_name(request)
+        if not body.is_right:
+            text = "targets and time take a lease, a token alone renews it"
+            raise refused(text, f"send {body.example}")
+        self._check_reach(name)
         if body.token is not None:
             lease = self._leases.renew(name, body.token, body.counter)
             return json_response(self._leases.lease_json(lease, token=True))
@@ -88,13 +92,21 @@ class LeaseRoutes:
             name, body.targets or (), drives, body.time_s, body.counter, body.take_over or ""
         )
 
+    def _check_reach(self, name: str) -> None:
+        """Refuse a lease that is held for drives that the request may not move."""
+        for lease in self._leases.held():
+            if lease.name == name:
+                require_drives(lease.drives, self._ops)
+
     async def release(self, request: Request) -> Response:
         """Give a lease up; its token is in the header `Lecombus-Lease`.
 
         Drives that need a lease are stopped as if it had lapsed.
         """
         refuse_query(request)
-        lease = self._leases.release(lease_name(request), LEASE.get())
+        name = lease_name(request)
+        self._check_reach(name)
+        lease = self._leases.release(name, LEASE.get())
         return json_response(
             {"name": lease.name, "number": lease.number, "drives": list(lease.drives)}
         )
@@ -108,6 +120,10 @@ def lease_name(request: Request) -> str:
     """
     name: str = request.path_params["lease"]
     if NAME.fullmatch(name) is None:
-        text = "this is no name of a lease"
-        raise RefusedRequestError(ProblemDocument("bad-request", text, remedy=NAME_REMEDY))
+        raise refused("this is no name of a lease", NAME_REMEDY)
     return name
+
+
+def refused(text: str, remedy: str) -> RefusedRequestError:
+    """Return the error for a request that is not as it should be."""
+    return RefusedRequestError(ProblemDocument("bad-request", text, remedy=remedy))

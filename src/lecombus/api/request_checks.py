@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from decimal import Decimal
 from difflib import get_close_matches
 from enum import StrEnum
-from typing import Annotated, ClassVar, Final, Self, TypeVar
+from typing import Annotated, ClassVar, Final, TypeVar
 
 from pydantic import (
     BaseModel,
@@ -22,7 +22,6 @@ from pydantic import (
     ValidationError,
     WithJsonSchema,
     field_validator,
-    model_validator,
 )
 from starlette.requests import Request
 
@@ -333,15 +332,13 @@ class LeaseBody(Body):
             raise ValueError(cls.right["time"])
         return value
 
-    @model_validator(mode="after")
-    def either(self) -> Self:
-        """Refuse what is neither taking nor renewing."""
-        takes = self.targets is not None and self.time is not None and self.token is None
+    @property
+    def is_right(self) -> bool:
+        """Whether it says how to take a lease, or how to renew one, and not both."""
         taking = (self.targets, self.time, self.take_over)
-        renews = taking == (None, None, None) and self.token is not None
-        if not takes and not renews:
-            raise ValueError("targets and time to take a lease, or the token to renew it")
-        return self
+        if self.token is not None:
+            return taking == (None, None, None)
+        return self.targets is not None and self.time is not None
 
     @property
     def time_s(self) -> float:

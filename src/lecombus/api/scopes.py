@@ -35,7 +35,7 @@ from lecombus.operations.lease_operations import LEASE
 from lecombus.parameters import Code
 from lecombus.tokens.grants import Scope
 
-__all__ = ["NEEDS", "Need", "Of", "guarded", "reaches", "require_target"]
+__all__ = ["NEEDS", "Need", "Of", "guarded", "reaches", "require_drives", "require_target"]
 
 Endpoint = Callable[[Request], Awaitable[Response]]
 
@@ -223,6 +223,16 @@ def require_target(target: str, ops: Operations) -> None:
     """
     if not reaches(members_of(target, ops), ops):
         raise not_permitted(f"the token is not for {short(target)}, or not for all of it")
+
+
+def require_drives(drives: Sequence[str], ops: Operations) -> None:
+    """Refuse what is asked of drives that the request may not see or move.
+
+    Raises:
+        RefusedRequestError: `not-permitted`.
+    """
+    if not reaches(drives, ops):
+        raise not_permitted("the token is not for all drives of this lease")
 
 
 def reaches(drives: Sequence[str], ops: Operations) -> bool:

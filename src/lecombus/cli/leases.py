@@ -6,7 +6,7 @@ import click
 
 from lecombus.cli.arguments import DaemonOptions, daemon_options
 from lecombus.cli.daemon_access import ask, show
-from lecombus.cli.document_rows import Document
+from lecombus.cli.document_rows import Document, cells_of
 from lecombus.cli.exits import Exit
 from lecombus.cli.screen import on_terminal, show_rows
 
@@ -36,13 +36,11 @@ def _show(document: Document) -> None:
         holder: Document = lease.get("holder") or {}
         rows.append(
             (
-                drive.get("drive"),
+                *cells_of(drive, "drive"),
                 "required" if drive.get("required") else "free",
-                lease.get("name"),
-                lease.get("number"),
-                lease.get("expires_in_s"),
+                *cells_of(lease, "name", "number", "expires_in_s"),
                 f"latched: {drive.get('because')}" if drive.get("latched") else "",
-                drive.get("on_lapse"),
+                *cells_of(drive, "on_lapse"),
                 " ".join(f"{key}={text}" for key, text in holder.items()),
             )
         )

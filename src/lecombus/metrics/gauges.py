@@ -80,6 +80,7 @@ class LineGauges:
 
     def __init__(self, line: str) -> None:
         self._line = f'line="{escape(line)}"'
+        self._leases = LeaseGauges(line)
         self._up = gauge("line_up", "1 while the port is open.")
         self._depth = gauge("queue_depth", "Requests waiting, by class.")
         self._stretch = gauge(
@@ -118,26 +119,13 @@ class LineGauges:
             "Writes that may have reached a drive's memory, never reset; other: undescribed codes.",
         )
 
-        self._leases = gauge("leases", "Leases that are held.")
-        self._lapses = counter("lease_lapses", "Leases that lapsed while they held the drive.")
-        self._latched = gauge(
-            "drive_latched",
-            "1 while the drive takes no setpoint: it must be enabled under a lease.",
-        )
-        self._holding = gauge(
-            "drive_without_controller", "1 while it runs on after its lease ended (on_lapse: hold)."
-        )
-        self._silenced = gauge(
-            "drive_silenced", "1 while it is sent nothing, so that its own watchdog acts."
-        )
-
     @property
     def blocks(self) -> tuple[Block, ...]:
         """The families, in the order of the page."""
         return (
             *(self._up, self._depth, self._refused, self._stretch, self._late, self._skipped),
             *(self._woken, self._slack, self._margin, self._misses, self._writes, self._answers),
-            *(self._leases, self._lapses, self._latched, self._holding, self._silenced),
+            *self._leases.blocks,
         )
 
     def render(self, store: Store, snapshot: LineSnapshot) -> None:
@@ -166,9 +154,38 @@ class LineGauges:
             for code, count in writes.items():
                 self._writes.add(f'{label}{code}"', count)
         if snapshot.leases is not None:
-            self._render_leases(snapshot.leases)
+            self._leases.render(snapshot.leases)
 
-    def _render_leases(self, leases: LeaseFigures) -> None:
+
+class LeaseGauges:
+    """The samples of leases.
+
+    Args:
+        line: The line's name.
+    """
+
+    def __init__(self, line: str) -> None:
+        self._line = f'line="{escape(line)}"'
+        self._leases = gauge("leases", "Leases that are held.")
+        self._lapses = counter("lease_lapses", "Leases that lapsed while they held the drive.")
+        self._latched = gauge(
+            "drive_latched",
+            "1 while the drive takes no setpoint: it must be enabled under a lease.",
+        )
+        self._holding = gauge(
+            "drive_without_controller", "1 while it runs on after its lease ended (on_lapse: hold)."
+        )
+        self._silenced = gauge(
+            "drive_silenced", "1 while it is sent nothing, so that its own watchdog acts."
+        )
+
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        """The families, in the order of the page."""
+        return (self._leases, self._lapses, self._latched, self._holding, self._silenced)
+
+    def render(self, leases: LeaseFigures) -> None:
+        """Write the lines of every family."""
         self._leases.add(self._line, leases.held)
         for drive, latched in leases.latched.items():
             label = f'{self._line},drive="{escape(drive)}"'
