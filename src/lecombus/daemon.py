@@ -32,8 +32,8 @@ import anyio.lowlevel
 import anyio.to_thread
 
 from lecombus import __version__
-from lecombus.api import create_app, serve
-from lecombus.config import Roster, RosterChanges, RosterError, load_roster
+from lecombus.api import Doors, TlsContexts, TlsFileError, TokenWatch, create_app, serve
+from lecombus.config import Mistake, Roster, RosterChanges, RosterError, load_roster
 from lecombus.drives import StopAction
 from lecombus.errors import LecombusError, LineClosedError, OperationError
 from lecombus.fieldbus.port import PortOpener
@@ -44,6 +44,7 @@ from lecombus.line.opening import open_port
 from lecombus.line_runtime import LineRuntime
 from lecombus.operations.actions import ACTOR
 from lecombus.operations.operation_reports import GroupReport
+from lecombus.roster import ApiEntry
 from lecombus.saved_state import Keeping
 
 __all__ = ["SIM_URL", "Daemon", "Notifier", "opener_for", "plain_errors", "run"]
@@ -57,6 +58,9 @@ SHUTDOWN_STOP_S = 8.0
 """How long `on_shutdown` may take before the port is closed all the same."""
 
 TICK_S = 1.0
+
+TOKENS = "tokens"
+"""The key of the remark that the file of tokens is not used."""
 
 RELOAD = "reload"
 """The key of the remark that a reload was refused."""
@@ -137,6 +141,8 @@ class Daemon:
         self._reloading = anyio.Lock()
         self._ready = False
         self._looking = False
+        self._tokens: TokenWatch | None = None
+        self._tls: TlsContexts | None = None
         self._progress = (-1, -1)
         self._progress_at_s = 0.0
         self.runtime: LineRuntime | None = None
@@ -200,12 +206,31 @@ class Daemon:
             ready=self.ready,
             healthy=self.healthy,
             reload=self.reload,
+            read_only=api.read_only,
             version=__version__,
             clock=anyio.current_time,
         )
         http = None if api.http is None else (api.http.host, api.http.port)
-        served = await faces.start(serve, app, Path(api.socket), http)
+        doors = await self._doors(api, runtime)
+        if self._tokens is not None:
+            faces.start_soon(self._tokens.run)
+        served = await faces.start(partial(serve, doors=doors), app, Path(api.socket), http)
         logger.info("event=serving socket=%s http=%s", served.socket_path, place(served.http))
+
+    async def _doors(self, api: ApiEntry, runtime: LineRuntime) -> Doors:
+        """Read tokens and certificate.
+
+        Raises:
+            TlsFileError: The certificate or its key cannot be used.
+        """
+        if api.tokens is not None:
+            note = partial(runtime.store.note_line, TOKENS)
+            self._tokens = TokenWatch(Path(api.tokens), time.time, note)
+            await self._tokens.look(always=True)
+        if api.tls is not None:
+            self._tls = TlsContexts(api.tls)
+            self._tls.use(await self._tls.read())
+        return Doors(api.socket_group or "", self._tokens, self._tls, api.hosts)
 
     # ---- signals and the service manager ----------------------------------------------------
 
@@ -256,10 +281,19 @@ class Daemon:
             roster = await anyio.to_thread.run_sync(
                 load_roster, path, running, abandon_on_cancel=True
             )
+            tls = None if self._tls is None else await self._tls.read()
             changes = runtime.apply(roster)
+        except TlsFileError as exc:
+            wrong = RosterError([Mistake(exc.file, 1, 1, exc.what, exc.remedy)])
+            self._refuse_reload(runtime, wrong, who)
+            raise wrong from exc
         except RosterError as exc:
             self._refuse_reload(runtime, exc, who)
             raise
+        if self._tls is not None and tls is not None:
+            self._tls.use(tls)
+        if self._tokens is not None:
+            await self._tokens.look(always=True)
         self._roster = roster
         runtime.store.note_line(RELOAD, None)
         logger.info("event=reloaded drives=%d %s %s", len(roster.drives), changes, who)

@@ -35,6 +35,7 @@ __all__ = [
     "Roster",
     "StopFallback",
     "StoredWrites",
+    "TlsEntry",
     "WatchdogEntry",
     "group_entry",
     "is_loopback",
@@ -220,7 +221,7 @@ class GroupEntry(_Model):
 
 
 class HttpAddress(_Model):
-    """A loopback address the API listens on."""
+    """An address the API listens on."""
 
     host: str
     port: int
@@ -231,12 +232,40 @@ class HttpAddress(_Model):
         return f"{host}:{self.port}"
 
 
+class TlsEntry(_Model):
+    """The TLS of the TCP server.
+
+    Args:
+        certificate: File with the certificate, then those between it and its authority (PEM).
+        key: File with its private key.
+        client_ca: File with the authorities of client certificates; None: none is asked for.
+    """
+
+    certificate: str
+    key: str
+    client_ca: str | None = None
+
+
 class ApiEntry(_Model):
-    """Where the API listens; `http` None: not on TCP."""
+    """Where the API listens, and who may come in.
+
+    Args:
+        socket: The Unix socket.
+        socket_group: Its group; None: that of the daemon.
+        http: The address of the TCP server; None: there is none.
+        hosts: Names that requests over TCP may use for this machine.
+        tokens: The file of tokens; None: TCP answers reads of this machine.
+        tls: Certificate and key of TCP; None: without TLS.
+        read_only: Whether no door writes, except to stop.
+    """
 
     socket: str
+    socket_group: str | None = None
     http: HttpAddress | None = None
+    hosts: tuple[str, ...] = ()
     tokens: str | None = None
+    tls: TlsEntry | None = None
+    read_only: bool = False
 
 
 class MqttEntry(_Model):

@@ -125,11 +125,19 @@ class Wire(asyncio.Transport):
         self.cut += 1
 
 
-def taken(places: limits.ConnectionPlaces, wire: Wire, *, busy: bool = False) -> HttpConnection:
+def taken(
+    places: limits.ConnectionPlaces,
+    wire: Wire,
+    *,
+    busy: bool = False,
+    address: str = "127.0.0.1",
+    known: bool = False,
+) -> HttpConnection:
     one = HttpConnection.__new__(HttpConnection)
+    one.client, one.is_known = (address, 5000), known
     one.transport = wire
     one.pipeline = deque()
-    one.may_write = wire.get_extra_info("socket") == SimpleNamespace(family=socket.AF_UNIX)
+    one.is_local = wire.get_extra_info("socket") == SimpleNamespace(family=socket.AF_UNIX)
     one._running = SimpleNamespace(response_complete=not busy, more_body=False)
     places.take(one)
     return one
@@ -154,6 +162,28 @@ async def test_a_place_is_found_for_the_unix_socket_even_when_all_are_busy() -> 
     one_more = Wire(socket.AF_INET)
     taken(places, one_more)
     assert one_more.cut == 1
+
+
+async def test_a_flood_from_one_address_takes_no_place_from_others() -> None:
+    places = limits.ConnectionPlaces(100, 4)
+    quiet, plc = Wire(socket.AF_INET), Wire(socket.AF_INET)
+    taken(places, plc, address="192.0.2.1", known=True)
+    taken(places, quiet, address="192.0.2.2")
+    flood = [Wire(socket.AF_INET) for _ in range(20)]
+    for wire in flood:
+        taken(places, wire, address="192.0.2.66")
+    assert (quiet.cut, plc.cut) == (0, 0)
+    assert sum(wire.cut for wire in flood) == 18
+
+
+async def test_a_client_with_a_valid_token_keeps_its_place_beside_many_addresses() -> None:
+    places = limits.ConnectionPlaces(100, 4)
+    plc, again = Wire(socket.AF_INET), Wire(socket.AF_INET)
+    taken(places, plc, address="192.0.2.1", known=True)
+    taken(places, again, address="192.0.2.1", known=True)
+    for number in range(20):
+        taken(places, Wire(socket.AF_INET), address=f"192.0.2.{number + 10}")
+    assert (plc.cut, again.cut) == (0, 0)
 
 
 @pytest.mark.parametrize(

@@ -169,6 +169,7 @@ async def test_tcp_listens_on_loopback_only(line: Line, tmp_path: Path, host: st
     with pytest.raises(OperationError, match="does not listen") as caught:
         await serve(line.app, tmp_path / "s", (host, 0))
     assert "127.0.0.1" in caught.value.remedy
+    assert "`api.tokens` and `api.tls`" in caught.value.remedy
     assert not (tmp_path / "s").exists()
 
 

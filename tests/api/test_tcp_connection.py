@@ -189,11 +189,13 @@ async def test_clients_that_are_gone_leave_nothing_in_the_share(
         ("/v1/drives/feeder/why?lang=de&fresh=true", True),
         ("/v1/drives/feeder/why?lang=de", False),
         ("/v1/line", False),
+        ("/v1/line/addresses/21/codes/C0150", True),
     ],
 )
 def test_what_may_need_the_line_is_seen_before_it_is_decoded(path: str, waits: bool) -> None:
-    query = path.partition("?")[2].encode()
-    assert limits.needs_line({"method": "GET", "query_string": query}) is waits
+    path, _, query = path.partition("?")
+    scope = {"method": "GET", "path": path, "query_string": query.encode()}
+    assert limits.needs_line(scope) is waits
 
 
 async def test_reads_of_the_line_begin_with_a_gap_between_them_and_looks_do_not_wait() -> None:
@@ -206,7 +208,7 @@ async def test_reads_of_the_line_begin_with_a_gap_between_them_and_looks_do_not_
     paced = limits.PacedLineRequests(app, 0.05)
 
     async def ask(query: bytes) -> None:
-        scope = {"type": "http", "method": "GET", "query_string": query}
+        scope = {"type": "http", "method": "GET", "path": "/v1/line", "query_string": query}
         await paced(scope, None, None)  # type: ignore[arg-type]
 
     async with anyio.create_task_group() as tasks:

@@ -97,7 +97,9 @@ def test_the_version_is_told(run: Run) -> None:
 def test_every_command_but_the_long_running_takes_json(command: str) -> None:
     found = entry.lecombus.get_command(click.Context(entry.lecombus), command)
     assert found is not None
-    assert "--json" in [option for param in found.params for option in param.opts]
+    parts = found.commands.values() if isinstance(found, click.Group) else [found]
+    for part in parts:
+        assert "--json" in [option for param in part.params for option in param.opts]
 
 
 def raising(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import ssl
 from collections.abc import Callable
 from decimal import Decimal
 from pathlib import Path
@@ -16,7 +15,7 @@ import pytest
 from cli.daemon_stub import serve_stub
 from client.conftest import Handler, line_of
 from lecombus.client import Line, Outcome, ProblemError, UnreachableError
-from lecombus.client.connection import Json, body_text, finish, open_connection, token_of, trusted
+from lecombus.client.connection import Json, body_text, finish, open_connection
 from support import api_line
 from support.virtual_loop import run
 
@@ -221,26 +220,6 @@ def test_decimals_stand_in_a_body_as_they_were_given() -> None:
     text = body_text(document)
     assert text == '{"value": 35.40, "targets": ["a", 100], "x": {"y": true}}'
     assert json.loads(text)["targets"] == ["a", 100]
-
-
-def test_a_token_is_read_from_its_file(tmp_path: Path) -> None:
-    file = tmp_path / "token"
-    for text in ("", "two words\n", "ümlaut"):
-        file.write_text(text)
-        with pytest.raises(UnreachableError, match="holds no token"):
-            token_of(file)
-    with pytest.raises(UnreachableError, match="holds no token"):
-        token_of(tmp_path / "none")
-    file.write_text("lcb_abc\n")
-    assert token_of(file) == "lcb_abc"
-
-
-def test_tls_trusts_only_what_it_is_given(tmp_path: Path) -> None:
-    assert trusted("http://x", None).cert_store_stats()["x509"] == 0
-    assert trusted("https://x", None).verify_mode is ssl.CERT_REQUIRED
-    (tmp_path / "ca.pem").write_text("no certificate")
-    with pytest.raises(UnreachableError, match="holds no certificates"):
-        trusted("https://x", tmp_path / "ca.pem")
 
 
 def test_the_daemon_names_no_drive_is_an_error_of_the_request() -> None:

@@ -14,6 +14,7 @@ from lecombus.config import LeaseEntry, load_roster
 from lecombus.drives import FAMILY_NAMES, family
 from lecombus.fieldbus.lecom.protocol.addressing import Form, group_reach, multicast_address
 from lecombus.parameters import Code
+from lecombus.roster import TlsEntry
 
 ADDRESSES = [number for number in range(1, 100) if number % 10]
 
@@ -112,6 +113,22 @@ def test_http_on_loopback(written: str, shown: str) -> None:
     assert str(parsed(roster_with(f"api: {{http: {written}}}")).api.http) == shown
 
 
+@pytest.mark.parametrize("host", ["192.0.2.5", "0.0.0.0", "'[2001:db8::1]:443'"])
+def test_http_beyond_this_machine_with_tokens_and_tls(host: str) -> None:
+    written = host if host.startswith("'") else f"{host}:443"
+    keys = "tokens: /t, tls: {certificate: /c, key: /k, client_ca: /a}, hosts: [Drives.example]"
+    api = parsed(roster_with(f"api: {{http: {written}, {keys}, read_only: yes}}")).api
+    assert str(api.http) == written.strip("'")
+    assert api.tls == TlsEntry(certificate="/c", key="/k", client_ca="/a")
+    assert (api.tokens, api.hosts, api.read_only) == ("/t", ("drives.example",), True)
+
+
+def test_the_tls_of_the_broker_is_yes_or_no() -> None:
+    mqtt = parsed(roster_with("mqtt: {host: b, tls: no}")).mqtt
+    assert mqtt is not None
+    assert not mqtt.tls
+
+
 def test_stall_may_be_never() -> None:
     assert parsed(line_with("stall: 0")).line.stall_s == 0
 
@@ -130,7 +147,7 @@ def test_what_does_nothing_yet_is_named() -> None:
         "api: {tokens: /t}",
     ).replace("family: smvector", "family: smvector\n    lease: {}")  # fmt: skip
     roster = parsed(text)
-    assert roster.not_yet_used == ("mqtt", "journal", "api.tokens")
+    assert roster.not_yet_used == ("mqtt", "journal")
     assert roster.mqtt is not None
     assert (roster.mqtt.port, roster.mqtt.tls) == (1883, False)
 

@@ -102,7 +102,7 @@ WRONG = [
     GOOD.replace("feeder", "all"), GOOD.replace("feeder", "Feeder"), drive_with("writable: [C1x]"),
     drive_with("cyclic: [{code: C1}]"), drive_with("watchdog: {time: 2s}"),
     roster_with("groups: {g: {members: []}}"), roster_with("groups: {all: {members: [belt]}}"),
-    roster_with("api: {http: '0.0.0.0:80'}"), roster_with("journal: x"),
+    roster_with("api: {http: 'example.com:80'}"), roster_with("journal: x"),
     "line: {name: a, port: sim}\n", "line: {name: a}\ndrives: []\n",
 ]  # fmt: skip
 

@@ -7,6 +7,17 @@ listens). It calls `Operations`, and reads `Store` and `Metrics`.
 from __future__ import annotations
 
 from lecombus.api.app import Check, create_app
-from lecombus.api.server import Served, serve
+from lecombus.api.server import Doors, Served, serve
+from lecombus.api.tls import TlsContexts, TlsFileError
+from lecombus.api.token_watch import TokenWatch
 
-__all__ = ["Check", "Served", "create_app", "serve"]
+__all__ = [
+    "Check",
+    "Doors",
+    "Served",
+    "TlsContexts",
+    "TlsFileError",
+    "TokenWatch",
+    "create_app",
+    "serve",
+]

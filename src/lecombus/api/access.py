@@ -1,11 +1,13 @@
-"""Who may do what: over TCP reads only, and only for programs of this machine; no foreign web page.
+"""Who is let in over TCP without tokens: reads only, and only for programs of this machine.
 
-`ReadOnlyAccess` stands before the TCP server: until there is access control it lets only reads
-through, and refuses hosts that are not this machine, so that no web page can reach the drives
-through a browser (DNS rebinding). What a browser sends for a page of another origin is refused too,
-by its `Origin` and `Sec-Fetch-Site`: such a page could not read the answer, but could send request
-after request. A request without a host, with two, or with one that is none, is not well made
-(RFC 9112, 3.2). After a refusal the connection ends.
+`ReadOnlyAccess` stands before the TCP server where the roster has no `api.tokens` (with them,
+`token_access` does). It lets only reads through.
+
+`site_problem` is asked in both cases. It refuses hosts that are not this machine, so that no web
+page can reach the drives through a browser (DNS rebinding). What a browser sends for a page of
+another origin is refused too, by its `Origin` and `Sec-Fetch-Site`: such a page could not read the
+answer, but could send request after request. A request without a host, with two, or with one that
+is none, is not well made (RFC 9112, 3.2). After a refusal the connection ends.
 
 Over the Unix socket any host may be named, or none: only programs reach it, each calls it by
 another name, and a stop counts more. But a browser behind a proxy can reach it, so a page of
@@ -15,6 +17,7 @@ another origin is refused there too, also its stop (`OwnPagesAccess`).
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
@@ -27,7 +30,7 @@ from lecombus.operations.actions import ACTOR
 from lecombus.roster import is_loopback
 from lecombus.tokens import grants
 
-__all__ = ["OwnPagesAccess", "ReadOnlyAccess"]
+__all__ = ["CLOSE", "OwnPagesAccess", "ReadOnlyAccess", "site_problem"]
 
 HOST: Final = re.compile(r"(?:\[([0-9a-f:.]+)\]|([^\[\]:]+))(?::[0-9]{0,5})?")
 
@@ -70,20 +73,9 @@ class ReadOnlyAccess:
             await replace(problem, headers=CLOSE).response()(scope, receive, send)
 
     def _objection(self, scope: Scope) -> ProblemDocument | None:
-        hosts = [value.decode("latin-1") for name, value in scope["headers"] if name == b"host"]
-        name = host_name(hosts[0].strip().lower()) if len(hosts) == 1 else ""
-        if not name:
-            return ProblemDocument(
-                "bad-host",
-                f"the request names {short(', '.join(hosts)) or 'no host'}, where one host belongs",
-                remedy=RIGHT_HOST,
-            )
-        if not self._is_here(name):
-            return ProblemDocument(
-                "foreign-host", f"host {short(hosts[0])} is not this machine", remedy=RIGHT_HOST
-            )
-        if is_cross_site(scope, "http"):
-            return CROSS_SITE
+        problem = site_problem(scope, self._is_here, RIGHT_HOST)
+        if problem is not None:
+            return problem
         if scope["method"] not in ("GET", "HEAD"):
             return ProblemDocument(
                 "read-only",
@@ -98,8 +90,31 @@ class ReadOnlyAccess:
             )
         return None
 
-    def _is_here(self, name: str) -> bool:
+    def _is_here(self, name: str, scope: Scope) -> bool:
         return name == self._host or is_loopback(name)
+
+
+def site_problem(
+    scope: Scope, is_ours: Callable[[str, Scope], bool], right: str
+) -> ProblemDocument | None:
+    """Return why the host or the origin of a request is refused; None: they are right.
+
+    Args:
+        scope: The request.
+        is_ours: Whether requests may name a host.
+        right: What to name instead.
+    """
+    hosts = [value.decode("latin-1") for name, value in scope["headers"] if name == b"host"]
+    name = host_name(hosts[0].strip().lower()) if len(hosts) == 1 else ""
+    if not name:
+        what = f"the request names {short(', '.join(hosts)) or 'no host'}, where one host belongs"
+        return ProblemDocument("bad-host", what, remedy=right)
+    if not is_ours(name, scope):
+        what = f"host {short(hosts[0])} is not this machine"
+        return ProblemDocument("foreign-host", what, remedy=right)
+    if is_cross_site(scope, scope["scheme"]):
+        return CROSS_SITE
+    return None
 
 
 class OwnPagesAccess:

@@ -130,7 +130,9 @@ class HttpConnection(HttpToolsProtocol):
     places: ConnectionPlaces
     starts: StartQueue
     flow: PatientFlow
-    may_write = True
+    is_local = True
+    is_known = False
+    """Whether a request on it carried a valid token."""
     pending_limit = PENDING_LIMIT
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
@@ -171,6 +173,11 @@ class HttpConnection(HttpToolsProtocol):
             self._running.message_event.set()
         super().connection_lost(exc)
         self.cycle = self._running = None  # type: ignore[assignment]  # each refers to the other
+
+    @property
+    def address(self) -> str:
+        """The address of a TCP client."""
+        return "" if self.client is None else self.client[0]
 
     @property
     def is_idle(self) -> bool:
@@ -264,7 +271,7 @@ class HttpConnection(HttpToolsProtocol):
         cycle: Any = self.cycle
         if cycle.response_complete:
             self.transport.close()
-        elif is_stop_verb(cycle.scope["path"]) and self.may_write:
+        elif is_stop_verb(cycle.scope["path"]) and self.is_local:
             cycle.keep_alive = False
             self._unread.clear()
             self.flow.is_held = True
@@ -330,7 +337,7 @@ class HttpConnection(HttpToolsProtocol):
             return
         self._size = 0
         target = httptools.parse_url(self.url)
-        if not (self.may_write and is_stop((target.path or b"").decode("latin-1"))):
+        if not (self.is_local and is_stop((target.path or b"").decode("latin-1"))):
             self._check_bounds(target.query or b"")
         self._is_in_body = True
         if target.host is not None:
@@ -439,16 +446,21 @@ class HttpConnection(HttpToolsProtocol):
         self.transport.close()
 
 
-def is_closed(peer: Any) -> bool:
+def is_closed(peer: Any, more: int = 0) -> bool:
     """Whether the client has closed its socket; one that only sends no more has not.
 
     The kernel is asked, because a request and the end of its client come in one turn of the loop
     where the process did not run in between, and because nothing more is read of a client that
     sent much. The connection itself is not held: a context keeps what was set in it for long.
+
+    Args:
+        peer: The socket.
+        more: Further events of poll(2) that mean it. TCP does not say whether a client that sends
+            no more still listens, so over TCP the end of what it sends counts (POLLRDHUP).
     """
     poll = select.poll()
     try:
-        poll.register(peer, 0)
+        poll.register(peer, more)
     except (OSError, ValueError):  # closed on this side
         return True
     return bool(poll.poll(0))

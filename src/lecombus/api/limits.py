@@ -8,10 +8,10 @@ Requests that wait for the line and those that only read the store are counted a
 is refused with a problem document beyond its limit: a thousand waiting writes do not keep a reader
 out, and nothing makes a stop wait or fail. Connections of both listeners are counted together
 (`ConnectionPlaces`), because they share the process's open files. If there are too many, the one
-is cut that has been open longest without a request under way. One over TCP, which can only read,
-never takes the place of one over the Unix socket, and one over the Unix socket always gets a
-place. Over TCP there are few places besides, for each may hold an answer that its client does not
-take.
+is cut that has been open longest without a request under way; over TCP one without a valid token
+before others, and one of the address that has most of them. One over TCP never takes the place of
+one over the Unix socket, and one over the Unix socket always gets a place. Over TCP there are few
+places besides, for each may hold an answer that its client does not take.
 
 What must not live here: where bytes are counted (`connection`, `request_checks`), queues of the
 line (`schedule`), sockets (`server`).
@@ -20,8 +20,12 @@ line (`schedule`), sockets (`server`).
 from __future__ import annotations
 
 import asyncio
+import logging
 import math
 import resource
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable
 from typing import Final, Protocol
 
 from starlette.types import ASGIApp, Receive, Scope, Send
@@ -46,12 +50,15 @@ __all__ = [
     "TARGET_TOO_LONG",
     "TCP_LIMIT",
     "TCP_WAITING_LIMIT",
+    "TOKENS_TCP_LIMIT",
     "TOO_MANY_HEADERS",
     "TOO_MANY_PARAMETERS",
+    "WRITERS_WAITING_LIMIT",
     "ConnectionPlaces",
     "PacedLineRequests",
     "PlacedConnection",
     "RequestLimiter",
+    "SparseLog",
     "connection_limit",
     "is_stop",
     "is_stop_verb",
@@ -116,6 +123,12 @@ TCP_LIMIT: Final = 16
 TCP_WAITING_LIMIT: Final = 4
 """Requests over TCP that wait for the line."""
 
+TOKENS_TCP_LIMIT: Final = 64
+"""Connections over TCP where tokens are needed."""
+
+WRITERS_WAITING_LIMIT: Final = 16
+"""Requests of tokens that write or control which wait for the line."""
+
 TCP_GAP_S: Final = 0.5
 """From one such request to the next: reading on and on would leave the feeds the least margin that
 the schedule allows."""
@@ -128,6 +141,8 @@ KEPT_FILES: Final = 32 + 8 * ACCEPT_AT_ONCE
 taken but not counted yet, or cut but not closed yet: about four rounds of the loop."""
 
 FEWEST_CONNECTIONS: Final = 8
+
+LOG_GAP_S: Final = 1.0
 
 
 def is_stop(path: str) -> bool:
@@ -200,7 +215,12 @@ class PlacedConnection(Protocol):
     """A connection as `ConnectionPlaces` sees it."""
 
     transport: asyncio.Transport
-    may_write: bool
+    is_local: bool
+    is_known: bool
+
+    @property
+    def address(self) -> str:
+        """The address of a TCP client."""
 
     @property
     def is_idle(self) -> bool:
@@ -224,7 +244,7 @@ class ConnectionPlaces:
     def take(self, new: PlacedConnection) -> None:
         """Count a connection, and cut one when there are too many, if need be itself."""
         self._held[new] = None
-        if not new.may_write:
+        if not new.is_local:
             self._looking[new] = None
         if len(self._held) > self._limit or len(self._looking) > self._tcp_limit:
             victim = self._victim(new)
@@ -238,13 +258,18 @@ class ConnectionPlaces:
 
     def _victim(self, new: PlacedConnection) -> PlacedConnection:
         looking = [one for one in self._looking if one is not new]
-        others = [one for one in self._held if one is not new] if new.may_write else []
+        others = [one for one in self._held if one is not new] if new.is_local else []
         ranks = [
-            (one for one in looking if one.is_idle),
+            self._by_claim(one for one in looking if one.is_idle),
             (one for one in others if one.is_idle),
-            (one for one in looking if new.may_write),
+            (one for one in looking if new.is_local),
         ]
         return next((one for rank in ranks for one in rank), new)
+
+    def _by_claim(self, idle: Iterable[PlacedConnection]) -> list[PlacedConnection]:
+        """Order connections over TCP: without a token first, of the address with most first."""
+        counts = Counter(one.address for one in self._looking)
+        return sorted(idle, key=lambda one: (one.is_known, -counts[one.address]))
 
 
 def connection_limit() -> int:
@@ -255,11 +280,46 @@ def connection_limit() -> int:
     return min(CONNECTION_LIMIT, max(FEWEST_CONNECTIONS, files - KEPT_FILES))
 
 
+class SparseLog:
+    """Logs what clients can cause as often as they like: one event a second, with their count.
+
+    Args:
+        logger: Where to.
+        event: The event's name.
+        clock: A monotonic clock, seconds.
+    """
+
+    def __init__(
+        self,
+        logger: logging.Logger,
+        event: str,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._logger = logger
+        self._event = event
+        self._clock = clock
+        self._logged_at_s = -math.inf
+        self._count = 0
+
+    def log(self, **fields: str) -> None:
+        """Log an event, or count it for the next one.
+
+        Args:
+            fields: What is said of it: no secrets, and nothing that a client chose freely.
+        """
+        self._count += 1
+        now_s = self._clock()
+        if now_s - self._logged_at_s >= LOG_GAP_S:
+            text = " ".join(f"{key}={value}" for key, value in fields.items())
+            self._logger.warning("event=%s %s count=%d", self._event, text, self._count)
+            self._logged_at_s, self._count = now_s, 0
+
+
 def needs_line(scope: Scope) -> bool:
     """Return whether a request may wait for the line."""
     if scope["path"].startswith(LEASES_PATH):
         return False  # a renewal waits for no write
-    if scope["method"] not in ("GET", "HEAD"):
+    if scope["method"] not in ("GET", "HEAD") or "/line/addresses/" in scope["path"]:
         return True
     query = scope["query_string"]
     return b"fresh" in query or b"%" in query  # which may spell it

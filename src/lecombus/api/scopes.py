@@ -16,6 +16,7 @@ What must not live here: who a client is (`access`), which codes a roster lets b
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum, auto
@@ -28,6 +29,7 @@ from starlette.routing import Route
 
 from lecombus.api.answers import ProblemDocument, RefusedRequestError
 from lecombus.api.decimal_json import short
+from lecombus.api.limits import SparseLog
 from lecombus.errors import LecombusError
 from lecombus.operations.actions import ACTOR
 from lecombus.operations.facade import Operations
@@ -36,6 +38,8 @@ from lecombus.parameters import Code
 from lecombus.tokens.grants import Scope
 
 __all__ = ["NEEDS", "Need", "Of", "guarded", "reaches", "require_drives", "require_target"]
+
+logger = logging.getLogger(__name__)
 
 Endpoint = Callable[[Request], Awaitable[Response]]
 
@@ -138,10 +142,11 @@ def guarded(routes: Sequence[Route], ops: Operations, *, read_only: bool) -> lis
         ops: Knows the groups and the families of the drives.
         read_only: Whether all but reads and stops are refused.
     """
-    return [with_guard(route, ops, read_only=read_only) for route in routes]
+    refused = SparseLog(logger, "not-permitted")
+    return [with_guard(route, ops, refused, read_only=read_only) for route in routes]
 
 
-def with_guard(route: Route, ops: Operations, *, read_only: bool) -> Route:
+def with_guard(route: Route, ops: Operations, refused: SparseLog, *, read_only: bool) -> Route:
     """Return a route behind the guard."""
     methods = sorted((route.methods or set()) - {"HEAD"})  # HEAD is GET without a body
     needs = {method: NEEDS.get((method, route.path)) for method in methods}
@@ -154,7 +159,12 @@ def with_guard(route: Route, ops: Operations, *, read_only: bool) -> Route:
         method = "GET" if request.method == "HEAD" else request.method
         need = needs[method]
         assert need is not None
-        check(request, need, ops, read_only=read_only)
+        try:
+            check(request, need, ops, read_only=read_only)
+        except RefusedRequestError as exc:
+            who = ACTOR.get().fields()
+            refused.log(**who, call=f"{method}_{route.path}", reason=exc.problem.kind)
+            raise
         if not need.is_stop:
             LEASE.set(lease_token(request))
         return await inner(request)

@@ -1,9 +1,10 @@
-"""Where the API listens: a Unix socket for everything, TCP on this machine for reads.
+"""Where the API listens: a Unix socket for everything, TCP for what its clients may.
 
 Strategy: both are uvicorn servers inside the caller's task, without signal handlers and access
 log. The sockets are made here, because their rules matter more than uvicorn's defaults: the Unix
-socket is 0660 from its first moment, a stale file is removed only if no process listens on it, and
-it is removed at the end; TCP binds to loopback only. `access` and `limits` decide what is let
+socket is open to its owner and group only, a stale file is removed only if no process listens on
+it, and it is removed at the end; TCP binds to loopback only, unless there are tokens and TLS.
+Without tokens it answers reads. `access`, `token_access` and `limits` decide what is let
 through to the application, `connection` what a connection may do.
 
 What must not live here: paths and answers.
@@ -12,14 +13,16 @@ What must not live here: paths and answers.
 from __future__ import annotations
 
 import errno
+import grp
 import os
 import socket
 import stat
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import anyio
 import uvicorn
@@ -33,16 +36,22 @@ from lecombus.api.limits import (
     ACCEPT_AT_ONCE,
     TCP_LIMIT,
     TCP_WAITING_LIMIT,
+    TOKENS_TCP_LIMIT,
+    WRITERS_WAITING_LIMIT,
     ConnectionPlaces,
     PacedLineRequests,
     RequestLimiter,
     connection_limit,
 )
 from lecombus.api.tcp_connection import CpuShare, TcpConnection, timed
+from lecombus.api.tls import TlsContexts
+from lecombus.api.tls_connection import TlsConnection
+from lecombus.api.token_access import AllowedHosts, FailureCount, TokenAccess
+from lecombus.api.token_watch import TokenWatch
 from lecombus.errors import OperationError
 from lecombus.roster import is_loopback
 
-__all__ = ["Served", "serve"]
+__all__ = ["Doors", "Served", "serve"]
 
 SOCKET_MODE: Final = 0o660
 BACKLOG: Final = 128
@@ -66,6 +75,28 @@ class Served:
     http: tuple[str, int] | None
 
 
+@dataclass(frozen=True, slots=True)
+class Doors:
+    """Who may come in, besides those who may open the Unix socket.
+
+    Args:
+        group: The group of the Unix socket; empty: that of the daemon.
+        tokens: The tokens of TCP clients; None: TCP answers reads of this machine.
+        tls: Certificate and key of TCP; None: without TLS.
+        hosts: What requests over TCP may name as their host, besides its addresses.
+    """
+
+    group: str = ""
+    tokens: TokenWatch | None = None
+    tls: TlsContexts | None = None
+    hosts: tuple[str, ...] = ()
+
+    @property
+    def is_guarded(self) -> bool:
+        """Whether TCP may be open to other machines."""
+        return self.tokens is not None and self.tls is not None
+
+
 class DaemonServer(uvicorn.Server):
     """A uvicorn server that leaves signals to the daemon."""
 
@@ -87,6 +118,7 @@ async def serve(
     socket_path: Path,
     http: tuple[str, int] | None = None,
     *,
+    doors: Doors = Doors(),
     task_status: TaskStatus[Served] = anyio.TASK_STATUS_IGNORED,
 ) -> None:
     """Serve until cancelled; requests under way are given a few seconds to end.
@@ -94,20 +126,23 @@ async def serve(
     Args:
         app: The application.
         socket_path: The Unix socket to make.
-        http: Loopback host and port for reads; port 0 takes a free one.
+        http: Host and port for TCP; port 0 takes a free one.
+        doors: Who may come in.
         task_status: Gets where it listens, once it does.
 
     Raises:
         OperationError: `cannot-listen` or `socket-in-use`.
     """
     with ExitStack() as resources:
-        unix = resources.enter_context(unix_socket(socket_path))
-        places, bound = ConnectionPlaces(connection_limit()), None
+        unix = resources.enter_context(unix_socket(socket_path, doors.group))
+        tcp_limit = TCP_LIMIT if doors.tokens is None else TOKENS_TCP_LIMIT
+        places, bound = ConnectionPlaces(connection_limit(), tcp_limit), None
         listeners = [(DaemonServer(unix_configuration(app, places)), unix)]
         if http is not None:
-            tcp = resources.enter_context(tcp_socket(*http))
+            tcp = resources.enter_context(tcp_socket(*http, is_guarded=doors.is_guarded))
             bound = (http[0], tcp.getsockname()[1])
-            listeners.append((DaemonServer(tcp_configuration(app, http[0], places)), tcp))
+            configured = tcp_configuration(app, http[0], places, doors)
+            listeners.append((DaemonServer(configured), tcp))
         task_status.started(Served(socket_path, bound))
         await run_until_cancelled(listeners)
 
@@ -142,13 +177,25 @@ def unix_configuration(app: ASGIApp, places: ConnectionPlaces) -> uvicorn.Config
     return configuration(OwnPagesAccess(RequestLimiter(app)), kind, ACCEPT_AT_ONCE)
 
 
-def tcp_configuration(app: ASGIApp, host: str, places: ConnectionPlaces) -> uvicorn.Config:
+def tcp_configuration(
+    app: ASGIApp, host: str, places: ConnectionPlaces, doors: Doors
+) -> uvicorn.Config:
     """Return how TCP is served: all of it in one share of the loop's time."""
     share = CpuShare()
-    kind = type("PlacedTcpConnection", (TcpConnection,), {"places": places, "share": share})
+    known: dict[str, Any] = {"places": places, "share": share}
     limited = RequestLimiter(PacedLineRequests(app), TCP_LIMIT, TCP_WAITING_LIMIT)
-    access = ReadOnlyAccess(limited, host)
-    return configuration(timed(access, share), kind, 1)
+    access: ASGIApp = ReadOnlyAccess(limited, host)
+    if doors.tokens is not None:
+        writers = RequestLimiter(app, TOKENS_TCP_LIMIT, WRITERS_WAITING_LIMIT)
+        hosts = AllowedHosts(host.strip("[]").lower(), doors.hosts)
+        access = by_token = TokenAccess(
+            limited, writers, doors.tokens, hosts, FailureCount(time.monotonic)
+        )
+        known["token_of"] = staticmethod(by_token.token_of)
+    base: type[TcpConnection] = TcpConnection
+    if doors.tls is not None:
+        base, known["contexts"] = TlsConnection, doors.tls
+    return configuration(timed(access, share), type("PlacedTcpConnection", (base,), known), 1)
 
 
 def configuration(app: ASGIApp, kind: type[HttpConnection], accept_at_once: int) -> uvicorn.Config:
@@ -171,22 +218,33 @@ def configuration(app: ASGIApp, kind: type[HttpConnection], accept_at_once: int)
 
 
 @contextmanager
-def unix_socket(path: Path) -> Iterator[socket.socket]:
+def unix_socket(path: Path, group: str = "") -> Iterator[socket.socket]:
     """Yield a bound Unix socket with mode 0660; its file goes at the end.
+
+    Args:
+        path: Where.
+        group: Its group; empty: that of the process.
 
     Raises:
         OperationError: It cannot be made, or another process listens on it.
     """
     remove_stale(path)
     listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    before = os.umask(0o777 & ~SOCKET_MODE)
+    # Another group: not even the group of the process may open it before it has that group.
+    before = os.umask(0o777 & ~(SOCKET_MODE & 0o600 if group else SOCKET_MODE))
     try:
         listening.bind(str(path))
+        if group:
+            give_to_group(path, group)
         listening.listen(BACKLOG)  # here: a socket that no process listens on looks stale
     except OSError as exc:
         listening.close()
         remedy = f"make {path.parent}, writable for this user, or name another by `api.socket`"
         raise cannot_listen(str(path), exc, remedy) from exc
+    except OperationError:
+        listening.close()
+        path.unlink(missing_ok=True)
+        raise
     finally:
         os.umask(before)
     ours = path.stat()
@@ -195,6 +253,32 @@ def unix_socket(path: Path) -> Iterator[socket.socket]:
     finally:
         listening.close()
         remove_ours(path, ours)
+
+
+def give_to_group(path: Path, group: str) -> None:
+    """Give a socket to a group, and open it to that group.
+
+    Raises:
+        OperationError: There is no such group, or the process may not do that.
+    """
+    try:
+        os.chown(path, -1, grp.getgrnam(group).gr_gid)
+        path.chmod(SOCKET_MODE)
+    except KeyError:
+        raise OperationError(
+            f"there is no group {group} for the socket {path}",
+            kind="cannot-listen",
+            remedy=f"make it (addgroup --system {group}), or change `api.socket_group`",
+        ) from None
+    except OSError as exc:
+        remedy = (
+            f"make the daemon's user a member of {group} (adduser lecombus {group}); under systemd "
+            "SupplementaryGroups= and deploy/show-client-users.conf are needed too"
+        )
+        what = f"{path} to the group {group}"
+        raise OperationError(
+            f"cannot give {what}: {exc.strerror or exc}", kind="cannot-listen", remedy=remedy
+        ) from exc
 
 
 def remove_stale(path: Path) -> None:
@@ -242,17 +326,22 @@ def remove_ours(path: Path, ours: os.stat_result) -> None:
 
 
 @contextmanager
-def tcp_socket(host: str, port: int) -> Iterator[socket.socket]:
-    """Yield a TCP socket bound to loopback.
+def tcp_socket(host: str, port: int, *, is_guarded: bool = False) -> Iterator[socket.socket]:
+    """Yield a bound TCP socket.
+
+    Args:
+        host: An address of this machine, or `localhost`.
+        port: The port; 0 takes a free one.
+        is_guarded: Whether its clients need tokens and TLS; else it must be loopback.
 
     Raises:
-        OperationError: It is not loopback, or cannot be bound.
+        OperationError: It may not be open to other machines, or cannot be bound.
     """
-    if not is_loopback(host):
+    if not is_guarded and not is_loopback(host):
         raise OperationError(
-            f"the API does not listen on {host}",
+            f"the API does not listen on {host} without tokens and TLS",
             kind="cannot-listen",
-            remedy="until access control exists it listens on loopback only: write 127.0.0.1",
+            remedy="write `api.tokens` and `api.tls` into the roster, or listen on 127.0.0.1",
         )
     address = "127.0.0.1" if host == "localhost" else host.strip("[]")
     family = socket.AF_INET6 if ":" in address else socket.AF_INET

@@ -22,16 +22,22 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import select
 import time
 from collections import deque
 from collections.abc import Callable, Coroutine, Generator
 from contextvars import copy_context
+from functools import partial
 from typing import Any, Final, Self
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from lecombus.api.connection import HttpConnection
+from lecombus.api.connection import HttpConnection, is_closed
+from lecombus.api.limits import is_stop
 from lecombus.operations.actions import ACTOR, Actor
+from lecombus.operations.awaited_requests import CAME_S, IS_GONE
+from lecombus.tokens import grants
+from lecombus.tokens.token_file import TokenEntry
 
 __all__ = [
     "PART",
@@ -64,6 +70,10 @@ DROPPED_LIMIT: Final = 64 * 1024
 
 OPENING_S: Final = 0.0002
 """Processor time that taking a connection and ending it costs, about."""
+
+
+def without_token(scope: Scope) -> None:
+    """No request has one."""
 
 
 class LingeringTransport(asyncio.Transport):
@@ -138,7 +148,9 @@ class TcpConnection(HttpConnection, asyncio.BufferedProtocol):
     buffer = memoryview(bytearray(READ_BYTES))
     """What the loop reads into; all of it is taken out after each read."""
     transport: LingeringTransport
-    may_write = False
+    is_local = False
+    token_of: Callable[[Scope], TokenEntry | None] = staticmethod(without_token)
+    """Gives the valid token of a request."""
     pending_limit = TCP_PENDING_LIMIT
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
@@ -146,8 +158,12 @@ class TcpConnection(HttpConnection, asyncio.BufferedProtocol):
         self.share.spend(OPENING_S)
         self._dropped = 0
         self._progress = self._progress_seen = 0
-        super().connection_made(LingeringTransport(transport))
+        super().connection_made(self._lingering(transport))
         self._looking = self.loop.call_later(PATIENCE_S, self._look)
+
+    def _lingering(self, transport: asyncio.Transport) -> LingeringTransport:
+        """Return the transport that is closed in two steps."""
+        return LingeringTransport(transport)
 
     def _client(self) -> Actor:
         """Return the client."""
@@ -203,14 +219,24 @@ class TcpConnection(HttpConnection, asyncio.BufferedProtocol):
 
     def _start_asgi_task(self, cycle: Any, app: Any) -> None:
         self._running = cycle
+        came_s = asyncio.get_running_loop().time()
+        is_gone = partial(is_closed, self.transport.get_extra_info("socket"), select.POLLRDHUP)
 
         def start() -> None:
             if not self.transport.is_closing():
                 context = copy_context()
                 context.run(ACTOR.set, self._actor)
+                context.run(CAME_S.set, came_s)
+                context.run(IS_GONE.set, is_gone)
                 context.run(super(HttpConnection, self)._start_asgi_task, cycle, app)
 
-        self.share.take(self, start)
+        token = self.token_of(cycle.scope)
+        self.is_known = self.is_known or token is not None
+        may_stop = token is not None and grants.Scope.CONTROL in token.grant.scopes
+        if may_stop and is_stop(cycle.scope["path"]):
+            start()  # it waits for no other request
+        else:
+            self.share.take(self, start)
 
     def shutdown(self) -> None:
         """End after the requests under way; called by the server."""

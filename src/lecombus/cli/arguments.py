@@ -73,6 +73,7 @@ class DaemonOptions:
         as_json: Print the daemon's document.
         token_file: The file that holds the bearer token, for a URL.
         ca: The file with the certificates that sign the daemon's, for an https URL.
+        certificate: The file with the client's certificate and key, for an https URL.
     """
 
     socket: str | None
@@ -80,6 +81,7 @@ class DaemonOptions:
     as_json: bool
     token_file: str | None = None
     ca: str | None = None
+    certificate: str | None = None
 
 
 class CommandWithNumbers(click.Command):
@@ -248,11 +250,17 @@ def daemon_options(function: Callable[..., int]) -> Callable[..., int]:
         as_json: bool,
         token_file: str | None,
         ca: str | None,
+        certificate: str | None,
         **given: Any,
     ) -> int:
-        return function(daemon=DaemonOptions(socket, url, as_json, token_file, ca), **given)
+        daemon = DaemonOptions(socket, url, as_json, token_file, ca, certificate)
+        return function(daemon=daemon, **given)
 
     command = json_option(command)
+    command = click.option(
+        "--certificate", metavar="FILE", envvar="LECOMBUS_CERTIFICATE",
+        help="With an https URL: your certificate and its key, where the daemon asks for one.",
+    )(command)  # fmt: skip
     command = click.option(
         "--ca", metavar="FILE", envvar="LECOMBUS_CA",
         help="With an https URL: the certificates to trust; default: the system's.",

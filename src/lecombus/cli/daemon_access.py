@@ -102,7 +102,8 @@ async def connected(daemon: DaemonOptions, *, blocking: bool = False) -> AsyncIt
     with command_errors():
         path, url = find_daemon(daemon.socket, daemon.url)
         async with open_connection(
-            path, url, token_file=daemon.token_file, ca=daemon.ca, repeat_for_s=REPEAT_FOR_S,
+            path, url, token_file=daemon.token_file, ca=daemon.ca, certificate=daemon.certificate,
+            repeat_for_s=REPEAT_FOR_S,
             blocking=blocking,
         ) as connection:  # fmt: skip
             yield Line(connection)

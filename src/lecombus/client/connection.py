@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import json
 import math
-import ssl
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping
 from contextlib import asynccontextmanager
@@ -25,8 +24,9 @@ from uuid import uuid4
 
 import httpx2
 
+from lecombus.client.credentials import headers_for, trusted
 from lecombus.client.documents import Answer, Document, kind_of
-from lecombus.client.errors import NotPermittedError, ProblemError, UnreachableError
+from lecombus.client.errors import ProblemError, UnreachableError
 from lecombus.client.finding import knock, no_daemon_at
 
 __all__ = ["AnswerLostError", "Connection", "Json", "finish", "open_connection", "problem_error"]
@@ -187,6 +187,7 @@ async def open_connection(
     *,
     token_file: str | Path | None = None,
     ca: str | Path | None = None,
+    certificate: str | Path | None = None,
     answer_within_s: float = ANSWER_WITHIN_S,
     repeat_for_s: float = REPEAT_FOR_S,
     blocking: bool = False,
@@ -198,6 +199,7 @@ async def open_connection(
         url: Its HTTP address.
         token_file: Holds the bearer token, for a URL.
         ca: Holds the certificates that sign the daemon's, for an https URL; None: the system's.
+        certificate: Holds the client's certificate and its key, for an https URL.
         answer_within_s: How long to wait for an answer, seconds.
         repeat_for_s: As in `Connection`.
         blocking: Every request blocks, and needs no event loop: `finish` runs it.
@@ -208,17 +210,16 @@ async def open_connection(
     """
     if path:
         knock(path)
-    headers = {"authorization": f"Bearer {token_of(token_file)}"} if token_file else {}
     settings: dict[str, Any] = {
         "uds": path or None,
-        "verify": trusted(url, ca),
+        "verify": trusted(url, ca, certificate),
         # No limit: a stop or a renewal of a lease waits for no other request.
         "limits": httpx2.Limits(max_connections=None, max_keepalive_connections=4),
     }
     transport = BlockingTransport(settings) if blocking else httpx2.AsyncHTTPTransport(**settings)
     http = httpx2.AsyncClient(
         base_url=url or LOCAL,
-        headers=headers,
+        headers=headers_for(url, token_file),
         # No environment: a proxy from there would be given the token.
         trust_env=False,
         timeout=httpx2.Timeout(CONNECT_WITHIN_S, read=answer_within_s),
@@ -285,41 +286,6 @@ async def let_pass(for_s: float) -> None:
 async def block(for_s: float) -> None:
     """Let seconds pass without an event loop."""
     time.sleep(for_s)  # noqa: ASYNC251 - there is no other task
-
-
-def trusted(url: str, ca: str | Path | None) -> ssl.SSLContext:
-    """Return what TLS trusts; without https nothing, which is loaded in no time.
-
-    Raises:
-        NotPermittedError: The file of the CA may not be read.
-        UnreachableError: It is none.
-    """
-    if not url.startswith("https:"):
-        return ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-    try:
-        return ssl.create_default_context(cafile=None if ca is None else str(ca))
-    except PermissionError as exc:
-        raise NotPermittedError(f"{ca} may not be read", "look at its owner and mode") from exc
-    except OSError as exc:
-        raise UnreachableError(f"{ca} holds no certificates: {exc}", "name a PEM file") from exc
-
-
-def token_of(file: str | Path) -> str:
-    """Return the token that a file holds.
-
-    Raises:
-        NotPermittedError: It may not be read.
-        UnreachableError: It cannot be read, or holds none.
-    """
-    try:
-        text = Path(file).read_text(encoding="ascii").strip()
-    except PermissionError as exc:
-        raise NotPermittedError(f"{file} may not be read", "look at its owner and mode") from exc
-    except (OSError, ValueError) as exc:
-        raise UnreachableError(f"{file} holds no token: {exc}", "name the token's file") from exc
-    if not text or len(text.split()) != 1:
-        raise UnreachableError(f"{file} holds no token", "write the token into it, and no more")
-    return text
 
 
 def problem_error(answer: Answer) -> ProblemError:

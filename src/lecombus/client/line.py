@@ -61,6 +61,7 @@ async def connect(
     *,
     token_file: str | Path | None = None,
     ca: str | Path | None = None,
+    certificate: str | Path | None = None,
     answer_within_s: float = ANSWER_WITHIN_S,
     repeat_for_s: float = REPEAT_FOR_S,
 ) -> AsyncIterator[Line]:
@@ -72,6 +73,7 @@ async def connect(
             LECOMBUS_SOCKET or LECOMBUS_URL says, else the only socket in /run/lecombus.
         token_file: The file that holds the bearer token, for a URL.
         ca: The file with the certificates that sign the daemon's; None: the system's.
+        certificate: The file with the client's certificate and key, where the daemon asks for one.
         answer_within_s: How long to wait for an answer, seconds.
         repeat_for_s: How long a write whose connection broke is repeated, seconds; 0: never.
 
@@ -82,7 +84,7 @@ async def connect(
     """
     path, base = find_daemon(socket, url)
     async with open_connection(
-        path, base, token_file=token_file, ca=ca, answer_within_s=answer_within_s,
+        path, base, token_file=token_file, ca=ca, certificate=certificate, answer_within_s=answer_within_s,
         repeat_for_s=repeat_for_s,
     ) as connection:  # fmt: skip
         yield Line(connection)

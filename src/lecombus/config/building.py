@@ -27,6 +27,7 @@ from lecombus.roster import (
     MqttEntry,
     Roster,
     StoredWrites,
+    TlsEntry,
     WatchdogEntry,
     group_entry,
 )
@@ -97,6 +98,8 @@ _CONVERTED: Final[Mapping[str, Callable[[Any], Any]]] = {
     "identity": lambda given: {Code.parse(at.text): text for at, text in given},
     "stored_writes": lambda given: StoredWrites(**_fields(given)),
     "http": lambda given: HttpAddress(host=given[0], port=given[1]),
+    "hosts": lambda given: tuple(item.value.lower() for item in given),
+    "tls": lambda given: TlsEntry(**_fields(given)) if isinstance(given, Fields) else given,
 }
 """How the values of keys become those of fields, where they are not the same."""
 
@@ -162,8 +165,4 @@ def _mqtt(entry: Fields | None) -> MqttEntry | None:
 
 def _not_yet_used(roster: Fields) -> tuple[str, ...]:
     """List the keys given that nothing in this version acts on."""
-    found = [key for key in _NOT_YET_USED if key in roster.values]
-    api = roster.get("api")
-    if isinstance(api, Fields) and "tokens" in api.values:
-        found.append("api.tokens")
-    return tuple(found)
+    return tuple(key for key in _NOT_YET_USED if key in roster.values)

@@ -23,7 +23,7 @@ from lecombus.errors import CodeValueError
 from lecombus.fieldbus.protocols import Fieldbus, find
 from lecombus.parameters import Code
 from lecombus.parameters.codes import forms_of
-from lecombus.roster import Roster, is_network_port
+from lecombus.roster import Roster, is_loopback, is_network_port
 
 __all__ = [
     "check_drive",
@@ -67,6 +67,7 @@ def check_roster(roster: Fields, protocol: str, mistakes: Mistakes) -> None:
     _check_groups(roster, drives, mistakes)
     _check_shutdown(roster, drives, mistakes)
     _check_default_lapse(roster, drives, mistakes)
+    _check_access(roster, mistakes)
 
 
 def check_feasibility(entries: Fields, roster: Roster, mistakes: Mistakes) -> None:
@@ -225,6 +226,19 @@ def _check_default_lapse(roster: Fields, drives: list[Fields], mistakes: Mistake
         needs = given.get("required", required) if given is not None else required
         if needs and (given is None or "on_lapse" not in given.nodes):
             check_lapse(drive, fallback, drive.place("lease"), mistakes)
+
+
+def _check_access(roster: Fields, mistakes: Mistakes) -> None:
+    """Note an address that other machines reach, where not every request needs a token and TLS."""
+    api = roster.get("api")
+    http = api.get("http") if isinstance(api, Fields) else None
+    if not isinstance(api, Fields) or http is None or is_loopback(http[0]):
+        return
+    missing = [f"`{key}`" for key in ("tokens", "tls") if key not in api.nodes]
+    if missing:
+        what = f"`http` is not local: that needs {' and '.join(missing)} too"
+        right = f"give them, or write 127.0.0.1:{http[1]} and use a tunnel, such as ssh -L"
+        mistakes.note(api.place("http"), what, right)
 
 
 WRITABLE = ("writable", "also_writable")

@@ -7,6 +7,7 @@ nor the directory.
 from __future__ import annotations
 
 import contextlib
+import ipaddress
 import re
 from typing import Final
 
@@ -14,7 +15,7 @@ from lecombus.config.mistakes import did_you_mean, nearest, one_of, shown
 from lecombus.config.scalar_types import ScalarType, WrongText
 from lecombus.roster import is_loopback
 
-__all__ = ["AbsolutePath", "Host", "HttpType", "PortType"]
+__all__ = ["AbsolutePath", "GroupName", "Host", "HttpType", "PortType"]
 
 _SCHEMES: Final = ("socket", "sim")
 _HOST_PORT: Final = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+):([0-9]{1,5})", re.ASCII)
@@ -94,10 +95,10 @@ class PortType(ScalarType):
 
 
 class HttpType(ScalarType):
-    """Where the API listens on TCP: loopback only, as long as clients are not authenticated."""
+    """Where the API listens on TCP: an address of this machine. `checks` says which need more."""
 
     def __init__(self) -> None:
-        pattern = r"^(127\.[0-9.]+|localhost|\[::1\]):[0-9]{1,5}$"
+        pattern = r"^(localhost|[0-9.]+|\[[0-9A-Fa-f:.]+\]):[0-9]{1,5}$"
         super().__init__(
             "HOST:PORT, such as 127.0.0.1:9740", {"type": "string", "pattern": pattern}
         )
@@ -105,12 +106,28 @@ class HttpType(ScalarType):
     def _convert(self, text: str) -> tuple[str, int]:
         host, number = _split_host_port(text)
         if not is_loopback(host):
-            # Until access control exists, everyone who reaches the port may read.
-            raise WrongText(
-                "is not local: api.http must be a loopback address",
-                f"write 127.0.0.1:{number}; from outside use a tunnel, such as ssh -L",
-            )
+            try:
+                ipaddress.ip_address(host)
+            except ValueError:
+                raise WrongText(
+                    "does not begin with an address of this machine",
+                    f"write an IP address such as 127.0.0.1:{number}; names belong to `hosts`",
+                ) from None
         return host, number
+
+
+class GroupName(ScalarType):
+    """A group of users of this machine."""
+
+    def __init__(self) -> None:
+        pattern = "[A-Za-z_][A-Za-z0-9_.-]{0,31}"
+        super().__init__("a group of users", {"type": "string", "pattern": f"^{pattern}$"})
+        self._form = re.compile(pattern, re.ASCII)
+
+    def _convert(self, text: str) -> str:
+        if self._form.fullmatch(text) is None:
+            raise WrongText("is no group", f"give {self.expects}, such as operators")
+        return text
 
 
 class AbsolutePath(ScalarType):

@@ -17,6 +17,7 @@ from lecombus.config.container_types import Key, ListOf, NamedEntries, Table
 from lecombus.config.endpoint_types import (
     LONGEST_SOCKET_PATH,
     AbsolutePath,
+    GroupName,
     Host,
     HttpType,
     PortType,
@@ -169,13 +170,31 @@ _GROUP: Final = Table("group", (
     _MULTICAST,
 ))  # fmt: skip
 
+_TLS: Final = Table("tls", (
+    Key("certificate", AbsolutePath("/etc/lecombus/tls.pem"),
+        "PEM file: the certificate, then those between it and its authority.", required=True),
+    Key("key", AbsolutePath("/etc/lecombus/tls.key"),
+        "PEM file: its private key, which others may not read.", required=True),
+    Key("client_ca", AbsolutePath("/etc/lecombus/clients.pem"),
+        "PEM file: the authorities of client certificates. Absent: clients need none."),
+), "The certificate of TCP; read again at each reload.")  # fmt: skip
+
 _API: Final = Table("api", (
     Key("socket", AbsolutePath("/run/lecombus/hall-3.sock", LONGEST_SOCKET_PATH),
         "The Unix socket. Absent: /run/lecombus/NAME.sock with the line's name."),
-    Key("http", HttpType(), "Loopback HOST:PORT for HTTP. Absent: none."),
+    Key("socket_group", GroupName(),
+        "The group that may open the Unix socket, which is to read, write and stop. Absent: that "
+        "of the daemon."),
+    Key("http", HttpType(),
+        "HOST:PORT for HTTP over TCP; other than loopback only with tokens and tls. Absent: none."),
+    Key("hosts", ListOf(Host(), "the host"),
+        "Names that requests over TCP use for this machine, besides its addresses."),
     Key("tokens", AbsolutePath("/etc/lecombus/tokens"),
-        "File of hashed tokens (not used by this version)."),
-), "Where programs reach the daemon.")  # fmt: skip
+        "File of tokens (`lecombus token`): every request over TCP needs one. Absent: TCP answers "
+        "reads of this machine."),
+    Key("tls", _TLS, _TLS.doc),
+    Key("read_only", YesNo(), "Whether no door writes, except to stop.", default=False),
+), "Where programs reach the daemon, and what they may do.")  # fmt: skip
 
 _MQTT: Final = Table("mqtt", (
     Key("host", Host(), "The broker.", required=True),

@@ -29,7 +29,7 @@ from lecombus.drives import Verb, WriteClass, family
 from lecombus.durations import format_duration
 from lecombus.fieldbus.costs import LineTiming
 from lecombus.parameters import Code
-from lecombus.roster import DriveEntry, LineEntry, Roster, is_network_port
+from lecombus.roster import ApiEntry, DriveEntry, LineEntry, Roster, is_network_port
 from lecombus.schedule.watchdog_deadline import HARD_PART
 from lecombus.schedule.watchdog_set import WatchdogSet
 
@@ -58,6 +58,7 @@ def find_warnings(roster: Roster) -> list[str]:
     found.extend(_adapter(roster, timing))
     found.extend(_unwatched(roster))
     found.extend(_gathered(text for drive in roster.drives for text in _leases(drive)))
+    found.extend(_access(roster.api))
     found.extend(_groups(roster))
     found.extend(_gathered(text for drive in roster.drives for text in _watchdog(drive)))
     found.extend(_gathered(text for drive in roster.drives for text in _writable(drive)))
@@ -265,6 +266,20 @@ def _leases(drive: DriveEntry) -> Iterator[tuple[str, str]]:
             drive.name,
             f"on_lapse silence ends in {watchdog.action} by its watchdog, which stop_fallback none "
             "does not change",
+        )
+
+
+def _access(api: ApiEntry) -> Iterator[str]:
+    """Warn of keys that only TCP uses, and of an address that every network reaches."""
+    given = {"tokens": api.tokens, "tls": api.tls, "hosts": api.hosts}
+    unused = [f"api.{key}" for key, value in given.items() if value]
+    if api.http is None:
+        if unused:
+            yield f"{', '.join(unused)}: without api.http there is no TCP server to use it"
+    elif api.http.host in ("0.0.0.0", "::"):
+        yield (
+            f"api.http {api.http} listens in every network that this machine is in; one address "
+            "of it may be enough"
         )
 
 

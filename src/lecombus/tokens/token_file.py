@@ -29,7 +29,16 @@ from lecombus.errors import OperationError
 from lecombus.tokens.grants import Grant, Scope, granted
 from lecombus.tokens.secret import digest_of, is_well_formed
 
-__all__ = ["MOST_TOKENS", "NAME", "TokenEntry", "Tokens", "read_tokens", "write_tokens"]
+__all__ = [
+    "MOST_TOKENS",
+    "NAME",
+    "TokenEntry",
+    "Tokens",
+    "document_of",
+    "now_rounded",
+    "read_tokens",
+    "write_tokens",
+]
 
 LARGEST: Final = 256 * 1024
 """Bytes of a file that is read."""
@@ -241,7 +250,7 @@ def now_rounded() -> datetime:
     return datetime.now(UTC).replace(microsecond=0)
 
 
-def as_json(entry: TokenEntry) -> dict[str, Any]:
+def document_of(entry: TokenEntry) -> dict[str, Any]:
     """Return what is shown of a token: all but its digest."""
     document = entry.model_dump(mode="json")
     del document["sha256"]
