@@ -228,7 +228,7 @@ def described_operation(
         "200": {"description": "Successful Response", "content": {JSON_TYPE: answer}},
         **{str(status): problem_response(titles(status)) for status in operation.problems},
         "default": problem_response(
-            "What any path may be refused with: 400, 405, 414, 421, 429, 431, 503"
+            "What any path may be refused with: 400, 401, 403, 405, 414, 421, 429, 431, 503"
         ),
     }
     if operation.body is not None:

@@ -84,8 +84,8 @@ async def connect(
     """
     path, base = find_daemon(socket, url)
     async with open_connection(
-        path, base, token_file=token_file, ca=ca, certificate=certificate, answer_within_s=answer_within_s,
-        repeat_for_s=repeat_for_s,
+        path, base, token_file=token_file, ca=ca, certificate=certificate,
+        answer_within_s=answer_within_s, repeat_for_s=repeat_for_s,
     ) as connection:  # fmt: skip
         yield Line(connection)
 
