@@ -17,6 +17,7 @@ from lecombus.api.answers import STATUS_BY_KIND
 from lecombus.cli.entry import COMMANDS, main
 from lecombus.config import roster_json_schema
 from lecombus.drives import FAMILY_NAMES, family
+from lecombus.journal.journal import JournalFigures
 from lecombus.parameters import Code
 from support.rosters import roster_text
 from support.site_host import Plant, until, with_plant
@@ -47,6 +48,11 @@ def quoted(cell: str) -> list[str]:
 
 def keys(piece: dict[str, Any], path: str = "") -> Iterator[str]:
     """Yield the path of every key of a roster that holds a value, as docs/roster.md writes it."""
+    for form in piece.get("anyOf", ()):
+        if "properties" in form:
+            yield path
+            yield from keys(form, path)
+            return
     inside = dict(piece.get("properties", {}))
     if isinstance(piece.get("additionalProperties"), dict):
         inside["NAME"] = piece["additionalProperties"]
@@ -105,6 +111,7 @@ def test_metrics_are_those_that_are_served() -> None:
 
     async def test(plant: Plant) -> None:
         await plant.online()
+        plant.site.watch.journal = lambda: JournalFigures(1, 1, True, 0, 0)
         plant.line["a"].trip(50)
         fault = plant.site.store.drive
         await until(lambda: (one := fault("a").fault) is not None and one.number == 50)

@@ -5,8 +5,9 @@ the other: outside the line (worker, supervisor), inside the interfaces (API, si
 manager). The API takes its places before the port is opened: where another daemon has them, its
 line is not disturbed. At the end nothing more is written; `on_shutdown` is sent first, in the stop
 class: a slow client must not keep a motor running; then the interfaces end with the requests under
-way; then the worker ends after its telegram, and the port is closed. An error in any task ends the
-daemon, which the service manager starts again: no error is hidden.
+way; then the worker ends after its telegram, and the port is closed. The journal is opened first
+and closed last. An error in any task ends the daemon, which the service manager starts again: no
+error is hidden.
 
 SIGTERM and SIGINT end it. SIGHUP and `POST /v1/reload` read the roster again, in a thread, and
 apply it; a wrong one is reported and the old one kept.
@@ -22,7 +23,7 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -38,6 +39,8 @@ from lecombus.drives import StopAction
 from lecombus.errors import LecombusError, LineClosedError, OperationError
 from lecombus.fieldbus.port import PortOpener
 from lecombus.fieldbus.protocols import find
+from lecombus.journal.journal import Journal
+from lecombus.journal.journal_file import JournalFileError, KeyRow
 from lecombus.line.devices import others_at
 from lecombus.line.event_loop import run as run_loop
 from lecombus.line.opening import open_port
@@ -46,6 +49,7 @@ from lecombus.operations.actions import ACTOR
 from lecombus.operations.operation_reports import GroupReport
 from lecombus.roster import ApiEntry
 from lecombus.saved_state import Keeping
+from lecombus.supervision.journal_record import JournalRecord
 
 __all__ = ["SIM_URL", "Daemon", "Notifier", "opener_for", "plain_errors", "run"]
 
@@ -145,19 +149,37 @@ class Daemon:
         self._tls: TlsContexts | None = None
         self._progress = (-1, -1)
         self._progress_at_s = 0.0
+        self._ended_by = "an error"
+        self._record: JournalRecord | None = None
+        self._kept_keys: Sequence[KeyRow] = ()
         self.runtime: LineRuntime | None = None
 
     async def main(self) -> None:
         """Run until a signal or an error ends it."""
         file = self._roster.state
         keeping = await Keeping.opened(None if file is None else Path(file))
+        journal = await self._open_journal()
         try:
-            await self._run(keeping)
+            await self._run(keeping, journal)
+        except BaseException as exc:
+            self._ended_by = f"{type(exc).__name__}: {exc}"
+            raise
         finally:
             keeping.close()
+            if journal is not None:
+                with anyio.CancelScope(shield=True):
+                    if self._record is not None:
+                        self._record.ended_run(self._ended_by)
+                    await journal.close()
         logger.info("event=stopped line=%s", self._roster.line.name)
 
-    async def _run(self, keeping: Keeping) -> None:
+    async def _open_journal(self) -> Journal | None:
+        entry = self._roster.journal
+        if entry is None:
+            return None
+        return await Journal.opened(Path(entry.file), entry.max_size, time.time)
+
+    async def _run(self, keeping: Keeping, journal: Journal | None) -> None:
         """Run the line and its faces."""
         clock = anyio.current_time
         runtime = self.runtime = LineRuntime(
@@ -168,13 +190,18 @@ class Daemon:
             "event=start version=%s line=%s drives=%d",
             __version__, self._roster.line.name, len(self._roster.drives),
         )  # fmt: skip
+        if journal is not None:
+            await self._record_in(journal, runtime)
+            self._kept_keys = await kept_keys(journal)
         async with anyio.create_task_group() as line:
             async with anyio.create_task_group() as faces:
                 faces.start_soon(self._watch_signals, faces)
-                await self._serve(faces, runtime)
+                await self._serve(faces, runtime, journal)
                 gc.freeze()  # what lives by now lives to the end
                 gc.enable()
                 line.start_soon(keeping.run, partial(runtime.store.note_line, "state"))
+                if journal is not None:
+                    line.start_soon(journal.run, partial(runtime.store.note_line, "journal"))
                 line.start_soon(runtime.supervisor.run)
                 line.start_soon(runtime.lease_watch.run)
                 line.start_soon(runtime.worker.run)
@@ -189,11 +216,26 @@ class Daemon:
             runtime.worker.close()
             line.cancel_scope.cancel()
 
-    def end(self) -> None:
-        """End the daemon in good order."""
+    async def _record_in(self, journal: Journal, runtime: LineRuntime) -> None:
+        """Have the journal record what is done on the line and what happens to it."""
+        entry = self._roster.journal
+        assert entry is not None
+        self._record = record = JournalRecord(
+            journal, runtime.store, refuses=entry.on_failure == "refuse"
+        )
+        runtime.operations.actions.followers += (record,)
+        runtime.store.subscribe(record.store_changed)
+        runtime.watch.journal = journal.figures
+        await record.started(self._roster, __version__)
+
+    def end(self, why: str = "its owner") -> None:
+        """End the daemon in good order; `why` stands in the journal."""
+        self._ended_by = why
         self._end.set()
 
-    async def _serve(self, faces: anyio.abc.TaskGroup, runtime: LineRuntime) -> None:
+    async def _serve(
+        self, faces: anyio.abc.TaskGroup, runtime: LineRuntime, journal: Journal | None
+    ) -> None:
         api = self._roster.api
         app = create_app(
             runtime.operations,
@@ -207,6 +249,8 @@ class Daemon:
             healthy=self.healthy,
             reload=self.reload,
             read_only=api.read_only,
+            journal=journal,
+            kept_keys=self._kept_keys,
             version=__version__,
             clock=anyio.current_time,
         )
@@ -240,7 +284,7 @@ class Daemon:
                 if number == signal.SIGHUP:
                     faces.start_soon(self._reload_by_signal)
                 else:
-                    self.end()
+                    self.end(signal.Signals(number).name)
 
     async def _reload_by_signal(self) -> None:
         with contextlib.suppress(LecombusError):  # what is wrong stands in the log
@@ -294,6 +338,8 @@ class Daemon:
             self._tls.use(tls)
         if self._tokens is not None:
             await self._tokens.look(always=True)
+        if self._record is not None:
+            self._record.reloaded(running, roster)
         self._roster = roster
         runtime.store.note_line(RELOAD, None)
         logger.info("event=reloaded drives=%d %s %s", len(roster.drives), changes, who)
@@ -306,6 +352,8 @@ class Daemon:
         more, count = "", len(refused.mistakes)
         if count > 1:
             more = f" (and {count - 1} more: `lecombus reload` lists them)"
+        if self._record is not None:
+            self._record.reload_refused(refused)
         first = refused.mistakes[0]
         text = f"the last reload was refused, the old roster is used: {first}{more}"
         runtime.store.note_line(RELOAD, text)
@@ -376,6 +424,15 @@ class Daemon:
                 tell_goodbye(action, report)
         if scope.cancelled_caught:
             logger.error("event=shutdown-stop-failed action=%s reason=too slow", action)
+
+
+async def kept_keys(journal: Journal) -> Sequence[KeyRow]:
+    """Return the requests with a key that the run before has kept."""
+    try:
+        return await journal.keys()
+    except (JournalFileError, TimeoutError) as exc:
+        logger.warning("event=keys-not-kept reason=%s", exc)
+        return ()
 
 
 class Notifier:

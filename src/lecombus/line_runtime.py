@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from lecombus.config import (
+    FIXED,
     LineEntry,
     Roster,
     RosterChanges,
@@ -116,10 +117,10 @@ class LineRuntime:
             ConfigError: The line itself differs: that needs a restart. Nothing was changed.
         """
         fixed, now = (self.roster, roster)
-        if (fixed.line, fixed.api, fixed.state) != (now.line, now.api, now.state):
+        if any(getattr(fixed, part) != getattr(now, part) for part in FIXED):
             raise ConfigError(
-                "`line`, `api` and `state` cannot change while lecombus runs: restart it, or "
-                "put them back; the old roster is kept",
+                "`line`, `api`, `journal` and `state` cannot change while lecombus runs: restart "
+                "it, or put them back; the old roster is kept",
                 file=roster.file,
             )
         changes = roster_changes(self.roster, roster)

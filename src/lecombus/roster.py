@@ -25,11 +25,13 @@ __all__ = [
     "Echo",
     "GroupEntry",
     "HttpAddress",
+    "JournalEntry",
     "Lapse",
     "LeaseEntry",
     "LineEntry",
     "Medium",
     "MqttEntry",
+    "OnJournalFailure",
     "OnShutdown",
     "Parity",
     "Roster",
@@ -51,6 +53,7 @@ Addressing = Literal["both", "standard"]
 Lapse = Literal["quick-stop", "inhibit", "silence", "hold"]
 StopFallback = Literal["inhibit", "none"]
 OnShutdown = Literal["nothing", "quick-stop", "inhibit"]
+OnJournalFailure = Literal["refuse", "go-on"]
 
 
 MulticastAddress = Callable[[frozenset[int], frozenset[int]], int | None]
@@ -276,6 +279,20 @@ class MqttEntry(_Model):
     tls: bool = True
 
 
+class JournalEntry(_Model):
+    """The journal.
+
+    Args:
+        file: Its file.
+        max_size: How large the file may become, bytes.
+        on_failure: What happens to writes while it cannot be written; stops always go on.
+    """
+
+    file: str
+    max_size: int = 256_000_000
+    on_failure: OnJournalFailure = "refuse"
+
+
 class Roster(_Model):
     """A whole roster.
 
@@ -288,7 +305,7 @@ class Roster(_Model):
         on_shutdown: What is done to the drives at the end.
         api: Where the API listens.
         mqtt: The message broker; None: none.
-        journal: The journal's file; None: none.
+        journal: The journal; None: none.
         state: The state file; None: nothing is kept.
         not_yet_used: Keys that were given and checked but do nothing in this version.
     """
@@ -301,7 +318,7 @@ class Roster(_Model):
     on_shutdown: OnShutdown = "nothing"
     api: ApiEntry
     mqtt: MqttEntry | None = None
-    journal: str | None = None
+    journal: JournalEntry | None = None
     state: str | None = None
     not_yet_used: tuple[str, ...] = ()
 

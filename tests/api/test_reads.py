@@ -268,6 +268,8 @@ async def test_openapi_describes_every_path_and_refers_to_nothing_missing(
     text = (await client.get("/openapi.json")).text
     document = json.loads(text, parse_float=Decimal)
     assert {
+        "/v1/journal",
+        "/v1/journal/verify",
         "/v1/line",
         "/v1/line/addresses/{address}/codes/{code}",
         "/v1/line/addresses/{address}/codes/{code}/{subcode}",

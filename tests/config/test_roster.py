@@ -14,7 +14,7 @@ from lecombus.config import LeaseEntry, load_roster
 from lecombus.drives import FAMILY_NAMES, family
 from lecombus.fieldbus.lecom.protocol.addressing import Form, group_reach, multicast_address
 from lecombus.parameters import Code
-from lecombus.roster import TlsEntry
+from lecombus.roster import JournalEntry, TlsEntry
 
 ADDRESSES = [number for number in range(1, 100) if number % 10]
 
@@ -143,13 +143,21 @@ def test_a_drive_lease_completes_itself_from_the_default() -> None:
 
 def test_what_does_nothing_yet_is_named() -> None:
     text = roster_with(
-        "lease: {required: false}", "mqtt: {host: h, tls: no}", "journal: /j",
-        "api: {tokens: /t}",
+        "lease: {required: false}", "mqtt: {host: h, tls: no}", "api: {tokens: /t}",
     ).replace("family: smvector", "family: smvector\n    lease: {}")  # fmt: skip
     roster = parsed(text)
-    assert roster.not_yet_used == ("mqtt", "journal")
+    assert roster.not_yet_used == ("mqtt",)
     assert roster.mqtt is not None
     assert (roster.mqtt.port, roster.mqtt.tls) == (1883, False)
+
+
+def test_a_journal_is_named_by_its_file_alone_or_with_more() -> None:
+    assert parsed(GOOD).journal is None
+    assert parsed(roster_with("journal: /j")).journal == JournalEntry(file="/j")
+    more = "journal: {file: /j, max_size: 2GB, on_failure: go-on}"
+    assert parsed(roster_with(more)).journal == JournalEntry(
+        file="/j", max_size=2_000_000_000, on_failure="go-on"
+    )
 
 
 def test_merge_keys_and_anchors_write_drives_once() -> None:

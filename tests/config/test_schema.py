@@ -12,7 +12,7 @@ import yaml
 from config.rosters import CONFIG, GOOD, drive_with, line_with, parsed, roster_with
 from config.schema_validator import matches
 from lecombus.config import load_roster, roster_json_schema
-from lecombus.config.container_types import ListOf, NamedEntries, Table
+from lecombus.config.container_types import ListOf, NamedEntries, ShortTable, Table
 from lecombus.config.keys import roster_table
 from lecombus.config.scalar_types import ValueType
 
@@ -62,6 +62,8 @@ def keys_of(value_type: ValueType, path: str = "") -> set[str]:
 
 def keys_in(value: Any, value_type: ValueType, path: str = "") -> set[str]:
     if isinstance(value_type, Table):
+        if isinstance(value_type, ShortTable) and not isinstance(value, dict):
+            value = {next(iter(value_type.keys)): value}
         return {found for name, item in value.items()
                 for found in keys_in(item, value_type.keys[name].type, f"{path}.{name}")
                 } | {path}  # fmt: skip

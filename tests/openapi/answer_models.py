@@ -566,6 +566,40 @@ class EndedLeaseDocument(Document):
     drives: list[str]
 
 
+class JournalRowDocument(Document):
+    """One row of the journal."""
+
+    number: int
+    time: str
+    what: str
+    drive: Annotated[str | None, Field(description="The drive or group")]
+    asked: Annotated[int | None, Field(description="The row that it is the end of")]
+    outcome: Annotated[str | None, Field(description="`asked`, or how it ended")]
+    ended: Annotated[bool, Field(description="A later row has its end")]
+    fields: Annotated[dict[str, str], Field(description="With those of the row asked")]
+    hash: Annotated[str, Field(description="SHA-256 over it and the row before")]
+
+
+class JournalDocument(Document):
+    """Rows of the journal, in their order."""
+
+    rows: list[JournalRowDocument]
+    next: Annotated[int | None, Field(description="There may be more behind this row")]
+    head: Annotated[str, Field(description="Number and hash of the newest row")]
+    trouble: Annotated[str, Field(description="Why nothing can be written now; empty: it can")]
+
+
+class VerifiedDocument(Document):
+    """Whether the journal is whole."""
+
+    whole: bool
+    rows: int
+    first: int
+    last: Annotated[int, Field(description="The last row that is right")]
+    head: Annotated[str, Field(description="Number and hash of that row")]
+    problem: str | None
+
+
 class PlanDocument(Document):
     """What a plan of the running line is made from, and what its last five minutes showed."""
 

@@ -24,6 +24,7 @@ import lecombus.api
 from lecombus.api import request_checks as bodies
 from lecombus.api.answers import PROBLEM_TYPE, STATUS_BY_KIND
 from lecombus.api.idempotency import KEY_CHARS
+from lecombus.api.journal_routes import JournalQuery, VerifyQuery
 from openapi import answer_models
 from openapi.answer_models import ProblemDocument
 from support.api_line import make_line
@@ -147,6 +148,10 @@ OPERATIONS: Final[Mapping[tuple[str, str], Operation]] = {
         answer_models.ReloadDocument, REFUSALS, body=bodies.NoKeysBody, body_required=False
     ),
     ("get", f"{DRIVE}/why"): Operation(answer_models.WhyDocument, (404, 422), bodies.WhyQuery),
+    ("get", "/v1/journal"): Operation(answer_models.JournalDocument, (404, 422, 503), JournalQuery),
+    ("get", "/v1/journal/verify"): Operation(
+        answer_models.VerifiedDocument, (404, 422, 503), VerifyQuery
+    ),
     ("get", "/v1/plan"): Operation(answer_models.PlanDocument, (422,)),
     ("get", "/healthz"): Operation(answer_models.StatusDocument, (503,)),
     ("get", "/readyz"): Operation(answer_models.StatusDocument, (503,)),

@@ -111,7 +111,7 @@ def test_an_older_stop_ends_no_later_write_of_the_same_task() -> None:
         await plant.site.operations.write("a", Code(46), 20)
         await plant.site.operations.stop(StopAction.INHIBIT, "a")
         await anyio.sleep(1)
-        report = await plant.site.operations.write("a", Code(46), 30)
+        report = await plant.site.operations.write("a", Code(46), 30, verify=True)
         assert report.outcome.is_good
 
     with_plant(scenario, ROSTER)
@@ -170,9 +170,9 @@ def test_followers_get_the_value_that_was_known_before_but_no_password(
         await plant.online()
         follower = Slow(plant)
         await plant.site.operations.write("a", Code(46), 20, verify=True)
-        await plant.site.operations.write("a", Code(46), 30)
+        await plant.site.operations.write("a", Code(46), 30, verify=True)
         await plant.site.operations.write_group("two", Code(46), 10)
-        assert [act.old for act in follower.acts] == ["", "20", "a:20"]
+        assert [act.old for act in follower.acts] == ["", "20", "a:30"]
         await plant.site.operations.write("a", Code(1), 2, verify=True)
         await plant.site.operations.write("a", Code(1), 3)
         assert [(act.said["value"], act.old) for act in follower.acts[3:]] == [("***", "")] * 2

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -29,6 +29,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from lecombus.api.answers import JSON_TYPE, ProblemDocument, problem_of, status_response
 from lecombus.api.decimal_json import short
 from lecombus.api.idempotency import Idempotency
+from lecombus.api.journal_routes import JournalRoutes
 from lecombus.api.lease_routes import LeaseRoutes
 from lecombus.api.limits import is_stop
 from lecombus.api.read_routes import ReadRoutes
@@ -37,6 +38,8 @@ from lecombus.api.write_routes import StopRoutes, WriteRoutes
 from lecombus.config import RosterChanges
 from lecombus.drive_state.store import Store
 from lecombus.errors import LecombusError
+from lecombus.journal.journal import Journal
+from lecombus.journal.journal_file import KeyRow
 from lecombus.metrics import OPENMETRICS_TYPE, TEXT_TYPE, Metrics, wants_openmetrics
 from lecombus.operations.facade import Operations
 from lecombus.parameters import Json
@@ -64,6 +67,8 @@ def create_app(
     port: str = "",
     baud: int = 9600,
     read_only: bool = False,
+    journal: Journal | None = None,
+    kept_keys: Sequence[KeyRow] = (),
     version: str = "",
     clock: Callable[[], float] = time.monotonic,
 ) -> Starlette:
@@ -81,6 +86,8 @@ def create_app(
         port: The line's port, as the roster has it.
         baud: Its baud rate, bit/s.
         read_only: Whether all but reads and stops are refused.
+        journal: The journal; None: there is none.
+        kept_keys: What it keeps of requests of the run before.
         version: lecombus' version, for the OpenAPI document.
         clock: A monotonic clock for idempotency keys, seconds.
     """
@@ -89,7 +96,8 @@ def create_app(
         *StopRoutes(ops).routes(),
         *ReadRoutes(ops, store, facts, plan_facts, clock).routes(),
         *LeaseRoutes(ops).routes(),
-        *WriteRoutes(ops, Idempotency(clock), reload).routes(),
+        *WriteRoutes(ops, Idempotency(clock, journal, kept_keys), reload).routes(),
+        *JournalRoutes(journal).routes(),
         *ServiceRoutes(metrics, ready, healthy, version or "0").routes(),
     ]
     app = Starlette(

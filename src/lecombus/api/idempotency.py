@@ -15,11 +15,16 @@ for then: it expires earlier, and a stop or a start of lecombus since then ends 
 repeat cannot start what was stopped after the first request was lost.
 
 Memory is bounded: `KEY_LIMIT` keys for `KEEP_S` seconds, the oldest finished one going first.
+Where there is a journal, keys and responses are kept in it too: a key before its request is carried
+out, its response before that is sent. So a repeat is answered after a restart of lecombus as well;
+where the first request was under way at its end, by `unknown`. They are kept for `KEEP_S` seconds
+from the restart on: how long lecombus was away is not known for certain.
 What must not live here: what a request does.
 """
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, field
@@ -32,6 +37,8 @@ from starlette.responses import Response
 
 from lecombus.api.answers import STATUS_BY_KIND, ProblemDocument, RefusedRequestError
 from lecombus.api.decimal_json import short
+from lecombus.journal.journal import Journal
+from lecombus.journal.journal_file import JournalFileError, KeyRow
 from lecombus.operations.awaited_requests import CAME_S
 from lecombus.schedule.request import Outcome
 
@@ -54,6 +61,9 @@ ASKED_HEADER: Final = "Lecombus-Asked"
 ASKED_RIGHT: Final = re.compile(r"[0-9]{1,3}(\.[0-9]{1,6})?", re.ASCII)
 """Seconds; a client that has waited for longer has a person look first."""
 
+KEPT_BYTES: Final = 65536
+"""A longer response is not kept in the journal; none of a line with 90 drives is."""
+
 CLIENT_GONE: Final = STATUS_BY_KIND["client-gone"][0]
 
 
@@ -72,12 +82,20 @@ class Idempotency:
 
     Args:
         clock: A monotonic clock, seconds.
+        journal: Keeps them across restarts; None: nothing does.
+        kept: Those of the run before.
     """
 
-    def __init__(self, clock: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        clock: Callable[[], float],
+        journal: Journal | None = None,
+        kept: Sequence[KeyRow] = (),
+    ) -> None:
         self._clock = clock
         self._started_s = clock()
-        self._entries: dict[str, Entry] = {}
+        self._journal = journal
+        self._entries = {row.name: entry_of(row, self._started_s) for row in kept}
 
     def __len__(self) -> int:
         """Return how many keys are remembered."""
@@ -140,15 +158,36 @@ class Idempotency:
         self._entries.pop(key, None)  # so that keys stand in the order of their age
         self._make_room()
         entry = self._entries[key] = Entry(content, self._clock())
+        if self._journal is not None:
+            self._journal.keep(KeyRow(key, content))
         try:
             response = await act()
             if response.status_code != CLIENT_GONE:
                 entry.response = response
+                await self._keep(key, content, response)
+            else:
+                self._forget(key)
             return response
+        except Exception:
+            self._forget(key)
+            raise
         finally:
             if entry.response is None and self._entries.get(key) is entry:
                 del self._entries[key]
             entry.ended.set()
+
+    async def _keep(self, key: str, content: bytes, response: Response) -> None:
+        """Have the journal keep a response, and wait for that; one that fails is not waited for."""
+        body = bytes(response.body)
+        if self._journal is None or len(body) > KEPT_BYTES:
+            return
+        row = KeyRow(key, content, response.status_code, response.media_type or "", body)
+        with contextlib.suppress(JournalFileError):
+            await self._journal.keep_now(row)
+
+    def _forget(self, key: str) -> None:
+        if self._journal is not None:
+            self._journal.keep(KeyRow(key))
 
     def _is_current(self, entry: Entry) -> bool:
         return not entry.ended.is_set() or self._clock() - entry.begun_s < KEEP_S
@@ -159,15 +198,33 @@ class Idempotency:
             if self._is_current(entry):
                 break
             del self._entries[key]
+            self._forget(key)
         if len(self._entries) < KEY_LIMIT:
             return
         for key, entry in self._entries.items():
             if entry.ended.is_set():
                 del self._entries[key]
+                self._forget(key)
                 return
         raise RefusedRequestError(
             ProblemDocument("queue-full", f"{KEY_LIMIT} requests with a key are under way already")
         )
+
+
+def entry_of(row: KeyRow, now_s: float) -> Entry:
+    """Return what is known of a key of the run before."""
+    ended = anyio.Event()
+    ended.set()
+    if row.status is None:
+        problem = ProblemDocument(
+            "unknown",
+            "lecombus ended while this was under way: whether it was done is not known",
+            remedy="look at the drive, then ask for it again with a new key",
+            outcome=Outcome.UNKNOWN.value,
+        )
+        return Entry(row.content, now_s, ended, problem.response())
+    response = Response(row.body, row.status, media_type=row.type or None)
+    return Entry(row.content, now_s, ended, response)
 
 
 class SharedStops:

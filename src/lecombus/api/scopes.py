@@ -104,6 +104,8 @@ NEEDS: Final[Mapping[tuple[str, str], Need]] = {
     ("DELETE", "/v1/leases/{lease}"): Need(Scope.CONTROL, Of.NO_DRIVE),
     ("GET", "/v1/leases"): READ,
     ("POST", "/v1/reload"): Need(Scope.WRITE, Of.ALL),
+    ("GET", "/v1/journal"): READ_ALL,
+    ("GET", "/v1/journal/verify"): READ_ALL,
     ("GET", "/v1/line"): READ,
     ("GET", "/v1/drives"): READ,
     ("GET", "/v1/groups"): READ,

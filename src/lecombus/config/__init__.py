@@ -6,7 +6,13 @@
 """
 
 from lecombus.capacity.exchange_costs import line_timing
-from lecombus.config.changes import RosterChanges, roster_changes
+from lecombus.config.changes import (
+    FIXED,
+    RosterChanges,
+    roster_changes,
+    roster_values,
+    value_changes,
+)
 from lecombus.config.describing import describe
 from lecombus.config.keys import roster_json_schema
 from lecombus.config.loading import load_roster, parse_roster
@@ -22,6 +28,7 @@ from lecombus.roster import (
 )
 
 __all__ = [
+    "FIXED",
     "DriveEntry",
     "GroupEntry",
     "LeaseEntry",
@@ -37,5 +44,7 @@ __all__ = [
     "parse_roster",
     "roster_changes",
     "roster_json_schema",
+    "roster_values",
+    "value_changes",
     "with_address",
 ]

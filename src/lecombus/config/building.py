@@ -22,6 +22,7 @@ from lecombus.roster import (
     DriveEntry,
     GroupEntry,
     HttpAddress,
+    JournalEntry,
     LeaseEntry,
     LineEntry,
     MqttEntry,
@@ -42,11 +43,11 @@ _RENAMED = {
     "late_answer": "late_answer_s", "stall": "stall_s", "time": "time_s", "every": "every_s",
     "answer_time": "answer_time_s",
 }  # fmt: skip
-_BUILT = frozenset({"line", "drives", "lease", "groups", "api", "mqtt", "state"})
+_BUILT = frozenset({"line", "drives", "lease", "groups", "api", "mqtt", "journal", "state"})
 """The keys of a roster that `build_roster` makes more of than their value."""
 _COMPLETED = frozenset({"addressing", "cyclic", "writable", "also_writable", "lease"})
 """The keys of a drive whose fields take more than the key itself; `_drive` makes these."""
-_NOT_YET_USED = ("mqtt", "journal")
+_NOT_YET_USED = ("mqtt",)
 
 
 def build_roster(roster: Fields, file: str) -> Roster:
@@ -59,7 +60,7 @@ def build_roster(roster: Fields, file: str) -> Roster:
         file=file, line=line, drives=drives, lease=lease,
         groups=_groups(roster, drives, line.protocol),
         api=_api(roster.get("api"), line.name), mqtt=_mqtt(roster.get("mqtt")),
-        state=_state(roster.get("state"), line),
+        journal=_journal(roster.get("journal")), state=_state(roster.get("state"), line),
         not_yet_used=_not_yet_used(roster),
     )  # fmt: skip
 
@@ -161,6 +162,10 @@ def _mqtt(entry: Fields | None) -> MqttEntry | None:
         return None
     usual_port = 8883 if entry.get("tls", True) else 1883
     return MqttEntry(**{"port": usual_port} | _fields(entry))
+
+
+def _journal(entry: Fields | None) -> JournalEntry | None:
+    return None if entry is None else JournalEntry(**_fields(entry))
 
 
 def _not_yet_used(roster: Fields) -> tuple[str, ...]:

@@ -15,9 +15,16 @@ from lecombus.config.mistakes import Mistakes, Position, Spot
 from lecombus.config.yaml_nodes import MappingNode
 from lecombus.roster import Roster
 
-__all__ = ["FIXED", "RosterChanges", "check_restart", "roster_changes"]
+__all__ = [
+    "FIXED",
+    "RosterChanges",
+    "check_restart",
+    "roster_changes",
+    "roster_values",
+    "value_changes",
+]
 
-FIXED: Final = ("line", "api", "state")
+FIXED: Final = ("line", "api", "journal", "state")
 """The parts of a roster that only a restart changes."""
 
 _WITHOUT_KEY: Final = ("file", "not_yet_used", "slow")
@@ -90,6 +97,55 @@ def roster_changes(old: Roster, new: Roster) -> RosterChanges:
     )  # fmt: skip
 
 
+def roster_values(roster: Roster) -> dict[str, str]:
+    """Return every value of a roster as text, by its path, such as `drives.feeder.address`."""
+    found: dict[str, str] = {}
+    drives = {entry.name: entry for entry in roster.drives}
+    for key, value in parts_of(roster).items():
+        flatten(key, drives if key == "drives" else value, found)
+    return found
+
+
+def parts_of(model: BaseModel) -> dict[str, Any]:
+    """Return the values of a model by their keys."""
+    return {
+        _RENAMED.get(field, field.removesuffix("_s")): getattr(model, field)
+        for field in type(model).model_fields
+        if field not in _WITHOUT_KEY
+    }
+
+
+def flatten(path: str, value: Any, found: dict[str, str]) -> None:
+    """Add the values in a value by their paths."""
+    if isinstance(value, BaseModel):
+        value = parts_of(value)
+    if isinstance(value, Mapping):
+        for key, part in value.items():
+            flatten(f"{path}.{key}", part, found)
+    elif isinstance(value, (frozenset, tuple)):
+        texts = [text_of(item) for item in value]
+        found[path] = ", ".join(texts if isinstance(value, tuple) else sorted(texts))
+    elif value is not None:
+        found[path] = str(value)
+
+
+def text_of(item: Any) -> str:
+    """Return an item of a list as text."""
+    if isinstance(item, BaseModel):
+        return " ".join(f"{key}={value}" for key, value in parts_of(item).items())
+    return str(item)
+
+
+def value_changes(old: Mapping[str, str], new: Mapping[str, str]) -> dict[str, str]:
+    """Return what differs between two rosters' values, by path: `2.0 -> 3.0`."""
+    paths = dict.fromkeys((*new, *old))
+    return {
+        path: f"{old.get(path, 'none')} -> {new.get(path, 'none')}"
+        for path in paths
+        if old.get(path) != new.get(path)
+    }
+
+
 def groups_differ(old: Roster, new: Roster, name: str) -> bool:
     """Whether a group differs; `all` has every drive, so only how it is sent to counts."""
     was, now = old.groups.get(name), new.groups.get(name)
@@ -118,7 +174,8 @@ def check_restart(node: MappingNode, new: Roster, running: Roster, mistakes: Mis
         was, now = getattr(running, part), getattr(new, part)
         if was == now:
             continue
-        keys = list(differing_keys(was, now)) if isinstance(now, BaseModel) else [""]
+        both = isinstance(was, BaseModel) and isinstance(now, BaseModel)
+        keys = list(differing_keys(was, now)) if both else [""]
         for key in keys:
             what = f"`{part}{key and '.'}{key}` cannot change while lecombus runs"
             right = "restart lecombus, or put the old value back"

@@ -18,7 +18,7 @@ from lecombus.config.mistakes import Mistakes, nearest, shown
 from lecombus.config.scalar_types import UNUSABLE, ScalarType, Unusable, ValueType
 from lecombus.config.yaml_nodes import ListNode, MappingNode, Node, Scalar, kind_of
 
-__all__ = ["Fields", "Item", "Items", "Key", "ListOf", "NamedEntries", "Table"]
+__all__ = ["Fields", "Item", "Items", "Key", "ListOf", "NamedEntries", "ShortTable", "Table"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,12 +46,12 @@ class Fields:
     """The parts of a mapping that could be read.
 
     Args:
-        node: The mapping.
+        node: The mapping, or the single value that stands for it.
         values: The usable values by key.
         nodes: Where the value of each key stands, usable or not.
     """
 
-    node: MappingNode
+    node: Node
     values: dict[str, Any] = field(default_factory=dict)
     nodes: dict[str, Node] = field(default_factory=dict)
 
@@ -167,6 +167,31 @@ class Table:
         if required := [key.name for key in self.keys.values() if key.required]:
             found["required"] = required
         return {**found, "description": self.doc} if self.doc else found
+
+
+class ShortTable(Table):
+    """A mapping that may also be written as the value of one of its keys.
+
+    Args:
+        title: As for `Table`.
+        keys: Its keys; the first one is the one that may stand for all.
+        doc: What it is for, for editors.
+    """
+
+    def __init__(self, title: str, keys: Sequence[Key], doc: str = "") -> None:
+        super().__init__(title, keys, doc)
+        self._one = keys[0]
+        self.expects = f"{self._one.type.expects}, or a mapping with {', '.join(self.keys)}"
+        schema = dict(self.schema)
+        doc_of = {"description": schema.pop("description")} if doc else {}
+        self.schema = {"anyOf": [self._one.type.schema, schema], **doc_of}
+
+    def read(self, node: Node, label: str, mistakes: Mistakes) -> Fields | Unusable:
+        """Return what is usable, mistakes noted; `UNUSABLE` if it is something else."""
+        if isinstance(node, MappingNode):
+            return super().read(node, label, mistakes)
+        read = self._one.type.read(node, label, mistakes)
+        return UNUSABLE if read is UNUSABLE else Fields(node, {self._one.name: read})
 
 
 class NamedEntries:

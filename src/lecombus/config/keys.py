@@ -13,7 +13,7 @@ from functools import cache
 from typing import Any, Final, get_args
 
 from lecombus import roster
-from lecombus.config.container_types import Key, ListOf, NamedEntries, Table
+from lecombus.config.container_types import Key, ListOf, NamedEntries, ShortTable, Table
 from lecombus.config.endpoint_types import (
     LONGEST_SOCKET_PATH,
     AbsolutePath,
@@ -23,7 +23,15 @@ from lecombus.config.endpoint_types import (
     PortType,
 )
 from lecombus.config.mistakes import one_of
-from lecombus.config.number_types import Address, CodeType, Duration, Percent, Whole, WholeChoice
+from lecombus.config.number_types import (
+    Address,
+    CodeType,
+    Duration,
+    Percent,
+    Size,
+    Whole,
+    WholeChoice,
+)
 from lecombus.config.scalar_types import Keyword, Name, TextLine, WrongText, YesNo
 from lecombus.fieldbus.protocols import Fieldbus, find, names, protocol_of
 
@@ -202,6 +210,17 @@ _MQTT: Final = Table("mqtt", (
     Key("tls", YesNo(), "Whether the broker is spoken to by TLS.", default=True),
 ), "The message broker (not used by this version).")  # fmt: skip
 
+_JOURNAL: Final = ShortTable("journal", (
+    Key("file", AbsolutePath("/var/lib/lecombus/hall-3.sqlite"),
+        "Its file, made where there is none.", required=True),
+    Key("max_size", Size(8, 100_000),
+        "How large the file may become; then the oldest rows are deleted.", default="256MB"),
+    Key("on_failure", Keyword(get_args(roster.OnJournalFailure)),
+        "What happens to writes while the journal cannot be written: refuse, or go-on without it. "
+        "Stops, reads and the feeding of watchdogs always go on.", default="refuse"),
+), "The record of writes, stops, trips and losses, and of who asked; by its file alone, or with "
+   "more keys. Absent: none is kept.")  # fmt: skip
+
 _ROSTER: Final = Table("roster", (
     Key("line", _BY_PROTOCOL, _LINE.doc, required=True),
     Key("drives", _BY_PROTOCOL, "The drives on the line.", required=True),
@@ -212,8 +231,7 @@ _ROSTER: Final = Table("roster", (
         "What is sent to all drives when the daemon ends.", default="nothing"),
     Key("api", _API, _API.doc),
     Key("mqtt", _MQTT, _MQTT.doc),
-    Key("journal", AbsolutePath("/var/lib/lecombus/hall-3.sqlite"),
-        "The record of writes, trips and losses (not used by this version)."),
+    Key("journal", _JOURNAL, _JOURNAL.doc),
     Key("state", AbsolutePath("/var/lib/lecombus/hall-3.json"),
         "What must outlive the daemon: identities and write counts. Absent: "
         "/var/lib/lecombus/NAME.json with the line's name; for sim: nothing is kept."),

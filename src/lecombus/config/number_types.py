@@ -17,7 +17,7 @@ from lecombus.errors import CodeValueError
 from lecombus.fieldbus.protocols import Fieldbus
 from lecombus.parameters import Code, ParameterRules
 
-__all__ = ["Address", "CodeType", "Duration", "Percent", "Whole", "WholeChoice"]
+__all__ = ["Address", "CodeType", "Duration", "Percent", "Size", "Whole", "WholeChoice"]
 
 
 class Whole(ScalarType):
@@ -130,6 +130,31 @@ class Duration(ScalarType):
         low, high = format_duration(self._low_s), format_duration(self._high_s)
         long = "long" if seconds > self._high_s else "short"
         raise WrongText(f"is too {long}", f"{low} to {high} would be right{zero}")
+
+
+class Size(ScalarType):
+    """An amount of data with its unit, kept in bytes.
+
+    Args:
+        low: Least allowed, in MB.
+        high: Greatest allowed, in MB.
+    """
+
+    def __init__(self, low: int, high: int) -> None:
+        super().__init__(
+            "a size such as 256MB", {"type": "string", "pattern": "^[0-9]{1,6} ?(MB|GB)$"}
+        )
+        self._low = low
+        self._high = high
+
+    def _convert(self, text: str) -> int:
+        match = re.fullmatch(r"([0-9]{1,6}) ?(MB|GB)", text, re.ASCII)
+        if match is None:
+            raise WrongText("is no size", f"give {self.expects}")
+        size = int(match[1]) * (1000 if match[2] == "GB" else 1)
+        if not self._low <= size <= self._high:
+            raise WrongText("is out of range", f"{self._low}MB to {self._high}MB would be right")
+        return size * 1_000_000
 
 
 class Percent(ScalarType):

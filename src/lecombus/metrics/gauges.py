@@ -14,11 +14,12 @@ from dataclasses import dataclass, field
 from lecombus.drive_state.store import DriveState, LineState, Quality, Reading, Store
 from lecombus.drives import Family
 from lecombus.errors import OperationError
+from lecombus.journal.journal import JournalFigures
 from lecombus.metrics.counters import label_of
 from lecombus.metrics.exposition import Block, escape
 from lecombus.schedule.request import Priority
 
-__all__ = ["DriveGauges", "LeaseFigures", "LineGauges", "LineSnapshot"]
+__all__ = ["DriveGauges", "JournalGauges", "LeaseFigures", "LineGauges", "LineSnapshot"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +56,7 @@ class LineSnapshot:
         woken_late_s: How late the line's task was woken at most of late, seconds.
         answer_ratio: By drive, the slowest answer measured over the manual's longest time.
         leases: Who controls what; None: no drive needs a lease, and none was taken.
+        journal: The journal's size and state; None: there is none.
     """
 
     queue_depth: Mapping[Priority, int] = field(default_factory=dict)
@@ -69,6 +71,7 @@ class LineSnapshot:
     woken_late_s: float = 0.0
     answer_ratio: Mapping[str, float] = field(default_factory=dict)
     leases: LeaseFigures | None = None
+    journal: JournalFigures | None = None
 
 
 class LineGauges:
@@ -193,6 +196,41 @@ class LeaseGauges:
             self._latched.add(label, int(latched))
             self._holding.add(label, int(drive in leases.holding))
             self._silenced.add(label, int(drive in leases.silenced))
+
+
+class JournalGauges:
+    """The samples of the journal; none where the line has none.
+
+    Args:
+        line: The line's name.
+    """
+
+    def __init__(self, line: str) -> None:
+        self._line = f'line="{escape(line)}"'
+        self._up = gauge("journal_up", "1 while the journal can be written.")
+        self._size = gauge("journal_size_bytes", "Size of the journal's file and its log.")
+        self._rows = counter("journal_rows", "Number of the journal's newest row.")
+        self._failures = counter(
+            "journal_failures", "How often the journal began to fail, since the start."
+        )
+        self._missed = counter(
+            "journal_missed_rows", "Rows lost because the journal failed for long, since the start."
+        )
+
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        """The families, in the order of the page."""
+        return (self._up, self._size, self._rows, self._failures, self._missed)
+
+    def render(self, journal: JournalFigures | None) -> None:
+        """Write the lines of every family."""
+        if journal is None:
+            return
+        self._up.add(self._line, int(journal.works))
+        self._size.add(self._line, journal.size_bytes)
+        self._rows.add(self._line, journal.rows)
+        self._failures.add(self._line, journal.failures)
+        self._missed.add(self._line, journal.missed)
 
 
 class DriveGauges:

@@ -22,7 +22,7 @@ from lecombus import __version__
 from lecombus.drive_state.store import Store
 from lecombus.metrics.counters import Counters
 from lecombus.metrics.exposition import Block, escape, join_blocks, sample_lines
-from lecombus.metrics.gauges import DriveGauges, LineGauges, LineSnapshot
+from lecombus.metrics.gauges import DriveGauges, JournalGauges, LineGauges, LineSnapshot
 from lecombus.metrics.rolling_window import RollingWindow
 
 __all__ = ["PAGE_KEEPS_S", "PIECE_BUDGET_S", "WINDOW_WAIT_S", "Metrics"]
@@ -142,12 +142,14 @@ class Metrics:
     def _pieces(self) -> Iterator[None]:
         """Render a page; everything between two `yield` runs without a break."""
         line, drives = LineGauges(self._line), DriveGauges(self._line)
-        line.render(self._store, self.snapshot())
+        journal, snapshot = JournalGauges(self._line), self.snapshot()
+        line.render(self._store, snapshot)
+        journal.render(snapshot.journal)
         yield
         for name in self._store.names():
             drives.render(self._store, name)
             yield
-        blocks = [self._build_info(), *line.blocks, *drives.blocks]
+        blocks = [self._build_info(), *line.blocks, *journal.blocks, *drives.blocks]
         for family in self.counters.families():
             block = Block(family.name, family.kind, family.help)
             for part in list(family.parts.values()):

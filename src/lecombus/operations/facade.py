@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from decimal import Decimal
 from typing import Final
 
-from lecombus.drive_state.store import Store
+from lecombus.drive_state.store import Quality, Store
 from lecombus.drives import StopAction, Verb
 from lecombus.line_events import LineRequests
 from lecombus.operations.actions import SECRET, Actions
@@ -223,6 +223,7 @@ class Operations:
             if name in self.context.entries
             and (reading := self.context.store.reading(name, code)) is not None
             and reading.value is not None
+            and reading.quality is not Quality.BAD  # it may have been written since
         }
         return (
             found.get(target, "")

@@ -19,6 +19,7 @@ from lecombus.drive_state.drive_runtime import LineDrives
 from lecombus.drive_state.readings import DriveState
 from lecombus.drive_state.store import Store
 from lecombus.fieldbus.loop_interface import SecondAnswerCount
+from lecombus.journal.journal import JournalFigures
 from lecombus.metrics import LineSnapshot, Metrics
 from lecombus.metrics.rolling_window import LATELY_S
 from lecombus.operations.awaited_requests import Requests
@@ -71,6 +72,7 @@ class LineWatch:
 
     Attributes:
         port: Says who else has the port open.
+        journal: Gives the figures of the journal; None: there is none.
     """
 
     def __init__(
@@ -87,6 +89,7 @@ class LineWatch:
     ) -> None:
         self._leases = leases
         self.port = PortWatch(store, entry)
+        self.journal: Callable[[], JournalFigures] | None = None
         self._drives = requests.drives
         self._worker = requests.worker
         self._store = store
@@ -145,6 +148,7 @@ class LineWatch:
             self._window.woken_late.most(now, LATELY_S) or 0.0,
             self._answer_ratios(),
             self._leases.figures(),
+            None if self.journal is None else self.journal(),
         )
 
     def plan_facts(self, roster: Roster) -> dict[str, Json]:

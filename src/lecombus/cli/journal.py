@@ -1,0 +1,182 @@
+"""`lecombus journal`: what was done to the drives, what happened to them, and whether all is there.
+
+The daemon is asked, never the file: it is locked while the daemon uses it.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import sys
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from datetime import UTC, datetime, timedelta
+from typing import Any, Final
+
+import click
+
+from lecombus.cli.arguments import DaemonOptions, Word, daemon_options
+from lecombus.cli.daemon_access import ask, show
+from lecombus.cli.document_rows import Document
+from lecombus.cli.exits import CommandError, Exit
+from lecombus.cli.screen import harmless, on_terminal, show_rows, table_text
+from lecombus.durations import DurationError, parse_duration
+
+__all__ = ["journal_command"]
+
+HEADINGS: Final = ("time", "what", "drive", "outcome", "details")
+CSV_FIELDS: Final = (
+    "code", "value", "old", "verb", "action", "who", "uid", "pid", "process", "client", "token",
+    "reason",
+)  # fmt: skip
+LAST_FIELDS: Final = ("who", "token", "uid", "process", "client", "reason")
+HIDDEN_FIELDS: Final = ("pid",)
+FORMULA: Final = ("=", "@")
+"""A cell that begins so is a formula to a spreadsheet; a client may have chosen the text."""
+
+ASKED: Final = "asked"
+PAGE: Final = 500
+FOLLOW_S: Final = 1.0
+
+
+def _time(word: str) -> str:
+    """Read a local date and time, or how long ago, as RFC 3339."""
+    try:
+        when = datetime.now(UTC) - timedelta(seconds=parse_duration(word))
+    except DurationError:
+        try:
+            when = datetime.fromisoformat(word).astimezone(UTC)
+        except ValueError:
+            right = 'write a date and time such as "2026-11-23 06:00", or how long ago, such as 8h'
+            raise click.BadParameter(f"{word} is no time: {right}") from None
+    return when.isoformat(timespec="milliseconds")
+
+
+@click.group("journal", invoke_without_command=True)
+@click.option("--since", type=Word("time", _time), help="From a local time on, or from 8h ago on.")
+@click.option("--last", type=click.IntRange(1, PAGE), help="So many of the newest rows.")
+@click.option("--drive", default="", help="Only the rows of a drive or a group.")
+@click.option("--csv", "as_csv", is_flag=True, help="Print CSV.")
+@click.option("--follow", is_flag=True, help="Print new rows as they come, until Ctrl-C.")
+@daemon_options
+@click.pass_context
+def journal_command(
+    context: click.Context,
+    daemon: DaemonOptions,
+    since: str | None,
+    last: int | None,
+    drive: str,
+    as_csv: bool,
+    follow: bool,
+) -> int:
+    """Show who wrote what to which drive and how that ended, stops, trips, losses and starts.
+
+    Without --since or --last: the newest 100 rows. What is under way is shown as `asked`, and once
+    it has ended by its end alone; with --json both rows are printed, one JSON object a line.
+    In a pipe: time, what, drive, outcome and details, separated by tabs.
+    """
+    if context.invoked_subcommand is not None:
+        return Exit.DONE
+    if since is not None and last is not None:
+        raise CommandError(Exit.USAGE, "--since and --last are both given", "give one")
+    if as_csv and daemon.as_json:
+        raise CommandError(Exit.USAGE, "--csv and --json are both given", "give one")
+    rows = _rows(daemon, since, last or 100, drive, follow=follow)
+    if daemon.as_json:
+        for row in rows:
+            click.echo(json.dumps(row, ensure_ascii=False))
+    elif as_csv:
+        _write_csv(_ends(rows))
+    elif follow or not on_terminal():
+        for row in _ends(rows):
+            click.echo("\t".join(_cells(row)))
+            sys.stdout.flush()
+    else:
+        show_rows(HEADINGS, [_cells(row) for row in _ends(rows)])
+    return Exit.DONE
+
+
+@journal_command.command("verify")
+@click.option("--head", default="", metavar="NUMBER:HASH", help="A head from the log.")
+@daemon_options
+def verify_command(daemon: DaemonOptions, head: str) -> int:
+    """Say whether no row was changed, removed or inserted.
+
+    With --head the journal must also hold a row that was logged as `journal-head`: only that shows
+    whether rows were removed at the end. Exit status 1: something is wrong.
+    """
+    answer = ask(daemon, "/v1/journal/verify", **({"head": head} if head else {}))
+    show(answer, _show_verified, as_json=daemon.as_json)
+    return Exit.DONE if answer.data.get("whole") is True else Exit.FAILED
+
+
+def _rows(
+    daemon: DaemonOptions, since: str | None, last: int, drive: str, *, follow: bool
+) -> Iterator[Document]:
+    """Yield rows in their order; with `follow` new ones without end."""
+    of = {"drive": drive} if drive else {}
+    if since is None:
+        page = ask(daemon, "/v1/journal", last="true", limit=str(last), **of).data
+    else:
+        page = ask(daemon, "/v1/journal", since=since, limit=str(PAGE), **of).data
+    while True:
+        yield from page["rows"]
+        behind = page["next"]
+        if behind is None:
+            if not follow:
+                return
+            behind = int(str(page["head"]).partition(":")[0])
+            time.sleep(FOLLOW_S)
+        more = {"since": since} if since is not None and page["next"] is not None else {}
+        page = ask(daemon, "/v1/journal", after=str(behind), limit=str(PAGE), **more, **of).data
+
+
+def _ends(rows: Iterable[Document]) -> Iterator[Document]:
+    """Leave out what was asked where its end is a row too."""
+    return (row for row in rows if row["outcome"] != ASKED or not row["ended"])
+
+
+def _cells(row: Document) -> Sequence[str]:
+    """Return the cells of a table's row."""
+    local = datetime.fromisoformat(str(row["time"])).astimezone()
+    when = local.isoformat(" ", "milliseconds").partition("+")[0]
+    cells = (when, row["what"], row["drive"], row["outcome"], _details(row["fields"]))
+    return [harmless(table_text(cell)) for cell in cells]
+
+
+def _details(fields: Mapping[str, Any]) -> str:
+    """Return fields as `key=value`, who asked and the reason last."""
+    first = [key for key in fields if key not in (*LAST_FIELDS, *HIDDEN_FIELDS)]
+    keys = (*first, *(key for key in LAST_FIELDS if key in fields))
+    return " ".join(f"{key}={_quoted(str(fields[key]))}" for key in keys)
+
+
+def _quoted(text: str) -> str:
+    plain = text and not any(one.isspace() or one in '"=' for one in text)
+    return text if plain else json.dumps(text, ensure_ascii=False)
+
+
+def _write_csv(rows: Iterable[Document]) -> None:
+    writer = csv.writer(sys.stdout)
+    writer.writerow(("number", "time", "what", "drive", "outcome", *CSV_FIELDS, "more"))
+    for row in rows:
+        fields = row["fields"]
+        more = {key: text for key, text in fields.items() if key not in CSV_FIELDS}
+        named = (row[key] for key in ("number", "time", "what", "drive", "outcome"))
+        cells = (*named, *(fields.get(key) for key in CSV_FIELDS), _details(more))
+        writer.writerow([_no_formula(table_text(cell)) for cell in cells])
+        sys.stdout.flush()
+
+
+def _no_formula(text: str) -> str:
+    return f"'{text}" if text.startswith(FORMULA) else text
+
+
+def _show_verified(found: Document) -> None:
+    rows = f"{found['rows']} rows, {found['first']} to {found['last']}"
+    if found["whole"]:
+        click.echo(f"whole: {rows}")
+    else:
+        click.echo(f"not whole: {found['problem']}")
+        click.echo(f"right up to there: {rows}")
+    click.echo(f"head {found['head']}")

@@ -1,0 +1,1 @@
+"""The journal: who did what, and what happened to the line, in a file that survives."""

@@ -1,0 +1,499 @@
+"""The file of a journal: SQLite, one connection, used by one thread at a time.
+
+Rules. WAL with `synchronous=FULL`, set at each open because the file does not keep the latter; no
+mmap; the file is locked for this process, so no other one writes to it. Rows are only added, but
+for the oldest, which are deleted when the file is as large as it may be: a row of kind `cut` and
+the table `anchor` say up to where and with which hash, so that the rest can still be verified.
+
+Room. `RESERVE_PAGES` of the file are always free, and so is as much of the WAL: what is written
+uses these pages, so a full disk is noticed when the file cannot grow to replace them, before a row
+is lost. From then on only vital rows are written, into that reserve: stops, ends, outcomes.
+
+Everything here blocks for as long as the disk takes. What must not live here: threads, waiting, the
+event loop (`journal`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import stat
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import apsw
+
+from lecombus.journal.chain import ASKED, FIRST_HASH, Head, Row, hash_of, json_of, one_line
+from lecombus.journal.reading import fact, head_in
+
+__all__ = ["Fact", "JournalFile", "JournalFileError", "KeyRow", "Room"]
+
+APPLICATION_ID: Final = 0x4C434A4C
+"""`LCJL`, in the file's header."""
+VERSION: Final = 1
+MODE: Final = 0o640
+
+PAGE_BYTES: Final = 4096
+RESERVE_PAGES: Final = 256
+"""1 MiB."""
+CHECKPOINT_FRAMES: Final = 96
+"""The WAL was made `RESERVE_PAGES` long, and starts again behind each checkpoint."""
+CUT_ROWS: Final = 400
+LEAST_BYTES: Final = 4 * 1024 * 1024
+SET_ASIDE_MOST: Final = 9
+
+NOT_OURS: Final = "is no journal of lecombus, and is left alone"
+
+SCHEMA: Final = """
+CREATE TABLE entries (
+    id INTEGER PRIMARY KEY, time INTEGER NOT NULL, kind TEXT NOT NULL, drive TEXT NOT NULL,
+    intent INTEGER, outcome TEXT NOT NULL, fields TEXT NOT NULL, hash BLOB NOT NULL
+) STRICT;
+CREATE INDEX outcomes ON entries (intent) WHERE intent IS NOT NULL;
+CREATE INDEX times ON entries (time);
+CREATE TABLE head (id INTEGER NOT NULL, hash BLOB NOT NULL) STRICT;
+CREATE TABLE anchor (id INTEGER NOT NULL, hash BLOB NOT NULL) STRICT;
+CREATE TABLE keys (
+    name TEXT PRIMARY KEY, content BLOB NOT NULL, status INTEGER, type TEXT, body BLOB
+) STRICT, WITHOUT ROWID;
+CREATE TABLE facts (name TEXT PRIMARY KEY, text TEXT NOT NULL) STRICT, WITHOUT ROWID;
+CREATE TABLE reserve (space BLOB NOT NULL) STRICT;
+"""
+
+
+T = TypeVar("T")
+
+
+class JournalFileError(Exception):
+    """The file cannot be used now; the text says why."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeyRow:
+    """What is kept of a request with an `Idempotency-Key`.
+
+    Args:
+        name: The key.
+        content: A digest of the request; empty: the key is forgotten.
+        status: The HTTP status of its answer; None: there is none yet.
+        type: The media type of the answer.
+        body: The answer.
+    """
+
+    name: str
+    content: bytes = b""
+    status: int | None = None
+    type: str = ""
+    body: bytes = b""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fact:
+    """A text kept under a name, such as the roster that was last used."""
+
+    name: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Room:
+    """How large a file is.
+
+    Args:
+        size_bytes: Of the file and its WAL.
+        trouble: Why only vital rows can be written now; empty: all can.
+    """
+
+    size_bytes: int
+    trouble: str
+
+
+class JournalFile:
+    """One journal's file.
+
+    Args:
+        path: Where it is.
+        most_bytes: How large it may become, with its WAL.
+
+    Attributes:
+        head: The newest row.
+        trouble: What was found wrong when it was opened, and was dealt with.
+    """
+
+    def __init__(self, path: Path, most_bytes: int) -> None:
+        self._path = path
+        self._most_pages = max(most_bytes, LEAST_BYTES) // PAGE_BYTES - 2 * RESERVE_PAGES
+        self._db: apsw.Connection | None = None
+        self._descriptor = -1
+        self._inode = (0, 0)
+        self._files = 0
+        self._is_damaged = False
+        self._room_trouble = ""
+        self._frames = 0
+        self.head = Head()
+        self.trouble = ""
+
+    @property
+    def path(self) -> Path:
+        """The file itself, where a link leads now."""
+        return Path(os.path.realpath(self._path))
+
+    # ---- opening -----------------------------------------------------------------------------
+
+    def open(self, now_ms: int) -> None:
+        """Open it, or do nothing where it is open; make it where there is none.
+
+        Intents without an end are given the outcome `unknown`.
+
+        Raises:
+            JournalFileError: It cannot be used.
+        """
+        if self._db is not None:
+            self._check_place()
+            return
+        self._check_regular()
+        with self._in_words():
+            try:
+                if self._is_damaged:
+                    raise apsw.CorruptError
+                self._open(now_ms)
+            except apsw.NotADBError:
+                self._refuse(NOT_OURS)
+            except apsw.CorruptError:
+                self.close()
+                self._set_aside()
+                self._open(now_ms)
+
+    def close(self) -> None:
+        """Close it; it may be opened again."""
+        db, self._db = self._db, None
+        if db is not None:
+            with contextlib.suppress(apsw.Error):
+                db.close()
+        if self._descriptor >= 0:  # not before: closing any descriptor of a file ends its locks
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+    def _open(self, now_ms: int) -> None:
+        is_new = not self.path.exists()
+        self._descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, MODE)
+        db = self._db = apsw.Connection(str(self.path))
+        db.pragma("locking_mode", "EXCLUSIVE")
+        db.pragma("mmap_size", 0)
+        kind, version = db.pragma("application_id"), db.pragma("user_version")
+        has_tables = db.execute("SELECT count(*) FROM sqlite_schema").get
+        if has_tables and kind != APPLICATION_ID:
+            self._refuse(NOT_OURS)
+        if version > VERSION:
+            self._refuse(
+                f"is of version {version}, this lecombus knows {VERSION}: it is left alone"
+            )
+        if not has_tables:
+            db.pragma("page_size", PAGE_BYTES)
+            db.pragma("auto_vacuum", 2)
+        db.pragma("journal_mode", "wal")
+        db.pragma("synchronous", 2)
+        db.set_wal_hook(self._note_frames)  # in place of automatic checkpoints
+        if not has_tables:
+            self._make(db)
+        if is_new:
+            bring_to_disk(self.path.parent)
+        found = self.path.stat()
+        self._inode = (found.st_dev, found.st_ino)
+        self._take_up(db, now_ms, is_new=is_new)
+
+    def _make(self, db: apsw.Connection) -> None:
+        with db:
+            db.execute(SCHEMA)
+            db.execute("INSERT INTO head VALUES (0, ?1)", (FIRST_HASH,))
+            db.execute("INSERT INTO anchor VALUES (0, ?1)", (FIRST_HASH,))
+            db.pragma("application_id", APPLICATION_ID)
+            db.pragma("user_version", VERSION)
+
+    def _take_up(self, db: apsw.Connection, now_ms: int, *, is_new: bool) -> None:
+        """Find the end of the chain, and end what has no end."""
+        known, is_first = self.head, not self._files
+        said, anchor = head_in(db, "head"), head_in(db, "anchor")
+        last: list[tuple[Any, ...]] = db.execute(
+            "SELECT id, hash FROM entries ORDER BY id DESC LIMIT 1"
+        ).fetchall()
+        found, why = Head(*last[0]) if last else anchor, ""
+        if found != said:
+            why = f"it ends at row {found.number}, and its end was row {said.number}"
+        elif found.number < known.number:
+            why = f"it was replaced by another one while it was in use; its end was {known}"
+        self.head = Head(max(found.number, said.number), found.hash)
+        if is_first or is_new or why:
+            self._files += 1
+        rows = self._without_end(db, known.number, now_ms)
+        if why:
+            rows.insert(0, Row("doubt", "", {"reason": why}, now_ms))
+            self.trouble = why
+        self._commit(rows, (Fact("begun", str(self.head.number)),) if is_first else ())
+
+    def _without_end(self, db: apsw.Connection, after: int, now_ms: int) -> list[Row]:
+        """Return the ends of intents that have none, behind a row that was known before."""
+        after = min(max(after, int(fact(db, "begun") or 0)), self.head.number)
+        open_ones: list[tuple[Any, ...]] = db.execute(
+            "SELECT id, kind, drive FROM entries AS asked WHERE id > ?1 AND outcome = ?2 "
+            "AND NOT EXISTS (SELECT 1 FROM entries WHERE intent = asked.id) ORDER BY id",
+            (after, ASKED),
+        ).fetchall()
+        rows = []
+        for number, kind, drive in open_ones:
+            intent = Row(kind, drive, {}, 0)
+            intent.number, intent.file = number, self._files
+            why = {"reason": "lecombus ended before the outcome was recorded"}
+            rows.append(Row(kind, drive, why, now_ms, "unknown", intent, is_vital=True))
+        return rows
+
+    def _check_regular(self) -> None:
+        """Refuse what is no regular file: opening alone does something to some devices."""
+        try:
+            mode = self.path.stat().st_mode
+        except FileNotFoundError:
+            if self.path.parent.is_dir():
+                return
+            raise JournalFileError(f"{self.path.parent} does not exist") from None
+        except OSError as exc:
+            raise JournalFileError(f"{self._path} cannot be opened: {exc.strerror}") from exc
+        if not stat.S_ISREG(mode):
+            raise JournalFileError(f"{self._path} is no regular file")
+
+    def _check_place(self) -> None:
+        """See that the file has not been removed or replaced since it was opened."""
+        try:
+            found = self.path.stat()
+            is_there = (found.st_dev, found.st_ino) == self._inode
+        except OSError:
+            is_there = False
+        if not is_there:
+            self.close()
+            raise JournalFileError(f"{self._path} was removed or replaced while it was in use")
+
+    def _refuse(self, why: str) -> None:
+        self.close()
+        raise JournalFileError(f"{self._path} {why}")
+
+    def _set_aside(self) -> None:
+        """Give a damaged file, and its WAL, another name."""
+        path = self.path
+        names = [path.with_name(f"{path.name}.damaged-{n}") for n in range(1, SET_ASIDE_MOST + 1)]
+        aside = next((name for name in names if not name.exists()), names[-1])
+        try:
+            path.replace(aside)
+            with contextlib.suppress(FileNotFoundError):
+                path.with_name(f"{path.name}-wal").replace(f"{aside}-wal")
+        except OSError as exc:
+            text = f"{self._path} is damaged and cannot be set aside: {exc.strerror}"
+            raise JournalFileError(text) from exc
+        self._is_damaged = False
+        self.trouble = f"it was damaged and is {aside.name} now; a new one was begun"
+
+    # ---- writing -----------------------------------------------------------------------------
+
+    def write(self, rows: Sequence[Row], others: Sequence[KeyRow | Fact], now_ms: int) -> bool:
+        """Add rows in their order, all or none; bring them to the disk.
+
+        Returns:
+            Whether all were written; otherwise only the vital rows were.
+
+        Raises:
+            JournalFileError: None was written.
+        """
+        self.open(now_ms)
+        wanted = [row for row in rows if not row.is_withdrawn]
+        if self._room_trouble:
+            chosen, others = [row for row in wanted if row.is_vital], ()
+        else:
+            chosen = wanted
+        with self._in_words():
+            self._commit(chosen, others)
+        return not self._room_trouble
+
+    def tidy(self) -> Room:
+        """Empty the WAL where it is long, and see to it that there is room.
+
+        Raises:
+            JournalFileError: The disk fails.
+        """
+        db = self._db
+        if db is None:
+            return Room(self.size(), self._room_trouble)
+        with self._in_words():
+            if self._frames >= CHECKPOINT_FRAMES:
+                self._checkpoint(db)
+            self._make_room(db)
+        return Room(self.size(), self._room_trouble)
+
+    def reserve(self) -> Room:
+        """Make the WAL as long as it will ever be; once, after opening.
+
+        Raises:
+            JournalFileError: The disk fails.
+        """
+        db = self._db
+        if db is not None:
+            with self._in_words():
+                self._try_to_grow(db)
+        return Room(self.size(), self._room_trouble)
+
+    def size(self) -> int:
+        """Return the size of the file and its WAL, bytes."""
+        path, total = self.path, 0
+        for name in (path, path.with_name(f"{path.name}-wal")):
+            with contextlib.suppress(OSError):
+                total += name.stat().st_size
+        return total
+
+    def _commit(
+        self, rows: Sequence[Row], others: Sequence[KeyRow | Fact], *, cut: Head | None = None
+    ) -> None:
+        """Add rows, and delete those up to `cut`, in one transaction."""
+        assert self._db is not None
+        db, head = self._db, self.head
+        numbers: dict[Row, Head] = {}
+        with db:
+            if cut is not None:
+                db.execute("DELETE FROM entries WHERE id <= ?1", (cut.number,))
+                db.execute("UPDATE anchor SET id = ?1, hash = ?2", (cut.number, cut.hash))
+            for row in rows:
+                head = numbers[row] = self._insert(db, head, row, numbers)
+            if rows:
+                db.execute("UPDATE head SET id = ?1, hash = ?2", (head.number, head.hash))
+            for other in others:
+                keep(db, other)
+        self.head = head
+        for row, its in numbers.items():
+            row.number, row.file = its.number, self._files
+            if row.intent is not None and not row.intent.number:
+                row.intent.is_withdrawn = True  # its end has its fields
+
+    def _insert(self, db: apsw.Connection, head: Head, row: Row, numbers: dict[Row, Head]) -> Head:
+        """Add a row behind the newest one."""
+        intent: int | None = None
+        if row.intent in numbers:
+            intent = numbers[row.intent].number
+        elif row.intent is not None and row.intent.file == self._files:
+            intent = row.intent.number or None
+        fields = row.fields if intent is not None or row.intent is None else {
+            **row.intent.fields, **row.fields
+        }  # fmt: skip
+        number, kind, drive = head.number + 1, one_line(row.kind), one_line(row.drive)
+        outcome, text = one_line(row.outcome), json_of(fields)
+        columns = (number, row.time_ms, kind, drive, intent, outcome, text)
+        digest = hash_of(head.hash, *columns)
+        db.execute("INSERT INTO entries VALUES (?, ?, ?, ?, ?, ?, ?, ?)", (*columns, digest))
+        return Head(number, digest)
+
+    def _make_room(self, db: apsw.Connection) -> None:
+        free, pages = db.pragma("freelist_count"), db.pragma("page_count")
+        if pages - free > self._most_pages - RESERVE_PAGES:
+            self._cut(db)
+        elif free < RESERVE_PAGES or self._room_trouble:
+            self._try_to_grow(db)
+        elif pages > self._most_pages and free > 2 * RESERVE_PAGES:
+            db.execute(f"PRAGMA incremental_vacuum({RESERVE_PAGES})").fetchall()
+
+    def _try_to_grow(self, db: apsw.Connection) -> None:
+        """Give the file more free pages, where the disk has room for them."""
+        try:
+            self._grow(db)
+        except (apsw.FullError, apsw.IOError, OSError) as exc:
+            why = exc.strerror if isinstance(exc, OSError) else exc
+            self._room_trouble = f"there is no room for {self._path}: {why}"
+        else:
+            self._room_trouble = ""
+
+    def _grow(self, db: apsw.Connection) -> None:
+        """Use pages and free them, so that file and WAL have them from then on.
+
+        The space for them is taken from the disk before: a WAL that cannot be emptied into the
+        file could take no further row.
+        """
+        self._checkpoint(db)
+        size = RESERVE_PAGES * PAGE_BYTES
+        wanted = (db.pragma("page_count") + RESERVE_PAGES) * PAGE_BYTES + size // 16
+        os.posix_fallocate(self._descriptor, 0, wanted)
+        with db:
+            db.execute("DELETE FROM reserve")  # it may be there from a run that was killed
+            db.execute("INSERT INTO reserve VALUES (zeroblob(?1))", (size,))
+        self._checkpoint(db)
+        with db:
+            db.execute("DELETE FROM reserve")
+        self._checkpoint(db)
+
+    def _checkpoint(self, db: apsw.Connection) -> None:
+        db.wal_checkpoint(mode=apsw.SQLITE_CHECKPOINT_PASSIVE)
+        self._frames = 0
+
+    def _cut(self, db: apsw.Connection) -> None:
+        """Delete the oldest rows, and say so in the chain."""
+        found: list[tuple[Any, ...]] = db.execute(
+            "SELECT id, hash, time FROM entries ORDER BY id LIMIT ?1", (CUT_ROWS,)
+        ).fetchall()
+        if len(found) < CUT_ROWS:
+            return  # so few rows are not what the room is needed for
+        number, digest, time_ms = found[-1]
+        now_ms = int(db.execute("SELECT max(time) FROM entries").get or 0)
+        fields = {"to": str(Head(number, digest)), "rows": str(len(found)), "time_ms": str(time_ms)}
+        row = Row("cut", "", fields, now_ms, is_vital=True)
+        self._commit([row], (), cut=Head(number, digest))
+
+    def _note_frames(self, _: apsw.Connection, __: str, frames: int) -> int:
+        self._frames = frames
+        return apsw.SQLITE_OK
+
+    def ask(self, question: Callable[[apsw.Connection], T]) -> T:
+        """Read from the file.
+
+        Raises:
+            JournalFileError: It cannot be read.
+        """
+        if self._db is None:
+            raise JournalFileError(f"{self._path} is not open")
+        with self._in_words():
+            return question(self._db)
+
+    @contextlib.contextmanager
+    def _in_words(self) -> Iterator[None]:
+        """Say in words what SQLite or the system refuse; the file is opened again then."""
+        try:
+            yield
+        except apsw.CorruptError as exc:
+            self._is_damaged = True
+            self.close()
+            raise JournalFileError(f"{self._path} is damaged: {exc}") from exc
+        except apsw.BusyError as exc:
+            self.close()
+            raise JournalFileError(f"{self._path} is in use by another program") from exc
+        except apsw.FullError as exc:
+            raise JournalFileError(f"there is no room for {self._path}: {exc}") from exc
+        except apsw.Error as exc:
+            self.close()
+            raise JournalFileError(f"{self._path} cannot be used: {exc}") from exc
+        except OSError as exc:
+            self.close()
+            raise JournalFileError(f"{self._path} cannot be used: {exc.strerror}") from exc
+
+
+def keep(db: apsw.Connection, other: KeyRow | Fact) -> None:
+    """Write what is no row of the chain."""
+    if isinstance(other, Fact):
+        db.execute("INSERT OR REPLACE INTO facts VALUES (?1, ?2)", (other.name, other.text))
+    elif not other.content:
+        db.execute("DELETE FROM keys WHERE name = ?1", (other.name,))
+    else:
+        values = (other.name, other.content, other.status, other.type, other.body)
+        db.execute("INSERT OR REPLACE INTO keys VALUES (?1, ?2, ?3, ?4, ?5)", values)
+
+
+def bring_to_disk(folder: Path) -> None:
+    """Have the name of a new file on the disk."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
