@@ -16,7 +16,7 @@ from backups.backups import answers, backup_of
 from cli.conftest import Run
 from cli.daemon_stub import DaemonStub
 from lecombus.backups import Restored, make_plan, wanted_codes
-from lecombus.cli.backup_files import Notes
+from lecombus.cli.backup import Notes
 from lecombus.cli.restore import result_json, show_plan, show_result
 from lecombus.drives import family
 from lecombus.parameters import Code, Value

@@ -28,8 +28,7 @@ from lecombus.backups import (
 )
 from lecombus.backups.restore_plan import codes_to_read
 from lecombus.cli.arguments import DaemonOptions, daemon_options, wait_option
-from lecombus.cli.backup import incomplete
-from lecombus.cli.backup_files import Notes, digest_of, read_text
+from lecombus.cli.backup import Notes, digest_of, incomplete, read_text
 from lecombus.cli.daemon_access import connected
 from lecombus.cli.drive_access import HttpDrive, RestorePermission, Whose
 from lecombus.cli.exits import CommandError, Exit, Problem

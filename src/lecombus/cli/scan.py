@@ -21,8 +21,7 @@ from lecombus.cli.daemon_access import work
 from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.own_line import OwnPort, own_port
 from lecombus.cli.screen import Bar, on_terminal, progress, show_rows
-from lecombus.client import finding
-from lecombus.client.line import Line
+from lecombus.client import Line, finding
 from lecombus.config import LineEntry, line_timing
 from lecombus.config.building import STATE_DIR
 from lecombus.drives import family

@@ -30,6 +30,7 @@ from .restore_rules import (
 )
 from .stops import (
     StopAction,
+    asks_to_stop,
     confirm_codes,
     knows_stop,
     needs_control_word,
@@ -58,6 +59,7 @@ __all__ = [
     "WordInfo",
     "WriteClass",
     "add_families",
+    "asks_to_stop",
     "believed_states",
     "check_allowed",
     "confirm_codes",

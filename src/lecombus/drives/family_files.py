@@ -19,9 +19,9 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo
 from lecombus.errors import ConfigError, meant
 from lecombus.parameters import AddressForm, Code, rules_of
 
-from .code_entries import ALL_CODES
 from .code_info import CodeInfo, WriteClass
 from .control_words import ControlWordInfo
+from .entries import ALL_CODES, CONTROL_WORDS, STATUS_WORDS
 from .family import AnswerTime, Family, SoftwareGate, WatchdogTraits
 from .field_types import (
     CodeNumber,
@@ -36,7 +36,6 @@ from .field_types import (
 from .restore_rules import RESTORE, RestoreRule
 from .stops import STOPS, StopAction, StopRule
 from .verb_rules import VerbRules, check_control
-from .word_entries import CONTROL_WORDS, STATUS_WORDS
 from .words import WordFieldEntry, WordInfo
 from .yaml_models import (
     FILE_TABLE,

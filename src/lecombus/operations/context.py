@@ -13,8 +13,7 @@ from lecombus.drive_state.control_word import ControlWord
 from lecombus.drive_state.drive_runtime import Drive, LastingRecord
 from lecombus.drive_state.readings import DriveState
 from lecombus.drive_state.store import Store
-from lecombus.drives import encode_for
-from lecombus.drives.stops import asks_to_stop
+from lecombus.drives import asks_to_stop, encode_for
 from lecombus.errors import CodeValueError, OperationError, meant
 from lecombus.fieldbus.requests import Station
 from lecombus.line_events import LineRequests
