@@ -14,6 +14,8 @@ describes it; lecombus' own commands use it.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 from lecombus.client.documents import (
     Answer,
     DriveStatus,
@@ -24,6 +26,7 @@ from lecombus.client.documents import (
     Reading,
     Why,
 )
+from lecombus.client.drive import Drive, Group
 from lecombus.client.errors import (
     AmbiguousDaemonError,
     ClientError,
@@ -33,8 +36,12 @@ from lecombus.client.errors import (
     ProblemError,
     UnreachableError,
 )
-from lecombus.client.line import Drive, Group, Line, connect
+from lecombus.client.line import Line, connect
 from lecombus.client.results import GroupResult, Outcome, Result, VerbResult, WriteResult
+
+if TYPE_CHECKING:
+    from lecombus.client.events import Event
+    from lecombus.client.lease import Lease
 
 __all__ = [
     "AmbiguousDaemonError",
@@ -42,10 +49,12 @@ __all__ = [
     "ClientError",
     "Drive",
     "DriveStatus",
+    "Event",
     "Finding",
     "Group",
     "GroupInfo",
     "GroupResult",
+    "Lease",
     "LeaseLostError",
     "Line",
     "LineStatus",
@@ -62,3 +71,16 @@ __all__ = [
     "WriteResult",
     "connect",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Load what needs anyio when it is asked for: commands that need no event loop start faster."""
+    if name == "Event":
+        from lecombus.client.events import Event
+
+        return Event
+    if name == "Lease":
+        from lecombus.client.lease import Lease
+
+        return Lease
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -29,7 +29,15 @@ from lecombus.client.documents import Answer, Document, kind_of
 from lecombus.client.errors import ProblemError, UnreachableError
 from lecombus.client.finding import knock, no_daemon_at
 
-__all__ = ["AnswerLostError", "Connection", "Json", "finish", "open_connection", "problem_error"]
+__all__ = [
+    "LEASE_HEADER",
+    "AnswerLostError",
+    "Connection",
+    "Json",
+    "finish",
+    "open_connection",
+    "problem_error",
+]
 
 Json = None | bool | int | Decimal | str | list["Json"] | dict[str, "Json"]
 """What may stand in a body: no float, so that no decimal is rounded by accident."""
@@ -51,6 +59,7 @@ T = TypeVar("T")
 
 KEY: Final = "idempotency-key"
 ASKED: Final = "lecombus-asked"
+LEASE_HEADER: Final = "lecombus-lease"
 
 BROKEN: Final = (httpx2.ReadError, httpx2.WriteError, httpx2.RemoteProtocolError)
 """A connection that ended after a request on it may have been sent."""
@@ -95,8 +104,8 @@ class Connection:
         except BROKEN:  # such as a connection that was idle for long
             response = await self._send("GET", path, None, {}, params)
         except httpx2.HTTPError as exc:
-            raise self._unreachable(exc) from exc
-        answer = self._answer_of(response)
+            raise self.unreachable(exc) from exc
+        answer = self.answer_of(response)
         if not response.is_success:
             raise problem_error(answer)
         return answer
@@ -117,7 +126,7 @@ class Connection:
         asked_s = now_s()
         sent = {KEY: uuid4().hex, **(headers or {})}
         try:
-            return self._answer_of(await self._send(method, path, document, sent))
+            return self.answer_of(await self._send(method, path, document, sent))
         except AnswerLostError as exc:
             if not isinstance(exc.__cause__, BROKEN):
                 raise
@@ -126,13 +135,27 @@ class Connection:
         while (ago_s := now_s() - asked_s) < self._repeat_for_s:
             sent[ASKED] = f"{math.ceil(ago_s * 1000) / 1000:.3f}"
             try:
-                return self._answer_of(await self._send(method, path, document, sent))
+                return self.answer_of(await self._send(method, path, document, sent))
             except UnreachableError as exc:
                 if isinstance(exc.__cause__, httpx2.TimeoutException):
                     break
             await self._pause(pause_s)
             pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
         raise lost
+
+    async def once(
+        self,
+        method: str,
+        path: str,
+        document: Mapping[str, Json] | None = None,
+        headers: Mapping[str, str] | None = None,
+    ) -> Answer:
+        """Ask for something to be done, without a key and without any repeat.
+
+        Raises:
+            UnreachableError: It cannot be reached; an `AnswerLostError`: it may have happened.
+        """
+        return self.answer_of(await self._send(method, path, document, headers or {}))
 
     async def _send(
         self,
@@ -151,9 +174,9 @@ class Connection:
                 method, path, content=content, headers=headers, params=params
             )
         except httpx2.HTTPError as exc:
-            raise self._unreachable(exc) from exc
+            raise self.unreachable(exc) from exc
 
-    def _unreachable(self, exc: httpx2.HTTPError) -> UnreachableError:
+    def unreachable(self, exc: httpx2.HTTPError) -> UnreachableError:
         """Return what it means that a daemon could not be spoken with."""
         if isinstance(exc, httpx2.ReadTimeout | httpx2.WriteTimeout):
             problem = f"the daemon at {self.where} does not answer in time"
@@ -170,7 +193,12 @@ class Connection:
             return UnreachableError(problem, "name the CA that signed it")
         return no_daemon_at(self.where)
 
-    def _answer_of(self, response: httpx2.Response) -> Answer:
+    def answer_of(self, response: httpx2.Response) -> Answer:
+        """Return what a response says.
+
+        Raises:
+            UnreachableError: It is not lecombus'.
+        """
         try:
             data = json.loads(response.text, parse_float=Decimal)
         except ValueError as exc:

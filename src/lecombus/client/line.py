@@ -10,13 +10,15 @@ What must not live here: HTTP (`connection`), what documents mean (`documents`, 
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Iterable, Mapping
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Final, Literal, TypeVar
+from typing import TYPE_CHECKING, Final, TypeVar
+from urllib.parse import quote
 
 from lecombus.client.connection import (
     ANSWER_WITHIN_S,
+    LEASE_HEADER,
     REPEAT_FOR_S,
     AnswerLostError,
     Connection,
@@ -30,23 +32,16 @@ from lecombus.client.documents import (
     DriveStatus,
     GroupInfo,
     LineStatus,
-    Reading,
-    Why,
 )
+from lecombus.client.drive import Drive, Group, StopAction
 from lecombus.client.finding import find_daemon
-from lecombus.client.requests import (
-    ValueToWrite,
-    code_text,
-    expires_document,
-    path_of,
-    write_document,
-)
-from lecombus.client.results import GroupResult, Outcome, Result, VerbResult, WriteResult
+from lecombus.client.results import GroupResult, Outcome, Result
 
-__all__ = ["Drive", "Group", "Line", "StopAction", "connect"]
+if TYPE_CHECKING:
+    from lecombus.client.events import Event
+    from lecombus.client.lease import Lease
 
-StopAction = Literal["quick-stop", "inhibit"]
-"""Along the drive's ramp, or without torque: the motor coasts."""
+__all__ = ["Line", "connect"]
 
 WRONG_REQUESTS: Final = frozenset((400, 401, 404, 405, 413, 414, 421, 422, 431))
 """HTTP statuses that say that the request is wrong, however often it is sent."""
@@ -99,6 +94,7 @@ class Line:
 
     def __init__(self, connection: Connection) -> None:
         self.connection = connection
+        self._leases: list[tuple[Lease, frozenset[str]]] = []
 
     @property
     def where(self) -> str:
@@ -163,6 +159,86 @@ class Line:
         what = {"target": target, "drive": target}
         return await self.result("POST", "/v1/stop", document, GroupResult.of, what)
 
+    def events(
+        self,
+        *,
+        drives: Iterable[str] = (),
+        kinds: Iterable[str] = (),
+        after: str = "",
+        patience_s: float = 60.0,
+    ) -> AsyncGenerator[Event, None]:
+        """Give what happens, as it happens: `async for event in line.events(kinds=["trip"])`.
+
+        A connection that breaks is opened again, and what happened in between follows; an event
+        `gap` says that some of it is missing: `drives` then has what is known now.
+
+        Args:
+            drives: Events about these drives or groups, and about the line; none: about any.
+            kinds: Of `value`, `state`, `remark`, `trip`, `write`, `lease`, `line`; none: of any.
+            after: The id of the last event had; empty: begin now.
+            patience_s: How long the daemon may be away, seconds.
+
+        Raises:
+            ProblemError: There is no such drive or kind.
+            UnreachableError: The daemon is away for longer.
+        """
+        from lecombus.client.events import read_events  # it loads anyio
+
+        params = {"drive": ",".join(drives), "kind": ",".join(kinds)}
+        wanted = {key: text for key, text in params.items() if text}
+        return read_events(self.connection, wanted, after, patience_s)
+
+    @asynccontextmanager
+    async def lease(
+        self,
+        name: str,
+        targets: Iterable[str],
+        time_s: float,
+        *,
+        take_over: str = "",
+        renews: bool = True,
+    ) -> AsyncIterator[Lease]:
+        """Control drives: `async with line.lease("winder", ["feeder", "belt"], 2.0):`.
+
+        Writes and verbs of this line to these drives carry the lease's token. A task of this event
+        loop renews the lease. If the program ends, or its event loop stalls, the lease lapses after
+        `time_s`, and lecombus does with the drives what `on_lapse` of the roster says. Drives that
+        are latched must be enabled before they take setpoints.
+
+        The end of the block gives the lease up. A block that ends with an error lets it lapse.
+
+        Args:
+            name: Its name, for people and for a later controller: 1 to 60 letters, digits, `.`,
+                `_` and `-`.
+            targets: The drives and groups.
+            time_s: How long after the last renewal it lapses, seconds; at most `lease.time` of
+                each drive.
+            take_over: The name of the lease that holds the drives; its token counts no more.
+            renews: False: no task renews it, the block calls `Lease.renew`.
+
+        Raises:
+            ProblemError: It is not granted: `lease-held`, `no-such-drive` ..
+            UnreachableError: The daemon cannot be reached.
+            LeaseLostError: The lease was lost; the block was cancelled.
+        """
+        from lecombus.client.lease import hold  # it loads anyio
+
+        document: dict[str, Json] = {
+            "targets": list(targets), "time": f"{round(time_s * 1000)}ms", "counter": 1,
+        }  # fmt: skip
+        if take_over:
+            document["take_over"] = take_over
+        groups = await self.groups()
+        path = f"/v1/leases/{quote(name, safe='')}"
+        async with hold(self.connection, path, document, renews=renews) as lease:
+            whole = {one.name for one in groups if set(one.members) <= set(lease.drives)}
+            covered = (lease, frozenset((*lease.drives, *whole)))
+            self._leases.append(covered)
+            try:
+                yield lease
+            finally:
+                self._leases.remove(covered)
+
     async def ask(self, path: str, **params: str) -> Answer:
         """Ask for any document of docs/api.md.
 
@@ -191,6 +267,13 @@ class Line:
             return answer
         raise problem_error(answer)
 
+    def _token_for(self, target: str) -> dict[str, str]:
+        """Return the header that a write to a drive or a group carries."""
+        for lease, covered in reversed(self._leases):
+            if target in covered:
+                return {LEASE_HEADER: lease.token}
+        return {}
+
     async def result(
         self,
         method: str,
@@ -213,7 +296,8 @@ class Line:
             UnreachableError: Nothing was sent.
         """
         try:
-            answer = await self.connection.act(method, path, document)
+            target = str(what.get("target") or what.get("drive"))
+            answer = await self.connection.act(method, path, document, self._token_for(target))
         except AnswerLostError as exc:
             remedy = "it may have happened: read back, or look at the drive, before it is repeated"
             lost = {"reason": exc.problem, "remedy": remedy, "type": "answer-lost"}
@@ -226,218 +310,6 @@ class Line:
         refused = answer.status < 500 or answer.status == 503
         outcome = Outcome.REFUSED if refused else Outcome.UNKNOWN
         return read({**what, **known_of(found), "outcome": outcome.value}, answer)
-
-
-class Drive:
-    """One drive of a line.
-
-    Args:
-        line: Its line.
-        name: Its name in the roster.
-    """
-
-    def __init__(self, line: Line, name: str) -> None:
-        self.line = line
-        self.name = name
-        self.path = path_of("drive", name)
-
-    async def status(self) -> DriveStatus:
-        """Return all that is known of it; nothing is sent to the line.
-
-        Raises:
-            ProblemError: There is no such drive.
-            UnreachableError: The daemon cannot be reached.
-        """
-        return DriveStatus.of((await self.line.ask(self.path)).data)
-
-    async def read(self, code: str | int) -> Reading:
-        """Read a code from the drive now; takes as long as an exchange, behind what waits.
-
-        Args:
-            code: `C0050`, `50`, `C0039/1` (with a subcode), or `P425` of an SMVector.
-
-        Raises:
-            ProblemError: It gave no value: `no-answer`, `offline`, `no-such-code`, `line-lost` ..
-            UnreachableError: The daemon cannot be reached.
-            ValueError: This is no code.
-        """
-        answer = await self.line.ask(f"{self.path}/codes/{code_text(code)}", fresh="true")
-        return Reading.of(answer.data, answer)
-
-    async def value(self, code: str | int) -> Reading:
-        """Return a code as last read, with its age and quality; nothing is sent to the line.
-
-        Args:
-            code: As for `read`.
-
-        Raises:
-            ProblemError: There is no such drive.
-            UnreachableError: The daemon cannot be reached.
-            ValueError: This is no code.
-        """
-        answer = await self.line.ask(f"{self.path}/codes/{code_text(code)}")
-        return Reading.of(answer.data, answer)
-
-    async def write(
-        self,
-        code: str | int,
-        value: ValueToWrite,
-        *,
-        verify: bool | None = None,
-        expires_s: float | None = None,
-    ) -> WriteResult:
-        """Write a value and wait for its outcome. A setpoint or a control word can start a motor.
-
-        If the caller is cancelled before the write was sent, it is not sent any more.
-
-        Args:
-            code: As for `read`; the roster's `writable` must allow it.
-            value: A number, in the code's own unit and decimals, or text as on the wire.
-            verify: Read it back afterwards; None: do not.
-            expires_s: It is not sent any more after so long, 0.001 to 3600 seconds; None: the
-                daemon's own limit.
-
-        Raises:
-            ProblemError: The request is wrong: no such drive or code, a value out of range ..
-            UnreachableError: The daemon cannot be reached: nothing was sent.
-            ValueError: This is no code, no value or no duration.
-        """
-        document = write_document(value, verify, expires_s)
-        path = f"{self.path}/codes/{code_text(code)}"
-        what: dict[str, Json] = {"drive": self.name, "code": code_text(code)}
-        return await self.line.result("PUT", path, document, WriteResult.of, what)
-
-    async def enable(self, *, expires_s: float | None = None) -> VerbResult:
-        """Release quick stop and inhibit: the motor turns if it has a setpoint.
-
-        `verified`: the drive's status words show it. It is refused while a fault is active.
-
-        Args:
-            expires_s: It is not begun any more after so long, 0.001 to 3600 seconds.
-
-        Raises:
-            ProblemError: There is no such drive, or its family has no such command.
-            UnreachableError: The daemon cannot be reached: nothing was sent.
-        """
-        return await self._verb("enable", expires_document(expires_s))
-
-    async def set_speed(
-        self,
-        value: ValueToWrite,
-        unit: Literal["Hz", "%"],
-        *,
-        verify: bool | None = None,
-        expires_s: float | None = None,
-    ) -> VerbResult:
-        """Give the drive its speed; an enabled drive follows. It does not enable the drive.
-
-        Args:
-            value: The speed, within the drive's range.
-            unit: `Hz`, or `%` of its highest frequency or speed.
-            verify: Read the setpoint back; None: do not.
-            expires_s: It is not sent any more after so long, 0.001 to 3600 seconds.
-
-        Raises:
-            ProblemError: There is no such drive, or the speed is out of its range.
-            UnreachableError: The daemon cannot be reached: nothing was sent.
-        """
-        return await self._verb(
-            "set-speed", {**write_document(value, verify, expires_s), "unit": unit}
-        )
-
-    async def reset_fault(self, *, expires_s: float | None = None) -> VerbResult:
-        """Reset the drive's fault; it stays inhibited.
-
-        Args:
-            expires_s: It is not begun any more after so long, 0.001 to 3600 seconds.
-
-        Raises:
-            ProblemError: There is no such drive.
-            UnreachableError: The daemon cannot be reached: nothing was sent.
-        """
-        return await self._verb("reset-fault", expires_document(expires_s))
-
-    async def quick_stop(self) -> VerbResult:
-        """Stop the drive along its ramp, before everything else; needs no lease.
-
-        Raises:
-            ProblemError: There is no such drive.
-            UnreachableError: The daemon cannot be reached: nothing was stopped.
-        """
-        return await self._verb("quick-stop", None)
-
-    async def inhibit(self) -> VerbResult:
-        """Take the drive's torque away, before everything else: its motor coasts.
-
-        Raises:
-            ProblemError: There is no such drive.
-            UnreachableError: The daemon cannot be reached: nothing was stopped.
-        """
-        return await self._verb("inhibit", None)
-
-    async def why(self, *, fresh: bool = True, language: Literal["en", "de"] = "en") -> Why:
-        """Say why it does not turn.
-
-        Args:
-            fresh: Read the few codes that matter first.
-            language: Of the texts.
-
-        Raises:
-            ProblemError: There is no such drive.
-            UnreachableError: The daemon cannot be reached.
-        """
-        params = {"fresh": "true"} if fresh else {}
-        return Why.of((await self.line.ask(f"{self.path}/why", lang=language, **params)).data)
-
-    async def _verb(self, verb: str, document: Mapping[str, Json] | None) -> VerbResult:
-        path, what = f"{self.path}/verbs/{verb}", {"drive": self.name, "verb": verb}
-        return await self.line.result("POST", path, document, VerbResult.of, what)
-
-
-class Group:
-    """Drives that are written to together.
-
-    Args:
-        line: Their line.
-        name: The group's name in the roster.
-    """
-
-    def __init__(self, line: Line, name: str) -> None:
-        self.line = line
-        self.name = name
-        self.path = path_of("group", name)
-
-    async def write(
-        self,
-        code: str | int,
-        value: ValueToWrite,
-        *,
-        verify: bool | None = None,
-        expires_s: float | None = None,
-    ) -> GroupResult:
-        """Write a value to every member and wait for all outcomes.
-
-        Its `outcome` is that of its worst member.
-
-        Args:
-            code: As for `Drive.read`.
-            value: As for `Drive.write`.
-            verify: Read back from every member; None: only where it goes out as one multicast,
-                which no drive acknowledges.
-            expires_s: It is not sent any more after so long, 0.001 to 3600 seconds.
-
-        Raises:
-            ProblemError: There is no such group, or the value cannot be sent.
-            UnreachableError: The daemon cannot be reached: nothing was sent.
-            ValueError: This is no code, no value or no duration.
-        """
-        document = write_document(value, verify, expires_s)
-        path = f"{self.path}/codes/{code_text(code)}"
-        return await self.line.result("PUT", path, document, GroupResult.of, {"target": self.name})
-
-    async def stop(self, action: StopAction = "quick-stop") -> GroupResult:
-        """Stop every member, before everything else; as `Line.stop`."""
-        return await self.line.stop(self.name, action)
 
 
 def known_of(document: Document) -> Document:
