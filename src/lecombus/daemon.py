@@ -33,7 +33,15 @@ import anyio.lowlevel
 import anyio.to_thread
 
 from lecombus import __version__
-from lecombus.api import Doors, TlsContexts, TlsFileError, TokenWatch, create_app, serve
+from lecombus.api import (
+    Doors,
+    EventReaders,
+    TlsContexts,
+    TlsFileError,
+    TokenWatch,
+    create_app,
+    serve,
+)
 from lecombus.config import Mistake, Roster, RosterChanges, RosterError, load_roster
 from lecombus.drives import StopAction
 from lecombus.errors import LecombusError, LineClosedError, OperationError
@@ -237,6 +245,8 @@ class Daemon:
         self, faces: anyio.abc.TaskGroup, runtime: LineRuntime, journal: Journal | None
     ) -> None:
         api = self._roster.api
+        readers = EventReaders(runtime.events, runtime.event_sources.look, anyio.current_time)
+        faces.start_soon(readers.run)
         app = create_app(
             runtime.operations,
             runtime.store,
@@ -251,6 +261,7 @@ class Daemon:
             read_only=api.read_only,
             journal=journal,
             kept_keys=self._kept_keys,
+            readers=readers,
             version=__version__,
             clock=anyio.current_time,
         )

@@ -10,6 +10,7 @@ What must not live here: signals, sockets, HTTP (`daemon`).
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Callable
 
 from lecombus.config import (
@@ -24,6 +25,7 @@ from lecombus.config import (
 from lecombus.drive_state.drive_runtime import LineDrives
 from lecombus.drive_state.store import Store
 from lecombus.errors import ConfigError
+from lecombus.event_stream import EventStream
 from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.port import Framing, PortOpener, PortSettings
 from lecombus.fieldbus.protocols import find
@@ -35,6 +37,7 @@ from lecombus.saved_state import State
 from lecombus.schedule import Schedule
 from lecombus.supervision.drive_changes import DriveChanges
 from lecombus.supervision.drive_supervisor import DriveSupervisor
+from lecombus.supervision.event_sources import EventSources
 from lecombus.supervision.exchange_recorder import ExchangeRecorder, follow_line
 from lecombus.supervision.lease_watch import LeaseWatch
 from lecombus.supervision.line_requests import RequestsToLine
@@ -99,13 +102,30 @@ class LineRuntime:
             disturbances=lambda: recorder.disturbances,
         )  # fmt: skip
         follow_line(recorder, store, metrics, asked, operations, clock, wall)
+        self._look_after(asked, recorder, line, clock)
+        self.apply(roster)
+
+    def _look_after(
+        self,
+        asked: RequestsToLine,
+        recorder: ExchangeRecorder,
+        line: LineEntry,
+        clock: Callable[[], float],
+    ) -> None:
+        """Make what looks after the drives unasked, and what publishes events."""
+        requests, store, metrics = self.requests, self.store, self.metrics
+        operations = self.operations
         self.supervisor = DriveSupervisor(requests, store, self.health, operations, clock)
         self.lease_watch = LeaseWatch(requests, store, operations, self.health, clock)
         self._changes = DriveChanges(requests, store, metrics, self.health, self.supervisor, clock)
-        self.watch = LineWatch(
-            requests, store, metrics, recorder, asked, operations, self.lease_watch, line, clock
+        self.events = EventStream(secrets.token_hex(4))
+        self.event_sources = EventSources(
+            self.events, store, operations.actions, line.name, self._members, clock
         )
-        self.apply(roster)
+        self.watch = LineWatch(
+            requests, store, metrics, recorder, asked, operations, self.lease_watch, self.events,
+            line, clock,
+        )  # fmt: skip
 
     def apply(self, roster: Roster) -> RosterChanges:
         """Take a roster's drives and groups; drives that did not change are left alone.
@@ -145,6 +165,10 @@ class LineRuntime:
     def _snapshot(self) -> LineSnapshot:
         """Return what the metrics show of the line at this moment."""
         return self.watch.snapshot()
+
+    def _members(self, group: str) -> tuple[str, ...]:
+        entry = self.roster.groups.get(group)
+        return () if entry is None else entry.members
 
     def _follow(self, drive: str, address: int) -> None:
         """Speak to a drive at another address, until a roster says otherwise."""

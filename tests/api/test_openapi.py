@@ -14,6 +14,7 @@ from openapi_schema_validator import OAS31Validator
 from openapi_spec_validator import validate
 
 from lecombus.api.idempotency import KEY_CHARS
+from lecombus.api.limits import EVENTS_PATH
 from openapi.document import FILE, OPERATIONS, document_of, endpoints_of
 from support.api_line import Line
 
@@ -79,11 +80,17 @@ async def test_every_query_parameter_that_is_described_is_taken(
     values |= {"after": "1", "since": "2026-11-23T06:00:00Z", "limit": "5", "last": "true"}
     values |= {"head": f"1:{'0' * 64}"}
     values |= {"drive": "feeder"}
+    values |= {"kind": "value,state", "last_event_id": "run-1", "drive": "feeder"}
     places = {"drive": "feeder", "code": "C0046", "subcode": "0", "address": "21", "group": "all"}
     taken = set()
     for path, operation in operations(document):
         query = [one["name"] for one in operation.get("parameters", ()) if one["in"] == "query"]
         for name in query:
+            if path == EVENTS_PATH:  # events have no end
+                answer = await client.head(path, params={name: values[name]})
+                assert answer.status_code == 200
+                taken.add(name)
+                continue
             answer = await client.get(path.format(**places), params={name: values[name]})
             no_journal = answer.json().get("type", "").endswith(":no-journal")
             assert answer.status_code == 200 or no_journal, (path, name, answer.text)

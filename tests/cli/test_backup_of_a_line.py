@@ -15,7 +15,7 @@ import httpx2
 import pytest
 from anyio.abc import TaskGroup
 
-from lecombus.api import create_app
+from lecombus.api import EventReaders, create_app
 from lecombus.backups import (
     Backup,
     Restored,
@@ -54,7 +54,9 @@ async def behind_http(plant: Plant, name: str = "a") -> AsyncIterator[HttpDrive]
         plant.site.operations, plant.site.store, plant.site.metrics,
         plan_facts=lambda: plant.site.watch.plan_facts(plant.site.roster),
         line_name="t", ready=lambda: (True, ""), healthy=lambda: (True, ""),
-        reload=no_reload, clock=anyio.current_time,
+        reload=no_reload,
+        readers=EventReaders(plant.site.events, lambda: (), anyio.current_time),
+        clock=anyio.current_time,
     )  # fmt: skip
     transport = httpx2.ASGITransport(app)
     async with httpx2.AsyncClient(transport=transport, base_url="http://localhost") as client:

@@ -23,8 +23,10 @@ from starlette.routing import Route
 import lecombus.api
 from lecombus.api import request_checks as bodies
 from lecombus.api.answers import PROBLEM_TYPE, STATUS_BY_KIND
+from lecombus.api.event_routes import EVENTS_TYPE
 from lecombus.api.idempotency import KEY_CHARS
 from lecombus.api.journal_routes import JournalQuery, VerifyQuery
+from lecombus.api.limits import EVENTS_PATH
 from openapi import answer_models
 from openapi.answer_models import ProblemDocument
 from support.api_line import make_line
@@ -66,6 +68,15 @@ LEASE_TOKEN: Final = {
 }
 
 
+LAST_ID: Final = {
+    "name": "Last-Event-ID",
+    "in": "header",
+    "required": False,
+    "schema": {"type": "string"},
+    "description": "The last event that the client had; counts more than `last_event_id`",
+}
+
+
 @dataclass(frozen=True)
 class Operation:
     """What a route takes and answers.
@@ -76,13 +87,15 @@ class Operation:
         query: Its query parameters.
         body: What it takes.
         body_required: Whether it needs one.
+        stream: The media type of an answer without end; empty: it is one JSON document.
     """
 
-    answer: type[BaseModel]
+    answer: type[BaseModel] | None
     problems: tuple[int, ...]
     query: type[bodies.Query] | None = None
     body: type[bodies.Body] | None = None
     body_required: bool = True
+    stream: str = ""
 
 
 DRIVE: Final = "/v1/drives/{drive}"
@@ -152,6 +165,9 @@ OPERATIONS: Final[Mapping[tuple[str, str], Operation]] = {
     ("get", "/v1/journal/verify"): Operation(
         answer_models.VerifiedDocument, (404, 422, 503), VerifyQuery
     ),
+    ("get", EVENTS_PATH): Operation(
+        None, (403, 404, 422, 503), bodies.EventQuery, stream=EVENTS_TYPE
+    ),
     ("get", "/v1/plan"): Operation(answer_models.PlanDocument, (422,)),
     ("get", "/healthz"): Operation(answer_models.StatusDocument, (503,)),
     ("get", "/readyz"): Operation(answer_models.StatusDocument, (503,)),
@@ -168,7 +184,7 @@ def main() -> None:
 def document_of(app: Starlette) -> dict[str, Any]:
     """Return the document of an application; its version is put in when it is served."""
     endpoints = dict(endpoints_of(app))
-    models = [one.answer for one in OPERATIONS.values()]
+    models = [one.answer for one in OPERATIONS.values() if one.answer is not None]
     models += [one.query for one in OPERATIONS.values() if one.query is not None]
     _, found = models_json_schema(
         [(model, "validation") for model in dict.fromkeys(models)], ref_template=REF
@@ -219,6 +235,8 @@ def described_operation(
         parameters.append(KEY)
     if (path in TAKES_LEASE and method != "get") or (path, method) == (LEASE, "delete"):
         parameters.append(LEASE_TOKEN)
+    if operation.stream:
+        parameters.append(LAST_ID)
     name: str = endpoint.__name__
     summary, _, rest = endpoint.__doc__.partition("\n")
     found: dict[str, Any] = {
@@ -228,9 +246,12 @@ def described_operation(
     }
     if parameters:
         found["parameters"] = parameters
-    answer = {"schema": reference(operation.answer)}
+    answer = {"schema": {"type": "string"}}
+    if operation.answer is not None:
+        answer = {"schema": reference(operation.answer)}
+    content = {operation.stream or JSON_TYPE: answer}
     found["responses"] = {
-        "200": {"description": "Successful Response", "content": {JSON_TYPE: answer}},
+        "200": {"description": "Successful Response", "content": content},
         **{str(status): problem_response(titles(status)) for status in operation.problems},
         "default": problem_response(
             "What any path may be refused with: 400, 401, 403, 405, 414, 421, 429, 431, 503"

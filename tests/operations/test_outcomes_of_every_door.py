@@ -16,7 +16,7 @@ import anyio.lowlevel
 import httpx2
 import pytest
 
-from lecombus.api import create_app
+from lecombus.api import EventReaders, create_app
 from lecombus.client import Line, Outcome, WriteResult
 from lecombus.client.connection import Connection
 from lecombus.fieldbus.lecom.simulator.faults import Faults
@@ -85,7 +85,9 @@ async def behind_http(plant: Plant) -> AsyncIterator[Line]:
     app = create_app(
         plant.site.operations, plant.site.store, plant.site.metrics,
         plan_facts=dict, line_name="t", ready=lambda: (True, ""),
-        healthy=lambda: (True, ""), reload=no_reload, clock=anyio.current_time,
+        healthy=lambda: (True, ""), reload=no_reload,
+        readers=EventReaders(plant.site.events, tuple, anyio.current_time),
+        clock=anyio.current_time,
     )  # fmt: skip
     transport = httpx2.ASGITransport(app)
     async with httpx2.AsyncClient(transport=transport, base_url="http://localhost") as http:

@@ -11,13 +11,14 @@ from typing import cast
 import anyio
 from starlette.applications import Starlette
 
-from lecombus.api import create_app
+from lecombus.api import EventReaders, create_app
 from lecombus.config import RosterChanges
 from lecombus.drive_state.store import DriveState, LineState, Reading, Store
 from lecombus.drives import OperatingState, StopAction, Text, Verb, family
 from lecombus.drives.faults.reasons import Weight
 from lecombus.drives.measured import AnswerRow
 from lecombus.errors import LecombusError, OperationError
+from lecombus.event_stream import EventStream
 from lecombus.metrics import Metrics
 from lecombus.operations.address_reads import Heard, HeardKind
 from lecombus.operations.awaited_requests import IS_GONE, refuse_for_gone_client
@@ -211,6 +212,8 @@ class Line:
     store: Store
     ops: FakeOperations
     app: Starlette
+    events: EventStream
+    readers: EventReaders
     now_s: float = 0.0
     ready: tuple[bool, str] = (True, "31 of 31 drives tried")
     healthy: tuple[bool, str] = (True, "")
@@ -230,7 +233,9 @@ def make_line() -> Line:
     ops.leases.set_roster(ROSTER.drives)
     metrics = Metrics("hall-3", store, version="1", clock=time.monotonic)
     metrics.counters.add_drive("feeder")
-    line = Line(store, ops, Starlette())
+    events = EventStream("run")
+    readers = EventReaders(events, lambda: (), time.monotonic)
+    line = Line(store, ops, Starlette(), events, readers)
     line.app = create_app(
         cast(Operations, ops),
         store,
@@ -246,6 +251,7 @@ def make_line() -> Line:
         ready=lambda: line.ready,
         healthy=lambda: line.healthy,
         reload=lambda: line.reload(),
+        readers=readers,
         clock=lambda: line.now_s,
     )
     return line

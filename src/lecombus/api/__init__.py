@@ -7,6 +7,7 @@ listens). It calls `Operations`, and reads `Store` and `Metrics`.
 from __future__ import annotations
 
 from lecombus.api.app import Check, create_app
+from lecombus.api.event_readers import EventReaders
 from lecombus.api.server import Doors, Served, serve
 from lecombus.api.tls import TlsContexts, TlsFileError
 from lecombus.api.token_watch import TokenWatch
@@ -14,6 +15,7 @@ from lecombus.api.token_watch import TokenWatch
 __all__ = [
     "Check",
     "Doors",
+    "EventReaders",
     "Served",
     "TlsContexts",
     "TlsFileError",

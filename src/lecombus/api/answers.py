@@ -117,6 +117,7 @@ STATUS_BY_KIND: Final[Mapping[str, tuple[int, str]]] = {
     "line-lost": (503, "Line lost"),
     "line-closed": (503, "Line closed"),
     "queue-full": (503, "Queue full"),
+    "too-many-readers": (503, "Too many readers of events"),
     "expired": (503, "Expired before it was sent"),
     "not-ready": (503, "Not ready"),
     "unhealthy": (503, "Not healthy"),
@@ -126,7 +127,12 @@ STATUS_BY_KIND: Final[Mapping[str, tuple[int, str]]] = {
 }
 """Kind of a problem: HTTP status and title. A kind not listed is a refusal, 409."""
 
-RETRY_AFTER_S: Final[Mapping[str, int]] = {"line-lost": 1, "queue-full": 1, "not-ready": 1}
+RETRY_AFTER_S: Final[Mapping[str, int]] = {
+    "line-lost": 1,
+    "queue-full": 1,
+    "not-ready": 1,
+    "too-many-readers": 5,
+}
 
 KIND_BY_OUTCOME: Final[Mapping[Outcome, str]] = {
     Outcome.REFUSED: "refused",

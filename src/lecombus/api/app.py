@@ -28,6 +28,8 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from lecombus.api.answers import JSON_TYPE, ProblemDocument, problem_of, status_response
 from lecombus.api.decimal_json import short
+from lecombus.api.event_readers import EventReaders
+from lecombus.api.event_routes import EventRoutes
 from lecombus.api.idempotency import Idempotency
 from lecombus.api.journal_routes import JournalRoutes
 from lecombus.api.lease_routes import LeaseRoutes
@@ -64,6 +66,7 @@ def create_app(
     ready: Check,
     healthy: Check,
     reload: Callable[[], Awaitable[RosterChanges]],
+    readers: EventReaders,
     port: str = "",
     baud: int = 9600,
     read_only: bool = False,
@@ -83,6 +86,7 @@ def create_app(
         ready: Whether the line is open and every drive was tried once.
         healthy: Whether the line task makes progress.
         reload: Reads the roster again and applies it.
+        readers: Those who read events.
         port: The line's port, as the roster has it.
         baud: Its baud rate, bit/s.
         read_only: Whether all but reads and stops are refused.
@@ -98,6 +102,7 @@ def create_app(
         *LeaseRoutes(ops).routes(),
         *WriteRoutes(ops, Idempotency(clock, journal, kept_keys), reload).routes(),
         *JournalRoutes(journal).routes(),
+        *EventRoutes(readers, ops, store).routes(),
         *ServiceRoutes(metrics, ready, healthy, version or "0").routes(),
     ]
     app = Starlette(

@@ -42,10 +42,12 @@ from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
 from lecombus.api.answers import ProblemDocument, date_header
+from lecombus.api.event_readers import OUTLET, Outlet
 from lecombus.api.limits import (
     BODY_LIMIT,
     BODY_TOO_BIG,
     CHUNKED_LIMIT,
+    EVENTS_PATH,
     HEAD_LIMIT,
     HEAD_TOO_LONG,
     HEADERS_LIMIT,
@@ -150,6 +152,7 @@ class HttpConnection(HttpToolsProtocol):
         self._end: ProblemDocument | None = None  # if set: parse no more, send it after all answers
         self._is_half_closed = False
         self._running: Any = None  # the request that is being answered
+        self._outlet: Outlet | None = None  # of a request for events
         self.places.take(self)
 
     def _client(self) -> Actor:
@@ -172,6 +175,7 @@ class HttpConnection(HttpToolsProtocol):
             self._running.disconnected = True
             self._running.message_event.set()
         super().connection_lost(exc)
+        self._outlet = None
         self.cycle = self._running = None  # type: ignore[assignment]  # each refers to the other
 
     @property
@@ -184,6 +188,11 @@ class HttpConnection(HttpToolsProtocol):
         """Whether no request is under way that came whole."""
         running = self._running
         return not self.pipeline and (running is None or self._is_answered or running.more_body)
+
+    @property
+    def is_reading_events(self) -> bool:
+        """Whether it only reads events, and may go on with that later."""
+        return self._outlet is not None and not self.pipeline and not self._is_answered
 
     @property
     def _is_answered(self) -> bool:
@@ -203,6 +212,8 @@ class HttpConnection(HttpToolsProtocol):
     def eof_received(self) -> bool:  # type: ignore[override]
         """The client sends no more; it may still wait for answers to what came whole."""
         self._is_half_closed = True
+        if self._outlet is not None:
+            self._outlet.is_half_closed = True
         if not self._unread:
             self._drop_unfinished()
         return bool(self._unread) or not self._is_answered
@@ -371,7 +382,7 @@ class HttpConnection(HttpToolsProtocol):
 
     def _start_asgi_task(self, cycle: Any, app: Any) -> None:
         """Answer a request in its turn; a stop without waiting."""
-        self._running = cycle
+        self._begin(cycle)
         came_s = asyncio.get_running_loop().time()
         is_gone = partial(is_closed, self.transport.get_extra_info("socket"))
 
@@ -389,6 +400,13 @@ class HttpConnection(HttpToolsProtocol):
             start()
         else:
             self.starts.take(start)
+
+    def _begin(self, cycle: Any) -> None:
+        """Take the request that is answered next; one for events gets the transport itself."""
+        self._running = cycle
+        self._outlet = None
+        if cycle.scope["path"] == EVENTS_PATH:
+            self._outlet = cycle.scope[OUTLET] = Outlet(self.transport)
 
     def shutdown(self) -> None:
         """End after the requests under way; called by the server."""

@@ -38,6 +38,7 @@ __all__ = [
     "BODY_TOO_BIG",
     "CHUNKED_LIMIT",
     "CONNECTION_LIMIT",
+    "EVENTS_PATH",
     "HEADERS_LIMIT",
     "HEAD_LIMIT",
     "HEAD_TOO_LONG",
@@ -66,6 +67,7 @@ __all__ = [
 
 STOP_PATH: Final = "/v1/stop"
 LEASES_PATH: Final = "/v1/leases"
+EVENTS_PATH: Final = "/v1/events"
 STOP_VERB_ENDS: Final = ("/verbs/inhibit", "/verbs/quick-stop")
 STOP_ENDS: Final = (STOP_PATH, *STOP_VERB_ENDS)
 
@@ -173,8 +175,8 @@ class RequestLimiter:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
-        if scope["type"] != "http" or is_stop(scope["path"]):
-            await self._app(scope, receive, send)
+        if scope["type"] != "http" or is_stop(scope["path"]) or scope["path"] == EVENTS_PATH:
+            await self._app(scope, receive, send)  # readers of events have a limit of their own
             return
         waits = needs_line(scope)
         if self._inside[waits] >= self._limits[waits]:
@@ -226,6 +228,10 @@ class PlacedConnection(Protocol):
     def is_idle(self) -> bool:
         """Whether no request is under way that came whole."""
 
+    @property
+    def is_reading_events(self) -> bool:
+        """Whether it only reads events, and may go on with that later."""
+
 
 class ConnectionPlaces:
     """The connections of all listeners, the one open longest first.
@@ -263,6 +269,7 @@ class ConnectionPlaces:
             self._by_claim(one for one in looking if one.is_idle),
             (one for one in others if one.is_idle),
             (one for one in looking if new.is_local),
+            (one for one in others if one.is_reading_events),
         ]
         return next((one for rank in ranks for one in rank), new)
 

@@ -43,6 +43,7 @@ __all__ = [
     "AddressQuery",
     "Body",
     "DriveWriteBody",
+    "EventQuery",
     "LeaseBody",
     "NoKeysBody",
     "Query",
@@ -57,6 +58,7 @@ __all__ = [
     "read_body",
     "read_query",
     "read_stop",
+    "refusal",
     "refuse_query",
 ]
 
@@ -358,6 +360,32 @@ class ValueQuery(Query):
 
     fresh: Annotated[bool, Field(description="Read it now")] = False
     priority: Annotated[Urgency, Field(description=RIGHT["priority"])] = Urgency.INTERACTIVE
+
+
+class EventQuery(Query):
+    """Which events are read."""
+
+    drive: Annotated[
+        str,
+        Field(
+            description="Only those about these drives and groups, and the "
+            "line; with commas between them"
+        ),
+    ] = ""
+    kind: Annotated[
+        str,
+        Field(
+            description="Only value, state, remark, trip, write, lease or line; "
+            "with commas between them"
+        ),
+    ] = ""
+    last_event_id: Annotated[
+        str,
+        Field(
+            description="The last event that the client had, where it "
+            "cannot send the header Last-Event-ID"
+        ),
+    ] = ""
 
 
 class AddressQuery(Query):

@@ -120,6 +120,7 @@ NEEDS: Final[Mapping[tuple[str, str], Need]] = {
     ("GET", ADDRESS + SUBCODE): READ_ALL,
     ("GET", ADDRESS + CODE): READ_ALL,
     ("GET", "/v1/plan"): READ_ALL,
+    ("GET", "/v1/events"): READ,
     ("GET", "/metrics"): Need(Scope.METRICS, Of.ALL),
     ("GET", "/healthz"): METRICS,
     ("GET", "/readyz"): METRICS,

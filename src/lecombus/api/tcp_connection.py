@@ -218,7 +218,7 @@ class TcpConnection(HttpConnection, asyncio.BufferedProtocol):
         self.share.take(self, begin)
 
     def _start_asgi_task(self, cycle: Any, app: Any) -> None:
-        self._running = cycle
+        self._begin(cycle)
         came_s = asyncio.get_running_loop().time()
         is_gone = partial(is_closed, self.transport.get_extra_info("socket"), select.POLLRDHUP)
 

@@ -13,6 +13,7 @@ from pydantic import BaseModel
 
 from lecombus.config.mistakes import Mistakes, Position, Spot
 from lecombus.config.yaml_nodes import MappingNode
+from lecombus.parameters import Json
 from lecombus.roster import Roster
 
 __all__ = [
@@ -61,9 +62,11 @@ class RosterChanges:
         parts = {"added": self.added, "removed": self.removed, "changed": tuple(self.changed)}
         return " ".join(f"{key}={','.join(names) or 'none'}" for key, names in parts.items())
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, Json]:
         """Return the JSON form."""
-        changed = [{"drive": name, "keys": list(keys)} for name, keys in self.changed.items()]
+        changed: list[Json] = [
+            {"drive": name, "keys": list(keys)} for name, keys in self.changed.items()
+        ]
         return {
             "outcome": "done",
             "file": self.file,

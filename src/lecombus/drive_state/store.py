@@ -308,6 +308,15 @@ class Store:
         cell = record.cells.get(code)
         return None if cell is None else self._judge.reading(record, cell, self._clock())
 
+    def is_cyclic(self, drive: str, code: Code) -> bool:
+        """Return whether a code is read cyclically.
+
+        Raises:
+            OperationError: `no-such-drive`.
+        """
+        cell = self._record(drive).cells.get(code)
+        return cell is not None and cell.every_s is not None
+
     def unread(self, drive: str, code: Code) -> Reading:
         """Return the reading of a code that was never asked for, without keeping it.
 
@@ -420,7 +429,7 @@ class Store:
     def subscribe(self, subscriber: Subscriber) -> None:
         """Call `subscriber` after every change; it must return immediately and never raise.
 
-        The daemon has no subscriber yet; a stream of events over HTTP will be one.
+        `supervision.event_sources` subscribes while events are read.
         """
         self._subscribers = (*self._subscribers, subscriber)
 

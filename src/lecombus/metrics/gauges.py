@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from lecombus.drive_state.store import DriveState, LineState, Quality, Reading, Store
 from lecombus.drives import Family
 from lecombus.errors import OperationError
+from lecombus.event_stream import KINDS
 from lecombus.journal.journal import JournalFigures
 from lecombus.metrics.counters import label_of
 from lecombus.metrics.exposition import Block, escape
@@ -57,6 +58,8 @@ class LineSnapshot:
         answer_ratio: By drive, the slowest answer measured over the manual's longest time.
         leases: Who controls what; None: no drive needs a lease, and none was taken.
         journal: The journal's size and state; None: there is none.
+        events: Events published, by kind. event_readers: How many read them now.
+        event_readers_dropped: How many were cut because they did not keep up.
     """
 
     queue_depth: Mapping[Priority, int] = field(default_factory=dict)
@@ -72,6 +75,9 @@ class LineSnapshot:
     answer_ratio: Mapping[str, float] = field(default_factory=dict)
     leases: LeaseFigures | None = None
     journal: JournalFigures | None = None
+    events: Mapping[str, int] = field(default_factory=dict)
+    event_readers: int = 0
+    event_readers_dropped: int = 0
 
 
 class LineGauges:
@@ -117,6 +123,11 @@ class LineGauges:
             "cyclic_skipped",
             "Cyclic reads skipped: the drive was held back, or a feed was sent first.",
         )
+        self._events = counter("events", "Events recorded for readers of /v1/events, by kind.")
+        self._readers = gauge("event_readers", "Clients that read /v1/events now.")
+        self._dropped = counter(
+            "event_readers_dropped", "Readers of events that were cut: they did not keep up."
+        )
         self._writes = counter(
             "parameter_writes",
             "Writes that may have reached a drive's memory, never reset; other: undescribed codes.",
@@ -129,6 +140,7 @@ class LineGauges:
             *(self._up, self._depth, self._refused, self._stretch, self._late, self._skipped),
             *(self._woken, self._slack, self._margin, self._misses, self._writes, self._answers),
             *self._leases.blocks,
+            *(self._events, self._readers, self._dropped),
         )
 
     def render(self, store: Store, snapshot: LineSnapshot) -> None:
@@ -142,6 +154,10 @@ class LineGauges:
         if snapshot.slack_s is not None:
             self._slack.add(line, snapshot.slack_s)
         self._skipped.add(line, snapshot.cyclic_skipped)
+        self._readers.add(line, snapshot.event_readers)
+        self._dropped.add(line, snapshot.event_readers_dropped)
+        for kind in KINDS:
+            self._events.add(f'{line},kind="{kind}"', snapshot.events.get(kind, 0))
         for priority in Priority:
             label = f'{line},priority="{label_of(priority)}"'
             self._depth.add(label, snapshot.queue_depth.get(priority, 0))

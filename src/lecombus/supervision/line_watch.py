@@ -18,6 +18,7 @@ from lecombus.config import LineEntry, Roster
 from lecombus.drive_state.drive_runtime import LineDrives
 from lecombus.drive_state.readings import DriveState
 from lecombus.drive_state.store import Store
+from lecombus.event_stream import EventStream
 from lecombus.fieldbus.loop_interface import SecondAnswerCount
 from lecombus.journal.journal import JournalFigures
 from lecombus.metrics import LineSnapshot, Metrics
@@ -67,6 +68,7 @@ class LineWatch:
         line: Uses measured answer times; has the drives' health.
         operations: Counts writes.
         leases: Knows what the metrics show of leases.
+        events: Counts what is read along, and by how many.
         entry: The line, as in the roster.
         clock: Monotonic time, seconds.
 
@@ -84,6 +86,7 @@ class LineWatch:
         line: RequestsToLine,
         operations: Operations,
         leases: LeaseWatch,
+        events: EventStream,
         entry: LineEntry,
         clock: Callable[[], float],
     ) -> None:
@@ -97,6 +100,7 @@ class LineWatch:
         self._recorder = recorder
         self._line = line
         self._operations = operations
+        self._events = events
         self._clock = clock
         self._overload = PollOverload(store)
 
@@ -149,6 +153,9 @@ class LineWatch:
             self._answer_ratios(),
             self._leases.figures(),
             None if self.journal is None else self.journal(),
+            self._events.published,
+            self._events.readers,
+            self._events.dropped,
         )
 
     def plan_facts(self, roster: Roster) -> dict[str, Json]:
