@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import json
 import math
+import ssl
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping
 from contextlib import asynccontextmanager
@@ -103,7 +104,7 @@ class Connection:
             response = await self.http.get(path, params=params)
         except BROKEN:  # such as a connection that was idle for long
             response = await self._send("GET", path, None, {}, params)
-        except httpx2.HTTPError as exc:
+        except (httpx2.HTTPError, ssl.SSLError) as exc:
             raise self.unreachable(exc) from exc
         answer = self.answer_of(response)
         if not response.is_success:
@@ -173,10 +174,10 @@ class Connection:
             return await self.http.request(
                 method, path, content=content, headers=headers, params=params
             )
-        except httpx2.HTTPError as exc:
+        except (httpx2.HTTPError, ssl.SSLError) as exc:
             raise self.unreachable(exc) from exc
 
-    def unreachable(self, exc: httpx2.HTTPError) -> UnreachableError:
+    def unreachable(self, exc: httpx2.HTTPError | ssl.SSLError) -> UnreachableError:
         """Return what it means that a daemon could not be spoken with."""
         if isinstance(exc, httpx2.ReadTimeout | httpx2.WriteTimeout):
             problem = f"the daemon at {self.where} does not answer in time"
@@ -188,7 +189,14 @@ class Connection:
             problem = f"the daemon at {self.where} ended before it answered"
             remedy = "what was asked may have happened; look at its log, then ask again"
             return AnswerLostError(problem, remedy)
-        if "CERTIFICATE" in str(exc).upper():
+        said = str(exc).upper()
+        if "ALERT" in said and ("CERTIFICATE" in said or "UNKNOWN_CA" in said):
+            problem = f"{self.where} does not accept your certificate, or asks for one: {exc}"
+            return UnreachableError(problem, "name your certificate with its key")
+        if isinstance(exc, ssl.SSLError):
+            problem = f"the connection to {self.where} broke: {exc}"
+            return AnswerLostError(problem, "what was asked may have happened; look at its log")
+        if "CERTIFICATE" in said:
             problem = f"the certificate of {self.where} is not trusted: {exc}"
             return UnreachableError(problem, "name the CA that signed it")
         return no_daemon_at(self.where)
