@@ -8,28 +8,22 @@ time, sometimes before it serves.
 from __future__ import annotations
 
 import http.client
-import json
 import random
 import signal
-import socket
-import subprocess
-import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from support.children import die_with_parent, environment
+from support.journal_daemon import START_WITHIN_S, ask, daemon, wait_for
 
 pytestmark = pytest.mark.real
 
-CODE, START_WITHIN_S = "C0046", 60.0
-RUN = [sys.executable, "-P", "-c", "from lecombus.__main__ import main; main()", "run", "-c"]
+CODE = "C0046"
 ROSTER = """\
 line: {{name: killed, port: "sim:", baud: 19200}}
 drives:
@@ -42,27 +36,6 @@ api: {{socket: {folder}/s}}
 state: {folder}/state.json
 journal: {folder}/j.sqlite
 """
-
-
-class OverSocket(http.client.HTTPConnection):
-    def __init__(self, path: Path) -> None:
-        super().__init__("localhost", timeout=30)
-        self._path = str(path)
-
-    def connect(self) -> None:
-        self.sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self.sock.settimeout(self.timeout)
-        self.sock.connect(self._path)
-
-
-def ask(path: Path, method: str, where: str, body: str = "", key: str = "") -> tuple[int, Any]:
-    connection = OverSocket(path)
-    try:
-        connection.request(method, where, body or None, {"Idempotency-Key": key} if key else {})
-        answer = connection.getresponse()
-        return answer.status, json.loads(answer.read())
-    finally:
-        connection.close()
 
 
 @dataclass
@@ -101,26 +74,6 @@ class Client:
         except (OSError, http.client.HTTPException, ValueError):
             return False
         return True
-
-
-@contextmanager
-def daemon(folder: Path) -> Iterator[subprocess.Popen[bytes]]:
-    log = (folder / "log").open("wb")
-    with log, subprocess.Popen(
-        [*RUN, str(folder / "roster.yaml")], stdout=log, stderr=log, env=environment(),
-        preexec_fn=die_with_parent,
-    ) as process:  # fmt: skip
-        try:
-            yield process
-        finally:
-            process.kill()
-
-
-def wait_for(what: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + START_WITHIN_S
-    while not what():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def is_polled(path: Path) -> bool:

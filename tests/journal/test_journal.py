@@ -1,0 +1,311 @@
+"""What goes into a journal waits for no disk, and what waits for it does not wait for ever."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lecombus.journal import journal as module
+from lecombus.journal.chain import Head, Row
+from lecombus.journal.journal import Journal
+from lecombus.journal.journal_file import JournalFile, JournalFileError, KeyRow
+
+pytestmark = pytest.mark.clock
+
+MOST = 16_000_000
+
+
+@pytest.fixture(autouse=True)
+def soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "RETRY_S", 0.05)
+    monkeypatch.setattr(module, "TICK_S", 0.02)
+
+
+class Disk:
+    """The file's thread stops in each write until it is let go."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.works = threading.Event()
+        self.works.set()
+        self.batches: list[int] = []
+        usual = JournalFile.write
+
+        def write(file: JournalFile, rows: list[Row], *rest: Any) -> bool:
+            self.batches.append(len(rows))
+            self.works.wait(30)
+            return usual(file, rows, *rest)
+
+        monkeypatch.setattr(JournalFile, "write", write)
+
+
+@pytest.fixture
+def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
+    return Disk(monkeypatch)
+
+
+Scenario = Callable[[Journal], Awaitable[None]]
+
+
+def with_journal(path: Path, scenario: Scenario) -> list[str | None]:
+    """Run a scenario with an open journal; return what was said of it."""
+    said: list[str | None] = []
+
+    async def main() -> None:
+        journal = await Journal.opened(path, MOST, time.time)
+        running = asyncio.create_task(journal.run(said.append))
+        await scenario(journal)
+        running.cancel()
+        await journal.close()
+
+    asyncio.run(main())
+    return said
+
+
+async def until(what: Callable[[], object]) -> None:
+    async with asyncio.timeout(30):
+        while not what():  # noqa: ASYNC110 - a thread's work
+            await asyncio.sleep(0.005)
+
+
+async def kinds(journal: Journal) -> list[str]:
+    rows, _ = await journal.rows_after(after=0, since_ms=0, drive="", most=500)
+    return [row.kind for row in rows]
+
+
+def test_an_intent_is_on_the_disk_once_it_was_waited_for(tmp_path: Path) -> None:
+    async def scenario(journal: Journal) -> None:
+        intent = journal.intend("write", "feeder", {"code": "C0046"})
+        assert intent.number == 0
+        await journal.committed(intent)
+        assert await kinds(journal) == ["write"]
+        journal.conclude(intent, "done", {"reason": "x"})
+        await until(lambda: journal.head.number == 2)
+        (row,) = await journal.last_rows(drive="feeder", most=1)
+        assert (row.intent, row.outcome, row.whole()) == (
+            1,
+            "done",
+            {"code": "C0046", "reason": "x"},
+        )
+
+    with_journal(tmp_path / "j", scenario)
+
+
+def test_what_comes_during_a_transaction_shares_the_next(tmp_path: Path, disk: Disk) -> None:
+    async def scenario(journal: Journal) -> None:
+        disk.works.clear()
+        first = asyncio.create_task(journal.committed(journal.intend("write", "a", {})))
+        await until(lambda: disk.batches)
+        others = [journal.intend("write", "a", {"n": str(n)}) for n in range(100)]
+        waits = [asyncio.create_task(journal.committed(one)) for one in others]
+        await asyncio.sleep(0)
+        disk.works.set()
+        await asyncio.gather(first, *waits)
+        assert disk.batches == [1, 100]
+        assert [one.number for one in others] == list(range(2, 102))
+
+    with_journal(tmp_path / "j", scenario)
+
+
+def test_a_disk_that_hangs_counts_as_failing_and_comes_back(
+    tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "HANGS_AFTER_S", 0.1)
+
+    async def scenario(journal: Journal) -> None:
+        await until(lambda: not journal.trouble)
+        disk.works.clear()
+        intent = journal.intend("write", "a", {})
+        with pytest.raises(JournalFileError, match="has not taken"):
+            await journal.committed(intent)
+        later = journal.intend("write", "b", {})
+        with pytest.raises(JournalFileError):  # waits no more
+            await journal.committed(later)
+        journal.withdraw(later)
+        journal.conclude(later, "refused", {"reason": "y"})
+        stop = journal.intend("stop", "a", {}, is_vital=True)
+        journal.conclude(stop, "verified", {})
+        assert not journal.figures().works
+        disk.works.set()
+        await until(lambda: not journal.trouble)
+        await until(lambda: journal.head.number >= 6)
+        rows, _ = await journal.rows_after(after=0, since_ms=0, drive="", most=500)
+        told = [(row.kind, row.drive, row.outcome) for row in rows]
+        assert told[:2] == [("write", "a", "asked"), ("journal-failing", "", "")]
+        assert ("write", "b", "refused") in told
+        assert ("write", "b", "asked") not in told
+        assert [one[2] for one in told if one[0] == "stop"] == ["asked", "verified"]
+        assert (await journal.verify()).problem == ""
+        assert journal.figures().failures == 1
+
+    said = with_journal(tmp_path / "j", scenario)
+    assert said[-1] is None
+    assert any("has not taken" in (text or "") for text in said)
+
+
+def test_a_journal_that_cannot_be_opened_is_tried_again(tmp_path: Path) -> None:
+    path = tmp_path / "missing" / "j"
+
+    async def scenario(journal: Journal) -> None:
+        assert "does not exist" in journal.trouble
+        journal.record("start")
+        with pytest.raises(JournalFileError):
+            await journal.committed(journal.intend("write", "a", {}))
+        with pytest.raises(JournalFileError):
+            await journal.last_rows(drive="", most=1)
+        path.parent.mkdir()
+        await until(lambda: not journal.trouble)
+        await until(lambda: journal.head.number == 4)
+        assert await kinds(journal) == ["journal-failing", "start", "write", "journal-works"]
+
+    with_journal(path, scenario)
+
+
+def test_a_list_that_grows_too_long_loses_rows_and_counts_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "PENDING_MOST", 10)
+    path = tmp_path / "missing" / "j"
+
+    async def scenario(journal: Journal) -> None:
+        stop = journal.intend("stop", "a", {}, is_vital=True)
+        for number in range(30):
+            journal.record("trip", "a", {"number": str(number)})
+        journal.conclude(stop, "verified", {})
+        assert journal.figures().missed == 23
+        path.parent.mkdir()
+        await until(lambda: "journal-works" in journal_kinds)
+        rows, _ = await journal.rows_after(after=0, since_ms=0, drive="", most=500)
+        assert [row.outcome for row in rows if row.kind == "stop"] == ["asked", "verified"]
+        assert [row.whole()["number"] for row in rows if row.kind == "trip"] == [
+            str(number) for number in range(22, 30)
+        ]
+        assert rows[-1].whole() == {"missed": "23"}
+
+    journal_kinds: list[str] = []
+    usual = Journal._add
+
+    def add(journal: Journal, row: Row) -> None:
+        usual(journal, row)
+        journal_kinds.append(row.kind)
+
+    monkeypatch.setattr(Journal, "_add", add)
+    with_journal(path, scenario)
+
+
+def test_a_full_disk_takes_what_is_vital_and_the_rest_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full = threading.Event()
+    usual = JournalFile._try_to_grow
+
+    def grow(file: JournalFile, db: Any) -> None:
+        usual(file, db)
+        if full.is_set():
+            file._room_trouble = "there is no room"
+
+    monkeypatch.setattr(JournalFile, "_try_to_grow", grow)
+
+    async def scenario(journal: Journal) -> None:
+        intent = journal.intend("write", "a", {})
+        await journal.committed(intent)
+        full.set()
+        journal._thread.submit(journal._file.reserve, journal._tidied)
+        await until(lambda: "no room" in journal.trouble)
+        journal.record("trip", "a")
+        journal.conclude(intent, "done", {})
+        journal.record("stop", "a", is_vital=True)
+        await until(lambda: journal.head.number == 3)
+        assert await kinds(journal) == ["write", "write", "stop"]
+        full.clear()
+        await until(lambda: not journal.trouble)
+        await until(lambda: journal.head.number == 6)
+        assert (await kinds(journal))[3:] == ["journal-failing", "trip", "journal-works"]
+        assert (await journal.verify()).problem == ""
+
+    with_journal(tmp_path / "j", scenario)
+
+
+def test_verifying_looks_for_a_head_that_was_logged(tmp_path: Path) -> None:
+    async def scenario(journal: Journal) -> None:
+        for number in range(450):
+            journal.record("trip", "a", {"number": str(number)})
+        await until(lambda: journal.head.number == 450)
+        found = await journal.verify(journal.head)
+        assert (found.rows, found.problem, found.head) == (450, "", journal.head)
+        other = Head(300, bytes(32))
+        assert "row 300 is not the one" in (await journal.verify(other)).problem
+        assert "row 451 is missing" in (await journal.verify(Head(451, bytes(32)))).problem
+
+    with_journal(tmp_path / "j", scenario)
+
+
+def test_rows_are_given_in_pages_by_time_and_by_drive(tmp_path: Path) -> None:
+    async def scenario(journal: Journal) -> None:
+        for number in range(30):
+            journal.record("trip", "ab"[number % 2], {"number": str(number)})
+        await until(lambda: journal.head.number == 30)
+        rows, behind = await journal.rows_after(after=0, since_ms=0, drive="b", most=10)
+        assert [row.number for row in rows] == list(range(2, 22, 2))
+        rows, behind = await journal.rows_after(after=behind or 0, since_ms=0, drive="b", most=10)
+        assert ([row.number for row in rows], behind) == ([22, 24, 26, 28, 30], None)
+        later = rows[-1].time_ms + 1
+        assert await journal.rows_after(after=0, since_ms=later, drive="", most=9) == ([], None)
+        newest = await journal.last_rows(drive="a", most=2)
+        assert [row.number for row in newest] == [27, 29]
+
+    with_journal(tmp_path / "j", scenario)
+
+
+def test_keys_are_on_the_disk_before_their_answer_is_sent(tmp_path: Path) -> None:
+    async def scenario(journal: Journal) -> None:
+        journal.keep(KeyRow("k", b"1"))
+        await journal.committed(journal.intend("write", "a", {}))
+        (kept,) = await journal.keys()
+        assert (kept.name, kept.status) == ("k", None)
+        await journal.keep_now(KeyRow("k", b"1", 200, "application/json", b"{}"))
+        (kept,) = await journal.keys()
+        assert (kept.status, kept.body) == (200, b"{}")
+
+    with_journal(tmp_path / "j", scenario)
+
+
+def test_the_head_is_logged_at_the_start_hourly_and_at_the_end(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "HEAD_S", 0.05)
+    caplog.set_level("INFO")
+
+    async def scenario(journal: Journal) -> None:
+        journal.record("start")
+        await until(lambda: caplog.text.count("event=journal-head head=1:") >= 2)
+        journal.record("end")
+
+    with_journal(tmp_path / "j", scenario)
+    assert "event=journal-head head=2:" in caplog.messages[-1]
+
+
+def test_the_end_does_not_wait_for_a_disk_that_hangs(
+    tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(module, "END_S", 0.1)
+
+    async def scenario(journal: Journal) -> None:
+        disk.works.clear()
+        journal.record("end")
+
+    with_journal(tmp_path / "j", scenario)
+    assert "event=journal-not-closed" in caplog.text
+    disk.works.set()
+
+
+def test_the_size_is_told(tmp_path: Path) -> None:
+    async def scenario(journal: Journal) -> None:
+        await until(lambda: journal.figures().size_bytes > 1_000_000)
+
+    with_journal(tmp_path / "j", scenario)
