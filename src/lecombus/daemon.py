@@ -232,6 +232,7 @@ class Daemon:
             journal, runtime.store, refuses=entry.on_failure == "refuse"
         )
         runtime.operations.actions.followers += (record,)
+        runtime.operations.leases.followers += (record.lease_changed,)
         runtime.store.subscribe(record.store_changed)
         runtime.watch.journal = journal.figures
         await record.started(self._roster, __version__)

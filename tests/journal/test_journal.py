@@ -74,7 +74,7 @@ async def until(what: Callable[[], object]) -> None:
 
 
 async def kinds(journal: Journal) -> list[str]:
-    rows, _ = await journal.rows_after(after=0, since_ms=0, drive="", most=500)
+    rows, _ = await journal.rows_after(after=0, since_ms=0, drives=[], most=500)
     return [row.kind for row in rows]
 
 
@@ -86,7 +86,7 @@ def test_an_intent_is_on_the_disk_once_it_was_waited_for(tmp_path: Path) -> None
         assert await kinds(journal) == ["write"]
         journal.conclude(intent, "done", {"reason": "x"})
         await until(lambda: journal.head.number == 2)
-        (row,) = await journal.last_rows(drive="feeder", most=1)
+        (row,) = await journal.last_rows(drives=["feeder"], most=1)
         assert (row.intent, row.outcome, row.whole()) == (
             1,
             "done",
@@ -134,7 +134,7 @@ def test_a_disk_that_hangs_counts_as_failing_and_comes_back(
         disk.works.set()
         await until(lambda: not journal.trouble)
         await until(lambda: journal.head.number >= 6)
-        rows, _ = await journal.rows_after(after=0, since_ms=0, drive="", most=500)
+        rows, _ = await journal.rows_after(after=0, since_ms=0, drives=[], most=500)
         told = [(row.kind, row.drive, row.outcome) for row in rows]
         assert told[:2] == [("write", "a", "asked"), ("journal-failing", "", "")]
         assert ("write", "b", "refused") in told
@@ -157,7 +157,7 @@ def test_a_journal_that_cannot_be_opened_is_tried_again(tmp_path: Path) -> None:
         with pytest.raises(JournalFileError):
             await journal.committed(journal.intend("write", "a", {}))
         with pytest.raises(JournalFileError):
-            await journal.last_rows(drive="", most=1)
+            await journal.last_rows(drives=[], most=1)
         path.parent.mkdir()
         await until(lambda: not journal.trouble)
         await until(lambda: journal.head.number == 4)
@@ -180,7 +180,7 @@ def test_a_list_that_grows_too_long_loses_rows_and_counts_them(
         assert journal.figures().missed == 23
         path.parent.mkdir()
         await until(lambda: "journal-works" in journal_kinds)
-        rows, _ = await journal.rows_after(after=0, since_ms=0, drive="", most=500)
+        rows, _ = await journal.rows_after(after=0, since_ms=0, drives=[], most=500)
         assert [row.outcome for row in rows if row.kind == "stop"] == ["asked", "verified"]
         assert [row.whole()["number"] for row in rows if row.kind == "trip"] == [
             str(number) for number in range(22, 30)
@@ -250,13 +250,15 @@ def test_rows_are_given_in_pages_by_time_and_by_drive(tmp_path: Path) -> None:
         for number in range(30):
             journal.record("trip", "ab"[number % 2], {"number": str(number)})
         await until(lambda: journal.head.number == 30)
-        rows, behind = await journal.rows_after(after=0, since_ms=0, drive="b", most=10)
+        rows, behind = await journal.rows_after(after=0, since_ms=0, drives=["b"], most=10)
         assert [row.number for row in rows] == list(range(2, 22, 2))
-        rows, behind = await journal.rows_after(after=behind or 0, since_ms=0, drive="b", most=10)
+        rows, behind = await journal.rows_after(
+            after=behind or 0, since_ms=0, drives=["b"], most=10
+        )
         assert ([row.number for row in rows], behind) == ([22, 24, 26, 28, 30], None)
         later = rows[-1].time_ms + 1
-        assert await journal.rows_after(after=0, since_ms=later, drive="", most=9) == ([], None)
-        newest = await journal.last_rows(drive="a", most=2)
+        assert await journal.rows_after(after=0, since_ms=later, drives=[], most=9) == ([], None)
+        newest = await journal.last_rows(drives=["a"], most=2)
         assert [row.number for row in newest] == [27, 29]
 
     with_journal(tmp_path / "j", scenario)

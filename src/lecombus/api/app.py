@@ -101,7 +101,7 @@ def create_app(
         *ReadRoutes(ops, store, facts, plan_facts, clock).routes(),
         *LeaseRoutes(ops).routes(),
         *WriteRoutes(ops, Idempotency(clock, journal, kept_keys), reload).routes(),
-        *JournalRoutes(journal).routes(),
+        *JournalRoutes(journal, ops).routes(),
         *EventRoutes(readers, ops, store).routes(),
         *ServiceRoutes(metrics, ready, healthy, version or "0").routes(),
     ]

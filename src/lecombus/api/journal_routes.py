@@ -29,6 +29,7 @@ from lecombus.journal.chain import Head
 from lecombus.journal.journal import Journal
 from lecombus.journal.journal_file import JournalFileError
 from lecombus.journal.reading import StoredRow
+from lecombus.operations.facade import Operations
 from lecombus.parameters import Json
 
 __all__ = ["JournalQuery", "JournalRoutes", "VerifyQuery"]
@@ -46,7 +47,12 @@ class JournalQuery(Query):
     since: Annotated[
         str, Field(max_length=40, description="Only rows of that time or later, RFC 3339")
     ] = ""
-    drive: Annotated[str, Field(max_length=64, description="Only rows of that name")] = ""
+    drive: Annotated[
+        str,
+        Field(
+            max_length=64, description="Only rows of that drive and its groups, or of that group"
+        ),
+    ] = ""
     limit: Annotated[int, Field(ge=1, le=500, description="How many rows at most")] = 100
     last: Annotated[bool, Field(description="The newest rows; without after and since")] = False
 
@@ -64,10 +70,12 @@ class JournalRoutes:
 
     Args:
         journal: The journal; None: the roster names none.
+        ops: Knows the groups.
     """
 
-    def __init__(self, journal: Journal | None) -> None:
+    def __init__(self, journal: Journal | None, ops: Operations) -> None:
         self._journal = journal
+        self._ops = ops
         self._verifying = anyio.Lock()
 
     def routes(self) -> list[Route]:
@@ -80,13 +88,14 @@ class JournalRoutes:
         since_ms = unix_ms(query.since)
         if query.last and (query.after or query.since):
             raise bad_query("last takes no after and no since")
+        drives = self._names(query.drive)
         if query.last:
-            rows = await answered(journal.last_rows(drive=query.drive, most=query.limit))
+            rows = await answered(journal.last_rows(drives=drives, most=query.limit))
             behind = None
         else:
             rows, behind = await answered(
                 journal.rows_after(
-                    after=query.after, since_ms=since_ms, drive=query.drive, most=query.limit
+                    after=query.after, since_ms=since_ms, drives=drives, most=query.limit
                 )
             )
         texts = []
@@ -116,6 +125,11 @@ class JournalRoutes:
                 "problem": found.problem or None,
             }
         )
+
+    def _names(self, drive: str) -> list[str]:
+        """Return a drive with the groups that it is in: what was done to them was done to it."""
+        groups = self._ops.context.groups.items()
+        return [drive, *(name for name, one in groups if drive in one.members)] if drive else []
 
     def _there(self) -> Journal:
         if self._journal is None:

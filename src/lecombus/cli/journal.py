@@ -55,7 +55,7 @@ def _time(word: str) -> str:
 @click.group("journal", invoke_without_command=True)
 @click.option("--since", type=Word("time", _time), help="From a local time on, or from 8h ago on.")
 @click.option("--last", type=click.IntRange(1, PAGE), help="So many of the newest rows.")
-@click.option("--drive", default="", help="Only the rows of a drive or a group.")
+@click.option("--drive", default="", help="Only the rows of a drive and its groups, or of a group.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print CSV.")
 @click.option("--follow", is_flag=True, help="Print new rows as they come, until Ctrl-C.")
 @daemon_options

@@ -15,7 +15,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -214,18 +214,18 @@ class Journal:
     # ---- reading -----------------------------------------------------------------------------
 
     async def rows_after(
-        self, *, after: int, since_ms: int, drive: str, most: int
+        self, *, after: int, since_ms: int, drives: Sequence[str], most: int
     ) -> tuple[list[StoredRow], int | None]:
         """Return rows in their order (`reading.rows_after`)."""
         return await self._ask(
             lambda db: reading.rows_after(
-                db, after=after, since_ms=since_ms, drive=drive, most=most
+                db, after=after, since_ms=since_ms, drives=drives, most=most
             )
         )
 
-    async def last_rows(self, *, drive: str, most: int) -> list[StoredRow]:
+    async def last_rows(self, *, drives: Sequence[str], most: int) -> list[StoredRow]:
         """Return the newest rows in their order (`reading.last_rows`)."""
-        return await self._ask(lambda db: reading.last_rows(db, drive=drive, most=most))
+        return await self._ask(lambda db: reading.last_rows(db, drives=drives, most=most))
 
     async def keys(self) -> list[KeyRow]:
         """Return the requests with an `Idempotency-Key` that are kept."""

@@ -34,6 +34,8 @@ ROWS: Final = (
     "FROM entries AS e LEFT JOIN entries AS asked ON asked.id = e.intent"
 )
 
+OF_DRIVES: Final = "({0} = '[]' OR e.drive IN (SELECT value FROM json_each({0})))"
+
 
 @dataclass(frozen=True, slots=True)
 class StoredRow:
@@ -97,7 +99,7 @@ def head_in(db: apsw.Connection, table: str) -> Head:
 
 
 def rows_after(
-    db: apsw.Connection, *, after: int, since_ms: int, drive: str, most: int
+    db: apsw.Connection, *, after: int, since_ms: int, drives: Sequence[str], most: int
 ) -> tuple[list[StoredRow], int | None]:
     """Return rows in their order, and behind which row there may be more.
 
@@ -105,7 +107,7 @@ def rows_after(
         db: The file.
         after: Only rows with a larger number.
         since_ms: Only rows of that time or later, Unix milliseconds.
-        drive: Only rows of that drive or group; empty: of any.
+        drives: Only rows of these drives or groups; empty: of any.
         most: How many.
     """
     first = select(db, "SELECT min(id) FROM entries WHERE time >= ?1", (since_ms,))[0][0]
@@ -115,9 +117,9 @@ def rows_after(
     to = after + SCAN_ROWS
     found = select(
         db,
-        f"{ROWS} WHERE e.id > ?1 AND e.id <= ?2 AND (?3 = '' OR e.drive = ?3) AND e.time >= ?4 "
+        f"{ROWS} WHERE e.id > ?1 AND e.id <= ?2 AND {OF_DRIVES.format('?3')} AND e.time >= ?4 "
         "ORDER BY e.id LIMIT ?5",
-        (after, to, drive, since_ms, most),
+        (after, to, json.dumps(drives), since_ms, most),
     )
     rows = [stored(row) for row in found]
     if len(rows) == most:
@@ -125,13 +127,13 @@ def rows_after(
     return rows, to if to < head_in(db, "head").number else None
 
 
-def last_rows(db: apsw.Connection, *, drive: str, most: int) -> list[StoredRow]:
-    """Return the newest rows in their order; of a drive those among the newest `SCAN_ROWS`."""
+def last_rows(db: apsw.Connection, *, drives: Sequence[str], most: int) -> list[StoredRow]:
+    """Return the newest rows in their order; of drives those among the newest `SCAN_ROWS`."""
     after = head_in(db, "head").number - SCAN_ROWS
     found = select(
         db,
-        f"{ROWS} WHERE e.id > ?1 AND (?2 = '' OR e.drive = ?2) ORDER BY e.id DESC LIMIT ?3",
-        (after, drive, most),
+        f"{ROWS} WHERE e.id > ?1 AND {OF_DRIVES.format('?2')} ORDER BY e.id DESC LIMIT ?3",
+        (after, json.dumps(drives), most),
     )
     return [stored(row) for row in reversed(found)]
 

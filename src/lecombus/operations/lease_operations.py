@@ -26,7 +26,7 @@ from lecombus.operations.actions import ACTOR
 from lecombus.parameters import Code, Json, Value
 from lecombus.saved_state import State
 
-__all__ = ["LEASE", "Leases", "use_of"]
+__all__ = ["LEASE", "LeaseFollower", "Leases", "use_of"]
 
 logger = logging.getLogger(__name__)
 
@@ -41,6 +41,11 @@ SECRET_BYTES: Final = 16
 LEASES_LIMIT: Final = 256
 
 
+LeaseFollower = Callable[[str, Sequence[str], Mapping[str, str]], None]
+"""Takes what happened (`taken`, `released`, `ended`, `unlatched`, `silenced`, `hold`), to which
+drives, and what is to be known of it; it must return quickly and never raise."""
+
+
 class Leases:
     """The leases of one line.
 
@@ -52,6 +57,7 @@ class Leases:
     Attributes:
         book: Who controls what.
         changed: Called when the next lapse may come at another time, or a drive was enabled.
+        followers: Told what becomes of leases and their drives.
     """
 
     def __init__(self, state: State, clock: Callable[[], float], wall: Callable[[], float]) -> None:
@@ -60,6 +66,7 @@ class Leases:
         # Without a state file the time of day keeps numbers from repeating.
         self.book = LeaseBook(max(state.lease_number + LEAP, int(1000 * wall())))
         self.changed: Callable[[], None] = lambda: None
+        self.followers: tuple[LeaseFollower, ...] = ()
         self._entries: Mapping[str, DriveEntry] = {}
 
     def set_roster(self, entries: Sequence[DriveEntry]) -> None:
@@ -118,6 +125,7 @@ class Leases:
         """Take setpoints for a drive that was enabled just now with the token of its lease."""
         if self.book.enabled(drive, LEASE.get(), self._clock()):
             logger.info("drive=%s event=unlatched", drive)
+            self.tell("unlatched", (drive,), ACTOR.get().fields())
             self.changed()
 
     # -- what a write needs -----------------------------------------------------------------------
@@ -191,6 +199,13 @@ class Leases:
         }  # fmt: skip
         text = " ".join(f"{key}={value}" for key, value in fields.items() if value)
         logger.info("event=%s %s", event, text)
+        del fields["drives"]
+        self.tell(event.removeprefix("lease-"), lease.drives, fields)
+
+    def tell(self, what: str, drives: Sequence[str], fields: Mapping[str, str]) -> None:
+        """Tell the followers what became of a lease or of its drives."""
+        for follower in self.followers:
+            follower(what, drives, fields)
 
 
 def use_of(of: Family, code: Code) -> Use:

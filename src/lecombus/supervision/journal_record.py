@@ -9,7 +9,7 @@ go-on`. Stops are recorded behind the telegram and are never refused.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Mapping
+from collections.abc import Awaitable, Mapping, Sequence
 from typing import Final
 
 from lecombus.config import Roster, RosterError, roster_values, value_changes
@@ -84,6 +84,11 @@ class JournalRecord:
                 remedy="see to the journal's disk; stops are always sent, and `on_failure: go-on` "
                 "in the roster lets writes go on without the journal",
             ) from exc
+
+    def lease_changed(self, what: str, drives: Sequence[str], fields: Mapping[str, str]) -> None:
+        """Record what became of a lease, for each of its drives (`LeaseFollower`)."""
+        for drive in drives:
+            self._journal.record(f"lease-{what}", drive, cut(fields))
 
     # ---- drives and the line -----------------------------------------------------------------
 

@@ -202,6 +202,8 @@ class LeaseWatch:
             "event=lease-ended lease=%s number=%d end=%s drives=%s",
             ended.name or "none", ended.number, ended.end, ",".join(ended.drives),
         )  # fmt: skip
+        fields = {"lease": ended.name, "number": str(ended.number), "end": ended.end.value}
+        self._leases.tell("ended", ended.drives, fields)
         by_action: dict[str, list[Drive]] = {}
         for drive in drives:
             self._rounds[drive.name] += 1
@@ -215,6 +217,7 @@ class LeaseWatch:
         for drive in by_action.pop("hold", ()):
             self._holding.add(drive.name)
             logger.error("drive=%s event=hold lease=%s", drive.name, ended.name or "none")
+            self._leases.tell("hold", (drive.name,), {"lease": ended.name})
         self._remark()
         async with anyio.create_task_group() as tasks:
             for action, members in by_action.items():
@@ -286,6 +289,7 @@ class LeaseWatch:
         self._silenced[drive.name] = reason
         self._to_look_at.discard(drive.name)
         logger.error("drive=%s event=silenced reason=%s", drive.name, reason)
+        self._leases.tell("silenced", (drive.name,), {"reason": reason})
         self._health.silence(drive, reason)
 
     # -- what is shown ----------------------------------------------------------------------------
