@@ -122,6 +122,7 @@ class LineRuntime:
         self.event_sources = EventSources(
             self.events, store, operations.actions, line.name, self._members, clock
         )
+        operations.leases.followers += (self.event_sources.lease_changed,)
         self.watch = LineWatch(
             requests, store, metrics, recorder, asked, operations, self.lease_watch, self.events,
             line, clock,

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from decimal import Decimal
+from typing import cast
 
 import anyio
 import httpx2
@@ -11,11 +13,13 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from lecombus.api.answers import RefusedRequestError
-from lecombus.api.idempotency import KEEP_S, KEY_LIMIT, Idempotency
+from lecombus.api.idempotency import KEEP_S, KEY_LIMIT, Idempotency, content_of
 from lecombus.api.limits import BODY_LIMIT
 from lecombus.config import Mistake, RosterChanges, RosterError
 from lecombus.drives import StopAction
 from lecombus.errors import CodeValueError, NoReplyError, OperationError, QueueFullError
+from lecombus.journal.journal import Journal
+from lecombus.journal.journal_file import JournalFileError, KeyRow
 from lecombus.operations.operation_reports import WriteReport
 from lecombus.schedule.request import Outcome, Priority
 from openapi.answer_models import GroupOutcomeDocument, OutcomeDocument, ReloadDocument
@@ -542,3 +546,95 @@ async def test_a_daemon_without_a_roster_file_says_so(client: httpx2.AsyncClient
 async def test_a_reload_takes_no_keys(client: httpx2.AsyncClient, more: str) -> None:
     answer = await client.post(f"/v1/reload{more}", content=b"" if more else b'{"file": "x"}')
     assert answer.status_code == 422
+
+
+class KeptKeys:
+    """A journal that keeps keys in memory, as its file would."""
+
+    def __init__(self) -> None:
+        self.rows: dict[str, KeyRow] = {}
+        self.events: list[str] = []
+        self.fails = False
+
+    def keep(self, row: KeyRow) -> None:
+        self.events.append(f"keep {row.status}" if row.content else "forget")
+        if row.content:
+            self.rows[row.name] = row
+        else:
+            self.rows.pop(row.name, None)
+
+    async def keep_now(self, row: KeyRow) -> None:
+        if self.fails:
+            raise JournalFileError("no room")
+        self.keep(row)
+
+
+async def test_a_key_is_kept_before_its_request_and_its_answer_before_it_is_sent() -> None:
+    kept = KeptKeys()
+    keys = Idempotency(lambda: 0.0, cast(Journal, kept))
+
+    async def act() -> Response:
+        kept.events.append("act")
+        return Response('{"outcome": "done"}', 200, media_type="application/json")
+
+    await keys.run(keyed("k"), b"x", act)
+    assert kept.events == ["keep None", "act", "keep 200"]
+    later = Idempotency(lambda: 5.0, cast(Journal, kept), list(kept.rows.values()))
+    again = await later.run(keyed("k"), b"x", act)
+    assert (again.status_code, again.body) == (200, b'{"outcome": "done"}')
+    assert again.media_type == "application/json"
+    assert kept.events.count("act") == 1
+    with pytest.raises(RefusedRequestError, match="another request"):
+        await later.run(keyed("k"), b"y", act)
+
+
+async def test_what_was_under_way_at_the_end_of_lecombus_is_unknown_and_not_repeated() -> None:
+    kept = KeptKeys()
+    kept.rows["k"] = KeyRow("k", content_of(keyed("k"), b"x"))
+    keys = Idempotency(lambda: 0.0, cast(Journal, kept), list(kept.rows.values()))
+
+    async def act() -> Response:
+        raise AssertionError
+
+    answer = await keys.run(keyed("k"), b"x", act)
+    assert answer.status_code == 504
+    assert json.loads(bytes(answer.body))["outcome"] == "unknown"
+
+
+async def test_what_was_not_carried_out_is_not_kept() -> None:
+    kept = KeptKeys()
+    keys = Idempotency(lambda: 0.0, cast(Journal, kept))
+
+    async def refuse() -> Response:
+        raise OperationError("busy", kind="busy", remedy="")
+
+    with pytest.raises(OperationError):
+        await keys.run(keyed("k"), b"x", refuse)
+    assert kept.events == ["keep None", "forget"]
+    assert kept.rows == {}
+
+
+async def test_kept_keys_are_forgotten_with_those_in_memory() -> None:
+    now_s, kept = 0.0, KeptKeys()
+    keys = Idempotency(lambda: now_s, cast(Journal, kept))
+
+    async def act() -> Response:
+        return Response("x")
+
+    for number in range(100):
+        await keys.run(keyed(str(number)), b"", act)
+    now_s = KEEP_S + 1
+    await keys.run(keyed("new"), b"", act)
+    assert list(kept.rows) == ["new"]
+
+
+async def test_a_failing_journal_holds_no_answer_back() -> None:
+    kept = KeptKeys()
+    kept.fails = True
+
+    async def act() -> Response:
+        return Response("x")
+
+    keys = Idempotency(lambda: 0.0, cast(Journal, kept))
+    assert (await keys.run(keyed("k"), b"", act)).status_code == 200
+    assert (await keys.run(keyed("k"), b"", act)).status_code == 200

@@ -124,6 +124,13 @@ class EventSources:
         drive = "" if members else target
         self._stream.publish("write", drive, data | {"by": by}, members)
 
+    def lease_changed(self, what: str, drives: Sequence[str], fields: Mapping[str, str]) -> None:
+        """Publish what became of a lease (`LeaseFollower`)."""
+        if self._stream.is_recording:
+            data: dict[str, Json] = {"what": what, "drives": list(drives)}
+            data |= {key: text for key, text in fields.items() if text}
+            self._stream.publish("lease", "", data, drives)
+
     # -- the store ----------------------------------------------------------------------------
 
     def _recording(self, begins: bool) -> None:
