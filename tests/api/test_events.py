@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import gc
 import json
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -13,6 +14,7 @@ from pathlib import Path
 import anyio
 import httpx2
 import pytest
+from starlette.types import Message, Receive, Scope, Send
 
 from lecombus.api import event_readers, serve
 from lecombus.api.event_readers import BYTES_AT_ONCE, Reader
@@ -255,6 +257,36 @@ async def test_a_token_for_some_drives_sees_only_these(line: Line, tmp_path: Pat
         line.events.publish("value", "belt", {"n": 2})
         line.events.publish("line", "", {"n": 3})
         assert [(await client.next()).data for _ in range(2)] == [{"n": 2}, {"n": 3}]
+
+
+async def test_an_answer_ends_when_its_client_may_read_no_more(
+    line: Line, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the door for tokens does it: `send` ends the answer, and raises."""
+    monkeypatch.setattr(event_readers, "LOOK_S", 0.02)
+    app, revoked = line.app, asyncio.Event()
+
+    async def by_token(scope: Scope, receive: Receive, send: Send) -> None:
+        async def send_while_valid(message: Message) -> None:
+            if message.get("more_body") and revoked.is_set():
+                await send({"type": "http.response.body", "body": b"", "more_body": False})
+                raise asyncio.CancelledError
+            await send(message)
+
+        with contextlib.suppress(asyncio.CancelledError):
+            await app(scope, receive, send_while_valid)
+
+    line.app = by_token  # type: ignore[assignment]
+    async with serving(line, tmp_path, tcp=True) as connect:
+        client = await connect()
+        await client.open()
+        await client.until_open()
+        publish(line, 1)
+        assert (await client.next()).data == {"n": 0}
+        revoked.set()
+        await until(lambda: not len(line.readers))
+        publish(line, 1)
+        assert await client.piece() == ""
 
 
 async def test_an_idle_connection_carries_comments_and_its_place(

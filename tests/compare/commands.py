@@ -21,7 +21,7 @@ FAMILIES = ("820x", "821x", "822x", "824x", "8200vector", "93xx", "smvector", "g
 COMMANDS = ("demo", "run", "check", "plan", "reload", "simulate", "read", "write", "group",
             "enable", "set-speed", "reset-fault", "quick-stop", "inhibit", "stop", "readdress",
             "rebaud", "wear", "accept", "forget-times", "describe", "backup", "diff", "restore",
-            "status", "leases", "scan", "why")  # fmt: skip
+            "status", "leases", "events", "scan", "why")  # fmt: skip
 LINES = """\
 
 --version
@@ -42,6 +42,8 @@ plan
 plan -c nowhere.yaml --json
 plan --live
 plan --live --socket /nowhere.sock --json
+events --kind nonsense
+events --socket /nowhere.sock
 reload more
 leases more
 leases --socket /nowhere.sock

@@ -19,7 +19,7 @@ import contextlib
 import math
 import socket
 from asyncio import Transport
-from collections.abc import Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable
 from typing import Final
 
 import anyio
@@ -125,12 +125,11 @@ class Reader:
         wanted: Which it wants.
         position: The number of the next event to look at.
         over_tcp: Whether it came over TCP.
-        may_read: Whether it may still read; asked again and again.
         now_s: Monotonic seconds.
     """
 
-    __slots__ = ("backlog", "ended", "may_read", "outlet", "over_tcp", "position", "said_s",
-                 "taken_s", "wanted")  # fmt: skip
+    __slots__ = ("backlog", "ended", "outlet", "over_tcp", "position", "said_s", "taken_s",
+                 "wanted")  # fmt: skip
 
     def __init__(
         self,
@@ -139,14 +138,12 @@ class Reader:
         position: int,
         *,
         over_tcp: bool,
-        may_read: Callable[[], bool],
         now_s: float,
     ) -> None:
         self.outlet = outlet
         self.wanted = wanted
         self.position = position
         self.over_tcp = over_tcp
-        self.may_read = may_read
         self.ended = anyio.Event()
         self.said_s = self.taken_s = now_s
         self.backlog = 0
@@ -191,9 +188,7 @@ class EventReaders:
         outlet: Outlet,
         wanted: EventFilter,
         last_id: str,
-        *,
-        over_tcp: bool = False,
-        may_read: Callable[[], bool] = lambda: True,
+        check: Callable[[], Awaitable[None]] | None = None,
     ) -> None:
         """Write events to a client until it goes, is cut, or lecombus ends.
 
@@ -201,21 +196,26 @@ class EventReaders:
             outlet: Where they are written.
             wanted: Which it wants.
             last_id: The last event it had; empty: it begins now.
-            over_tcp: Whether it came over TCP.
-            may_read: Whether it may still read.
+            check: Asked once a second for a client over TCP: it raises when the client may read
+                no more. None: the client came over the Unix socket.
         """
         if self._is_over:
             return
         self._stream.record(encode)
         position, gap = self._stream.position_after(last_id)
         now_s = self._clock()
-        reader = Reader(outlet, wanted, position, over_tcp=over_tcp, may_read=may_read, now_s=now_s)
+        over_tcp = check is not None
+        reader = Reader(outlet, wanted, position, over_tcp=over_tcp, now_s=now_s)
         outlet.narrow()
         outlet.write(RETRY + self._stream.mark(position) + gap)
         self._readers[reader] = None
         self._stream.readers = len(self._readers)
         self._came.set()
         try:
+            while check is not None and not reader.ended.is_set():
+                await check()
+                with anyio.move_on_after(LOOK_S):
+                    await reader.ended.wait()
             await reader.ended.wait()
         finally:
             self._leave(reader)
@@ -267,9 +267,6 @@ class EventReaders:
         outlet = reader.outlet
         if outlet.is_closed:
             self._end(reader)
-            return
-        if not reader.may_read():
-            self._cut(reader)
             return
         backlog = outlet.backlog
         if backlog < reader.backlog or not backlog:

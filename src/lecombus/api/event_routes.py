@@ -113,8 +113,12 @@ class EventResponse(Response):
         ]
         await send({"type": "http.response.start", "status": 200, "headers": headers})
         if scope["method"] != "HEAD":
+
+            async def check() -> None:  # the door's `send` ends the answer of a revoked token
+                await send({"type": "http.response.body", "body": b"", "more_body": True})
+
             await self._readers.read(
-                scope[OUTLET], self._wanted, self._last_id, over_tcp=self._over_tcp
+                scope[OUTLET], self._wanted, self._last_id, check if self._over_tcp else None
             )
         await send({"type": "http.response.body", "body": b""})
 

@@ -94,7 +94,14 @@ class EventSources:
         if self._kept_back:
             data: dict[str, Json] = {"what": "kept-back", "count": self._kept_back}
             self._kept_back = 0
-            self._stream.publish("write", "", data)
+            self._publish("write", "", data)
+
+    def _publish(
+        self, kind: str, drive: str, data: dict[str, Json], members: Sequence[str] = ()
+    ) -> None:
+        """Publish an event that has the time of day at which it was made."""
+        data["time"] = rfc3339(self._store.time_of_day())
+        self._stream.publish(kind, drive, data, members)
 
     # -- what users do (an `ActionFollower`) ------------------------------------------------------
 
@@ -122,7 +129,7 @@ class EventSources:
             data["old"] = act.old[:LONG_CHARS]
         members = self._members(target)
         drive = "" if members else target
-        self._stream.publish("write", drive, data | {"by": by}, members)
+        self._publish("write", drive, data | {"by": by}, members)
 
     def lease_changed(self, what: str, drives: Sequence[str], fields: Mapping[str, str]) -> None:
         """Publish what became of a lease (`LeaseFollower`)."""
@@ -206,7 +213,7 @@ class EventSources:
         shown = (info.state, info.reason, info.states)
         if before is None or (before.state, before.reason, before.states) != shown:
             states = None if info.states is None else [state.value for state in info.states]
-            self._stream.publish(
+            self._publish(
                 "state",
                 name,
                 {
@@ -223,14 +230,14 @@ class EventSources:
             of = info if fault is not None else before
             assert of is not None
             data: dict[str, Json] = {"drive": name, "active": fault is not None}
-            self._stream.publish("trip", name, data | {"fault": of.fault_json()})
+            self._publish("trip", name, data | {"fault": of.fault_json()})
 
     def _drive_removed(self, name: str) -> None:
         del self._drives[name]
         for key in [key for key in self._values if key[0] == name]:
             del self._values[key]
         gone = {"state": None, "reason": "taken out of the roster", "since": None, "states": None}
-        self._stream.publish("state", name, {"drive": name, **gone})
+        self._publish("state", name, {"drive": name, **gone})
 
     def _look_at_line(self) -> None:
         """Publish what differs of the line's state and remarks, and how the drives look now."""
@@ -243,7 +250,7 @@ class EventSources:
         self._publish_remarks("", before.remarks, info.remarks)
 
     def _publish_line(self, info: LineInfo) -> None:
-        self._stream.publish(
+        self._publish(
             "line",
             "",
             {
@@ -261,4 +268,4 @@ class EventSources:
             if before.get(key) != now.get(key):
                 text = now.get(key)
                 data: dict[str, Json] = {"drive": drive or None, "subject": key, "text": text}
-                self._stream.publish("remark", drive, data)
+                self._publish("remark", drive, data)
