@@ -71,7 +71,7 @@ lock:
 
 format:
 	@scripts/venv dev
-	@.venv/bin/ruff check --quiet --fix src tests; .venv/bin/ruff format --quiet src tests
+	@.venv/bin/ruff check --quiet --fix src tests examples; .venv/bin/ruff format --quiet src tests examples
 
 clean:
 	@rm -rf .venv build dist src/*.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

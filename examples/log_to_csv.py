@@ -1,0 +1,63 @@
+"""Log values of drives to a CSV file, once a second.
+
+    python examples/log_to_csv.py values.csv feeder/C0050 belt/C0051
+
+Nothing is sent to the line: the file has what the daemon read last, so each code should be one
+that the roster reads cyclically. A value that is not good leaves its cell empty, and its reason
+stands in the last column: an old value must not pass for a new one.
+"""
+
+from __future__ import annotations
+
+import csv
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+import anyio
+
+from lecombus.client import Line, connect
+
+
+async def log_to_csv(
+    line: Line, wanted: list[tuple[str, str]], file: Path, *, every_s: float = 1.0, rows: int = 0
+) -> None:
+    """Write one row at a time, with what is known then.
+
+    Args:
+        line: The line.
+        wanted: Drives and codes, such as `("feeder", "C0050")`.
+        file: The file; rows are appended.
+        every_s: How long from row to row, seconds.
+        rows: How many rows; 0: until it is cancelled.
+    """
+    begun_s, count = anyio.current_time(), 0
+    with file.open("a", newline="") as out:
+        table = csv.writer(out)
+        if out.tell() == 0:
+            table.writerow(["time", *(f"{drive} {code}" for drive, code in wanted), "not good"])
+        while not rows or count < rows:
+            readings = [await line.drive(drive).value(code) for drive, code in wanted]
+            reasons = [
+                f"{one.drive} {one.code}: {one.quality}, {one.reason}"
+                for one in readings
+                if not one.is_good
+            ]
+            now = datetime.now(UTC).isoformat(timespec="milliseconds")
+            cells = [one.value if one.is_good else "" for one in readings]
+            table.writerow([now, *cells, "; ".join(reasons)])
+            out.flush()
+            count += 1
+            await anyio.sleep_until(begun_s + count * every_s)
+
+
+async def main() -> None:
+    """Read the command line."""
+    file, *words = sys.argv[1:]
+    wanted = [(drive, code) for drive, _, code in (word.partition("/") for word in words)]
+    async with connect() as line:
+        await log_to_csv(line, wanted, Path(file))
+
+
+if __name__ == "__main__":
+    anyio.run(main)

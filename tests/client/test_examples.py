@@ -1,0 +1,165 @@
+"""The examples, against a daemon that runs on a pseudo terminal of simulated drives."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import anyio
+import pytest
+
+from lecombus.client import Line, connect
+from lecombus.fieldbus.lecom.simulator.pty import PtyEnd
+from support.daemon_host import Daemon, environment, on_a_pty, short_dir, until
+
+pytestmark = [pytest.mark.real, pytest.mark.slow]
+
+EXAMPLES = Path(__file__).parent.parent.parent / "examples"
+THREE = [("feeder", 11, "8200vector"), ("belt", 12, "8200vector"), ("winder", 13, "8200vector")]
+LEASES = "lease: {required: true, time: 2s, on_lapse: quick-stop}"
+CYCLIC = "cyclic: [{code: C0150, every: 200ms}, {code: C0050, every: 500ms}]"
+
+
+def example(name: str) -> Any:
+    """Load an example, which is no part of any package."""
+    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module: ModuleType = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def running() -> Iterator[tuple[Daemon, PtyEnd]]:
+    with (
+        short_dir() as folder,
+        on_a_pty(folder, THREE, drive=CYCLIC, sections=LEASES) as (daemon, end),
+    ):
+        daemon.until_online()
+        yield daemon, end
+
+
+def speeds(daemon: Daemon) -> list[float]:
+    """The output frequency of each drive, Hz, as read now."""
+    path = "/v1/drives/{}/codes/C0050?fresh=true"
+    return [float(daemon.get(path.format(name))["value"]) for name, _, _ in THREE]
+
+
+def test_three_drives_ramp_together_and_stop(
+    running: tuple[Daemon, PtyEnd], capsys: pytest.CaptureFixture[str]
+) -> None:
+    daemon, _ = running
+    ramp = example("ramp_together")
+    seen: list[list[float]] = []
+
+    async def look(line: Line) -> None:
+        while True:
+            drives = [drive.document["motion"]["setpoint"] for drive in await line.drives()]
+            seen.append([float(one["value"]) for one in drives if one is not None])
+            await anyio.sleep(0.1)
+
+    async def main() -> None:
+        async with connect(str(daemon.socket)) as line, anyio.create_task_group() as tasks:
+            tasks.start_soon(look, line)
+            await ramp.ramp_together(line, [name for name, _, _ in THREE], 5, hold_s=0.5)
+            tasks.cancel_scope.cancel()
+
+    anyio.run(main)
+    assert [5.0] * 3 in seen
+    apart = max(max(row) - min(row) for row in seen if len(row) == len(THREE))
+    assert apart <= 2 * ramp.STEP_HZ, seen
+    out = capsys.readouterr().out
+    stopped = {line.split(":")[0] for line in out.splitlines()}
+    assert stopped == {"feeder", "belt", "winder"}
+    assert out.count("quick stop verified") == 3
+    assert daemon.get("/v1/leases")["leases"] == []
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
+def test_drives_stop_when_the_program_that_ramps_them_dies_or_stalls(
+    running: tuple[Daemon, PtyEnd], how: signal.Signals
+) -> None:
+    daemon, _ = running
+    lapsed = daemon.log().count("end=lapsed")
+    program = subprocess.Popen(
+        [sys.executable, EXAMPLES / "ramp_together.py", "5", *(name for name, _, _ in THREE)],
+        env=environment(LECOMBUS_SOCKET=str(daemon.socket)), stdout=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        until(lambda: min(speeds(daemon)) > 0, "all turn", within_s=30.0)
+        program.send_signal(how)
+        ended_s = time.monotonic()
+        until(lambda: daemon.log().count("end=lapsed") == lapsed + 1, "it lapses")
+        until(lambda: max(speeds(daemon)) == 0, "all stand", within_s=15.0)
+        assert time.monotonic() - ended_s > 1.0, "it took the lease time to lapse"
+        held = daemon.get("/v1/leases")
+        assert held["leases"] == []
+        assert [one["latched"] for one in held["drives"]] == [True] * 3
+    finally:
+        os.kill(program.pid, signal.SIGKILL)
+        program.wait()
+
+
+def test_values_are_logged_and_old_ones_are_not(
+    running: tuple[Daemon, PtyEnd], tmp_path: Path
+) -> None:
+    daemon, end = running
+    log = example("log_to_csv")
+    file = tmp_path / "values.csv"
+    wanted = [("feeder", "C0050"), ("belt", "C0050")]
+
+    async def main(rows: int) -> None:
+        async with connect(str(daemon.socket)) as line:
+            await log.log_to_csv(line, wanted, file, every_s=0.2, rows=rows)
+
+    anyio.run(main, 3)
+    end.line.faults.absent = {12}
+    until(lambda: daemon.states()["belt"] == "offline", "belt is offline")
+    anyio.run(main, 1)
+    end.line.faults.absent = set()
+    daemon.until_online()
+    head, *rows = csv.reader(file.read_text().splitlines())
+    assert head == ["time", "feeder C0050", "belt C0050", "not good"]
+    assert [row[1:] for row in rows[:3]] == [["0", "0", ""]] * 3
+    assert rows[3][1:3] == ["0", ""]
+    assert rows[3][3].startswith("belt C0050: ")
+
+
+def test_a_trip_of_one_drive_stops_all(running: tuple[Daemon, PtyEnd]) -> None:
+    daemon, end = running
+    end.line["feeder"].clear_fault()
+    react = example("react_to_trip")
+    said: list[str] = []
+    done = anyio.Event()
+
+    def say(text: str) -> None:
+        said.append(text)
+        if text.startswith("remedy"):
+            done.set()
+
+    async def main() -> None:
+        async with connect(str(daemon.socket)) as line, anyio.create_task_group() as tasks:
+            tasks.start_soon(react.react_to_trips, line, say)
+            await anyio.sleep(0.5)
+            async with line.lease("test", ["belt"], 2.0):
+                (await line.drive("belt").enable()).check()
+                (await line.drive("belt").set_speed(20, "Hz")).check()
+                end.line["feeder"].trip(50)
+                with anyio.fail_after(15.0):
+                    await done.wait()
+            tasks.cancel_scope.cancel()
+
+    anyio.run(main)
+    assert said[0].startswith("feeder tripped: ")
+    assert "belt: quick stop verified" in " | ".join(said)
+    until(lambda: speeds(daemon)[1] == 0, "belt stands")
