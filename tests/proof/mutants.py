@@ -169,7 +169,7 @@ MUTANTS: dict[str, Mutant] = {
     "no shares": Mutant(
         sys.modules[Shares.__module__],
         "_entitled",
-        "if cost_s is not None and",
+        "if priority > top and",
         "if False and",
         (113, 125),
         quick=True,
@@ -259,7 +259,7 @@ MUTANTS: dict[str, Mutant] = {
         "advance",
         "self.attempts += 1",
         "pass",
-        (15, 51),
+        (7, 47),
         quick=True,
     ),
     "a proof is not compared": Mutant(

@@ -7,7 +7,9 @@ from itertools import pairwise
 import pytest
 
 from lecombus.schedule import Priority, Schedule
-from schedule.world import World
+from lecombus.schedule.request import DispatchReason
+from lecombus.schedule.shares import Shares
+from schedule.world import COST_S, World
 
 P = Priority
 
@@ -201,3 +203,16 @@ def test_no_share_means_no_probe() -> None:
     world = _absent(3, share=0.0)
     world.run(60.0)
     assert world.sent == []
+
+
+def test_credit_of_the_class_that_goes_by_right_keeps_no_other_from_its_turn() -> None:
+    """Seed 32840 of the proof: feeds took most of the line, and background waited for 9 s."""
+    shares, waiting = Shares(), {P.CYCLIC: COST_S, P.BACKGROUND: COST_S}
+    assert shares.entitled(waiting, P.CYCLIC) is None
+    for _ in range(100):
+        shares.book(P.WATCHDOG, DispatchReason.FEED, COST_S)
+    shares.book(P.CYCLIC, DispatchReason.RIGHT, COST_S)
+    assert shares.foresee(waiting, P.CYCLIC, None, 0.0) is P.BACKGROUND
+    assert shares.entitled(waiting, P.CYCLIC) is P.BACKGROUND
+    shares.book(P.BACKGROUND, DispatchReason.CREDIT, COST_S)
+    assert shares.entitled(waiting, P.CYCLIC) is None, "no class goes first twice in a row"

@@ -77,7 +77,7 @@ class Shares:
         self._waiting = waiting
         if not _had_its_turn(top, self._last):
             return None
-        return _entitled(waiting, self._credit_s, self._order)
+        return _entitled(waiting, top, self._credit_s, self._order)
 
     def foresee(
         self,
@@ -101,7 +101,7 @@ class Shares:
             return None
         if under_way is not None:
             credit_s = self._booked(under_way.priority, under_way.turn, duration_s)
-        return _entitled(waiting, credit_s, self._order)
+        return _entitled(waiting, top, credit_s, self._order)
 
     def least_recent(self, classes: Container[Priority]) -> Priority | None:
         """Choose the one of some classes that has gone before a higher one least recently."""
@@ -165,11 +165,19 @@ def _last(last: Priority | None, used_by: Priority, turn: DispatchReason) -> Pri
 
 
 def _entitled(
-    waiting: Mapping[Priority, float], credit_s: Mapping[Priority, float], order: Sequence[Priority]
+    waiting: Mapping[Priority, float],
+    top: Priority,
+    credit_s: Mapping[Priority, float],
+    order: Sequence[Priority],
 ) -> Priority | None:
+    """Find the class below the top one that goes first.
+
+    The top class goes by right. Behind feeds it may have credit that it does not use, and would
+    keep the others from their turns with it.
+    """
     for priority in order:
         cost_s = waiting.get(priority)
-        if cost_s is not None and credit_s[priority] >= cost_s > 0.0:
+        if priority > top and cost_s is not None and credit_s[priority] >= cost_s > 0.0:
             return priority
     return None
 
