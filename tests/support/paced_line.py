@@ -10,6 +10,7 @@ answer's bytes were given to the host. Questions:
 * `first`: when the first byte since the last asking came;
 * `gaps`: from the last byte of each answer to the first of the next telegram;
 * `so_far`: which watchdogs fired, and how many requests and collisions there were;
+* `turns`: the output of a drive's motor;
 * `stops`: for every write heard, when its first byte came, and when the answer before it ended.
 """
 
@@ -76,7 +77,7 @@ class WatchedLine(SimLine):
         return out
 
 
-def answer(line: WatchedLine, what: str, count: int = 0) -> Any:
+def answer(line: WatchedLine, what: str, count: int = 0, drive: str = "") -> Any:
     """Answer one question."""
     if what == "mark":
         return line.mark
@@ -92,6 +93,9 @@ def answer(line: WatchedLine, what: str, count: int = 0) -> Any:
         line.advance(time.monotonic())
         fired = {drive.name: drive.watchdog_fired for drive in line.drives}
         return {"fired": fired, "requests": line.requests, "collisions": line.collisions}
+    if what == "turns":
+        line.advance(time.monotonic())
+        return abs(line[drive].model.motor.output)
     if what == "gaps":
         gaps = list(line.gaps)
         line.gaps.clear()
