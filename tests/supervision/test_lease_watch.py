@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable
+from collections.abc import AsyncIterator, Awaitable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from typing import TypeVar
 
@@ -516,6 +516,53 @@ def test_plain_writes_groups_verbs_and_restores_need_the_token_and_an_inhibit_do
 
     more = "writable: [C0001, C0040, C0046, C0135], restore: true, allow_address_change: true"
     with_plant(test, roster(more=more, names="ab"))
+
+
+class Follower:
+    """Remembers what happens to leases."""
+
+    def __init__(self) -> None:
+        self.heard: list[tuple[str, tuple[str, ...]]] = []
+        self.texts = ""
+
+    def lease_changed(self, what: str, drives: Sequence[str], fields: Mapping[str, str]) -> None:
+        self.heard.append((what, tuple(drives)))
+        self.texts += repr(fields)
+
+
+def test_what_happens_to_a_lease_is_followed_and_why_and_the_metrics_say_it(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    follower = Follower()
+
+    async def test(plant: Plant) -> None:
+        ops = plant.site.operations
+        ops.leases.followers += (follower.lease_changed,)
+        async with controlled(plant) as client:
+            client.alive = False
+        await anyio.sleep(4.0)
+        report = await ops.why("a")
+        [latched] = [one for one in report.findings if one.name == "latched"]
+        assert "latched (its lease lapsed): take a lease, then enable it" in latched.text.en
+        page = (await plant.site.metrics.fresh_page(openmetrics=False)).decode()
+        for row in (
+            'lecombus_leases{line="test"} 0', 'lecombus_drive_silenced{line="test",drive="a"} 1',
+            'lecombus_lease_lapses_total{line="test",drive="a"} 1',
+            'lecombus_drive_latched{line="test",drive="a"} 1',
+        ):  # fmt: skip
+            assert row in page
+        again = Client(plant, "next")
+        again.take()
+        await anyio.sleep(1.5)
+        ops.leases.release("next", again.token)
+        secrets = [client.token.split("-")[1], again.token.split("-")[1]]
+        assert not any(one in follower.texts + caplog.text + page for one in secrets)
+
+    with_plant(test, roster(policy="silence"))
+    assert follower.heard == [
+        ("taken", ("a",)), ("unlatched", ("a",)), ("ended", ("a",)), ("silenced", ("a",)),
+        ("taken", ("a",)), ("silence-ended", ("a",)), ("released", ("a",)),
+    ]  # fmt: skip
 
 
 def test_numbers_grow_over_restarts() -> None:

@@ -40,6 +40,7 @@ __all__ = [
     "fault_finding",
     "finding_of",
     "lapse_finding",
+    "latch_finding",
     "line_finding",
     "lock_finding",
     "silence_finding",
@@ -283,6 +284,18 @@ def lock_finding(remark: str) -> StandstillFinding:
         f"es werden nur Stopps gesendet: {remark}",
     )
     return StandstillFinding("locked", Weight.HINT, text, Text("", ""))
+
+
+def latch_finding(remark: str) -> StandstillFinding:
+    """Say that it takes no setpoint until it is enabled under a lease."""
+    text = Text(f"it takes no setpoint: {remark}", f"er nimmt keinen Sollwert an: {remark}")
+    remedy = Text(
+        "the program that controls it takes a lease and enables it (docs/leases.md); `lecombus "
+        "leases` shows who holds which",
+        "das steuernde Programm nimmt ein Lease und gibt ihn frei (docs/leases.md); `lecombus "
+        "leases` zeigt, wer welches hat",
+    )
+    return StandstillFinding("latched", Weight.REASON, text, remedy)
 
 
 def enable_finding(last: LastEnable, *, stopped_since: bool) -> StandstillFinding:

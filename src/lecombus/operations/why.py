@@ -45,6 +45,7 @@ from lecombus.operations.findings import (
     fault_finding,
     finding_of,
     lapse_finding,
+    latch_finding,
     line_finding,
     lock_finding,
     silence_finding,
@@ -269,6 +270,8 @@ class StandstillDiagnosis:
     def _more(self, info: DriveInfo) -> list[StandstillFinding]:
         """What lecombus knows besides: what locks it, and a watchdog that was fed too late."""
         found = [lock_finding(info.remarks[lock]) for lock in WRITE_LOCKS if lock in info.remarks]
+        if info.remarks.get("lease", "").startswith("latched"):
+            found.append(latch_finding(info.remarks["lease"]))
         lapses = self._lapses(info.name)
         if lapses:
             since = lapses > self._drives.get(info.name).enable.lapses_then

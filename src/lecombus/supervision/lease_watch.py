@@ -55,6 +55,9 @@ REPEAT_S: Final = 2.0
 LOOK_S: Final = 0.25
 """How often latched drives are looked at that were away, seconds."""
 
+WORDS_S: Final = 3.0
+"""How long a drive that is online may take until its words show what it does, seconds."""
+
 AWAY: Final = (DriveState.OFFLINE, DriveState.STARTING)
 
 LOST_MOST_S: Final = 60.0
@@ -93,6 +96,7 @@ class LeaseWatch:
         self._silenced: dict[str, str] = {}
         self._holding: set[str] = set()
         self._to_look_at: set[str] = set()
+        self._online_s: dict[str, float] = {}
         self._leases.changed = self._changed.set
 
     async def run(self) -> None:
@@ -157,9 +161,10 @@ class LeaseWatch:
                 self._to_look_at.discard(name)
                 self._holding.discard(name)
             elif self._store.state(name) in AWAY:
+                self._online_s.pop(name, None)
                 if control.due_s is None and name not in self._silenced:
                     self._to_look_at.add(name)
-            elif name in self._to_look_at:
+            elif name in self._to_look_at and not self._waits_for_words(name, now_s):
                 self._to_look_at.discard(name)
                 if not self._is_shown_stopped(name):
                     found.append(self._again(name, now_s))
@@ -173,6 +178,14 @@ class LeaseWatch:
             return EndedLease("", 0, (name,), EndOfLease.NONE_TAKEN, now_s)
         ended = control.ended
         return EndedLease(ended.name, ended.number, (name,), EndOfLease.CAME_BACK, now_s)
+
+    def _waits_for_words(self, name: str, now_s: float) -> bool:
+        """Whether a drive's words are waited for; a stop of a drive that stands does no harm."""
+        online_s = self._online_s.setdefault(name, now_s)
+        policy = self._book.drives[name].terms.on_lapse
+        if policy in set(StopAction) or self._store.motion(name).doing is not Doing.UNKNOWN:
+            return False
+        return now_s - online_s < WORDS_S
 
     def _is_shown_stopped(self, name: str) -> bool:
         """Whether the drive's own words, as read of late, show that it does not drive its motor."""
@@ -191,6 +204,7 @@ class LeaseWatch:
             if control.terms.on_lapse in set(StopAction):
                 self._to_look_at.add(name)
             logger.info("drive=%s event=silence-ended lease=%s", name, control.lease.name)
+            self._leases.tell("silence-ended", (name,), {"lease": control.lease.name})
             self._health.end_silence(drive)
 
     # -- the end of a lease -----------------------------------------------------------------------
