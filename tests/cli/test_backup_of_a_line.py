@@ -15,7 +15,6 @@ import httpx2
 import pytest
 from anyio.abc import TaskGroup
 
-from lecombus.api import EventReaders, create_app
 from lecombus.backups import (
     Backup,
     Restored,
@@ -37,7 +36,7 @@ from lecombus.drives import CodeInfo, Family, family, not_restored
 from lecombus.fieldbus.lecom.simulator.parameters import Refusal
 from lecombus.parameters import Code
 from lecombus.schedule import Priority, Request
-from support.api_line import no_reload
+from support.api_line import app_of
 from support.fake_drive import Ear
 from support.rosters import roster_text
 from support.site_host import Plant, with_plant
@@ -50,15 +49,7 @@ UNPLUGGED_S = 4.0
 @contextlib.asynccontextmanager
 async def behind_http(plant: Plant, name: str = "a") -> AsyncIterator[HttpDrive]:
     """The drive as the command line sees it."""
-    app = create_app(
-        plant.site.operations, plant.site.store, plant.site.metrics,
-        plan_facts=lambda: plant.site.watch.plan_facts(plant.site.roster),
-        line_name="t", ready=lambda: (True, ""), healthy=lambda: (True, ""),
-        reload=no_reload,
-        readers=EventReaders(plant.site.events, lambda: (), anyio.current_time),
-        clock=anyio.current_time,
-    )  # fmt: skip
-    transport = httpx2.ASGITransport(app)
+    transport = httpx2.ASGITransport(app_of(plant))
     async with httpx2.AsyncClient(transport=transport, base_url="http://localhost") as client:
         yield HttpDrive(Line(Connection(client, "here")), name, clock=anyio.current_time)
 

@@ -16,11 +16,10 @@ import anyio.lowlevel
 import httpx2
 import pytest
 
-from lecombus.api import EventReaders, create_app
 from lecombus.client import Line, Outcome, WriteResult
 from lecombus.client.connection import Connection
 from lecombus.fieldbus.lecom.simulator.faults import Faults
-from support.api_line import no_reload
+from support.api_line import app_of
 from support.rosters import roster_text
 from support.site_host import Plant, until, with_plant
 
@@ -82,14 +81,7 @@ DOORS: dict[str, Door] = {
 @contextlib.asynccontextmanager
 async def behind_http(plant: Plant) -> AsyncIterator[Line]:
     """The line as a program sees it."""
-    app = create_app(
-        plant.site.operations, plant.site.store, plant.site.metrics,
-        plan_facts=dict, line_name="t", ready=lambda: (True, ""),
-        healthy=lambda: (True, ""), reload=no_reload,
-        readers=EventReaders(plant.site.events, tuple, anyio.current_time),
-        clock=anyio.current_time,
-    )  # fmt: skip
-    transport = httpx2.ASGITransport(app)
+    transport = httpx2.ASGITransport(app_of(plant))
     async with httpx2.AsyncClient(transport=transport, base_url="http://localhost") as http:
         yield Line(Connection(http, "here"))
 

@@ -39,6 +39,7 @@ from lecombus.parameters import Code, Value
 from lecombus.saved_state import State
 from lecombus.schedule.request import Outcome, Priority
 from support.rosters import make_roster
+from support.site_host import Plant
 
 ROSTER = make_roster([("feeder", 11, "8200vector"), ("belt", 12, "8200vector")])
 FREQUENCY = Code(46)
@@ -255,3 +256,14 @@ def make_line() -> Line:
         clock=lambda: line.now_s,
     )
     return line
+
+
+def app_of(plant: Plant) -> Starlette:
+    """Return the HTTP application of a whole line on the virtual clock."""
+    site = plant.site
+    return create_app(
+        site.operations, site.store, site.metrics,
+        plan_facts=lambda: site.watch.plan_facts(site.roster), line_name="t",
+        ready=lambda: (True, ""), healthy=lambda: (True, ""), reload=no_reload,
+        readers=EventReaders(site.events, tuple, anyio.current_time), clock=anyio.current_time,
+    )  # fmt: skip
