@@ -9,7 +9,9 @@ time it has used for how many exchanges.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import dataclasses
+import itertools
 import logging
 import sys
 import time
@@ -18,22 +20,26 @@ from pathlib import Path
 from typing import Any
 
 import anyio
+from anyio.abc import TaskGroup
 
 import lecombus.daemon
 from lecombus.config import line_timing, load_roster
 from lecombus.daemon import SWITCH_INTERVAL_S, Daemon
 from lecombus.drive_state.readings import DriveState
 from lecombus.drives import StopAction
+from lecombus.errors import LecombusError
 from lecombus.line.event_loop import run as run_loop
 from lecombus.line_runtime import LineRuntime
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome, Priority
 from lecombus.supervision import drive_supervisor
+from lecombus.supervision.journal_record import JournalRecord
 from support.children import answer_lines
 
 __all__ = ["main"]
 
 STATUS = Code(150)
+SETPOINT = Code(140)
 MOST_TRIES = 5
 MOST_RESTS = 0.02
 """Of the exchanges of a busy line: a few are left to whoever starts."""
@@ -44,8 +50,11 @@ LEAST_RATE = 1000.0
 class Bench:
     """What is asked of a daemon during a benchmark."""
 
-    def __init__(self, daemon: Daemon) -> None:
+    def __init__(self, daemon: Daemon, tasks: TaskGroup) -> None:
         self._daemon = daemon
+        self._tasks = tasks
+        self._record: JournalRecord | None = None
+        self._written = 0
         self._closed = False
         self._background = 0
 
@@ -137,6 +146,38 @@ class Bench:
                 return cpu_s / exchanges
         raise RuntimeError(f"{rests} rests in {exchanges} exchanges: not back to back")
 
+    async def writes(self, per_s: float) -> int:
+        """Write setpoints from now on, so many a second, each drive in turn."""
+        self._tasks.start_soon(self._write, per_s)
+        return 0
+
+    async def _write(self, per_s: float) -> None:
+        names, due_s = self.site.store.names(), anyio.current_time()
+        for number in itertools.count():
+            due_s += 1.0 / per_s
+            await anyio.sleep_until(due_s)
+            self._tasks.start_soon(self._write_one, names[number % len(names)], number % 50)
+
+    async def _write_one(self, name: str, value: int) -> None:
+        with contextlib.suppress(LecombusError):  # the drives are left alone at present
+            report = await self.site.operations.write(name, SETPOINT, value)
+            self._written += report.outcome.is_good
+
+    async def written(self) -> int:
+        """Return how many of them were done so far."""
+        return self._written
+
+    async def journal(self, on: bool) -> int:
+        """Record in the journal what is done from now on, or do not; give its newest row."""
+        actions = self.site.operations.actions
+        records = [one for one in actions.followers if isinstance(one, JournalRecord)]
+        self._record = self._record or records[0]
+        others = tuple(one for one in actions.followers if one is not self._record)
+        actions.followers = (self._record, *others) if on else others
+        figures = self.site.watch.journal
+        assert figures is not None
+        return figures().rows
+
     async def stop(self, drive: str, after_s: float) -> float:
         """Stop a drive some time from now; gives the moment at which that was asked."""
         await anyio.sleep(after_s)
@@ -160,8 +201,8 @@ async def serve(path: Path, unpaced: bool) -> None:
         timing = dataclasses.replace(line_timing(roster.line), paced=False)
         vars(lecombus.daemon)["LineRuntime"] = partial(LineRuntime, timing=timing)
     daemon = Daemon(roster, None)
-    bench = Bench(daemon)
     async with anyio.create_task_group() as tasks:
+        bench = Bench(daemon, tasks)
         tasks.start_soon(daemon.main)
         while daemon.runtime is None:  # noqa: ASYNC110 - the state file is opened in a thread first
             await asyncio.sleep(0.001)

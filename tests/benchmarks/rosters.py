@@ -22,6 +22,7 @@ def write_roster(
     http: int,
     every_ms: int = 500,
     codes: Sequence[str] = ("C0150",),
+    journal: bool = False,
 ) -> Path:
     """Write a roster for 31 drives; at 500 ms and 19200 baud the line is never idle.
 
@@ -33,11 +34,13 @@ def write_roster(
         http: The TCP port of the API.
         every_ms: How often each drive is asked for each code.
         codes: What it is asked for.
+        journal: Whether it has one, in the same folder.
     """
     cyclic = ", ".join(f"{{code: {code}, every: {every_ms}ms}}" for code in codes)
     text = roster_text(
         drives(DRIVES), port=port, baud=baud, folder=folder, http=http,
         line=f"turnaround: {turnaround_ms}ms, echo: no", drive=f"cyclic: [{cyclic}]",
+        sections=f"journal: {folder / 'journal.sqlite'}" if journal else "",
     )  # fmt: skip
     path = folder / f"roster-{baud}-{turnaround_ms}-{every_ms}.yaml"
     path.write_text(text)

@@ -20,6 +20,7 @@ from support.children import OTHER_CORE, ROOT, pin
 from .cycles import measure as cycles
 from .efficiency import measure as efficiency
 from .exchanges import measure as exchanges
+from .journal import measure as journal
 from .machine import Noise, describe
 from .promises import measure as promises
 from .queues import measure as queues
@@ -34,6 +35,7 @@ ROUNDS = 5
 PARTS: dict[str, Callable[[Path, int], list[Row]]] = {
     "exchanges": exchanges,
     "cycles": cycles,
+    "journal": journal,
     "stops": stops,
     "starts": starts,
     "queues": queues,
