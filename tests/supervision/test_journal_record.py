@@ -208,3 +208,17 @@ def test_texts_of_clients_are_cut() -> None:
         assert max(len(text) for row in kept.rows for text in (row[1], *row[3].values())) == LONGEST
 
     with_record(test)
+
+
+def test_what_lecombus_sets_in_a_drive_is_recorded() -> None:
+    async def test(plant: Plant, kept: Kept, record: JournalRecord) -> None:
+        plant.factory_reset("a")
+        plant.power_cycle("a", 20.0)
+        await until(lambda: "write" in kept.kinds())
+        writes = [row for row in kept.rows if row[0] == "write"]
+        assert {(row[1], row[2], row[3]["who"]) for row in writes} == {
+            ("a", "verified", "lecombus")
+        }
+        assert "2000" in {row[3]["value"] for row in writes}
+
+    with_record(test)

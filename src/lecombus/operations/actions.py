@@ -28,6 +28,7 @@ from typing import Final, Protocol, TypeVar
 from lecombus.errors import LecombusError
 from lecombus.operations.awaited_requests import CAME_S
 from lecombus.operations.operation_reports import GroupReport, VerbReport, WriteReport
+from lecombus.parameters import Code
 from lecombus.schedule import Outcome
 from lecombus.tokens.grants import EVERYTHING, NOTHING, Grant
 
@@ -253,6 +254,13 @@ class Actions:
             self._end(act, Outcome.REFUSED.value, {"reason": str(exc)})
             raise
         self._end(act, Outcome.DONE.value, {})
+
+    def wrote(self, drive: str, code: Code, raw: str, outcome: str) -> None:
+        """Give the followers a write that lecombus made for itself; its log says why."""
+        fields = {"code": str(code), "value": raw}
+        act = Act("write", drive, fields, Actor())
+        for follower in self.followers:
+            follower.ended(act, outcome, fields)
 
     async def _begin(self, act: Act) -> float:
         """Give an operation to the followers; return how long it waited for them, seconds."""

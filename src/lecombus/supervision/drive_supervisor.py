@@ -74,7 +74,7 @@ class DriveSupervisor:
         self._drives = requests.drives
         self._clock = clock
         self._health = health
-        self._watchdogs = WatchdogAudit(requests, store, self._feed)
+        self._watchdogs = WatchdogAudit(requests, store, self._feed, operations.actions.wrote)
         self._prechecks = WritePrechecks(
             requests, store, operations.identities, operations.readdressing
         )

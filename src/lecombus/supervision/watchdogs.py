@@ -61,14 +61,20 @@ class WatchdogAudit:
         requests: Sends requests and waits for their end.
         store: Gets the remarks.
         feed: Sets how often a drive must be spoken to, seconds; None: not on purpose.
+        wrote: Told what was written: drive, code, value as on the wire, outcome.
     """
 
     def __init__(
-        self, requests: Requests, store: Store, feed: Callable[[Drive, float | None], None]
+        self,
+        requests: Requests,
+        store: Store,
+        feed: Callable[[Drive, float | None], None],
+        wrote: Callable[[str, Code, str, str], None],
     ) -> None:
         self._requests = requests
         self._store = store
         self._feed = feed
+        self._wrote = wrote
 
     async def changed(self, drive: Drive, station: Station, traits: WatchdogTraits) -> str:
         """Look, when the line has time, whether a watchdog is still set as it was.
@@ -237,6 +243,7 @@ class WatchdogAudit:
         """Write and read back; what did not take shows when the setting is read again."""
         wire = Value.decimal(round(value))
         outcome, reason = await self._requests.write_to_the_end(station, code, wire, verify=True)
+        self._wrote(station.name, code, wire.raw, outcome.value)
         if outcome is not Outcome.VERIFIED:
             logger.warning(
                 "drive=%s code=%s event=watchdog-not-set value=%s outcome=%s reason=%s",
