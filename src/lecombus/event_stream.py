@@ -45,7 +45,7 @@ Render = Callable[[Json], str]
 
 
 @dataclass(frozen=True, slots=True)
-class Event:
+class PublishedEvent:
     """An event as it is sent.
 
     Args:
@@ -73,7 +73,7 @@ class EventFilter:
     kinds: frozenset[str] = frozenset()
     visible: frozenset[str] | None = None
 
-    def takes(self, event: Event) -> bool:
+    def takes(self, event: PublishedEvent) -> bool:
         """Whether an event is wanted."""
         if self.kinds and event.kind not in self.kinds:
             return False
@@ -104,7 +104,7 @@ class EventStream:
         self._run = run
         self._events_limit = events_limit
         self._bytes_limit = bytes_limit
-        self._events: dict[int, Event] = {}
+        self._events: dict[int, PublishedEvent] = {}
         self._bytes = 0
         self._recorded_from = 1
         self._render: Render | None = None
@@ -167,7 +167,7 @@ class EventStream:
         number = self.next
         frame = f"id: {self._run}-{number}\nevent: {kind}\ndata: {text}\n\n".encode()
         drives = frozenset((drive, *members)) if drive else frozenset(members)
-        self._events[number] = Event(kind, drives, frame)
+        self._events[number] = PublishedEvent(kind, drives, frame)
         self._bytes += len(frame)
         self.next = number + 1
         self.published[kind] += 1

@@ -444,7 +444,9 @@ async def test_answers_end_in_order_when_lecombus_ends(
         client = await connect()
         await client.open()
         await client.until_open()
+        publish(line, 1, kind="write")
         line.readers.close()
+        assert (await client.next()).kind == "write"
         assert await client.piece() == ""
         assert len(line.readers) == 0
         again = await connect()

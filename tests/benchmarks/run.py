@@ -24,6 +24,7 @@ from .journal import measure as journal
 from .machine import Noise, describe
 from .promises import measure as promises
 from .queues import measure as queues
+from .readers import measure as readers
 from .starts import measure as starts
 from .stops import measure as stops
 from .table import Row, render
@@ -41,6 +42,7 @@ PARTS: dict[str, Callable[[Path, int], list[Row]]] = {
     "queues": queues,
     "worlds": worlds,
     "efficiency": efficiency,
+    "readers": readers,
     "promises": promises,
 }
 FIGURES = ROOT / "docs" / "figures.md"

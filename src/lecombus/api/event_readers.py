@@ -71,6 +71,9 @@ KEPT_S: Final = 60.0
 RETRY: Final = b"retry: 2000\n\n"
 """How long a browser waits before it comes back, milliseconds."""
 
+Batches = dict[tuple[int, EventFilter], tuple[bytes, int]]
+"""What readers at one position with one filter get in one round, and the position behind it."""
+
 TOO_MANY: Final = ProblemDocument(
     "too-many-readers",
     "too many read events already",
@@ -239,9 +242,15 @@ class EventReaders:
             self.close()
 
     def close(self) -> None:
-        """End all answers in good order; those that begin later end at their beginning."""
+        """Write what is left, such as the stop at the end, and end all answers in good order.
+
+        Those that begin later end at their beginning.
+        """
         self._is_over = True
+        until, now_s = self._stream.next, self._clock()
+        batches: Batches = {}
         for reader in tuple(self._readers):
+            self._serve(reader, until, now_s, batches)
             self._end(reader)
 
     async def _look_in_pieces(self) -> None:
@@ -251,7 +260,7 @@ class EventReaders:
     async def _write_all(self) -> None:
         """Write to each reader what it has not got yet."""
         until, now_s = self._stream.next, self._clock()
-        batches: dict[tuple[int, EventFilter], tuple[bytes, int]] = {}
+        batches: Batches = {}
         for number, reader in enumerate(tuple(self._readers), 1):
             self._serve(reader, until, now_s, batches)
             if number % READERS_AT_ONCE == 0:
@@ -262,7 +271,7 @@ class EventReaders:
         reader: Reader,
         until: int,
         now_s: float,
-        batches: dict[tuple[int, EventFilter], tuple[bytes, int]],
+        batches: Batches,
     ) -> None:
         outlet = reader.outlet
         if outlet.is_closed:
@@ -283,7 +292,7 @@ class EventReaders:
         reader: Reader,
         until: int,
         now_s: float,
-        batches: dict[tuple[int, EventFilter], tuple[bytes, int]],
+        batches: Batches,
     ) -> None:
         """Write a batch; the same for all who stand where this reader does."""
         key = (reader.position, reader.wanted)
