@@ -497,3 +497,24 @@ async def test_an_answer_under_way_ends_when_its_token_is_revoked(
                     if taken > 20 and "reader" in door.entries:
                         await door.revoke("reader")
         assert taken > 20
+
+
+async def test_events_are_read_over_tls_until_the_token_is_revoked(
+    line: Line, tmp_path: Path, certificates: Certificates
+) -> None:
+    async with guarded_door(line, tmp_path, certificates) as door:
+        await door.give("reader", "read", targets=("belt",))
+        async with (
+            door.client("reader") as client,
+            client.stream("GET", "/v1/events") as answer,
+        ):
+            text = ""
+            with anyio.fail_after(10), contextlib.suppress(httpx2.TransportError):
+                async for part in answer.aiter_text():
+                    text += part
+                    line.events.publish("value", "feeder", {"value": "secret"})
+                    line.events.publish("value", "belt", {"value": "seen"})
+                    if "seen" in text and "reader" in door.entries:
+                        await door.revoke("reader")
+        assert "seen" in text
+        assert "secret" not in text

@@ -89,6 +89,7 @@ async def guarded_door(
     certificates: Certificates | None = None,
     entry: TlsEntry | None = None,
     host: str = "127.0.0.1",
+    patience_s: float = 30,
 ) -> AsyncIterator[GuardedDoor]:
     """Serve a line until the block ends."""
     file = folder / "tokens"
@@ -105,6 +106,7 @@ async def guarded_door(
             await serve(line.app, folder / "s", (host, 0), doors=doors, task_status=task_status)
 
         served = await tasks.start(run)
-        with anyio.fail_after(30):
+        tasks.start_soon(line.readers.run)
+        with anyio.fail_after(patience_s):
             yield GuardedDoor(line, served, watch, file, tls, certificates)
         tasks.cancel_scope.cancel()
