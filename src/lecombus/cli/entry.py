@@ -58,8 +58,8 @@ COMMANDS: Final[Mapping[str, tuple[str, str]]] = {
     "status": ("status", "Show the line and its drives, or one drive with its values."),
     "leases": ("leases", "Show who controls which drives, and what is latched."),
     "events": ("events", "Print what happens on the line, as it happens."),
-    "token": ("token", "Make, list and revoke the tokens that requests over TCP carry."),
     "journal": ("journal", "Show who did what to which drive, and what happened to them."),
+    "token": ("token", "Make, list and revoke the tokens that requests over TCP carry."),
     "scan": ("scan", "Find the drives on a line, and propose a roster."),
     "why": ("status", "Say why a drive does not turn, and what to do next."),
 }
