@@ -350,11 +350,11 @@ class Daemon:
             self._tls.use(tls)
         if self._tokens is not None:
             await self._tokens.look(always=True)
-        if self._record is not None:
-            self._record.reloaded(running, roster)
         self._roster = roster
         runtime.store.note_line(RELOAD, None)
         logger.info("event=reloaded drives=%d %s %s", len(roster.drives), changes, who)
+        if self._record is not None:
+            await self._record.reloaded(running, roster)
         return changes
 
     def _refuse_reload(self, runtime: LineRuntime, refused: RosterError, who: str) -> None:

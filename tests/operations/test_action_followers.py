@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping
+from typing import Any
 
 import anyio
 import pytest
@@ -100,6 +101,32 @@ def test_a_stop_that_comes_while_a_follower_takes_its_time_ends_what_waits(
         assert report.outcome is Outcome.SUPERSEDED  # type: ignore[attr-defined]
         await anyio.sleep(2)
         assert writes(plant) == stopped
+
+    with_plant(scenario, ROSTER)
+
+
+@pytest.mark.parametrize("operation", STARTS.values(), ids=STARTS)
+@pytest.mark.parametrize("stop", ["H0008", "group"])
+def test_a_plain_write_that_stops_is_not_undone_by_what_was_asked_for_before_it(
+    operation: Operation, stop: str
+) -> None:
+    async def scenario(plant: Plant) -> None:
+        await plant.online()
+        Slow(plant)
+        task = asyncio.ensure_future(operation(plant))
+        await anyio.sleep(TAKES_S * 0.5)
+        if stop == "group":
+            await plant.site.operations.write_group("two", Code(40), 0)
+        else:
+            await plant.site.operations.write("a", Code(135), stop)
+        stopped = writes(plant)
+        report = await task
+        members: tuple[Any, ...] = getattr(report, "members", (report,))
+        assert {one.outcome for one in members if one.drive == "a"} == {Outcome.SUPERSEDED}
+        await anyio.sleep(2)
+        # A group's other member was not stopped by a write to the one.
+        later = [one for one in writes(plant) if one not in stopped]
+        assert not later or (stop == "H0008" and len(members) == 2)
 
     with_plant(scenario, ROSTER)
 

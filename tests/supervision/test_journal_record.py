@@ -192,9 +192,9 @@ def test_rosters_are_recorded_by_what_differs_also_since_the_run_before() -> Non
         assert kept.kinds() == ["start", "start", "roster"]
         changed = kept.rows[-1][3]
         assert changed["drives.a.watchdog.time"] == "2.0 -> 3.0"
-        record.reloaded(new, old)
+        await record.reloaded(new, old)
         assert kept.rows[-1][3]["drives.a.watchdog.time"] == "3.0 -> 2.0"
-        record.reloaded(old, old)
+        await record.reloaded(old, old)
         assert kept.kinds("start") == ["roster", "roster"]
         assert "drives.a.address=11" in kept.facts[KEPT].splitlines()
 

@@ -290,6 +290,7 @@ class LastingRecord:
         stops: How often a stop was sent to it, for work of several steps: what is not in the
             schedule yet when a stop comes must not be written either.
         stopped_at_s: When a stop was last sent to it, monotonic seconds.
+        stop_written_at_s: When a plain write that stops it was last sent, monotonic seconds.
         stops_and_writes: How often it was to stop, by a stop or by a plain write.
         lifts: How many plain writes may have lifted its inhibit.
         verb: The enable or the reset that is under way (`operations.verb_steps`).
@@ -300,6 +301,7 @@ class LastingRecord:
 
     stops: int = 0
     stopped_at_s: float = -math.inf
+    stop_written_at_s: float = -math.inf
     stops_and_writes: int = 0
     lifts: int = 0
     verb: Verb | None = None

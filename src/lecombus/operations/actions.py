@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Final, Protocol, TypeVar
 
 from lecombus.errors import LecombusError
-from lecombus.operations.awaited_requests import CAME_S
+from lecombus.operations.awaited_requests import CAME_S, HELD_FROM_S
 from lecombus.operations.operation_reports import GroupReport, VerbReport, WriteReport
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome
@@ -229,7 +229,7 @@ class Actions:
         """
         act = Act(event, target, said, ACTOR.get(), old, is_stop)
         outcome, more = Outcome.UNKNOWN.value, dict(said)
-        came = CAME_S.set(CAME_S.get())
+        came, held = CAME_S.set(CAME_S.get()), HELD_FROM_S.set(None)
         try:
             report = await work(await self._begin(act))
             outcome = report.outcome.value
@@ -240,6 +240,7 @@ class Actions:
             raise
         finally:
             CAME_S.reset(came)
+            HELD_FROM_S.reset(held)
             if more.get("value") == SECRET:
                 more.pop("reason", None)  # it may quote the value
             self._end(act, outcome, more)
@@ -270,6 +271,7 @@ class Actions:
         asked_s = self._clock()
         if CAME_S.get() is None:  # a stop that comes while it waits ends it
             CAME_S.set(asked_s)
+        HELD_FROM_S.set(asked_s)
         for one in waits:
             await one
         return self._clock() - asked_s

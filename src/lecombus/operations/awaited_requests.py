@@ -33,6 +33,7 @@ from lecombus.schedule.request import CLIENT_GONE, LEASE_ENDED
 
 __all__ = [
     "CAME_S",
+    "HELD_FROM_S",
     "IS_GONE",
     "Ending",
     "Requests",
@@ -45,6 +46,11 @@ __all__ = [
 CAME_S: ContextVar[float | None] = ContextVar("came_s", default=None)
 """When what is being done was asked for, monotonic seconds; None: just now. A request may wait for
 its turn before anything is done about it, and a stop that comes before that ends it too."""
+
+HELD_FROM_S: ContextVar[float | None] = ContextVar("held_from_s", default=None)
+"""From when on what is being done waited for its followers (`actions`), monotonic seconds; None: it
+did not. A plain write that stops the drive does not wait for them and came first, though it was
+asked for later: it ends what waited, as it would have stopped what was sent before it."""
 
 WRITE_TRIES: Final = 3
 """How often `write_to_the_end` writes."""
@@ -155,8 +161,11 @@ class Requests:
 
     def stopped_since_asked(self, name: str) -> bool:
         """Whether a stop of the drive came after what is being done was asked for."""
-        came_s = CAME_S.get()
-        return came_s is not None and self.drives.lasting(name).stopped_at_s > came_s
+        came_s, held_s = CAME_S.get(), HELD_FROM_S.get()
+        lasting = self.drives.lasting(name)
+        if held_s is not None and lasting.stop_written_at_s >= held_s:
+            return True
+        return came_s is not None and lasting.stopped_at_s > came_s
 
     def station(self, name: str) -> Station:
         """Return how a drive is spoken to.

@@ -205,6 +205,7 @@ class OperationContext:
         A verb under way must not undo the one, and a reset must not go on behind the other.
         """
         if asks_to_stop(station.family, code, wire):
+            self.lasting(station.name).stop_written_at_s = self.clock()
             self.lasting(station.name).count_stop()
         elif self.control_word(station.name).moves(code):
             self.lasting(station.name).lifts += 1
