@@ -1,0 +1,135 @@
+"""`lecombus journal` against a daemon reduced to its answers."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from cli.conftest import Run
+from cli.daemon_stub import DaemonStub
+from support.golden import Golden
+
+pytestmark = pytest.mark.clock
+
+HEAD = "5:" + "ab" * 32
+
+
+def row(number: int, what: str, outcome: str | None = None, **more: Any) -> dict[str, Any]:
+    fixed = {
+        "number": number, "time": f"2026-11-23T03:07:{number:02}.250Z", "what": what,
+        "drive": None, "asked": None, "outcome": outcome, "ended": False, "fields": {},
+        "hash": "ab" * 32,
+    }  # fmt: skip
+    return {**fixed, **more}
+
+
+WRITE = {"code": "C0046", "value": "=20", "old": "10", "who": "socket", "uid": "1000", "pid": "7"}
+ROWS = [
+    row(1, "start", fields={"version": "1", "port": 'a "b" c'}),
+    row(2, "write", "asked", drive="feeder", ended=True, fields=WRITE),
+    row(3, "write", "done", drive="feeder", asked=2, fields=WRITE | {"reason": "it says so"}),
+    row(4, "stop", "asked", drive="all", fields={"action": "inhibit", "who": "lecombus"}),
+    row(5, "trip", drive="fee\x1b[31mder", fields={"fault": "trip OH (50)"}),
+]
+LAST = "GET /v1/journal?last=true&limit=100"
+
+
+def page(
+    rows: list[dict[str, Any]], behind: int | None = None, head: str = HEAD
+) -> tuple[int, str]:
+    return 200, json.dumps({"rows": rows, "next": behind, "head": head, "trouble": ""})
+
+
+@pytest.fixture(autouse=True)
+def berlin(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    with monkeypatch.context() as changed:
+        changed.setenv("TZ", "Europe/Berlin")
+        time.tzset()
+        yield
+    time.tzset()
+
+
+def test_each_operation_is_one_line_by_its_end_or_as_asked(
+    run: Run, daemon: DaemonStub, golden: Golden
+) -> None:
+    daemon.answers[LAST] = page(ROWS)
+    ran = run("journal")
+    assert (ran.status, ran.err) == (0, "")
+    lines = [line.split("\t") for line in ran.out.splitlines()]
+    assert [line[1:4] for line in lines] == [
+        ["start", "", ""], ["write", "feeder", "done"], ["stop", "all", "asked"],
+        ["trip", "fee\\x1b[31mder", ""],
+    ]  # fmt: skip
+    assert lines[0][0] == "2026-11-23 04:07:01.250"
+    golden(ran.out)
+
+
+def test_json_is_every_row_as_it_came(run: Run, daemon: DaemonStub) -> None:
+    daemon.answers["GET /v1/journal?last=true&limit=2&drive=feeder"] = page(ROWS)
+    ran = run("journal", "--json", "--last", "2", "--drive", "feeder")
+    assert [json.loads(line) for line in ran.out.splitlines()] == ROWS
+
+
+def test_csv_has_the_fields_in_columns_and_no_formula(run: Run, daemon: DaemonStub) -> None:
+    daemon.answers[LAST] = page(ROWS)
+    read = list(csv.DictReader(io.StringIO(run("journal", "--csv").out)))
+    assert [one["number"] for one in read] == ["1", "3", "4", "5"]
+    assert (read[1]["value"], read[1]["old"], read[1]["reason"]) == ("'=20", "10", "it says so")
+    assert read[3]["more"] == 'fault="trip OH (50)"'
+
+
+def test_since_goes_through_all_pages(run: Run, daemon: DaemonStub) -> None:
+    since = "2026-11-23T03%3A00%3A00.000%2B00%3A00"
+    daemon.answers[f"GET /v1/journal?since={since}&limit=500"] = page(ROWS[:2], behind=2)
+    daemon.answers[f"GET /v1/journal?after=2&limit=500&since={since}"] = page(ROWS[2:])
+    ran = run("journal", "--json", "--since", "2026-11-23 04:00")
+    assert [json.loads(line)["number"] for line in ran.out.splitlines()] == [1, 2, 3, 4, 5]
+
+
+def test_follow_asks_behind_the_newest_row(
+    run: Run, daemon: DaemonStub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def sleep(for_s: float) -> None:
+        asked.append(for_s)
+        if len(asked) > 2:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("lecombus.cli.journal.time.sleep", sleep)
+    daemon.answers["GET /v1/journal?last=true&limit=1"] = page(ROWS[2:3], head="3:" + "0" * 64)
+    daemon.answers["GET /v1/journal?after=3&limit=500"] = page(ROWS[3:])
+    daemon.answers["GET /v1/journal?after=5&limit=500"] = page([])
+    ran = run("journal", "--follow", "--last", "1")
+    assert [line.split("\t")[1] for line in ran.out.splitlines()] == ["write", "stop", "trip"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("--since", "yesterday"), ("--since", "8h", "--last", "5"), ("--csv", "--json")],
+    ids=" ".join,
+)
+def test_what_is_wrong_is_said(run: Run, daemon: DaemonStub, words: tuple[str, ...]) -> None:
+    ran = run("journal", *words)
+    assert (ran.status, ran.out) == (2, "")
+    assert daemon.asked == []
+
+
+def test_verify_says_whether_it_is_whole(run: Run, daemon: DaemonStub) -> None:
+    found = {"whole": True, "rows": 5, "first": 1, "last": 5, "head": HEAD, "problem": None}
+    daemon.answers["GET /v1/journal/verify"] = (200, json.dumps(found))
+    ran = run("journal", "verify")
+    assert (ran.status, ran.out) == (0, f"whole: 5 rows, 1 to 5\nhead {HEAD}\n")
+    found |= {"whole": False, "problem": "row 6 was changed"}
+    told = HEAD.replace(":", "%3A")
+    daemon.answers[f"GET /v1/journal/verify?head={told}"] = (200, json.dumps(found))
+    ran = run("journal", "verify", "--head", HEAD)
+    assert ran.status == 1
+    assert ran.out.startswith("not whole: row 6 was changed\nright up to there: 5 rows, 1 to 5\n")
+    assert json.loads(run("journal", "verify", "--json", "--head", HEAD).out) == found
