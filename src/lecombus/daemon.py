@@ -235,6 +235,7 @@ class Daemon:
         runtime.operations.leases.followers += (record.lease_changed,)
         runtime.store.subscribe(record.store_changed)
         runtime.watch.journal = journal.figures
+        journal.head_logged = lambda head: runtime.events.publish("line", "", {"journal": head})
         await record.started(self._roster, __version__)
 
     def end(self, why: str = "its owner") -> None:

@@ -283,13 +283,17 @@ def test_the_head_is_logged_at_the_start_hourly_and_at_the_end(
     monkeypatch.setattr(module, "HEAD_S", 0.05)
     caplog.set_level("INFO")
 
+    heads: list[str] = []
+
     async def scenario(journal: Journal) -> None:
+        journal.head_logged = heads.append
         journal.record("start")
         await until(lambda: caplog.text.count("event=journal-head head=1:") >= 2)
         journal.record("end")
 
     with_journal(tmp_path / "j", scenario)
     assert "event=journal-head head=2:" in caplog.messages[-1]
+    assert heads[-1].startswith("2:")
 
 
 def test_the_end_does_not_wait_for_a_disk_that_hangs(

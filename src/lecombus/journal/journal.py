@@ -98,6 +98,7 @@ class Journal:
 
     Attributes:
         trouble: Why rows cannot be written now; empty: they can.
+        head_logged: Given the newest row each time it is logged.
     """
 
     def __init__(
@@ -123,6 +124,7 @@ class Journal:
         self._found = ""
         self._say: Callable[[str | None], None] = lambda text: None
         self.trouble = NOT_OPEN
+        self.head_logged: Callable[[str], None] = lambda head: None
 
     @classmethod
     async def opened(
@@ -305,6 +307,7 @@ class Journal:
     def log_head(self) -> None:
         """Log the newest row: with it, `verify` shows whether rows were taken off at the end."""
         logger.info("event=journal-head head=%s file=%s", self.head, self._path)
+        self.head_logged(str(self.head))
 
     async def close(self) -> None:
         """Write what is left and close the file; a disk that hangs is not waited for."""
