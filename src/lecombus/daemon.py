@@ -48,7 +48,7 @@ from lecombus.errors import LecombusError, LineClosedError, OperationError
 from lecombus.fieldbus.port import PortOpener
 from lecombus.fieldbus.protocols import find
 from lecombus.journal.journal import Journal
-from lecombus.journal.journal_file import JournalFileError, KeyRow
+from lecombus.journal.journal_file import KeyRow
 from lecombus.line.devices import others_at
 from lecombus.line.event_loop import run as run_loop
 from lecombus.line.opening import open_port
@@ -112,10 +112,14 @@ def plain_errors() -> Iterator[None]:
         wanted, rest = group.split(LecombusError)
         if wanted is None or rest is not None:
             raise
-        error: BaseException = wanted
-        while isinstance(error, BaseExceptionGroup):
-            error = error.exceptions[0]
-        raise error from None
+        raise first_error(wanted) from None
+
+
+def first_error(error: BaseException) -> BaseException:
+    """Return an error itself, or the first of a group."""
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    return error
 
 
 def place(http: tuple[str, int] | None) -> str:
@@ -170,7 +174,8 @@ class Daemon:
         try:
             await self._run(keeping, journal)
         except BaseException as exc:
-            self._ended_by = f"{type(exc).__name__}: {exc}"
+            error = first_error(exc)
+            self._ended_by = f"{type(error).__name__}: {error}"
             raise
         finally:
             keeping.close()
@@ -200,7 +205,7 @@ class Daemon:
         )  # fmt: skip
         if journal is not None:
             await self._record_in(journal, runtime)
-            self._kept_keys = await kept_keys(journal)
+            self._kept_keys = await journal.keys()
         async with anyio.create_task_group() as line:
             async with anyio.create_task_group() as faces:
                 faces.start_soon(self._watch_signals, faces)
@@ -231,9 +236,7 @@ class Daemon:
         self._record = record = JournalRecord(
             journal, runtime.store, refuses=entry.on_failure == "refuse"
         )
-        runtime.operations.actions.followers += (record,)
-        runtime.operations.leases.followers += (record.lease_changed,)
-        runtime.store.subscribe(record.store_changed)
+        record.follow(runtime.operations)
         runtime.watch.journal = journal.figures
         journal.head_logged = lambda head: runtime.events.publish("line", "", {"journal": head})
         await record.started(self._roster, __version__)
@@ -437,15 +440,6 @@ class Daemon:
                 tell_goodbye(action, report)
         if scope.cancelled_caught:
             logger.error("event=shutdown-stop-failed action=%s reason=too slow", action)
-
-
-async def kept_keys(journal: Journal) -> Sequence[KeyRow]:
-    """Return the requests with a key that the run before has kept."""
-    try:
-        return await journal.keys()
-    except (JournalFileError, TimeoutError) as exc:
-        logger.warning("event=keys-not-kept reason=%s", exc)
-        return ()
 
 
 class Notifier:

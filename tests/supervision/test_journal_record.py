@@ -77,9 +77,7 @@ def with_record(
         await plant.online()
         kept: Any = Kept()
         record = JournalRecord(kept, plant.site.store, refuses=refuses)
-        plant.site.operations.actions.followers += (record,)
-        plant.site.operations.leases.followers += (record.lease_changed,)
-        plant.site.store.subscribe(record.store_changed)
+        record.follow(plant.site.operations)
         await test(plant, kept, record)
 
     with_plant(scenario, ROSTER)

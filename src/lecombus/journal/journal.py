@@ -230,10 +230,14 @@ class Journal:
         return await self._ask(lambda db: reading.last_rows(db, drives=drives, most=most))
 
     async def keys(self) -> list[KeyRow]:
-        """Return the requests with an `Idempotency-Key` that are kept."""
-        return await self._ask(
-            lambda db: [KeyRow(*row) for row in reading.select(db, "SELECT * FROM keys")]
-        )
+        """Return the requests with an `Idempotency-Key` that are kept; none while it fails."""
+        try:
+            return await self._ask(
+                lambda db: [KeyRow(*row) for row in reading.select(db, "SELECT * FROM keys")]
+            )
+        except (JournalFileError, TimeoutError) as exc:
+            logger.warning("event=keys-not-kept reason=%s", exc)
+            return []
 
     async def fact(self, name: str) -> str | None:
         """Return the text kept under a name."""

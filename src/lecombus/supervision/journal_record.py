@@ -22,6 +22,7 @@ from lecombus.journal.chain import Row
 from lecombus.journal.journal import Journal
 from lecombus.journal.journal_file import Fact, JournalFileError
 from lecombus.operations.actions import ACTOR, Act
+from lecombus.operations.facade import Operations
 
 __all__ = ["JournalRecord"]
 
@@ -51,6 +52,12 @@ class JournalRecord:
         self._states: dict[str, DriveState] = {}
         self._faults: dict[str, ActiveFault] = {}
         self._line = store.line().state
+
+    def follow(self, operations: Operations) -> None:
+        """Record what is done by operations, and what happens to their drives, from now on."""
+        operations.actions.followers += (self,)
+        operations.leases.followers += (self.lease_changed,)
+        self._store.subscribe(self.store_changed)
 
     # ---- operations --------------------------------------------------------------------------
 
