@@ -6,6 +6,7 @@ import pytest
 
 from config.rosters import GOOD, drive_with, line_with, only, parsed, roster_with, said
 from support.golden import Golden
+from support.rosters import roster_text
 
 
 def test_the_roster_the_tests_start_from_is_right() -> None:
@@ -289,8 +290,25 @@ def test_a_lapse_needs_a_stop_the_family_knows(lease: str) -> None:
     assert "but family generic knows no " in only(drive_with(lease, family="generic"))
     top = roster_with("lease: {required: true}").replace("smvector", "generic")
     assert "on_lapse is quick-stop, but family generic knows no quick-stop" in only(top)
-    silence = drive_with("lease: {required: true, on_lapse: silence}", family="generic")
-    assert parsed(silence).drives[0].lease.on_lapse == "silence"
+    hold = drive_with("lease: {required: true, on_lapse: hold}", family="generic")
+    assert parsed(hold).drives[0].lease.on_lapse == "hold"
+
+
+@pytest.mark.parametrize(
+    ("keys", "is_right"),
+    [
+        ("lease: {required: true, on_lapse: silence}", False),
+        ("lease: {required: true, on_lapse: silence}, watchdog: {time: 2s, action: none}", False),
+        ("lease: {required: true, on_lapse: silence}, watchdog: {time: 2s, action: inhibit}", True),
+        ("lease: {on_lapse: silence}", True),
+    ],
+)
+def test_a_silence_needs_a_watchdog_that_acts(keys: str, *, is_right: bool) -> None:
+    text = roster_text([("feeder", 11, "8200vector")], drive=keys)
+    if is_right:
+        assert parsed(text).drives[0].lease.on_lapse == "silence"
+    else:
+        assert "nothing stops feeder then: the roster gives it no watchdog" in only(text)
 
 
 def test_missing_keys_are_asked_for_with_what_to_give(golden: Golden) -> None:

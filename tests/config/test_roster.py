@@ -134,11 +134,11 @@ def test_stall_may_be_never() -> None:
 
 
 def test_a_drive_lease_completes_itself_from_the_default() -> None:
-    text = roster_with("lease: {required: true, time: 5s, on_lapse: silence}")
+    text = roster_with("lease: {required: true, time: 5s, on_lapse: hold}")
     text = text.replace("family: smvector", "family: smvector\n    lease: {time: 1s}")
     feeder, belt = parsed(text).drives
-    assert feeder.lease == LeaseEntry(required=True, time_s=5, on_lapse="silence")
-    assert belt.lease == LeaseEntry(required=True, time_s=1, on_lapse="silence")
+    assert feeder.lease == LeaseEntry(required=True, time_s=5, on_lapse="hold")
+    assert belt.lease == LeaseEntry(required=True, time_s=1, on_lapse="hold")
 
 
 def test_what_does_nothing_yet_is_named() -> None:

@@ -14,7 +14,15 @@ from typing import Any
 from lecombus.drives import family
 from lecombus.drives.measured import AnswerRow, SlowAnswers
 from lecombus.parameters import Code, rules_of
-from lecombus.roster import ApiEntry, CyclicEntry, DriveEntry, LineEntry, Roster, WatchdogEntry
+from lecombus.roster import (
+    ApiEntry,
+    CyclicEntry,
+    DriveEntry,
+    LeaseEntry,
+    LineEntry,
+    Roster,
+    WatchdogEntry,
+)
 
 __all__ = ["answers_of", "facts_of", "roster_of", "slow_of"]
 
@@ -100,6 +108,8 @@ def _facts_of_drive(drive: DriveEntry) -> dict[str, Any]:
             {"code": str(one.code), "every_s": _decimal(one.every_s)} for one in drive.cyclic
         ],
         "answer_time_s": None if drive.answer_time_s is None else _decimal(drive.answer_time_s),
+        "lease": _exact(drive.lease.model_dump()),
+        "stop_fallback": drive.stop_fallback,
     }
 
 
@@ -118,6 +128,8 @@ def _drive_of(facts: Mapping[str, Any]) -> DriveEntry:
         ),
         writable=frozenset(),
         answer_time_s=None if own_s is None else float(own_s),
+        lease=LeaseEntry.model_validate(facts["lease"]),
+        stop_fallback=facts["stop_fallback"],
         slow=_slow_of(facts["slow"]),
     )
 

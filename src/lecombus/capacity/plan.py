@@ -19,6 +19,7 @@ from lecombus.capacity.exchange_costs import (
     stop_s,
     watched_s,
 )
+from lecombus.capacity.lease_bounds import LeaseBound, lease_bounds
 from lecombus.capacity.load import (
     AbsentEffect,
     AdapterEffect,
@@ -96,6 +97,7 @@ class LinePlan:
         bauds: The same line at every baud rate.
         adapter: The same line with an adapter that is as slow as it may be.
         absent: The same line while drives are away.
+        leases: How soon drives that need a lease are stopped.
     """
 
     line: str
@@ -109,6 +111,7 @@ class LinePlan:
     bauds: tuple[BaudEffect, ...]
     adapter: AdapterEffect
     absent: tuple[AbsentEffect, ...]
+    leases: tuple[LeaseBound, ...] = ()
 
     def wait(self, name: str) -> ClassWait:
         """Give the promise to a class, such as `stop`."""
@@ -126,6 +129,8 @@ class LinePlan:
                 row["load"] = effect.load.as_json()
         for one, row in zip(self.watchdogs, found["watchdogs"], strict=True):
             row["verdict"] = one.verdict
+        if not self.leases:
+            del found["leases"]
         return found
 
 
@@ -154,6 +159,7 @@ def make_plan(roster: Roster, timing: LineTiming | None = None) -> LinePlan:
         bauds=tuple(baud_effects(roster)),
         adapter=adapter_effect(roster, timing),
         absent=tuple(absent_effects(roster, timing)),
+        leases=tuple(lease_bounds(roster, timing, promises.wait("stop").loaded_s)),
     )
 
 

@@ -145,6 +145,7 @@ def _show(plan: LinePlan, shown: Preview) -> None:
     _show_adapter(plan)
     _show_room(plan)
     _show_waits(plan)
+    _show_leases(plan)
     _show_watchdogs(plan)
     _show_exchanges(plan)
     _show_effects(plan)
@@ -210,6 +211,21 @@ def _show_room(plan: LinePlan) -> None:
             f"one that takes more than {_time(room.answered_s)} when it is answered is refused, "
             "too: a stop behind it, with one lost answer, would make a watchdog act"
         )
+
+
+def _show_leases(plan: LinePlan) -> None:
+    """Say how soon each drive that needs a lease is stopped after its client's last renewal."""
+    if plan.leases:
+        show_table(
+            ("drive", "on lapse", "lease", "stop begins within", "its watchdog, if need be",
+             "what is counted"),
+            [
+                (one.drive, one.on_lapse, format_duration(one.time_s), _time(one.stop_s),
+                 _time(one.watchdog_s), one.counts)
+                for one in plan.leases
+            ],
+            title="how soon a drive is stopped after its client's last sign of life",
+        )  # fmt: skip
 
 
 def _show_watchdogs(plan: LinePlan) -> None:

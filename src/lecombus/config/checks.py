@@ -30,6 +30,7 @@ __all__ = [
     "check_feasibility",
     "check_lapse",
     "check_roster",
+    "check_silence",
     "default_socket",
     "drives_of",
 ]
@@ -224,8 +225,12 @@ def _check_default_lapse(roster: Fields, drives: list[Fields], mistakes: Mistake
         own = drive.get("lease", UNUSABLE)
         given = own if isinstance(own, Fields) else None
         needs = given.get("required", required) if given is not None else required
-        if needs and (given is None or "on_lapse" not in given.nodes):
+        says = given is not None and "on_lapse" in given.nodes
+        if needs and not says:
             check_lapse(drive, fallback, drive.place("lease"), mistakes)
+        action = given.get("on_lapse", fallback) if given is not None else fallback
+        if needs and action == "silence":
+            check_silence(drive, drive.place("lease"), mistakes)
 
 
 def _check_access(roster: Fields, mistakes: Mistakes) -> None:
@@ -276,6 +281,19 @@ def check_lapse(drive: Fields, action: str, place: Position, mistakes: Mistakes)
         what = f"on_lapse is {action}, but family {name} knows no {action}"
         known = [word for word in StopAction if knows_stop(family(name), word)]
         mistakes.note(place, what, f"write on_lapse: {one_of([*known, 'silence', 'hold'])}")
+
+
+def check_silence(drive: Fields, place: Position, mistakes: Mistakes) -> None:
+    """Note a lease at whose end nothing would stop the drive: silence without a watchdog."""
+    watchdog = drive.get("watchdog")
+    if watchdog is UNUSABLE or (isinstance(watchdog, Fields) and watchdog.get("action") != "none"):
+        return  # of what cannot be read the mistake is noted already
+    mistakes.note(
+        place,
+        f"on_lapse is silence, but nothing stops {drive.get('name')} then: the roster gives it no "
+        "watchdog that acts",
+        "give it a `watchdog`, or write on_lapse: quick-stop, inhibit or hold",
+    )
 
 
 def _check_watchdog_of_any(watchdog: Fields, fieldbus: Fieldbus, mistakes: Mistakes) -> None:

@@ -251,11 +251,8 @@ def _leases(drive: DriveEntry) -> Iterator[tuple[str, str]]:
     lease, watchdog = drive.lease, drive.watchdog
     if not lease.required:
         return
-    acts = watchdog is not None and watchdog.action != "none"
     if lease.on_lapse == "hold":
         yield drive.name, "on_lapse hold lets the drive run on, and shows as a permanent alarm"
-    elif lease.on_lapse == "silence" and not acts:
-        yield drive.name, "on_lapse silence needs a watchdog that acts: without one it runs on"
     elif (
         lease.on_lapse == "silence"
         and watchdog is not None

@@ -29,7 +29,7 @@ from typing import Final
 import anyio
 
 from lecombus.capacity.exchange_costs import watched_s
-from lecombus.config import DriveEntry
+from lecombus.capacity.lease_bounds import stops_by_silence
 from lecombus.drive_state.drive_runtime import Drive
 from lecombus.drive_state.motion import Doing
 from lecombus.drive_state.readings import DriveState
@@ -330,13 +330,6 @@ LATCHES: Final = {
     Latch.LAPSED: "its lease lapsed",
     Latch.RELEASED: "its lease was given up",
 }
-
-
-def stops_by_silence(entry: DriveEntry) -> bool:
-    """Whether a drive's own watchdog stops it as the roster allows when it is sent nothing."""
-    if watched_s(entry) is None or entry.watchdog is None:
-        return False
-    return entry.stop_fallback == "inhibit" or entry.watchdog.action == "quick-stop"
 
 
 def words_of(ended: EndedLease) -> str:
