@@ -63,6 +63,8 @@ async def test_waiting_writes_refuse_further_ones_but_no_look_at_the_store_and_n
         assert refused.headers["retry-after"] == "1"
         assert (await client.get(SETPOINT, params={"fresh": "true"})).status_code == 503
         assert (await client.get(SETPOINT)).status_code == 200
+        lease = {"targets": ["feeder"], "time": "1s", "counter": 1}
+        assert (await client.put("/v1/leases/plc", json=lease)).status_code == 200
         line.ops.gate.set()
         assert (await client.post("/v1/stop", json=STOP)).status_code == 200
     assert [one[0] for one in line.ops.asked] == ["write"] * LIMIT + ["stop"]

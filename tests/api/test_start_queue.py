@@ -32,3 +32,14 @@ async def test_a_crowd_begins_one_by_one_and_the_loop_turns_between() -> None:
         await asyncio.sleep(0)
     assert begun == list(range(20))
     assert counts == list(range(1, 20))
+
+
+async def test_a_renewal_of_a_lease_begins_before_all_that_wait() -> None:
+    begun: list[int] = []
+    queue = StartQueue()
+    for number in range(5):
+        queue.take(lambda number=number: begun.append(number))  # type: ignore[misc]
+    queue.take(lambda: begun.append(99), first=True)
+    for _ in range(10):
+        await asyncio.sleep(0)
+    assert begun == [0, 99, 1, 2, 3, 4]

@@ -51,6 +51,7 @@ from lecombus.api.limits import (
     HEAD_LIMIT,
     HEAD_TOO_LONG,
     HEADERS_LIMIT,
+    LEASES_PATH,
     NOT_HTTP,
     PARAMETERS_LIMIT,
     TARGET_BYTES,
@@ -91,10 +92,13 @@ class StartQueue:
         self._waiting: deque[Callable[[], None]] = deque()
         self._is_called = False
 
-    def take(self, begin: Callable[[], None]) -> None:
-        """Begin something now if nothing waits, else in its turn."""
+    def take(self, begin: Callable[[], None], *, first: bool = False) -> None:
+        """Begin something now if nothing waits, else in its turn, or before all that wait."""
         if self._is_called:
-            self._waiting.append(begin)
+            if first:
+                self._waiting.appendleft(begin)
+            else:
+                self._waiting.append(begin)
             return
         self._call()
         begin()
@@ -399,7 +403,8 @@ class HttpConnection(HttpToolsProtocol):
         if stops:
             start()
         else:
-            self.starts.take(start)
+            # A renewal waits for no crowd of other requests.
+            self.starts.take(start, first=cycle.scope["path"].startswith(LEASES_PATH))
 
     def _begin(self, cycle: Any) -> None:
         """Take the request that is answered next; one for events gets the transport itself."""
