@@ -260,6 +260,35 @@ def test_a_silent_drive_and_a_missed_watchdog_raise_alerts(tmp_path: Path) -> No
     assert_alerts(tmp_path, cases)
 
 
+def test_a_failing_journal_raises_an_alert(tmp_path: Path) -> None:
+    series = [{"series": 'lecombus_journal_up{line="hall-3"}', "values": "1x11 0x48"}]
+    alert = {
+        "exp_labels": {"severity": "critical", "line": "hall-3"},
+        "exp_annotations": {
+            "summary": "the journal of line hall-3 cannot be written",
+            "description": (
+                "Writes to its drives are refused unless the roster says on_failure go-on; stops "
+                "are sent. Look at its disk; the remark in lecombus status says what is wrong."
+            ),
+        },
+    }
+    cases = {
+        "rule_files": [str(DEPLOY / "prometheus" / "lecombus.rules.yml")],
+        "evaluation_interval": "5s",
+        "tests": [
+            {
+                "interval": "5s",
+                "input_series": series,
+                "alert_rule_test": [
+                    {"eval_time": at, "alertname": "LecombusJournalFails", "exp_alerts": alerts}
+                    for at, alerts in {"55s": [], "95s": [alert]}.items()
+                ],
+            }
+        ],
+    }
+    assert_alerts(tmp_path, cases)
+
+
 def assert_alerts(tmp_path: Path, cases: Mapping[str, object]) -> None:
     path = tmp_path / "alerts.yml"
     path.write_text(json.dumps(cases))
